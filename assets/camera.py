@@ -1,0 +1,102 @@
+"""Pinhole cameras: +z forward, +y down (COLMAP)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from assets.errors import BadInput
+
+MAX_SIDE = 16384  # [px]; larger pictures are a mistake in the file, not a wish
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics [px] and `world_to_camera`, (4, 4), that maps world points to camera points."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    world_to_camera: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """Centre of the camera in the world [m], (3,)."""
+        r, t = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -r.T @ t
+
+    def ray(self, u: float, v: float) -> tuple[np.ndarray, np.ndarray]:
+        """Origin and unit direction in the world of the ray through pixel position (u, v)."""
+        d = np.array([(u - self.cx) / self.fx, (v - self.cy) / self.fy, 1.0])
+        d = self.world_to_camera[:3, :3].T @ d
+        return self.position, d / np.linalg.norm(d)
+
+
+def look_at(eye, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
+    """`world_to_camera` (4, 4) of a camera at `eye` that looks at `target`."""
+    eye, target, up = (np.asarray(a, np.float64) for a in (eye, target, up))
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) < 1e-6:  # looking straight up or down
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    m = np.eye(4)
+    m[:3, :3] = [right, np.cross(forward, right), forward]
+    m[:3, 3] = -m[:3, :3] @ eye
+    return m
+
+
+def perspective(width: int, height: int, fov_y: float, world_to_camera: np.ndarray) -> Camera:
+    """Camera with a vertical field of view `fov_y` [rad] and the principal point in the middle."""
+    f = 0.5 * height / np.tan(0.5 * fov_y)
+    return Camera(width, height, f, f, 0.5 * width, 0.5 * height, np.asarray(world_to_camera, np.float64))
+
+
+def read_cameras(path: str | Path) -> list[Camera]:
+    """Cameras of a CAM.json: one object or a list of them. Raises BadInput."""
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot read the camera file ({e.strerror})") from e
+    except ValueError as e:
+        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    items = data if isinstance(data, list) else [data]
+    if not items:
+        raise BadInput(f"{path}: holds no camera")
+    cameras = [_camera(path, i, item) for i, item in enumerate(items)]
+    if len({(c.width, c.height) for c in cameras}) > 1:
+        raise BadInput(f"{path}: the cameras differ in size")
+    return cameras
+
+
+def _camera(path: Path, index: int, item) -> Camera:
+    where = f"{path}: camera {index}"
+    if not isinstance(item, dict):
+        raise BadInput(f"{where}: expected an object")
+    names = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
+    missing = [n for n in names if n not in item]
+    if missing:
+        raise BadInput(f"{where}: missing {missing[0]!r}")
+    try:
+        matrix = np.array(item["world_to_camera"], np.float64)
+        width, height = int(item["width"]), int(item["height"])
+        numbers = [float(item[n]) for n in names[2:6]]
+    except (TypeError, ValueError, OverflowError) as e:
+        raise BadInput(f"{where}: not a number ({e})") from e
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise BadInput(f"{where}: world_to_camera must be 4x4 and finite")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise BadInput(f"{where}: the rotation in world_to_camera is not orthonormal")
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+        raise BadInput(f"{where}: width and height must be 1 to {MAX_SIDE}")
+    if not np.isfinite(numbers).all() or numbers[0] <= 0 or numbers[1] <= 0:
+        raise BadInput(f"{where}: fx, fy, cx, cy must be finite and fx, fy positive")
+    return Camera(width, height, *numbers, matrix)

@@ -1,0 +1,138 @@
+"""The Gaussians of a splat, as they lie in files and in host memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from assets.sh import rotate_sh
+
+SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N Gaussians. All arrays are float32 but `object_id`.
+
+    means            centres [m], (N, 3)
+    quats            unit quaternions wxyz, (N, 4)
+    log_scales       natural log of the standard deviations [m], (N, 3)
+    logit_opacities  logit of the opacity, (N,)
+    sh               spherical harmonics, (N, K, 3), K = 1, 4, 9 or 16; colour = 0.5 + SH(d)
+    object_id        uint16, (N,); 0 = background
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    log_scales: np.ndarray
+    logit_opacities: np.ndarray
+    sh: np.ndarray
+    object_id: np.ndarray
+
+    @classmethod
+    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None) -> Gaussians:
+        """Convert dtypes, normalise quaternions; the inputs must be finite already."""
+        n = len(means)
+        quats = np.asarray(quats, np.float32).reshape(n, 4)
+        quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+        ids = np.zeros(n, np.uint16) if object_id is None else np.asarray(object_id, np.uint16)
+        return cls(
+            np.ascontiguousarray(means, np.float32).reshape(n, 3),
+            np.ascontiguousarray(quats, np.float32),
+            np.ascontiguousarray(log_scales, np.float32).reshape(n, 3),
+            np.ascontiguousarray(logit_opacities, np.float32).reshape(n),
+            np.ascontiguousarray(sh, np.float32).reshape(n, -1, 3),
+            np.ascontiguousarray(ids).reshape(n),
+        )
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return SH_COUNTS.index(self.sh.shape[1])
+
+    @property
+    def opacities(self) -> np.ndarray:
+        """Opacity in 0..1, (N,)."""
+        return 1.0 / (1.0 + np.exp(-self.logit_opacities.clip(-80, 80)))
+
+    def select(self, which: np.ndarray) -> Gaussians:
+        """The Gaussians of an index array or boolean mask."""
+        return Gaussians(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    def with_sh_degree(self, degree: int) -> Gaussians:
+        """Pad with zeros, or cut, to the given SH degree."""
+        k = SH_COUNTS[degree]
+        sh = np.zeros((len(self), k, 3), np.float32)
+        shared = min(k, self.sh.shape[1])
+        sh[:, :shared] = self.sh[:, :shared]
+        return replace(self, sh=sh)
+
+    def transformed(self, rotation: np.ndarray, translation=(0.0, 0.0, 0.0), scale: float = 1.0) -> Gaussians:
+        """Apply x -> scale * rotation @ x + translation, the view-dependent colour included."""
+        rotation = np.asarray(rotation, np.float64)
+        means = scale * self.means @ rotation.T + np.asarray(translation)
+        quats = multiply_quats(quat_of_matrix(rotation)[None], self.quats)
+        sh = rotate_sh(self.sh, rotation)
+        return Gaussians.of(means, quats, self.log_scales + np.log(scale), self.logit_opacities, sh, self.object_id)
+
+
+def concatenate(parts: list[Gaussians]) -> Gaussians:
+    """One set of all parts, padded to the highest SH degree among them."""
+    degree = max(p.sh_degree for p in parts)
+    parts = [p.with_sh_degree(degree) for p in parts]
+    return Gaussians(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)))
+
+
+def matrices_of_quats(quats: np.ndarray) -> np.ndarray:
+    """Rotation matrices (N, 3, 3) of unit quaternions wxyz (N, 4)."""
+    w, x, y, z = np.moveaxis(np.asarray(quats, np.float64), -1, 0)
+    return np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )
+
+
+def quat_of_matrix(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion wxyz (4,) of a rotation matrix (3, 3); the largest component is taken first."""
+    m = np.asarray(rotation, np.float64)
+    squares = 0.25 * np.array(
+        [
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+        ]
+    )
+    k = int(np.argmax(squares))
+    q = np.empty(4)
+    q[k] = np.sqrt(max(squares[k], 0.0))
+    d = [(m[2, 1] - m[1, 2]), (m[0, 2] - m[2, 0]), (m[1, 0] - m[0, 1])]
+    s = [(m[0, 1] + m[1, 0]), (m[0, 2] + m[2, 0]), (m[1, 2] + m[2, 1])]
+    products = {(0, 1): d[0], (0, 2): d[1], (0, 3): d[2], (1, 2): s[0], (1, 3): s[1], (2, 3): s[2]}
+    for j in range(4):
+        if j != k:
+            q[j] = products[min(j, k), max(j, k)] / (4 * q[k])
+    return q / np.linalg.norm(q)
+
+
+def multiply_quats(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product of quaternions wxyz (..., 4)."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a, np.float64), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b, np.float64), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    )

@@ -1,0 +1,24 @@
+"""Shared fixtures: Taichi on the CPU once per process, and the optional folder of test data."""
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def ti_cpu():
+    """Taichi on the CPU, initialised once: fields of earlier tests stay valid."""
+    import taichi as ti
+
+    ti.init(arch=ti.cpu, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
+    return ti
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of captures, splats and reference pictures; tests that need it are skipped without it."""
+    if not SHARED.is_dir():
+        pytest.skip(f"no test data: {SHARED.name}/ does not stand beside the repository")
+    return SHARED

@@ -110,7 +110,12 @@ class BodyState:
 
 
 class Game(Protocol):
-    """A scene's small game. `hands` is its scripted player; it starts anew with `reset`."""
+    """A scene's small game. `hands` is its scripted player; it starts anew with `reset`.
+
+    `verify` raises AssertionError if the scripted play did not end as it should.
+    """
+
+    duration: float  # [s] that the scripted player needs
 
     def reset(self) -> None: ...
     def update(self, time: float, bodies: list[BodyState]) -> None: ...

@@ -1,0 +1,48 @@
+"""Where assets are found: the shipped ones by name, the user's by path, prepared splats in a cache."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+from assets.errors import BadInput
+
+SHIPPED = Path(__file__).resolve().parent / "data"
+
+
+def find_asset(name: str) -> Path:
+    """Path of an asset named as in a scene: a shipped one ("ring") or a file. Raises BadInput."""
+    shipped = SHIPPED / f"{name}.h5"
+    if shipped.is_file():
+        return shipped
+    path = Path(name)
+    if path.is_file():
+        return path
+    known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.h5"))) or "none (run: python vrgs.py build)"
+    raise BadInput(f"{name}: no such asset; shipped ones: {known}")
+
+
+def cache_folder() -> Path:
+    """Folder for what can be made again, by the platform's custom. `VRGS_CACHE` overrides it."""
+    override = os.environ.get("VRGS_CACHE")
+    if override:
+        return Path(override)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "vrgs"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "vrgs"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"
+
+
+def cached_asset(source: Path, options: dict) -> Path:
+    """Where the asset prepared from `source` with `options` lies, whether or not it exists yet.
+
+    The name holds a hash of the file's bytes and the options: an edited file is prepared anew.
+    """
+    digest = hashlib.sha256(repr(sorted(options.items())).encode())
+    with open(source, "rb") as f:
+        while block := f.read(1 << 20):
+            digest.update(block)
+    return cache_folder() / f"{source.stem}-{digest.hexdigest()[:16]}.h5"

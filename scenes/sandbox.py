@@ -1,0 +1,57 @@
+"""Sandbox: drop your own splat (--body FILE) on the table, then grab, squeeze and throw it."""
+
+from __future__ import annotations
+
+from scenes.ring_toss import TABLE_TOP, room
+from scenes.scene import Body, BodyState, Hand, Light, Material, Scene
+from scenes.throw import Throw
+
+PLUSH = Material(young=2e4, poisson=0.35, density=250.0, friction=0.7)
+START = (0.0, TABLE_TOP + 0.08, 0.12)  # [m], of the body's lowest point
+
+
+class Sandbox:
+    """No goal. The scripted hand waits until the body rests, lifts it by its upper part and lobs it."""
+
+    duration = 5.0
+    wait = 1.2  # [s]
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self) -> None:
+        self.throw: Throw | None = None
+
+    def update(self, time: float, bodies: list[BodyState]) -> None:
+        if self.throw is None and time >= self.wait:
+            body = bodies[0]
+            grip = 0.5 * (body.low + body.high)
+            grip[1] += 0.3 * (body.high[1] - body.low[1])
+            up = grip + [0.0, 0.35, 0.0]
+            self.throw = Throw(tuple(grip), tuple(up), (0.0, TABLE_TOP + 0.2, 0.0), reach=0.06, flight_time=0.5)
+
+    def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
+        return [self.throw.hand(time - self.wait)] if self.throw else []
+
+    @property
+    def score(self) -> int:
+        return 0
+
+    @property
+    def message(self) -> str:
+        return "Grab it, squeeze it, throw it."
+
+    def verify(self, bodies: list[BodyState]) -> None:
+        """What must hold once the scripted hand has played."""
+        assert bodies[0].low[1] > -0.01, "the body fell through the floor"
+
+
+def build(body: str = "ring_red", material: Material = PLUSH) -> Scene:
+    return Scene(
+        bodies=[Body("dining_room"), Body(body, material, position=START)],
+        colliders=room(),
+        light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
+        eye=(0.0, 1.35, 1.0),
+        target=(0.0, 0.85, 0.0),
+        game=Sandbox(),
+    )

@@ -1,0 +1,47 @@
+#!/bin/sh
+# setup.sh VENV REQUIREMENTS [SYSTEM_PACKAGE ...]
+# Makes the virtual environment and installs what is missing: system packages on Debian and its kin
+# (as root or with sudo; otherwise the exact line is printed), then the pinned Python packages.
+set -eu
+venv=$1 requirements=$2
+shift 2
+
+if command -v dpkg-query >/dev/null 2>&1; then
+    missing=
+    for p in python3-venv libgl1 libegl1 libusb-1.0-0 libgomp1 "$@"; do
+        # A Python that brings its own venv module needs no package for it.
+        [ "$p" = python3-venv ] && python3 -c 'import ensurepip, venv' 2>/dev/null && continue
+        dpkg-query -W -f '${Status}' "$p" 2>/dev/null | grep -q 'ok installed' || missing="$missing $p"
+    done
+    if [ -n "$missing" ]; then
+        line="apt-get update && apt-get install -y --no-install-recommends$missing"
+        if [ "$(id -u)" = 0 ]; then as=
+        elif sudo -n true 2>/dev/null; then as=sudo
+        else
+            echo "System packages are missing. Install them, then run this again:" >&2
+            echo "  sudo sh -c '$line'" >&2
+            exit 1
+        fi
+        echo "installing system packages:$missing"
+        DEBIAN_FRONTEND=noninteractive $as sh -c "($line) >/tmp/vrgs-apt.$$ 2>&1" || {
+            tail -n 5 /tmp/vrgs-apt.$$ >&2
+            echo "This did not work: $line" >&2
+            exit 1
+        }
+        $as rm -f /tmp/vrgs-apt.$$
+    fi
+fi
+
+# Taichi 1.7.4 has wheels for Python 3.9 to 3.13; the newest that also suits the other pins.
+python=
+for p in python3.11 python3.12 python3.13 python3.10 python3; do
+    if "$p" -c 'import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then
+        python=$p
+        break
+    fi
+done
+[ -n "$python" ] || { echo "No Python 3.10 to 3.13 with venv was found." >&2; exit 1; }
+
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+echo "installing Python packages ($requirements; the first time takes a few minutes)"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$requirements"

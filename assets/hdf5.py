@@ -1,0 +1,142 @@
+"""Reading HDF5 files that may come from anywhere: nothing is followed out of the file and every size is bounded.
+
+HDF5 can point to other files (external and soft links, external and virtual storage), load plug-in
+filters, hold pickled objects, and claim sizes that its bytes do not back. All of that is refused
+before a dataset is read.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from assets.border import file_size
+from assets.errors import BadInput
+
+BOUND_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
+BOUND_RATIO = 200  # and as many times its own size: splats deflate 1.1-20 times, constant grids about 1,000
+FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+TEXT_MAX = 1 << 20  # [characters] of a text attribute
+
+
+class Reader:
+    """An open HDF5 file. Every method raises BadInput with one line that names the file and the defect."""
+
+    def __init__(self, path: Path, file: h5py.File, size: int):
+        self.path = path
+        self._file = file
+        self._size = size
+        self._left = BOUND_BASE + BOUND_RATIO * size  # [bytes] that may still be unpacked
+
+    def bad(self, defect: str) -> BadInput:
+        """The error to raise."""
+        return BadInput(f"{self.path}: {defect}")
+
+    def has(self, name: str) -> bool:
+        """Whether a group or dataset of that name is there."""
+        return self._find(name) is not None
+
+    def _find(self, name: str):
+        node = self._file
+        for part in name.split("/"):
+            if not isinstance(node, h5py.Group):
+                return None
+            link = node.get(part, getlink=True)
+            if link is None:
+                return None
+            if not isinstance(link, h5py.HardLink):
+                raise self.bad(f"{name} is a link; links are not followed")
+            node = node[part]
+        return node
+
+    def array(self, name: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        """A dataset of numbers. `kind` is "f" or "iu"; None in `shape` stands for any length."""
+        data = self._find(name)
+        if not isinstance(data, h5py.Dataset):
+            raise self.bad(f"missing dataset {name!r}")
+        if data.dtype.kind not in kind or data.dtype.itemsize > 8:
+            raise self.bad(
+                f"{name} holds {data.dtype}, expected {'floating-point numbers' if kind == 'f' else 'integers'}"
+            )
+        got = data.shape
+        if got is None or len(got) != len(shape) or any(s not in (None, g) for s, g in zip(shape, got, strict=True)):
+            expected = ", ".join("*" if s is None else str(s) for s in shape)
+            raise self.bad(f"{name} has shape {got}, expected ({expected})")
+        self._bound(name, data)
+        return data[()]
+
+    def _bound(self, name: str, data: h5py.Dataset) -> None:
+        """Refuse storage outside the file, foreign filters, and sizes that the file cannot back."""
+        if data.external or data.is_virtual:
+            raise self.bad(f"{name} is stored outside the file")
+        plist = data.id.get_create_plist()
+        filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
+        if filters - FILTERS:
+            raise self.bad(f"{name} uses a filter other than gzip and shuffle")
+        size = int(np.prod(data.shape, dtype=object)) * data.dtype.itemsize
+        chunk = int(np.prod(data.chunks, dtype=object)) * data.dtype.itemsize if data.chunks else 0
+        self._left -= size
+        if self._left < 0 or chunk > max(size, BOUND_BASE):
+            raise self.bad(f"{name} claims {max(size, chunk)} bytes, more than a file of {self._size} bytes may hold")
+        if h5py.h5z.FILTER_DEFLATE in filters and size:
+            self._check_chunks(name, data, chunk)
+
+    def _check_chunks(self, name: str, data: h5py.Dataset, chunk: int) -> None:
+        """HDF5 inflates a chunk to its end whatever it should hold, so see first that none is a bomb."""
+        for i in range(data.id.get_num_chunks()):
+            info = data.id.get_chunk_info(i)
+            if info.size > self._size:
+                raise self.bad(f"{name} claims a chunk of {info.size} bytes in a file of {self._size}")
+            mask, raw = data.id.read_direct_chunk(info.chunk_offset)
+            stored = zlib.decompressobj()
+            # Four bytes more: the checksum that Fletcher's filter may append.
+            if mask == 0 and len(stored.decompress(raw, chunk + 5)) > chunk + 4:
+                raise self.bad(f"{name} holds a chunk that inflates to more than its {chunk} bytes")
+
+    def number(self, name: str, key: str) -> float:
+        """A scalar attribute of the group or dataset `name` ("" is the root)."""
+        value = self._attribute(name, key)
+        if np.ndim(value) != 0 or not isinstance(value, (int, float, np.integer, np.floating)):
+            raise self.bad(f"attribute {key!r} of {name or 'the file'} is not a number")
+        return float(value)
+
+    def vector(self, name: str, key: str) -> np.ndarray:
+        """An attribute of three numbers, float64."""
+        value = np.asarray(self._attribute(name, key))
+        if value.shape != (3,) or value.dtype.kind not in "fiu":
+            raise self.bad(f"attribute {key!r} of {name} is not three numbers")
+        return value.astype(np.float64)
+
+    def text(self, name: str, key: str) -> str:
+        """A text attribute."""
+        value = self._attribute(name, key)
+        if isinstance(value, bytes):
+            value = value.decode("utf-8")
+        if not isinstance(value, str) or len(value) > TEXT_MAX:
+            raise self.bad(f"attribute {key!r} of {name or 'the file'} is not a text of at most {TEXT_MAX} characters")
+        return str(value)
+
+    def _attribute(self, name: str, key: str):
+        node = self._find(name) if name else self._file
+        if node is None or key not in node.attrs:
+            raise self.bad(f"missing attribute {key!r} of {name or 'the file'}")
+        if node.attrs.get_id(key).shape not in ((), (3,)):
+            raise self.bad(f"attribute {key!r} of {name or 'the file'} is too long")
+        return node.attrs[key]
+
+
+@contextmanager
+def open_hdf5(path: Path) -> Iterator[Reader]:
+    """A Reader of the file. Whatever h5py makes of a damaged file becomes BadInput."""
+    size = file_size(path)
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield Reader(path, file, size)
+    except (OSError, KeyError, ValueError, RuntimeError, TypeError, OverflowError, MemoryError, zlib.error) as e:
+        reason = " ".join(str(e).split())[:120]
+        raise BadInput(f"{path}: not a readable HDF5 file ({reason or type(e).__name__})") from e

@@ -1,0 +1,155 @@
+"""The flat device state of all simulated bodies, and how constraints plug into the solver.
+
+One substep of length dt (`state.dt[None]`) works on *increments*, because in fp32 the quantities of one
+substep (dt^2 g = 1e-7 m) are smaller than one unit in the last place of a position:
+
+    predict   dx = dt (v + dt g) + carry                      `carry` is the part of x below its last bit
+    sweeps    dx += elastic correction, then every constraint's correction      (`iterations` times)
+    commit    v += dt g + (dx - prediction) / dt,  y = dt v + carry,  x' = x + y,  carry = y - (x' - x)
+
+So the position that a constraint sees is x[i] + dx[i] (`state.at(i)`), and **all it does is change dx[i]**:
+the velocity follows from that at the commit, once, and no correction is lost however small it is. The
+motion of vertex i in this substep so far, for friction, is dx[i] - carry[i]. Corrections must be weighted
+by w: vertices with w = 0 are prescribed; what is added to their dx is ignored.
+
+A constraint object is a `@ti.data_oriented` class that is built from the State (and whatever else it needs)
+and handed to the Solver. It provides
+
+    has_vertex, has_pairs       bool, fixed at construction: which of the two device functions below do anything
+    begin_frame(hands, dt, substeps)
+                                host; before the first substep of a frame of dt [s]; state.dt is set, tick = -1
+    detect()                    host, launches kernels; `collision_passes` times a frame, at equal intervals of
+                                state.detect_dt[None] [s]; reads x and v (committed), must not change them
+    @ti.func project_vertex(self, i, dx) -> dx vertex i against static shapes and hands. Called inside the
+                                solver's own vertex loop, after the elastic correction and after all pairs, just
+                                before the commit, for i < vertex_count with w[i] > 0. `dx` is vertex i's
+                                increment in registers; return the corrected one; do not read or write state.dx[i].
+    @ti.func project_pairs(self)               one or several top-level loops that add to state.dx (atomically, or
+                                better from lists in a fixed order: repeated CPU runs must agree bit for bit).
+                                Called after the elastic correction and before project_vertex.
+    reset()                     host; forget contacts and grips
+
+Without has_pairs a substep is two loops (tets; vertices), with it three and the constraint's own. Python
+attributes are compile-time constants in both functions. `state.tick[None]` is the index of the current substep
+in the frame, 0 .. substeps[None]-1, constant throughout both functions: a hand's pose in a substep is
+the interpolation at (tick + 1) / substeps.
+
+The object that holds the hands' grips also provides `gripped() -> list[int]` (host, small readback): the
+body that each hand holds, -1 for none; it decides that in begin_frame, also if interaction is "transform", when
+the solver moves gripped bodies itself and runs neither detect nor substeps.
+
+Loops run over the capacity and test `i < vertex_count[None]`: a range whose end is read from a field costs one
+more launch, and equal capacities let scenes of different sizes share compiled kernels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+from assets.errors import BadInput
+
+MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
+
+
+def capacity(n: int) -> int:
+    """Smallest of 4, 5, 6, 7 times a power of two that holds n: at most a quarter is wasted."""
+    size = 64
+    while size * 2 < n:
+        size *= 2
+    return next(size * k // 4 for k in (4, 5, 6, 7, 8) if size * k // 4 >= n)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How many of each there are (the fields' capacities are larger)."""
+
+    vertices: int
+    tets: int
+    triangles: int
+    bodies: int
+
+
+@ti.func
+def two_sum(a, b):
+    """a + b as a float32 and the float32 remainder that it lost, |a| >= |b|.
+
+    In double precision, because the float32 form c = b - ((a + b) - a) is algebraically zero and
+    is folded away by the compiler's fast-math.
+    """
+    s = ti.cast(a, ti.f64) + ti.cast(b, ti.f64)
+    high = ti.cast(s, ti.f32)
+    return high, ti.cast(s - ti.cast(high, ti.f64), ti.f32)
+
+
+@ti.data_oriented
+class State:
+    """Positions, velocities, masses and topology of all bodies, flat, with the body of each element.
+
+    Fields over vertices V, tets T, surface triangles S (capacities rounded up), bodies B; SI units:
+        x, v, carry, v_carry  vec3[V]  position, velocity and what they lost to rounding
+        dx                    vec3[V]  increment of the substep in progress, relative to x
+        rest                  vec3[V]  rest position in the body frame (scaled)
+        w, mass               f32[V]   inverse mass (0 = prescribed), lumped mass [kg]
+        body_of_vertex        i32[V]
+        tets                  vec4i[T] global vertex indices, positive volume at rest;   body_of_tet i32[T]
+        triangles             vec3i[S] global vertex indices, outward;              body_of_triangle i32[S]
+        vertex_begin, tet_begin, triangle_begin  i32[B+1]
+        mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
+        damping, friction, density, body_mass    f32[B]
+        dt, detect_dt, gravity, tick, substeps   of this frame
+        vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
+    """
+
+    def __init__(self, sizes: Sizes):
+        if sizes.bodies > MAX_BODIES:
+            raise BadInput(f"{sizes.bodies} simulated bodies, the limit is {MAX_BODIES}")
+        self.sizes = sizes
+        self.V, self.T, self.S = (capacity(n) for n in (sizes.vertices, sizes.tets, sizes.triangles))
+        self.builder = ti.FieldsBuilder()
+        V, T, S, B = self.V, self.T, self.S, MAX_BODIES
+        self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
+        self.dx, self.rest = self._vectors(V), self._vectors(V)
+        self.w, self.mass = self._scalars(V), self._scalars(V)
+        self.body_of_vertex = self._scalars(V, ti.i32)
+        self.tets, self.body_of_tet = self._vectors(T, 4, ti.i32), self._scalars(T, ti.i32)
+        self.triangles, self.body_of_triangle = self._vectors(S, 3, ti.i32), self._scalars(S, ti.i32)
+        self.vertex_begin, self.tet_begin, self.triangle_begin = (self._scalars(B + 1, ti.i32) for _ in range(3))
+        self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
+        self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
+        self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
+        self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
+        self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (
+            self._scalars(dtype=ti.i32) for _ in range(4)
+        )
+        self.tree = self.builder.finalize()
+        self.vertex_count[None], self.tet_count[None] = sizes.vertices, sizes.tets
+        self.triangle_count[None], self.body_count[None] = sizes.triangles, sizes.bodies
+
+    def _place(self, field, size: int | None):
+        (self.builder if size is None else self.builder.dense(ti.i, size)).place(field)
+        return field
+
+    def _scalars(self, size: int | None = None, dtype=ti.f32):
+        return self._place(ti.field(dtype), size)
+
+    def _vectors(self, size: int | None = None, n: int = 3, dtype=ti.f32):
+        return self._place(ti.Vector.field(n, dtype), size)
+
+    @ti.func
+    def at(self, i):
+        """Position of vertex i in the substep in progress [m]."""
+        return self.x[i] + self.dx[i]
+
+    def destroy(self) -> None:
+        """Free the device memory; no kernel may touch this state afterwards."""
+        self.tree.destroy()
+
+
+def upload(field, values: np.ndarray) -> None:
+    """Fill the front of a field from host values (n, ...); the rest becomes zero."""
+    dtype = np.int32 if field.dtype == ti.i32 else np.float32
+    shape = field.shape + ((field.n,) if hasattr(field, "n") else ())
+    full = np.zeros(shape, dtype)
+    full[: len(values)] = values
+    field.from_numpy(full)

@@ -18,6 +18,14 @@ LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: the largest variance still fits fl
 MAGNITUDE_MAX = 1e15  # [m]; squared distances between such points still fit float32
 ALPHA_EPSILON = 1e-6  # opacities read from 8 bits stay this far from 0 and 1, so that the logit is finite
 
+UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
+UNPACK_RATIO = 200  # and as many times its own size: splats deflate 1.1-20 times, constant grids about 1,000
+
+
+def unpack_bound(size: int) -> int:
+    """How much a compressed file of `size` bytes may unpack to [bytes]; more is a bomb or a damaged header."""
+    return UNPACK_BASE + UNPACK_RATIO * size
+
 
 def file_size(path: Path) -> int:
     """Size of an existing regular file [bytes]. Raises BadInput."""

@@ -15,11 +15,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.border import file_size
+from assets.border import UNPACK_BASE, file_size, unpack_bound
 from assets.errors import BadInput
 
-BOUND_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
-BOUND_RATIO = 200  # and as many times its own size: splats deflate 1.1-20 times, constant grids about 1,000
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 TEXT_MAX = 1 << 20  # [characters] of a text attribute
 
@@ -31,7 +29,7 @@ class Reader:
         self.path = path
         self._file = file
         self._size = size
-        self._left = BOUND_BASE + BOUND_RATIO * size  # [bytes] that may still be unpacked
+        self._left = unpack_bound(size)  # [bytes] that may still be unpacked
 
     def bad(self, defect: str) -> BadInput:
         """The error to raise."""
@@ -81,7 +79,7 @@ class Reader:
         size = int(np.prod(data.shape, dtype=object)) * data.dtype.itemsize
         chunk = int(np.prod(data.chunks, dtype=object)) * data.dtype.itemsize if data.chunks else 0
         self._left -= size
-        if self._left < 0 or chunk > max(size, BOUND_BASE):
+        if self._left < 0 or chunk > max(size, UNPACK_BASE):
             raise self.bad(f"{name} claims {max(size, chunk)} bytes, more than a file of {self._size} bytes may hold")
         if h5py.h5z.FILTER_DEFLATE in filters and size:
             self._check_chunks(name, data, chunk)

@@ -1,0 +1,51 @@
+"""`vrgs.py convert IN OUT`: from any splat file that is read to any that is written."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from assets.errors import BadInput
+from assets.files import WRITERS, read_gaussians, write_gaussians
+from assets.gaussians import Gaussians
+
+
+def run(args: argparse.Namespace) -> None:
+    """Convert `args.input` to `args.output` and say in a line what was written and what was lost. Raises BadInput."""
+    source, target = Path(args.input), Path(args.output)
+    if target.suffix.lower() not in WRITERS:
+        raise BadInput(f"{target}: cannot write {target.suffix!r}; written are {', '.join(WRITERS)}")
+    if target.exists() and source.exists() and source.samefile(target):
+        raise BadInput(f"{target}: is the input itself; choose another name")
+    before = read_gaussians(source)
+    write_gaussians(target, before)
+    after = read_gaussians(target)
+    lost = losses(before, after)
+    if source.suffix.lower() == ".h5":
+        lost.append("all of the asset but its Gaussians")
+    size = f"{target.stat().st_size / 1e6:.2f} MB, was {source.stat().st_size / 1e6:.2f} MB"
+    what = f"{len(after)} Gaussians of SH degree {after.sh_degree} ({size})"
+    print(f"{target}: {what}; lost: {', '.join(lost) or 'nothing'}")
+
+
+def losses(before: Gaussians, after: Gaussians) -> list[str]:
+    """What a reader of the new file no longer finds, measured: the largest errors in words, [] if none."""
+    lost = []
+    for name, values, unit in (
+        ("positions", (before.means, after.means), "m"),
+        ("log-scales", (before.log_scales, after.log_scales), ""),
+        ("opacities", (before.opacities, after.opacities), ""),
+        ("colours", (before.sh[:, 0] * 0.2821, after.sh[:, 0] * 0.2821), ""),
+        ("SH coefficients", (before.sh[:, 1:], after.sh[:, 1:]), ""),
+    ):
+        error = float(np.abs(values[0] - values[1]).max(initial=0.0))
+        if error > 0:
+            lost.append(f"{name} up to {error:.2g} {unit}".rstrip())
+    angle = 2 * np.arccos(np.clip(np.abs((before.quats * after.quats).sum(1, dtype=np.float64)), 0, 1)).max()
+    if angle > 1e-3:  # [rad]; float32 alone turns by up to about 5e-4 in this formula
+        lost.append(f"rotations up to {np.degrees(angle):.2g} degrees")
+    if before.object_id.any():
+        lost.append("object ids")
+    return lost

@@ -1,0 +1,30 @@
+"""Splats as .splat (antimatter15): 32 bytes a Gaussian, no header, SH degree 0, the axes of the .ply."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from assets.border import Report, logit_of_byte, reading, usable_gaussians
+from assets.errors import BadInput
+from assets.gaussians import Gaussians
+from assets.sh import C0
+
+ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 3), ("alpha", "u1"), ("quat", "u1", 4)])
+
+
+def read_splat(path: str | Path, report: Report = print) -> Gaussians:
+    """Gaussians of a .splat; those that are not finite are dropped and reported. Raises BadInput."""
+    path = Path(path)
+    with reading(path) as file:
+        size = file.seek(0, 2)
+        if size % ROW.itemsize:
+            raise BadInput(f"{path}: truncated, or no .splat: {size} bytes are not a multiple of {ROW.itemsize}")
+        file.seek(0)
+        rows = np.fromfile(file, ROW)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a scale of 0 or less has no logarithm and is dropped
+        log_scales = np.log(rows["scale"])
+    quats = (rows["quat"].astype(np.float32) - 128) / 128  # wxyz
+    sh = ((rows["color"] / 255.0 - 0.5) / C0).astype(np.float32)[:, None, :]
+    return usable_gaussians(path, rows["mean"], quats, log_scales, logit_of_byte(rows["alpha"]), sh, report)

@@ -1,0 +1,114 @@
+"""Which tetrahedron of a cage holds a point, and which is nearest to a point outside. NumPy and SciPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+INSIDE = -1e-7  # a barycentric coordinate this small still counts as inside: float32 rounding of a face
+CHUNK = 1 << 18  # points handled at once: a few tens of MB
+MOST_PAIRS = 20_000_000  # (cell, tet) pairs of the grid: bounds its memory on badly graded meshes
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # outward when the volume is positive
+SPLIT = 4  # a boundary triangle is searched through SPLIT^2 samples: the distance is right to an eighth of its edge
+
+
+class Locator:
+    """Point location in a tetrahedral mesh through a uniform grid of cells.
+
+    vertices [m] (V, 3) and tets (T, 4) of positive volume. A cell lists the tets that may touch it,
+    so `find` is exact up to rounding. Cells are half as wide as a tet: about eight candidates each.
+    """
+
+    def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
+        self.vertices = np.asarray(vertices, np.float64)
+        self.tets = np.asarray(tets, np.int64)
+        x = self.vertices[self.tets]
+        self._first = x[:, 0]
+        gradients = np.linalg.inv(np.moveaxis(x[:, 1:] - x[:, :1], 1, 2))  # rows: of the weights 1 to 3
+        self._gradients = np.ascontiguousarray(gradients)
+        self.size = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) * np.sqrt(2))  # edge of the regular tet, (T,)
+        self._build_grid(x)
+        self._tree = None
+
+    def weights(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Barycentric weights (M, 4) of points [m] (M, 3) in the tets `host` (M,); outside one they extrapolate."""
+        last = np.einsum("nij,nj->ni", self._gradients[host], points - self._first[host])
+        return np.concatenate([1 - last.sum(1, keepdims=True), last], 1)
+
+    def gradients(self, host: np.ndarray) -> np.ndarray:
+        """Gradients [1/m] of the four barycentric weights of the tets `host`, (M, 4, 3)."""
+        last = self._gradients[host]
+        return np.concatenate([-last.sum(1, keepdims=True), last], 1)
+
+    def find(self, points: np.ndarray) -> np.ndarray:
+        """Index of a tet that holds each point [m] (M, 3), or -1 where none does."""
+        points = np.asarray(points, np.float64)
+        index = np.floor((points - self._origin) / self._cell).astype(np.int64)
+        within = ((index >= 0) & (index < self._shape)).all(1)
+        cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self._shape), 0)
+        host = np.full(len(points), -1, np.int64)
+        todo = np.flatnonzero(within & (self._start[cell + 1] > self._start[cell]))
+        todo = todo[np.argsort(cell[todo], kind="stable")]  # neighbours share candidates: they stay in the cache
+        for begin in range(0, len(todo), CHUNK):
+            self._find_chunk(todo[begin : begin + CHUNK], cell, points, host)
+        return host
+
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For points [m] (M, 3) outside: the boundary tet next to each, and the point of its boundary, (M,), (M, 3)."""
+        if self._tree is None:
+            self._sample_boundary()
+        _, which = self._tree.query(points, workers=-1)
+        return self._owner[which], self._tree.data[which]
+
+    def _find_chunk(self, left: np.ndarray, cell: np.ndarray, points: np.ndarray, host: np.ndarray) -> None:
+        """Try each cell's first candidate, then the second where that failed, and so on."""
+        at, end, p = self._start[cell[left]], self._start[cell[left] + 1], points[left]
+        while len(left):
+            tet = self._list[at]
+            last = np.einsum("nij,nj->ni", self._gradients[tet], p - self._first[tet])
+            inside = (last.min(1) >= INSIDE) & (last.sum(1) <= 1 - INSIDE)
+            host[left[inside]] = tet[inside]
+            at = at + 1
+            keep = ~inside & (at < end)
+            left, at, end, p = left[keep], at[keep], end[keep], p[keep]
+
+    def _build_grid(self, x: np.ndarray) -> None:
+        low, high = x.min(1), x.max(1)
+        self._origin = low.min(0) - 1e-6
+        cell = 0.5 * (high - low).mean()
+        while True:
+            first = np.floor((low - self._origin) / cell).astype(np.int64)
+            extent = np.floor((high - self._origin) / cell).astype(np.int64) - first + 1
+            if extent.prod(1).sum() <= MOST_PAIRS:
+                break
+            cell *= 1.5
+        self._cell = cell
+        self._shape = tuple((first + extent).max(0))
+        counts = extent.prod(1)
+        tet = np.repeat(np.arange(len(x)), counts)
+        rank = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
+        e = extent[tet]
+        index = first[tet] + np.stack([rank // (e[:, 1] * e[:, 2]), rank // e[:, 2] % e[:, 1], rank % e[:, 2]], 1)
+        # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
+        centre = self._origin + cell * (index + 0.5)
+        g = self.gradients(tet)
+        may = (self.weights(tet, centre) + 0.5 * cell * np.abs(g).sum(2) >= INSIDE).all(1)
+        tet, flat = tet[may], np.ravel_multi_index(index[may].T, self._shape)
+        order = np.argsort(flat, kind="stable")
+        self._list = tet[order]
+        self._start = np.searchsorted(flat[order], np.arange(np.prod(self._shape) + 1))
+
+    def _sample_boundary(self) -> None:
+        from scipy.spatial import cKDTree
+
+        faces = self.tets[:, FACES].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
+        boundary = first[count == 1]
+        a, b, c = np.moveaxis(self.vertices[faces[boundary]], 1, 0)
+        samples = []
+        for i in range(SPLIT):  # centroids of the SPLIT^2 small triangles
+            for j in range(SPLIT - i):
+                for up in (1 / 3, 2 / 3) if i + j < SPLIT - 1 else (1 / 3,):
+                    u, v = (i + up) / SPLIT, (j + up) / SPLIT
+                    samples.append(a + u * (b - a) + v * (c - a))
+        self._owner = np.tile(boundary // 4, len(samples))
+        self._tree = cKDTree(np.concatenate(samples))

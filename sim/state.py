@@ -88,7 +88,7 @@ class State:
 
     Fields over vertices V, tets T, surface triangles S (capacities rounded up), bodies B; SI units:
         x, v, carry, v_carry  vec3[V]  position, velocity and what they lost to rounding
-        dx                    vec3[V]  increment of the substep in progress, relative to x
+        dx, predicted         vec3[V]  increment of the substep in progress, relative to x, and as it was predicted
         rest                  vec3[V]  rest position in the body frame (scaled)
         w, mass               f32[V]   inverse mass (0 = prescribed), lumped mass [kg]
         body_of_vertex        i32[V]
@@ -96,7 +96,7 @@ class State:
         triangles             vec3i[S] global vertex indices, outward;              body_of_triangle i32[S]
         vertex_begin, tet_begin, triangle_begin  i32[B+1]
         mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
-        damping, friction, density, body_mass    f32[B]
+        damping, friction, density, body_mass    f32[B];   anchored i32[B]: some of its vertices have w = 0
         dt, detect_dt, gravity, tick, substeps   of this frame
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
@@ -109,7 +109,7 @@ class State:
         self.builder = ti.FieldsBuilder()
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
-        self.dx, self.rest = self._vectors(V), self._vectors(V)
+        self.dx, self.predicted, self.rest = (self._vectors(V) for _ in range(3))
         self.w, self.mass = self._scalars(V), self._scalars(V)
         self.body_of_vertex = self._scalars(V, ti.i32)
         self.tets, self.body_of_tet = self._vectors(T, 4, ti.i32), self._scalars(T, ti.i32)
@@ -117,6 +117,7 @@ class State:
         self.vertex_begin, self.tet_begin, self.triangle_begin = (self._scalars(B + 1, ti.i32) for _ in range(3))
         self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
         self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
+        self.anchored = self._scalars(B, ti.i32)
         self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
         self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
         self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (
@@ -140,6 +141,12 @@ class State:
     def at(self, i):
         """Position of vertex i in the substep in progress [m]."""
         return self.x[i] + self.dx[i]
+
+    @ti.kernel
+    def begin_frame(self, dt: ti.f32, detect_dt: ti.f32, substeps: ti.i32, gravity: ti.types.vector(3, ti.f32)):
+        """Set what holds for all substeps of a frame."""
+        self.dt[None], self.detect_dt[None], self.gravity[None] = dt, detect_dt, gravity
+        self.substeps[None], self.tick[None] = substeps, -1
 
     def destroy(self) -> None:
         """Free the device memory; no kernel may touch this state afterwards."""

@@ -1,0 +1,96 @@
+"""Damping towards each body's rigid motion, which it leaves alone (Mueller et al. 2007, Sec. 3.5).
+
+    v_i += k (v_cm + omega x r_i - v_i),   k = 1 - exp(-c t),   omega = I^-1 L
+
+A body with prescribed vertices has no free rigid motion: there v_cm = omega = 0. Applied once for several
+substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
+"""
+
+import numpy as np
+import taichi as ti
+
+from sim.state import MAX_BODIES, State, capacity, two_sum, upload
+from sim.substep import predict
+
+CHUNK = 64  # vertices that one thread sums; chunks never straddle bodies, so sums have a fixed order
+
+
+@ti.data_oriented
+class Chunks:
+    """The vertices of all bodies in runs of at most CHUNK: begin, end, body of each; run range of each body."""
+
+    def __init__(self, state: State, vertex_begin: np.ndarray):
+        rows = [
+            (begin, min(begin + CHUNK, vertex_begin[b + 1]), b)
+            for b in range(state.sizes.bodies)
+            for begin in range(vertex_begin[b], vertex_begin[b + 1], CHUNK)
+        ]
+        self.size = capacity(len(rows))
+        self.span = ti.Vector.field(3, ti.i32, self.size)  # unused rows are empty ranges
+        self.of_body = ti.field(ti.i32, MAX_BODIES + 1)
+        upload(self.span, np.array(rows))
+        bodies = np.array(rows)[:, 2]
+        upload(self.of_body, np.searchsorted(bodies, np.arange(MAX_BODIES + 1)))
+
+
+@ti.data_oriented
+class Damping:
+    """`run(t)` damps the velocities by t [s] worth and predicts the increments of the next substep."""
+
+    def __init__(self, state: State, chunks: Chunks):
+        self.state, self.chunks = state, chunks
+        self.sums = ti.field(ti.f32, (chunks.size, 15))
+        self.center, self.velocity, self.omega = (ti.Vector.field(3, ti.f32, MAX_BODIES) for _ in range(3))
+
+    @ti.kernel
+    def run(self, t: ti.f32):
+        s = self.state
+        c = self.chunks
+        for j in range(c.size):
+            span = c.span[j]
+            about = self.center[span[2]]  # near the centroid: sums about it do not cancel
+            p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+            square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+            for i in range(span[0], span[1]):
+                m, r, v = s.mass[i], s.x[i] - about, s.v[i]
+                p += m * r
+                q += m * v
+                L += m * r.cross(v)
+                square += m * r * r
+                mixed += m * ti.Vector([r[1] * r[2], r[2] * r[0], r[0] * r[1]])
+            for k in ti.static(range(3)):
+                self.sums[j, k] = p[k]
+                self.sums[j, 3 + k] = q[k]
+                self.sums[j, 6 + k] = L[k]
+                self.sums[j, 9 + k] = square[k]
+                self.sums[j, 12 + k] = mixed[k]
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None]:
+                total = ti.Vector.zero(ti.f32, 15)
+                for j in range(c.of_body[b], c.of_body[b + 1]):
+                    for k in ti.static(range(15)):
+                        total[k] += self.sums[j, k]
+                M = s.body_mass[b]
+                d = total[0:3] / M
+                v = total[3:6] / M
+                L = total[6:9] - M * d.cross(v)
+                xx, yy, zz = total[9] - M * d[0] ** 2, total[10] - M * d[1] ** 2, total[11] - M * d[2] ** 2
+                yz, zx, xy = total[12] - M * d[1] * d[2], total[13] - M * d[2] * d[0], total[14] - M * d[0] * d[1]
+                tiny = 1e-6 * (xx + yy + zz) + 1e-30  # a body flattened to a line has no inertia about it
+                inertia = ti.Matrix(
+                    [[yy + zz + tiny, -xy, -zx], [-xy, zz + xx + tiny, -yz], [-zx, -yz, xx + yy + tiny]]
+                )
+                self.center[b] += d
+                self.velocity[b] = v
+                self.omega[b] = inertia.inverse() @ L
+                if s.anchored[b] == 1:
+                    self.velocity[b].fill(0.0)
+                    self.omega[b].fill(0.0)
+        for i in range(s.V):
+            if i < s.vertex_count[None]:
+                b = s.body_of_vertex[i]
+                if s.damping[b] > 0.0 and s.w[i] > 0.0:
+                    rigid = self.velocity[b] + self.omega[b].cross(s.x[i] - self.center[b])
+                    k = 1.0 - ti.exp(-s.damping[b] * t)
+                    s.v[i], s.v_carry[i] = two_sum(s.v[i], s.v_carry[i] + k * (rigid - s.v[i]))
+                predict(s, i)

@@ -1,0 +1,117 @@
+"""The substep as a sequence of kernels, recorded once and replayed (see sim/state.py for its equations)."""
+
+import taichi as ti
+
+from sim.elastic import Elastic
+from sim.state import State, two_sum
+
+SERIAL_BELOW = 600  # tets: under this, waking the CPU's worker threads costs more than they save
+
+
+@ti.func
+def predict(s: ti.template(), i):
+    """dx = dt (v + dt g) + carry for a free vertex, 0 for a prescribed one."""
+    d = ti.Vector([0.0, 0.0, 0.0])
+    if s.w[i] > 0.0:
+        dt = s.dt[None]
+        d = dt * (s.v[i] + (s.v_carry[i] + dt * s.gravity[None])) + s.carry[i]
+    s.predicted[i] = d
+    s.dx[i] = d
+
+
+@ti.func
+def commit(s: ti.template(), i, d):
+    """Turn the final increment d of vertex i into its new velocity and position, and predict the next one."""
+    dt = s.dt[None]
+    gain = dt * s.gravity[None] + (d - s.predicted[i]) / dt
+    v, v_carry = two_sum(s.v[i], s.v_carry[i] + gain)
+    x, carry = two_sum(s.x[i], dt * (v + v_carry) + s.carry[i])
+    s.v[i], s.v_carry[i], s.x[i], s.carry[i] = v, v_carry, x, carry
+    d = dt * (v + (v_carry + dt * s.gravity[None])) + carry
+    s.predicted[i] = d
+    s.dx[i] = d
+
+
+class Substeps:
+    """`length` substeps of `iterations` sweeps each; `run()` replays them with one call from Python.
+
+    One sweep: all tets; all vertices gather; the constraints' pairs; static shapes and hands. What needs no loop of
+    its own is fused: without pairs a substep of one sweep is two loops.
+    """
+
+    def __init__(self, state: State, elastic: Elastic, constraints: list, *, iterations: int, length: int):
+        self.state, self.elastic = state, elastic
+        self.on_vertex = [c for c in constraints if c.has_vertex]
+        self.in_pairs = [c for c in constraints if c.has_pairs]
+        self.length = length
+        graph = ti.graph.GraphBuilder()
+        single = iterations == 1
+        last = self.sweep(first=single, single=single, close=True)
+        first = None if single else self.sweep(first=True, single=False, close=False)
+        middle = None if iterations < 3 else self.sweep(first=False, single=False, close=False)
+        for _ in range(length):
+            for kernel in [first] * (not single) + [middle] * (iterations - 2) + [last]:
+                graph.dispatch(kernel)
+        self.graph = graph.compile()
+
+    def run(self) -> None:
+        self.graph.run({})
+
+    def sweep(self, *, first: bool, single: bool, close: bool):
+        """One sweep as a kernel; `first` starts the multipliers (and the substep), `close` commits."""
+        s, e, on_vertex, in_pairs = self.state, self.elastic, self.on_vertex, self.in_pairs
+        V, T = s.V, s.T
+        serial = ti.lang.impl.current_cfg().arch != ti.cuda and s.sizes.tets < SERIAL_BELOW
+        tet_block, vertex_block = blocks(T), blocks(V)
+
+        @ti.kernel
+        def sweep():
+            if ti.static(serial):
+                ti.loop_config(serialize=True)
+            else:
+                ti.loop_config(block_dim=tet_block)
+            for t in range(T):
+                if t < s.tet_count[None]:
+                    e.project_tet(t, first, single)
+                if ti.static(first) and t == 0:
+                    s.tick[None] += 1
+            if ti.static(serial):
+                ti.loop_config(serialize=True)
+            else:
+                ti.loop_config(block_dim=vertex_block)
+            for i in range(V):
+                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                    d = s.dx[i] + e.summed(i)
+                    if ti.static(len(in_pairs) == 0):
+                        for c in ti.static(on_vertex):
+                            d = c.project_vertex(i, d)
+                    if ti.static(close and len(in_pairs) == 0):
+                        commit(s, i, d)
+                    else:
+                        s.dx[i] = d
+            for c in ti.static(in_pairs):
+                c.project_pairs()
+            if ti.static(len(in_pairs) > 0 and (close or len(on_vertex) > 0)):
+                if ti.static(serial):
+                    ti.loop_config(serialize=True)
+                else:
+                    ti.loop_config(block_dim=vertex_block)
+                for i in range(V):
+                    if i < s.vertex_count[None] and s.w[i] > 0.0:
+                        d = s.dx[i]
+                        for c in ti.static(on_vertex):
+                            d = c.project_vertex(i, d)
+                        if ti.static(close):
+                            commit(s, i, d)
+                        else:
+                            s.dx[i] = d
+
+        return sweep
+
+
+def blocks(n: int) -> int:
+    """Block size of a loop over n: warps on the GPU, four pieces for each CPU thread."""
+    cfg = ti.lang.impl.current_cfg()
+    if cfg.arch == ti.cuda:
+        return 128
+    return max(64, -(-n // (4 * cfg.cpu_max_num_threads)))

@@ -1,0 +1,67 @@
+"""Rigid editing: gripped bodies follow the hand exactly and nothing else moves (interaction = "transform")."""
+
+import numpy as np
+import taichi as ti
+
+from assets.gaussians import matrices_of_quats
+from scenes.scene import Hand
+from sim.state import State
+
+
+@ti.data_oriented
+class Transform:
+    """x = hand_now hand_at_grip^-1 x_at_grip for all vertices of a gripped body.
+
+    Always from the positions at the grip, so that nothing drifts however long a body is held. The first
+    hand that grips a body keeps it.
+    """
+
+    def __init__(self, state: State):
+        self.state = state
+        self.at_grip = ti.Vector.field(3, ti.f32, state.V)
+        self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
+
+    def step(self, hands: list[Hand], gripped: list[int]) -> None:
+        """Move what the hands hold; gripped[h] is the body in hand h, -1 for none."""
+        for h, hand in enumerate(hands):
+            body = gripped[h] if h < len(gripped) else -1
+            if body < 0:
+                self.grips.pop(h, None)
+            elif self.grips.get(h, (-1,))[0] != body:
+                self.grips[h] = (body, np.linalg.inv(world_from_hand(hand)))
+                self._keep(body)
+        moved = set()
+        for h, (body, hand_from_world) in sorted(self.grips.items()):
+            if body not in moved and h < len(hands):
+                M = world_from_hand(hands[h]) @ hand_from_world
+                self._move(body, ti.Matrix(M[:3, :3].tolist()), ti.Vector(M[:3, 3].tolist()))
+                moved.add(body)
+
+    def reset(self) -> None:
+        self.grips.clear()
+
+    @ti.kernel
+    def _keep(self, body: ti.i32):
+        s = self.state
+        for i in range(s.V):
+            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
+                self.at_grip[i] = s.x[i]
+
+    @ti.kernel
+    def _move(self, body: ti.i32, R: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
+        s = self.state
+        for i in range(s.V):
+            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
+                s.x[i] = R @ self.at_grip[i] + t
+                s.carry[i].fill(0.0)
+                s.v[i].fill(0.0)
+                s.v_carry[i].fill(0.0)
+
+
+def world_from_hand(hand: Hand) -> np.ndarray:
+    """Pose of a hand as a 4x4 matrix, float64."""
+    M = np.eye(4)
+    q = np.asarray(hand.rotation, np.float64)
+    M[:3, :3] = matrices_of_quats((q / np.linalg.norm(q))[None])[0]
+    M[:3, 3] = hand.position
+    return M

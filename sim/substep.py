@@ -110,8 +110,8 @@ class Substeps:
 
 
 def blocks(n: int) -> int:
-    """Block size of a loop over n: warps on the GPU, four pieces for each CPU thread."""
+    """Block size of a loop over n, a power of two: warps on the GPU, two to four pieces for each CPU thread."""
     cfg = ti.lang.impl.current_cfg()
     if cfg.arch == ti.cuda:
         return 128
-    return max(64, -(-n // (4 * cfg.cpu_max_num_threads)))
+    return max(64, 1 << (n // (2 * cfg.cpu_max_num_threads)).bit_length() - 1)

@@ -1,0 +1,24 @@
+"""What a display asks of the world for one frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from assets.camera import Camera
+from scenes.scene import Hand
+
+
+@dataclass
+class Frame:
+    """Advance the world by `dt` [s] with these `hands`, then draw it for `cameras` (one an eye).
+
+    `time` [s] is the sum of all dt so far. `commands` are the user's wishes between two frames,
+    see `World.apply`: {"reset": True}, {"light": Light}, {"interaction": "physics"|"transform"},
+    {"pause": bool}, {"step": True}.
+    """
+
+    dt: float
+    time: float
+    cameras: list[Camera]
+    hands: list[Hand] = field(default_factory=list)
+    commands: dict = field(default_factory=dict)

@@ -1,0 +1,192 @@
+"""The panel over the picture: what runs, how fast, and the light. Also the game's score."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from display import theme
+from display.controls import HELP
+from scenes.scene import Light, Scene
+
+MARGIN = 12.0  # [px] from the window's edge
+WIDTH = 252.0  # [px] of the panel's content
+REFRESH = 0.5  # [s] between two readings of the numbers: faster ones cannot be read
+LIGHT_RANGE = 4.0  # [m] around the scene's target
+INTERACTIONS = {
+    "Physics": "Bodies deform, collide and fall.",
+    "Transform": "A body that you hold moves as it is; nothing deforms.",
+}
+RESOLUTIONS = {"Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # share of the window's pixels a side
+
+
+class Panel:
+    """Draws with ImGui inside a frame; `draw` returns the user's commands for the world."""
+
+    def __init__(self, scene: Scene, title: str, scale: float):
+        self.scene, self.title, self.scale = scene, title, scale
+        self.resolution = 1.0
+        self.details = False  # is the list of stages on view
+        self._read = -REFRESH
+        self._fps, self._stages, self._stats = 0.0, [], {}
+
+    def draw(self, world, *, visible: bool) -> dict:
+        """One frame of the panel and of the score; commands as `World.apply` takes them."""
+        from imgui_bundle import imgui
+
+        if self.scene.game is not None:
+            self._score(imgui, world, visible)
+        if not visible:
+            self.details = False
+            return {}
+        now = perf_counter()
+        if now - self._read >= REFRESH:
+            self._read = now
+            self._fps, self._stages, self._stats = world.timings.recent_fps(), world.timings.recent(), world.stats()
+        edge = MARGIN * self.scale
+        height = imgui.get_io().display_size.y - 2 * edge
+        imgui.set_next_window_pos((edge, edge))
+        imgui.set_next_window_size_constraints((0, 0), (imgui.FLT_MAX, max(height, 1.0)))
+        flags = imgui.WindowFlags_
+        fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
+        imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
+        self._title(imgui)
+        commands = self._buttons(imgui, world)
+        if imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
+            commands |= self._light(imgui, world.light)
+        self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
+        if self.details:
+            self._performance(imgui)
+        if imgui.collapsing_header("Mouse and keys"):
+            self._help(imgui)
+        imgui.end()
+        return commands
+
+    def _title(self, imgui) -> None:
+        width = WIDTH * self.scale
+        imgui.push_font(None, theme.TITLE_SIZE)
+        imgui.text(self.title)
+        imgui.pop_font()
+        rate = f"{self._fps:.0f} fps"
+        imgui.same_line(width - imgui.calc_text_size(rate).x + imgui.get_style().window_padding.x)
+        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + 4 * self.scale)  # onto the title's base line
+        imgui.text_colored(theme.ACCENT, rate)
+        imgui.dummy((width, 2 * self.scale))
+
+    def _buttons(self, imgui, world) -> dict:
+        commands = {}
+        gap = imgui.get_style().item_spacing.x
+        third = ((WIDTH * self.scale - 2 * gap) / 3, 0)
+        if imgui.button("Resume" if world.paused else "Pause", third):
+            commands["pause"] = not world.paused
+        imgui.same_line()
+        if imgui.button("Step", third):
+            commands |= {"pause": True, "step": True}
+        imgui.same_line()
+        if imgui.button("Reset", third):
+            commands["reset"] = True
+        chosen = self._choice(imgui, list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS)
+        if chosen.lower() != world.interaction:
+            commands["interaction"] = chosen.lower()
+        return commands
+
+    def _choice(self, imgui, names: list[str], current: str, tips: dict[str, str] | None = None) -> str:
+        """Buttons side by side of which one is on. Returns the chosen name."""
+        gap = 2 * self.scale
+        size = ((WIDTH * self.scale - gap * (len(names) - 1)) / len(names), 0)
+        for index, name in enumerate(names):
+            if index:
+                imgui.same_line(0, gap)
+            on = name == current
+            if on:
+                imgui.push_style_color(imgui.Col_.button, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.button_hovered, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.button_active, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.text, (0.08, 0.08, 0.08, 1.0))
+            if imgui.button(name, size):
+                current = name
+            if on:
+                imgui.pop_style_color(4)
+            if tips:
+                imgui.set_item_tooltip(tips[name])
+        return current
+
+    def _light(self, imgui, light: Light) -> dict:
+        kind = self._choice(imgui, ["Point", "Directional"], light.kind.capitalize()).lower()
+        low, high = np.array(self.scene.target) - LIGHT_RANGE, np.array(self.scene.target) + LIGHT_RANGE
+        gap = imgui.get_style().item_inner_spacing.x
+        imgui.push_item_width((WIDTH * self.scale - 2 * gap) / 3)
+        position = list(light.position)
+        for axis, name in enumerate("xyz"):
+            if axis:
+                imgui.same_line(0, gap)
+            label, form = f"##light {name}", f"{name} %.2f m"
+            _, position[axis] = imgui.slider_float(label, position[axis], low[axis], high[axis], form)
+        imgui.pop_item_width()
+        imgui.push_item_width((WIDTH * self.scale - gap) / 2)
+        _, strength = imgui.slider_float("##strength", light.strength, 0.0, 1.0, "shadow %.2f")
+        imgui.same_line(0, gap)
+        _, softness = imgui.slider_float("##softness", 100 * light.softness, 0.0, 20.0, "edge %.1f cm")
+        imgui.pop_item_width()
+        before = [*light.position, light.strength, 100 * light.softness]
+        if kind == light.kind and np.allclose([*position, strength, softness], before):
+            return {}
+        position = tuple(map(float, position))
+        return {"light": replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)}
+
+    def _performance(self, imgui) -> None:
+        size = self._choice(imgui, list(RESOLUTIONS), next(n for n, s in RESOLUTIONS.items() if s == self.resolution))
+        self.resolution = RESOLUTIONS[size]
+        stretch = imgui.TableFlags_.sizing_stretch_prop | imgui.TableFlags_.no_host_extend_x
+        if imgui.begin_table("stages", 3, stretch, (WIDTH * self.scale, 0)):
+            self._row(imgui, "ms", "median", "worst", theme.QUIET)
+            for name, median, worst in self._stages:
+                self._row(imgui, name, f"{median:.2f}", f"{worst:.2f}")
+            imgui.end_table()
+        counts = [f"{self._stats[name]:,} {name}" for name in ("gaussians", "vertices", "tets", "substeps")]
+        imgui.text_colored(theme.QUIET, f"{counts[0]}, {counts[1]}")
+        imgui.text_colored(theme.QUIET, f"{counts[2]}, {counts[3]}")
+
+    @staticmethod
+    def _row(imgui, name: str, *values: str) -> None:
+        """A line of a table: the name, then values flush right. A colour as the last value paints all."""
+        colour = values[-1] if isinstance(values[-1], tuple) else None
+        values = values[:-1] if colour else values
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text_colored(theme.QUIET, name)
+        for value in values:
+            imgui.table_next_column()
+            space = imgui.get_content_region_avail().x - imgui.calc_text_size(value).x
+            imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
+            imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), value)
+
+    def _help(self, imgui) -> None:
+        if imgui.begin_table("help", 2, imgui.TableFlags_.sizing_fixed_fit):
+            for keys, meaning in HELP:
+                imgui.table_next_row()
+                imgui.table_next_column()
+                imgui.text(keys)
+                imgui.table_next_column()
+                imgui.text_colored(theme.QUIET, meaning)
+            imgui.end_table()
+
+    def _score(self, imgui, world, beside_panel: bool) -> None:
+        """Score and message at the top: in the middle, or right of the panel in a small window."""
+        text = f"{world.score}   {world.message}".rstrip()
+        middle = 0.5 * imgui.get_io().display_size.x
+        if beside_panel:
+            half = 0.5 * imgui.calc_text_size(text).x
+            middle = max(middle, (WIDTH + 6 * MARGIN) * self.scale + half)
+        imgui.set_next_window_pos((middle, MARGIN * self.scale), 0, (0.5, 0.0))
+        flags = imgui.WindowFlags_
+        still = flags.no_decoration | flags.always_auto_resize | flags.no_inputs | flags.no_saved_settings
+        imgui.begin("score", None, still | flags.no_nav | flags.no_focus_on_appearing)
+        score, _, message = text.partition("   ")
+        imgui.text_colored(theme.ACCENT, score)
+        if message:
+            imgui.same_line(0, 12 * self.scale)
+            imgui.text(message)
+        imgui.end()

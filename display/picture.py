@@ -1,0 +1,119 @@
+"""The finished picture on its way out: to pixels on the host, a PNG, an OpenGL texture."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from pathlib import Path
+
+import numpy as np
+
+from assets.errors import BadInput
+
+VERTEX = """
+#version 330
+out vec2 uv;
+void main() {  // one triangle that covers the viewport; row 0 of the texture is the top
+    vec2 corner = vec2((gl_VertexID << 1) & 2, gl_VertexID & 2);
+    uv = vec2(corner.x, 1.0 - corner.y);
+    gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
+}
+"""
+FRAGMENT = """
+#version 330
+uniform sampler2D picture;
+in vec2 uv;
+out vec4 colour;
+void main() { colour = vec4(texture(picture, uv).rgb, 1.0); }
+"""
+
+
+def pixels_of(picture) -> np.ndarray:
+    """Pixels (H, W, 4) uint8 RGBA of a finished picture, a ti.ndarray u32 (H, W).
+
+    On the CPU this is a view of the picture itself, valid until the next one is drawn (a copy through
+    Taichi takes 4 ms at 960x540, more than the rest of showing it); from a GPU it is a copy.
+    """
+    import taichi as ti
+    from taichi.lang import impl
+
+    height, width = picture.shape
+    if ti.cfg.arch in (ti.x64, ti.arm64):
+        ti.sync()
+        address = impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr)
+        flat = np.ctypeslib.as_array((ctypes.c_uint8 * (4 * width * height)).from_address(address))
+    else:
+        flat = picture.to_numpy().view(np.uint8)
+    return flat.reshape(height, width, 4)
+
+
+def side_by_side(pixels: np.ndarray, views: int) -> np.ndarray:
+    """Views that lie one below the other (views * H, W, 4), one beside the other (H, views * W, 4)."""
+    return np.concatenate(np.split(pixels, views), axis=1) if views > 1 else pixels
+
+
+def save_png(path: str | Path, pixels: np.ndarray) -> None:
+    """Write RGBA or RGB pixels (H, W, 3|4) uint8 as an opaque PNG. Raises BadInput."""
+    import cv2
+
+    path = Path(path)
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., 2::-1]))
+    if not ok:
+        raise BadInput(f"{path}: cannot encode a picture of {pixels.shape[1]}x{pixels.shape[0]} pixels")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data.tobytes())
+        os.replace(part, path)
+    except OSError as e:
+        part.unlink(missing_ok=True)
+        raise BadInput(f"{path}: cannot write the picture ({e.strerror})") from e
+
+
+def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Largest (left, top, width, height) in a frame of (width, height) with the picture's aspect, centred."""
+    scale = min(frame[0] / picture[0], frame[1] / picture[1])
+    width, height = round(picture[0] * scale), round(picture[1] * scale)
+    return (frame[0] - width) // 2, (frame[1] - height) // 2, width, height
+
+
+class PictureTexture:
+    """The picture as an OpenGL texture of the current context, and how it fills a window.
+
+    `upload` is the one place where the picture leaves Taichi: it passes through the host.
+    """
+
+    def __init__(self, gl):
+        self._gl = gl
+        self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
+        self._triangle = gl.vertex_array(self._program, [])
+        self._texture = None
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(width, height) [px] of the last picture, None before the first."""
+        return self._texture.size if self._texture is not None else None
+
+    def upload(self, picture) -> None:
+        """Take over a finished picture, a ti.ndarray u32 (H, W); its size may change."""
+        pixels = pixels_of(picture)
+        size = (pixels.shape[1], pixels.shape[0])
+        if self.size != size:
+            if self._texture is not None:
+                self._texture.release()
+            self._texture = self._gl.texture(size, 4)
+            self._texture.repeat_x = self._texture.repeat_y = False
+        self._texture.write(pixels)
+
+    def draw(self, frame: tuple[int, int]) -> None:
+        """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs."""
+        gl = self._gl
+        gl.screen.use()
+        gl.viewport = (0, 0, *frame)
+        gl.clear(0.0, 0.0, 0.0)
+        if self._texture is None:
+            return
+        left, top, width, height = fit(self.size, frame)
+        gl.viewport = (left, frame[1] - top - height, width, height)
+        gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
+        self._texture.use(0)
+        self._triangle.render(gl.TRIANGLES, vertices=3)

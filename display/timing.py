@@ -1,0 +1,101 @@
+"""Where a frame's time goes: a stopwatch per stage."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from time import perf_counter
+
+import numpy as np
+
+HISTORY = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
+RECENT = 120  # frames behind the panel's numbers: two seconds, steady and still current
+
+
+class Timings:
+    """Durations of the stages of a frame, and of whole frames.
+
+    A launch on a GPU returns before the work is done. With `exact` each stage waits for the device
+    at its end, so that the time is counted where it is spent; without, stages may overlap and only
+    the whole frame is right. `budget` [s] is the time that a frame may take before it is missed.
+    """
+
+    def __init__(self, *, exact: bool = False, budget: float = 1 / 60):
+        self.exact, self.budget = exact, budget
+        self.missed = 0  # frames that took longer than 1.5 budgets
+        self._first: dict[str, float] = {}
+        self._samples: dict[str, deque[float]] = {}
+        self._frames: deque[float] = deque(maxlen=HISTORY)
+        self._mark: float | None = None
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time the body of a `with`. Stages may recur in a frame; each run is a sample."""
+        begin = perf_counter()
+        yield
+        if self.exact:
+            import taichi as ti
+
+            ti.sync()
+        self.add(name, perf_counter() - begin)
+
+    def add(self, name: str, seconds: float) -> None:
+        """Record one duration [s] of a stage."""
+        if name not in self._first:
+            self._first[name] = seconds
+            self._samples[name] = deque(maxlen=HISTORY)
+        else:
+            self._samples[name].append(seconds)
+
+    def frame(self) -> None:
+        """Mark the end of a frame. The first one only starts the clock: it holds the compilation."""
+        now = perf_counter()
+        if self._mark is not None:
+            self._frames.append(now - self._mark)
+            self.missed += now - self._mark > 1.5 * self.budget
+        self._mark = now
+
+    def rest(self) -> None:
+        """The display sleeps (say, is minimised): the next frame's interval does not count."""
+        self._mark = None
+
+    @property
+    def fps(self) -> float:
+        """Mean frames per second over the history, 0 before the second frame."""
+        return len(self._frames) / sum(self._frames) if self._frames else 0.0
+
+    def recent_fps(self) -> float:
+        """Mean frames per second over the last two seconds or so."""
+        frames = last(self._frames, RECENT)
+        return len(frames) / sum(frames) if frames else 0.0
+
+    def recent(self) -> list[tuple[str, float, float]]:
+        """(stage, median, worst) [ms] of the last samples, in the order in which stages first ran."""
+        rows = []
+        for name, samples in self._samples.items():
+            values = np.array(last(samples, RECENT) or [self._first[name]]) * 1e3
+            rows.append((name, float(np.median(values)), float(values.max())))
+        return rows
+
+    def as_dict(self) -> dict[str, dict[str, float]]:
+        """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history.
+
+        The first run of a stage compiles its kernels, so it is told apart from the rest; it counts
+        as the median and the worst only where it is the only one.
+        """
+        stages = {}
+        for name, samples in self._samples.items():
+            values = np.array(samples or [self._first[name]]) * 1e3
+            stages[name] = {
+                "median_ms": float(np.median(values)),
+                "worst_ms": float(values.max()),
+                "first_ms": self._first[name] * 1e3,
+            }
+        return stages
+
+
+def last(values: deque[float], count: int) -> list[float]:
+    """The last `count` values of a deque, without walking through the others."""
+    return list(islice(reversed(values), count))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -43,55 +44,66 @@ def play(args) -> None:
     from scenes import registry
 
     scene = registry.load(args.scene, body=prepared_body(args))
-    display = open_display(args, scene)
-    init_taichi(args.arch, args.seed)
-    from display.world import World
+    with open_display(args, scene) as display, open_recorder(args, display) as recorder:
+        init_taichi(args.arch, args.seed)
+        from display.stats import run_stats, write_stats
+        from display.world import World
 
-    width, height = display.size
-    world = World(
-        scene,
-        width=width,
-        height=height,
-        views=2 if args.stereo else 1,
-        interaction=args.interaction,
-        embedding=args.embedding,
-    )
-    display.start(world)
-    with contextlib.closing(display):
-        for frame in display.frames():
+        width, height = display.size
+        views = 2 if args.stereo else 1
+        how = {"interaction": args.interaction, "embedding": args.embedding}
+        world = World(scene, width=width, height=height, views=views, **how)
+        if args.headless:
+            display.hands = lambda time: world.scripted_hands()
+        frames = 0
+        limit = None if args.headless else args.frames  # a headless display counts for itself
+        for frame in itertools.islice(display.frames(), limit):
             world.step(frame)
             display.present(world)
+            if recorder:
+                recorder.add(world, frame.time)
+            frames += 1
+        if args.stats:
+            write_stats(args.stats, run_stats(world, frames))
+        if args.headless:
+            print(f"{frames} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 
 
 def open_display(args, scene):
     """The window, or without a display or with --headless the recorder of files."""
     if args.xr:
         raise BadInput("--xr: headsets are not supported yet; leave it out to play in a window")
-    width, height = args.size
-    from display.window import has_display
+    if args.stats:
+        from display.video import claim
 
-    if not args.headless and not has_display():
+        claim(args.stats, args.stats.with_name(f".{args.stats.name}.part"))
+    width, height = args.size
+    if not args.headless:
+        from display.surface import has_display
+
+        if has_display():
+            from display.window import Window
+
+            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height)
+        args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")
         print(f"no display: the scripted hand plays; writing {args.record} and {args.snapshot}", file=sys.stderr)
-        args.headless = True
-    if args.headless:
-        from display.headless import Headless
+    from display.headless import Headless
 
-        frames = args.frames if args.frames is not None else round(60 * scene.game.duration) if scene.game else 300
-        return Headless(
-            scene,
-            width=width,
-            height=height,
-            frames=frames,
-            record=args.record,
-            snapshot=args.snapshot,
-            stats=args.stats,
-            views=2 if args.stereo else 1,
-        )
-    from display.window import Window
+    frames = args.frames or (round(60 * scene.game.duration) if scene.game else 300)
+    views = 2 if args.stereo else 1
+    out = {"record": args.record, "snapshot": args.snapshot}
+    return Headless(scene, width=width, height=height, frames=frames, views=views, every=2, **out)
 
-    return Window(scene, width=width, height=height, frames=args.frames, record=args.record, stats=args.stats)
+
+def open_recorder(args, display):
+    """What films a window; a headless display films itself."""
+    if args.headless or not args.record:
+        return contextlib.nullcontext()
+    from display.record import Recorder
+
+    return contextlib.closing(Recorder(args.record, *display.size))
 
 
 def prepared_body(args) -> str | None:
@@ -215,14 +227,22 @@ def parser() -> argparse.ArgumentParser:
         return sub
 
     add("scenes", list_scenes, "list the demos", "scenes")
-    c = add("render", command("render.command", taichi=True), "draw a splat file", "render cat.ply --camera cam.json --out cat.png")
+    c = add(
+        "render",
+        command("render.command", taichi=True),
+        "draw a splat file",
+        "render cat.ply --camera cam.json --out cat.png",
+    )
     c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat, .spz or .h5")
     c.add_argument("--camera", type=Path, required=True, metavar="CAM.json", help="one camera or a list")
     c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(
-        "prepare", command("prepare.command", taichi=True), "make a splat simulatable", "prepare cat.ply --out cat.h5 --vertices 2000"
+        "prepare",
+        command("prepare.command", taichi=True),
+        "make a splat simulatable",
+        "prepare cat.ply --out cat.h5 --vertices 2000",
     )
     c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat or .spz")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")

@@ -28,27 +28,35 @@ class Video:
         self.size = (width + width % 2, height + height % 2)  # codecs halve the colours' resolution
         self._part = self.path.with_name(f".{self.path.stem}.part.mp4")
         claim(self.path, self._part, bytes_needed=BYTES_PER_PIXEL * width * height * frames)
-        self._writer = self._open()
+        self._codec, self._writer = self._first_codec(), None
 
-    def _open(self):
-        """A writer of the first codec that OpenCV can write here; it complains about others on stderr if let."""
+    def _open(self, codec: str):
+        import cv2
+
+        return cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*codec), self.fps, self.size)
+
+    def _first_codec(self) -> str:
+        """The first codec that OpenCV can write here. It tries, as OpenCV keeps no list; leaves no file."""
         import cv2
 
         level = cv2.utils.logging.getLogLevel()
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it reports each codec that it lacks
         try:
             for codec in CODECS:
-                code = cv2.VideoWriter_fourcc(*codec)
-                writer = cv2.VideoWriter(str(self._part), cv2.CAP_FFMPEG, code, self.fps, self.size)
-                if writer.isOpened():
-                    return writer
+                writer = self._open(codec)
+                works = writer.isOpened()
+                writer.release()
+                self._part.unlink(missing_ok=True)
+                if works:
+                    return codec
         finally:
             cv2.utils.logging.setLogLevel(level)
-        self._part.unlink(missing_ok=True)
         raise BadInput(f"{self.path}: OpenCV can write no MP4 of {self.size[0]}x{self.size[1]} pixels here")
 
     def write(self, pixels: np.ndarray) -> None:
         """Append RGBA or RGB pixels (H, W, 3|4) uint8; an odd row or column is repeated to make it even."""
+        if self._writer is None:
+            self._writer = self._open(self._codec)
         height, width = pixels.shape[:2]
         bgr = np.ascontiguousarray(pixels[..., 2::-1])
         if (width, height) != self.size:
@@ -62,9 +70,6 @@ class Video:
             return
         self._writer.release()
         self._writer = None
-        if not self.count:
-            self._part.unlink(missing_ok=True)
-            return
         readable = frame_count(self._part)
         if readable != self.count:
             self._part.unlink(missing_ok=True)

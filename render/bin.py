@@ -1,0 +1,99 @@
+"""Which splats each tile of the picture draws, front to back."""
+
+import taichi as ti
+
+from render.project import Projection
+from render.scan import Scan
+from render.sort import RadixSort
+
+
+@ti.data_oriented
+class DepthOrder:
+    """Seen Gaussians from front to back, one order for all views, and where the pairs of each begin.
+
+    A pair is a (tile, Gaussian) that touch. `first_pair[k]` belongs to the k-th Gaussian in order.
+    """
+
+    def __init__(self, projection: Projection):
+        self.projection = projection
+        capacity = projection.splats.capacity
+        self.sorter = RadixSort(capacity, drop=True, keep_keys=False)
+        self.scan = Scan(capacity)
+        self.pairs = self.scan.total
+        self.first_pair = ti.field(ti.i32)
+        builder = ti.FieldsBuilder()
+        builder.dense(ti.i, capacity).place(self.first_pair)
+        self.tree = builder.finalize()
+
+    @ti.func
+    def arrange(self):
+        """Sort by depth and count pairs; outermost level of a kernel."""
+        self.sorter.sort()
+        for k in range(self.sorter.kept[None]):
+            g = self.sorter.sorted_values[k]
+            touched = 0
+            for v in range(self.projection.views):
+                touched += self.projection.tiles[v, g]
+            self.first_pair[k] = touched
+        self.scan.exclusive(self.first_pair, self.sorter.kept, self.first_pair)
+
+
+@ti.data_oriented
+class Bins:
+    """Room for `capacity` pairs, sorted by tile; within a tile they stay in depth order.
+
+    `begin[t]..end[t]` of `members` are the Gaussians of tile t; tiles of all views are numbered
+    row by row, view by view. With more pairs than room nothing is binned: the owner must look at
+    `order.pairs` and come back with larger bins.
+    """
+
+    def __init__(self, order: DepthOrder, capacity: int):
+        self.order, self.projection, self.capacity = order, order.projection, capacity
+        self.tiles_per_view = self.projection.tiles_x * self.projection.tiles_y
+        self.tiles = self.projection.views * self.tiles_per_view
+        self.sorter = RadixSort(capacity, bits=max(1, (self.tiles - 1).bit_length()))
+        self.members = self.sorter.sorted_values
+        self.begin, self.end = ti.field(ti.i32), ti.field(ti.i32)
+        builder = ti.FieldsBuilder()
+        builder.dense(ti.i, self.tiles).place(self.begin, self.end)
+        self.tree = builder.finalize()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.sorter.destroy()
+        self.tree.destroy()
+
+    @ti.func
+    def fill(self):
+        """Emit all pairs in depth order and sort them stably by tile; outermost level of a kernel."""
+        self.sorter.count[None] = 0
+        if self.order.pairs[None] <= self.capacity:
+            self.sorter.count[None] = self.order.pairs[None]
+        for k in range(self.order.sorter.kept[None]):
+            if self.sorter.count[None] > 0:
+                self._emit(self.order.sorter.sorted_values[k], self.order.first_pair[k])
+        self.sorter.sort()
+        for t in range(self.tiles):
+            self.begin[t] = 0
+            self.end[t] = 0
+        for i in range(self.sorter.kept[None]):
+            t = ti.cast(self.sorter.sorted_keys[i], ti.i32)
+            if i == 0 or ti.cast(self.sorter.sorted_keys[i - 1], ti.i32) != t:
+                self.begin[t] = i
+            if i == self.sorter.kept[None] - 1 or ti.cast(self.sorter.sorted_keys[i + 1], ti.i32) != t:
+                self.end[t] = i + 1
+
+    @ti.func
+    def _emit(self, g: ti.i32, slot: ti.i32):
+        for v in range(self.projection.views):
+            if self.projection.tiles[v, g] > 0:
+                place, conic = self.projection.place[v, g], self.projection.conic[v, g]
+                half_width = self.projection.color[v, g].w
+                first, last = self.projection.tile_rows(place, conic)
+                for row in range(first, last):
+                    left, right = self.projection.tile_columns(row, place, conic, half_width)
+                    for column in range(left, right):
+                        tile = v * self.tiles_per_view + row * self.projection.tiles_x + column
+                        self.sorter.keys[slot] = ti.cast(tile, ti.u32)
+                        self.sorter.values[slot] = g
+                        slot += 1

@@ -1,0 +1,238 @@
+"""From Gaussians to splats: EWA projection, colour, footprint and the tiles it touches, per view."""
+
+import math
+
+import taichi as ti
+
+from assets import sh as harmonics
+from render.sort import DROPPED
+from render.splats import Splats
+
+NEAR = 0.01  # [m] of camera z
+DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
+EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
+STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
+HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
+SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
+
+vec3, vec4 = ti.math.vec3, ti.math.vec4
+
+
+@ti.func
+def rotate_back(q: vec4, d: vec3) -> vec3:
+    """R(q)^T d for a unit quaternion wxyz."""
+    u = vec3(q[1], q[2], q[3])
+    t = 2.0 * u.cross(d)
+    return d - q[0] * t + u.cross(t)
+
+
+@ti.data_oriented
+class Projection:
+    """Splats of all `views` in pixels, and the depth by which they are sorted.
+
+    `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy). Out:
+    place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
+    conic  (A, B, C, half height [px]): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
+    color  (r, g, b, half width [px])
+    tiles  how many tiles the splat touches, 0 if it is not seen
+    """
+
+    def __init__(self, splats: Splats, width: int, height: int, views: int, *, tile: int, antialias: bool, color: bool):
+        self.splats = splats
+        self.width, self.height, self.views = width, height, views
+        self.tile, self.antialias, self.with_color = tile, antialias, color
+        self.tiles_x, self.tiles_y = -(-width // tile), -(-height // tile)
+        self.camera = ti.Vector.field(4, ti.f32)
+        self.place = ti.Vector.field(4, ti.f32)
+        self.conic = ti.Vector.field(4, ti.f32)
+        self.color = ti.Vector.field(4, ti.f32)
+        self.tiles = ti.field(ti.i32)
+        builder = ti.FieldsBuilder()
+        builder.dense(ti.ij, (views, 4)).place(self.camera)
+        builder.dense(ti.ij, (views, splats.capacity)).place(self.place, self.conic, self.color)  # 48 bytes in a row
+        builder.dense(ti.ij, (views, splats.capacity)).place(self.tiles)
+        self.tree = builder.finalize()
+
+    @ti.kernel
+    def set_camera(
+        self, v: ti.i32,
+        a0: ti.f32, a1: ti.f32, a2: ti.f32, a3: ti.f32,
+        b0: ti.f32, b1: ti.f32, b2: ti.f32, b3: ti.f32,
+        c0: ti.f32, c1: ti.f32, c2: ti.f32, c3: ti.f32,
+        fx: ti.f32, fy: ti.f32, cx: ti.f32, cy: ti.f32,
+    ):  # fmt: skip
+        """Rows of world_to_camera and intrinsics of view `v`; scalars reach the device without a copy to wait for."""
+        self.camera[v, 0] = vec4(a0, a1, a2, a3)
+        self.camera[v, 1] = vec4(b0, b1, b2, b3)
+        self.camera[v, 2] = vec4(c0, c1, c2, c3)
+        self.camera[v, 3] = vec4(fx, fy, cx, cy)
+
+    @ti.func
+    def project(self, begin: ti.i32, end: ti.i32, sorter: ti.template()):
+        """Project Gaussians begin..end-1 and hand their depths to `sorter`; outermost level of a kernel.
+
+        Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
+        with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
+        """
+        for g in range(begin, end):
+            mean, opacity = self.splats.mean[g], self.splats.opacity[g]
+            depth = 0.0
+            seen = 0
+            for v in range(self.views):
+                p = self._to_camera(v, mean)
+                depth += p.z
+                touched = 0
+                if p.z >= NEAR and opacity >= 1 / 255:
+                    touched = self._project_to(v, g, p, opacity)
+                self.tiles[v, g] = touched
+                seen += touched
+            key = ti.u32(DROPPED)
+            if seen > 0:
+                if ti.static(self.with_color):
+                    c = self._color(g, mean)
+                    for v in range(self.views):
+                        for k in ti.static(range(3)):
+                            self.color[v, g][k] = c[k]
+                key = ordered_bits(depth / self.views)
+            sorter.keys[g - begin] = key
+            sorter.values[g - begin] = g
+        sorter.count[None] = ti.max(end - begin, 0)
+
+    @ti.func
+    def _to_camera(self, v: ti.i32, x: vec3) -> vec3:
+        p = vec3(0.0)
+        for k in ti.static(range(3)):
+            row = self.camera[v, k]
+            p[k] = row.xyz.dot(x) + row.w
+        return p
+
+    @ti.func
+    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32) -> ti.i32:
+        """Write splat `g` of view `v`; the number of tiles it touches."""
+        lens = self.camera[v, 3]  # fx, fy, cx, cy
+        margin_x, margin_y = EDGE * 0.5 * self.width / lens[0], EDGE * 0.5 * self.height / lens[1]
+        x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (self.width - lens[2]) / lens[0] + margin_x)
+        y = clamp(p.y / p.z, -lens[3] / lens[1] - margin_y, (self.height - lens[3]) / lens[1] + margin_y)
+        along = self.camera[v, 2].xyz
+        jx = lens[0] / p.z * (self.camera[v, 0].xyz - x * along)  # the rows of J W
+        jy = lens[1] / p.z * (self.camera[v, 1].xyz - y * along)
+        s = self.splats.cov[g]
+        sx = times(s, jx)
+        sharp_xx, sharp_xy, sharp_yy = jx.dot(sx), jy.dot(sx), jy.dot(times(s, jy))
+        xx, yy = sharp_xx + DILATION, sharp_yy + DILATION
+        det = xx * yy - sharp_xy * sharp_xy
+        if ti.static(self.antialias):
+            opacity *= ti.sqrt(ti.max(0.0, (sharp_xx * sharp_yy - sharp_xy * sharp_xy) / det))
+        touched = 0
+        if det > 0 and opacity >= 1 / 255:
+            log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
+            reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
+            half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
+            mx, my = lens[0] * p.x / p.z + lens[2], lens[1] * p.y / p.z + lens[3]
+            near = mx + half_width > 0 and mx - half_width < self.width
+            if near and my + half_height > 0 and my - half_height < self.height:
+                scale = HALF_LOG2_E / det
+                place = vec4(mx, my, log_opacity, p.z)
+                conic = vec4(yy * scale, -sharp_xy * scale, xx * scale, half_height)
+                first, last = self.tile_rows(place, conic)
+                for row in range(first, last):
+                    left, right = self.tile_columns(row, place, conic, half_width)
+                    touched += right - left
+                self.place[v, g] = place
+                self.conic[v, g] = conic
+                self.color[v, g].w = half_width
+        return touched
+
+    @ti.func
+    def tile_rows(self, place: vec4, conic: vec4):
+        """Rows of tiles [first, last) that hold a pixel centre within the splat's height."""
+        low = ti.ceil(clamp(place.y - conic.w - 0.5, 0.0, ti.cast(self.height, ti.f32)))
+        high = ti.floor(clamp(place.y + conic.w - 0.5, -1.0, self.height - 1.0))
+        first, last = 0, 0
+        if high >= low:
+            first, last = ti.cast(low, ti.i32) // self.tile, ti.cast(high, ti.i32) // self.tile + 1
+        return first, last
+
+    @ti.func
+    def tile_columns(self, row: ti.i32, place: vec4, conic: vec4, half_width: ti.f32):
+        """Columns of tiles [left, right) of a row that hold a pixel centre column of the ellipse's part in it.
+
+        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at its
+        top, clamped to the strip; likewise the left end, by symmetry.
+        """
+        A, B, C = conic[0], conic[1], conic[2]
+        E = place.z + STEPS + SLACK
+        det = A * C - B * B
+        x_left, x_right = -half_width, half_width
+        if det > 1e-6 * A * C:  # else too thin for this arithmetic: take the whole width
+            low = ti.max(row * self.tile + 0.5 - place.y, -conic.w)
+            high = ti.min(row * self.tile + self.tile - 0.5 - place.y, conic.w)
+            top = -B * ti.sqrt(E / (C * det))
+            d = clamp(top, low, high)
+            x_right = ti.min(x_right, (ti.sqrt(ti.max(A * E - det * d * d, 0.0)) - B * d) / A)
+            d = clamp(-top, low, high)
+            x_left = ti.max(x_left, (-ti.sqrt(ti.max(A * E - det * d * d, 0.0)) - B * d) / A)
+        first = ti.ceil(clamp(place.x + x_left - 0.5, 0.0, ti.cast(self.width, ti.f32)))
+        last = ti.floor(clamp(place.x + x_right - 0.5, -1.0, self.width - 1.0))
+        left, right = 0, 0
+        if last >= first:
+            left, right = ti.cast(first, ti.i32) // self.tile, ti.cast(last, ti.i32) // self.tile + 1
+        return left, right
+
+    @ti.func
+    def _color(self, g: ti.i32, mean: vec3) -> vec3:
+        """max(0, 0.5 + SH(R^T d)) times the light, d from between the cameras' centres to the mean."""
+        value = harmonics.C0 * self.splats.sh[g, 0]
+        if ti.static(self.splats.coefficients > 1):
+            eye = vec3(0.0)
+            for v in range(self.views):
+                for k in ti.static(range(3)):
+                    eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
+            d = rotate_back(self.splats.rotation[g], (mean - eye).normalized(1e-12))
+            value += self._bands(g, d)
+        return ti.max(0.0, 0.5 + value) * self.splats.light[g]
+
+    @ti.func
+    def _bands(self, g: ti.i32, d: vec3) -> vec3:
+        """Degrees 1 to 3 of the harmonics at unit direction d; the basis of assets/sh.py."""
+        sh = ti.static(self.splats.sh)
+        x, y, z = d.x, d.y, d.z
+        value = harmonics.C1 * (z * sh[g, 2] - y * sh[g, 1] - x * sh[g, 3])
+        if ti.static(self.splats.coefficients > 4):
+            xx, yy, zz = x * x, y * y, z * z
+            C2 = ti.static(harmonics.C2)
+            value += C2[0] * x * y * sh[g, 4] + C2[1] * y * z * sh[g, 5] + C2[2] * (2 * zz - xx - yy) * sh[g, 6]
+            value += C2[3] * x * z * sh[g, 7] + C2[4] * (xx - yy) * sh[g, 8]
+            if ti.static(self.splats.coefficients > 9):
+                C3 = ti.static(harmonics.C3)
+                value += C3[0] * y * (3 * xx - yy) * sh[g, 9] + C3[1] * x * y * z * sh[g, 10]
+                value += C3[2] * y * (4 * zz - xx - yy) * sh[g, 11]
+                value += C3[3] * z * (2 * zz - 3 * xx - 3 * yy) * sh[g, 12]
+                value += C3[4] * x * (4 * zz - xx - yy) * sh[g, 13]
+                value += C3[5] * z * (xx - yy) * sh[g, 14] + C3[6] * x * (xx - 3 * yy) * sh[g, 15]
+        return value
+
+
+@ti.func
+def clamp(x: ti.f32, low: ti.f32, high: ti.f32) -> ti.f32:
+    return ti.min(ti.max(x, low), high)
+
+
+@ti.func
+def times(s: ti.template(), x: vec3) -> vec3:
+    """Symmetric matrix (xx, xy, xz, yy, yz, zz) times x."""
+    return vec3(
+        s[0] * x[0] + s[1] * x[1] + s[2] * x[2],
+        s[1] * x[0] + s[3] * x[1] + s[4] * x[2],
+        s[2] * x[0] + s[4] * x[1] + s[5] * x[2],
+    )
+
+
+@ti.func
+def ordered_bits(x: ti.f32) -> ti.u32:
+    """Bits of x that compare as unsigned integers the way floats compare."""
+    bits = ti.bit_cast(x, ti.u32)
+    flip = ti.u32(0x80000000)
+    if x < 0:
+        flip = ti.u32(0xFFFFFFFF)
+    return bits ^ flip

@@ -1,0 +1,79 @@
+"""The whole way from Gaussians to pixels, with room for pairs that grows when a frame needs more."""
+
+import numpy as np
+import taichi as ti
+
+from assets.camera import Camera
+from assets.errors import BadInput
+from render.bin import Bins, DepthOrder
+from render.blend import CPU_TILE, GPU_TILE, Blend
+from render.project import Projection
+from render.splats import Splats
+
+MOST_PAIRS = 1 << 28  # 4 GiB of sort buffers
+
+
+@ti.data_oriented
+class Raster:
+    """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see Blend.draw)."""
+
+    def __init__(
+        self, splats: Splats, width: int, height: int, *, views: int, sink, antialias=False, color=True, depth=True
+    ):
+        tile = GPU_TILE if ti.cfg.arch == ti.cuda else CPU_TILE
+        self.splats, self.sink, self.wants = splats, sink, {"with_color": color, "with_depth": depth}
+        self.projection = Projection(splats, width, height, views, tile=tile, antialias=antialias, color=color)
+        self.order = DepthOrder(self.projection)
+        self.stage = None
+        self._make_room(max(1 << 16, 2 * views * splats.capacity))
+
+    def _make_room(self, pairs: int) -> None:
+        if pairs > MOST_PAIRS:
+            raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
+        if self.stage is not None:
+            self.stage.bins.destroy()
+        capacity = 1 << (pairs - 1).bit_length()
+        self.stage = DrawStage(Blend(Bins(self.order, capacity), **self.wants), self.sink)
+
+    def set_camera(self, view: int, camera: Camera) -> None:
+        """Camera of a view; its size must be the raster's."""
+        rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel()
+        self.projection.set_camera(view, *rows.tolist(), camera.fx, camera.fy, camera.cx, camera.cy)
+
+    def draw(self, out, begin: int = 0, end: int | None = None) -> None:
+        """Draw Gaussians begin..end-1 through the cameras that were set. `out` is handed to the sink."""
+        self._arrange(begin, self.splats.count if end is None else end)
+        self.stage.draw(out)
+        pairs = self.order.pairs[None]  # the one number that is read back, after the frame
+        if pairs > self.stage.bins.capacity:
+            self._make_room(pairs)
+            self.stage.draw(out)
+
+    @ti.kernel
+    def _arrange(self, begin: ti.i32, end: ti.i32):
+        self.projection.project(begin, end, self.order.sorter)
+        self.order.arrange()
+
+
+@ti.data_oriented
+class DrawStage:
+    """The kernels that know the room for pairs; a larger room is a new object, compiled anew."""
+
+    def __init__(self, blend: Blend, sink):
+        self.bins, self.blend, self.sink = blend.bins, blend, sink
+
+    def draw(self, out) -> None:
+        if isinstance(out, ti.Ndarray):
+            self._draw_ndarray(out)
+        else:
+            self._draw_number(out)
+
+    @ti.kernel
+    def _draw_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
+        self.bins.fill()
+        self.blend.draw(self.sink, out)
+
+    @ti.kernel
+    def _draw_number(self, out: ti.i32):
+        self.bins.fill()
+        self.blend.draw(self.sink, out)

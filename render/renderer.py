@@ -1,0 +1,99 @@
+"""Draws a scene's Gaussians for the screen, the headset or a measurement."""
+
+import numpy as np
+import taichi as ti
+
+from assets.camera import Camera
+from render.raster import Raster
+from render.splats import Splats
+
+
+@ti.data_oriented
+class Picture:
+    """Sink of 8-bit pixels over a background colour, R | G << 8 | B << 16 | A << 24, views one below the other."""
+
+    def __init__(self, height: int, background):
+        self.height = height
+        self.background = tuple(float(c) for c in background)
+
+    @ti.func
+    def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
+        c = rgb + (1.0 - alpha) * ti.Vector(self.background)
+        packed = ti.u32(4278190080)  # alpha 255
+        for k in ti.static(range(3)):
+            level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
+            packed |= level << (8 * k)
+        out[v * self.height + y, x] = packed
+
+
+@ti.data_oriented
+class FloatImages:
+    """Sink of unclamped float32 images without a background: rgb, alpha, and depth [m], 0 where nothing is."""
+
+    def __init__(self, views: int, height: int, width: int):
+        self.rgb = ti.Vector.field(3, ti.f32)
+        self.alpha, self.depth = ti.field(ti.f32), ti.field(ti.f32)
+        builder = ti.FieldsBuilder()
+        for f in (self.rgb, self.alpha, self.depth):
+            builder.dense(ti.ijk, (views, height, width)).place(f)
+        self.tree = builder.finalize()
+
+    @ti.func
+    def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
+        self.rgb[v, y, x] = rgb
+        self.alpha[v, y, x] = alpha
+        self.depth[v, y, x] = depth / ti.max(alpha, 1e-10)
+
+
+class Renderer:
+    """Renders `splats` at width x height [px] from `views` cameras.
+
+    Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
+    colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
+
+    outputs="rgba8": `picture`, ti.ndarray u32 (views * height, width), row 0 on top, over `background`.
+    outputs="float": fields `rgb` vec3, `alpha`, `depth` [m] of shape (views, height, width), no background.
+    """
+
+    def __init__(
+        self,
+        splats: Splats,
+        width: int,
+        height: int,
+        *,
+        views: int = 1,
+        antialias: bool = False,
+        background=(0.0, 0.0, 0.0),
+        outputs: str = "rgba8",
+    ):
+        if outputs not in ("rgba8", "float"):
+            raise ValueError(f"outputs must be 'rgba8' or 'float', not {outputs!r}")
+        self.width, self.height, self.views = width, height, views
+        if outputs == "rgba8":
+            self.picture = ti.ndarray(ti.u32, (views * height, width))
+            sink, self._out = Picture(height, background), self.picture
+        else:
+            sink, self._out = FloatImages(views, height, width), 0
+            self.rgb, self.alpha, self.depth = sink.rgb, sink.alpha, sink.depth
+        self.raster = Raster(
+            splats, width, height, views=views, sink=sink, antialias=antialias, depth=outputs == "float"
+        )
+        self._cameras = [None] * views
+
+    def render(self, cameras: list[Camera]) -> None:
+        """Draw one picture per camera. The result is complete when this returns."""
+        if len(cameras) != self.views:
+            raise ValueError(f"expected {self.views} cameras, got {len(cameras)}")
+        for v, camera in enumerate(cameras):
+            if (camera.width, camera.height) != (self.width, self.height):
+                raise ValueError(
+                    f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
+                )
+            if camera is not self._cameras[v]:
+                self.raster.set_camera(v, camera)
+                self._cameras[v] = camera
+        self.raster.draw(self._out)
+
+    def pixels(self) -> np.ndarray:
+        """The picture as (views, height, width, 4) uint8 RGBA on the host."""
+        return self.picture.to_numpy().view(np.uint8).reshape(self.views, self.height, self.width, 4)

@@ -124,7 +124,7 @@ class Controls:
 
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""
-        self.hand.release()
+        self.hand.drop()
         self.drag = self._button = None
         self._walking.clear()
         self._shift = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from assets.camera import Camera
@@ -10,6 +12,9 @@ from scenes.scene import Hand
 FOLLOW = 0.03  # [s], time constant of the hand behind the cursor: evens out the events of slow mice
 FASTEST = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more
 NEAREST, FARTHEST = 0.1, 50.0  # [m] depth of the hand before the camera
+AIM = 0.08  # [s] before the release that decide the throw: fingers slow down as they let go
+SWING = 0.03  # [s] that the grip goes on at the speed of the throw, so that the whole body takes it up
+THROW = 0.2  # [m/s]; slower is putting down
 
 
 class MouseHand:
@@ -21,7 +26,12 @@ class MouseHand:
     def __init__(self):
         self.gripping = False
         self.position = np.zeros(3)
-        self._u = self._v = self._depth = self._reach = 0.0
+        self._u = self._v = self._depth = 0.0
+        self._reach = Hand.reach
+        self._swing = 0.0  # [s] left of the grip after the release
+        self._velocity = np.zeros(3)  # of the throw
+        self._clock = 0.0
+        self._goals: deque[tuple[float, np.ndarray]] = deque()  # where the cursor led, over the last `AIM`
 
     def grab(self, camera: Camera, u: float, v: float, distance: float, reach: float) -> None:
         """Grip at `distance` [m] along the ray through (u, v); takes what lies within `reach` [m]."""
@@ -29,7 +39,8 @@ class MouseHand:
         self.position = origin + distance * direction
         self._u, self._v, self._reach = u, v, reach
         self._depth = distance * float(direction @ camera.world_to_camera[2, :3])
-        self.gripping = True
+        self.gripping, self._swing = True, 0.0
+        self._goals.clear()
 
     def drag(self, du: float, dv: float) -> None:
         """Move in the plane parallel to the screen [px]."""
@@ -40,17 +51,49 @@ class MouseHand:
         self._depth = float(np.clip(self._depth * np.exp(amount), NEAREST, FARTHEST))
 
     def release(self) -> None:
-        """Let go: what was held flies on with the hand's speed."""
-        self.gripping = False
+        """Let go: what was held flies on with the cursor's mean speed of the last moments."""
+        if not self.gripping or len(self._goals) < 2:
+            return self.drop()
+        (begin, start), (end, goal) = self._goals[0], self._goals[-1]
+        self._velocity = capped((goal - start) / (end - begin), FASTEST)
+        if np.linalg.norm(self._velocity) < THROW:
+            return self.drop()
+        self._swing = SWING
+
+    def drop(self) -> None:
+        """Let go at once."""
+        self.gripping, self._swing = False, 0.0
 
     def hand(self, camera: Camera, dt: float) -> Hand:
-        """The hand after `dt` [s]: it closes in on the cursor, at most `FASTEST`."""
-        if self.gripping:
-            origin, direction = camera.ray(self._u, self._v)
-            goal = origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
+        """The hand after `dt` [s]: it closes in on the cursor, or ends its swing."""
+        if self._velocity_rules():
+            self._swing -= dt
+            self.position = self.position + self._velocity * dt
+        elif self.gripping and dt > 0:
+            goal = self._goal(camera)
             step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW))
-            length = np.linalg.norm(step)
-            if length > FASTEST * dt:
-                step *= FASTEST * dt / length
-            self.position = self.position + step
-        return Hand(position=tuple(map(float, self.position)), grip=self.gripping, reach=self._reach or Hand.reach)
+            self.position = self.position + capped(step, FASTEST * dt)
+            self._clock += dt
+            self._goals.append((self._clock, goal))
+            while len(self._goals) > 2 and self._clock - self._goals[0][0] > AIM:
+                self._goals.popleft()
+        return Hand(position=tuple(map(float, self.position)), grip=self.gripping, reach=self._reach)
+
+    def _velocity_rules(self) -> bool:
+        """Is the hand in the swing of a throw? Opens it when that is over."""
+        if self._swing == 0.0:
+            return False
+        if self._swing < 0.0:
+            self.drop()
+            return False
+        return True
+
+    def _goal(self, camera: Camera) -> np.ndarray:
+        origin, direction = camera.ray(self._u, self._v)
+        return origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
+
+
+def capped(vector: np.ndarray, most: float) -> np.ndarray:
+    """The vector, no longer than `most`."""
+    length = np.linalg.norm(vector)
+    return vector * (most / length) if length > most else vector

@@ -55,10 +55,12 @@ class Video:
 
     def write(self, pixels: np.ndarray) -> None:
         """Append RGBA or RGB pixels (H, W, 3|4) uint8; an odd row or column is repeated to make it even."""
+        import cv2
+
         if self._writer is None:
             self._writer = self._open(self._codec)
-        height, width = pixels.shape[:2]
-        bgr = np.ascontiguousarray(pixels[..., 2::-1])
+        height, width, channels = pixels.shape
+        bgr = cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR if channels == 4 else cv2.COLOR_RGB2BGR)
         if (width, height) != self.size:
             bgr = np.pad(bgr, ((0, self.size[1] - height), (0, self.size[0] - width), (0, 0)), mode="edge")
         self._writer.write(bgr)

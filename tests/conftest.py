@@ -1,5 +1,6 @@
 """Shared fixtures: Taichi on the CPU once per process, and the optional folder of test data."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,11 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 @pytest.fixture(scope="session")
 def ti_cpu():
-    """Taichi on the CPU, initialised once: fields of earlier tests stay valid."""
+    """Taichi on the CPU, initialised once: fields of earlier tests stay valid. VRGS_TEST_ARCH=cuda: on the GPU."""
     import taichi as ti
 
-    ti.init(arch=ti.cpu, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
+    arch = {"cpu": ti.cpu, "cuda": ti.cuda}[os.environ.get("VRGS_TEST_ARCH", "cpu")]
+    ti.init(arch=arch, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
     return ti
 
 

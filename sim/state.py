@@ -20,13 +20,17 @@ and handed to the Solver. It provides
                                 host; before the first substep of a frame of dt [s]; state.dt is set, tick = -1
     detect()                    host, launches kernels; `collision_passes` times a frame, at equal intervals of
                                 state.detect_dt[None] [s]; reads x and v (committed), must not change them
-    @ti.func project_vertex(self, i, dx) -> dx vertex i against static shapes and hands. Called inside the
-                                solver's own vertex loop, after the elastic correction and after all pairs, just
-                                before the commit, for i < vertex_count with w[i] > 0. `dx` is vertex i's
-                                increment in registers; return the corrected one; do not read or write state.dx[i].
-    @ti.func project_pairs(self)               one or several top-level loops that add to state.dx (atomically, or
-                                better from lists in a fixed order: repeated CPU runs must agree bit for bit).
-                                Called after the elastic correction and before project_vertex.
+    @ti.func project_vertex(self, i, dx, first: ti.template()) -> dx
+                                vertex i against static shapes and hands. Called inside the solver's own vertex
+                                loop, after the elastic correction and before all pairs, for i < vertex_count
+                                with w[i] > 0. `dx` is vertex i's increment in registers; return the corrected
+                                one; do not read or write state.dx[i]. `first` says, at compile time, whether
+                                this is the substep's first sweep.
+    @ti.func project_pairs(self, first: ti.template())
+                                one or several top-level loops that read state.dx and sum corrections (in a
+                                fixed order or as integers: repeated CPU runs must agree bit for bit).
+    @ti.func settle_vertex(self, i, dx) -> dx
+                                like project_vertex, after project_pairs, if there are pairs: add their sums.
     reset()                     host; forget contacts and grips
 
 Without has_pairs a substep is two loops (tets; vertices), with it three and the constraint's own. Python

@@ -35,8 +35,8 @@ def commit(s: ti.template(), i, d):
 class Substeps:
     """`length` substeps of `iterations` sweeps each; `run()` replays them with one call from Python.
 
-    One sweep: all tets; all vertices gather; the constraints' pairs; static shapes and hands. What needs no loop of
-    its own is fused: without pairs a substep of one sweep is two loops.
+    One sweep: all tets; all vertices gather, and meet static shapes and hands; the constraints' pairs, and what these
+    did to each vertex. What needs no loop of its own is fused: without pairs a substep of one sweep is two loops.
     """
 
     def __init__(self, state: State, elastic: Elastic, constraints: list, *, iterations: int, length: int):
@@ -82,16 +82,15 @@ class Substeps:
             for i in range(V):
                 if i < s.vertex_count[None] and s.w[i] > 0.0:
                     d = s.dx[i] + e.summed(i)
-                    if ti.static(len(in_pairs) == 0):
-                        for c in ti.static(on_vertex):
-                            d = c.project_vertex(i, d)
+                    for c in ti.static(on_vertex):
+                        d = c.project_vertex(i, d, first)
                     if ti.static(close and len(in_pairs) == 0):
                         commit(s, i, d)
                     else:
                         s.dx[i] = d
             for c in ti.static(in_pairs):
-                c.project_pairs()
-            if ti.static(len(in_pairs) > 0 and (close or len(on_vertex) > 0)):
+                c.project_pairs(first)
+            if ti.static(len(in_pairs) > 0):
                 if ti.static(serial):
                     ti.loop_config(serialize=True)
                 else:
@@ -99,8 +98,8 @@ class Substeps:
                 for i in range(V):
                     if i < s.vertex_count[None] and s.w[i] > 0.0:
                         d = s.dx[i]
-                        for c in ti.static(on_vertex):
-                            d = c.project_vertex(i, d)
+                        for c in ti.static(in_pairs):
+                            d = c.settle_vertex(i, d)
                         if ti.static(close):
                             commit(s, i, d)
                         else:

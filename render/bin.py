@@ -88,10 +88,10 @@ class Bins:
         for v in range(self.projection.views):
             if self.projection.tiles[v, g] > 0:
                 place, conic = self.projection.place[v, g], self.projection.conic[v, g]
-                half_width = self.projection.color[v, g].w
-                first, last = self.projection.tile_rows(place, conic)
+                box = self.projection.box[v, g]
+                first, last = self.projection.tile_rows(place, box)
                 for row in range(first, last):
-                    left, right = self.projection.tile_columns(row, place, conic, half_width)
+                    left, right = self.projection.tile_columns(row, place, conic, box)
                     for column in range(left, right):
                         tile = v * self.tiles_per_view + row * self.projection.tiles_x + column
                         self.sorter.keys[slot] = ti.cast(tile, ti.u32)

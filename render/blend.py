@@ -42,7 +42,8 @@ class Blend:
     def __init__(self, bins: Bins, *, with_color: bool, with_depth: bool):
         self.bins = bins
         projection = bins.projection
-        self.place, self.conic, self.color = projection.place, projection.conic, projection.color
+        self.place, self.conic = projection.place, projection.conic
+        self.color, self.box = projection.color, projection.box
         self.width, self.height, self.tiles_x = projection.width, projection.height, projection.tiles_x
         self.with_color, self.with_depth = with_color, with_depth
         self.on_gpu = ti.cfg.arch == ti.cuda
@@ -75,14 +76,15 @@ class Blend:
                 g = self.bins.members[i]
                 place, conic, color = self.place[v, g], self.conic[v, g], self.color[v, g]
                 A, B, C = conic[0], 2 * conic[1], conic[2]
+                half_height = self.box[v, g][1]
                 dx0, dy0 = x0 + 0.5 - place.x, y0 + 0.5 - place.y
-                first = ti.max(0, ti.cast(ti.ceil(ti.max(-dy0 - conic.w, 0.0)), ti.i32))
-                last = ti.cast(ti.floor(ti.min(conic.w - dy0, CPU_TILE - 1.0)), ti.i32)
+                first = ti.max(0, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
+                last = ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32)
                 for row in range(first, last + 1):
                     dy = dy0 + row
                     base, tilt = place.z - C * dy * dy, B * dy
                     for column in range(CPU_TILE):
-                        q = row * CPU_TILE + column
+                        q = (row & (CPU_TILE - 1)) * CPU_TILE + column  # the mask tells the compiler that q cannot wrap
                         dx = dx0 + column
                         power = base - dx * (A * dx + tilt)
                         alpha = exp2(power)

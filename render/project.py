@@ -12,10 +12,11 @@ NEAR = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
 EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
 STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
+MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
-vec3, vec4 = ti.math.vec3, ti.math.vec4
+vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
 
 @ti.func
@@ -32,8 +33,9 @@ class Projection:
 
     `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy). Out:
     place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
-    conic  (A, B, C, half height [px]): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color  (r, g, b, half width [px])
+    conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
+    color  (r, g, b, unused)
+    box    (half width, half height, dy of the rightmost point [px], unused) of the visible ellipse
     tiles  how many tiles the splat touches, 0 if it is not seen
     """
 
@@ -46,10 +48,12 @@ class Projection:
         self.place = ti.Vector.field(4, ti.f32)
         self.conic = ti.Vector.field(4, ti.f32)
         self.color = ti.Vector.field(4, ti.f32)
+        self.box = ti.Vector.field(4, ti.f32)
         self.tiles = ti.field(ti.i32)
         builder = ti.FieldsBuilder()
+        splat = builder.dense(ti.ij, (views, splats.capacity))
+        splat.place(self.place, self.conic, self.color, self.box)  # 64 bytes: a splat is one cache line
         builder.dense(ti.ij, (views, 4)).place(self.camera)
-        builder.dense(ti.ij, (views, splats.capacity)).place(self.place, self.conic, self.color)  # 48 bytes in a row
         builder.dense(ti.ij, (views, splats.capacity)).place(self.tiles)
         self.tree = builder.finalize()
 
@@ -113,71 +117,78 @@ class Projection:
         margin_x, margin_y = EDGE * 0.5 * self.width / lens[0], EDGE * 0.5 * self.height / lens[1]
         x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (self.width - lens[2]) / lens[0] + margin_x)
         y = clamp(p.y / p.z, -lens[3] / lens[1] - margin_y, (self.height - lens[3]) / lens[1] + margin_y)
-        along = self.camera[v, 2].xyz
-        jx = lens[0] / p.z * (self.camera[v, 0].xyz - x * along)  # the rows of J W
-        jy = lens[1] / p.z * (self.camera[v, 1].xyz - y * along)
+        fx, fy = lens[0] / p.z, lens[1] / p.z
+        mx, my = fx * p.x + lens[2], fy * p.y + lens[3]
         s = self.splats.cov[g]
-        sx = times(s, jx)
-        sharp_xx, sharp_xy, sharp_yy = jx.dot(sx), jy.dot(sx), jy.dot(times(s, jy))
-        xx, yy = sharp_xx + DILATION, sharp_yy + DILATION
-        det = xx * yy - sharp_xy * sharp_xy
-        if ti.static(self.antialias):
-            opacity *= ti.sqrt(ti.max(0.0, (sharp_xx * sharp_yy - sharp_xy * sharp_xy) / det))
+        size = s[0] + s[3] + s[5]  # at least the largest eigenvalue, so this box is at least the splat's
+        far_x = ti.sqrt(MOST_REACH * (fx * fx * (1 + x * x) * size + DILATION))
+        far_y = ti.sqrt(MOST_REACH * (fy * fy * (1 + y * y) * size + DILATION))
         touched = 0
-        if det > 0 and opacity >= 1 / 255:
-            log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
-            reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
-            half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
-            mx, my = lens[0] * p.x / p.z + lens[2], lens[1] * p.y / p.z + lens[3]
-            near = mx + half_width > 0 and mx - half_width < self.width
-            if near and my + half_height > 0 and my - half_height < self.height:
-                scale = HALF_LOG2_E / det
-                place = vec4(mx, my, log_opacity, p.z)
-                conic = vec4(yy * scale, -sharp_xy * scale, xx * scale, half_height)
-                first, last = self.tile_rows(place, conic)
-                for row in range(first, last):
-                    left, right = self.tile_columns(row, place, conic, half_width)
-                    touched += right - left
-                self.place[v, g] = place
-                self.conic[v, g] = conic
-                self.color[v, g].w = half_width
+        if self._meets_picture(mx, my, far_x, far_y):
+            along = self.camera[v, 2].xyz
+            jx = fx * (self.camera[v, 0].xyz - x * along)  # the rows of J W
+            jy = fy * (self.camera[v, 1].xyz - y * along)
+            sx = times(s, jx)
+            sharp_xx, sharp_xy, sharp_yy = jx.dot(sx), jy.dot(sx), jy.dot(times(s, jy))
+            xx, yy = sharp_xx + DILATION, sharp_yy + DILATION
+            det = xx * yy - sharp_xy * sharp_xy
+            if ti.static(self.antialias):
+                opacity *= ti.sqrt(ti.max(0.0, (sharp_xx * sharp_yy - sharp_xy * sharp_xy) / det))
+            if det > 0 and opacity >= 1 / 255:
+                log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
+                reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
+                half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
+                if self._meets_picture(mx, my, half_width, half_height):
+                    A, B, C = yy * HALF_LOG2_E / det, -sharp_xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
+                    place = vec4(mx, my, log_opacity, p.z)
+                    conic = vec4(A, B, C, A * C - B * B)
+                    box = vec4(half_width, half_height, -B / C * half_width, 0.0)
+                    self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
+                    first, last = self.tile_rows(place, box)
+                    for row in range(first, last):
+                        left, right = self.tile_columns(row, place, conic, box)
+                        touched += right - left
         return touched
 
     @ti.func
-    def tile_rows(self, place: vec4, conic: vec4):
-        """Rows of tiles [first, last) that hold a pixel centre within the splat's height."""
-        low = ti.ceil(clamp(place.y - conic.w - 0.5, 0.0, ti.cast(self.height, ti.f32)))
-        high = ti.floor(clamp(place.y + conic.w - 0.5, -1.0, self.height - 1.0))
-        first, last = 0, 0
-        if high >= low:
-            first, last = ti.cast(low, ti.i32) // self.tile, ti.cast(high, ti.i32) // self.tile + 1
-        return first, last
+    def _meets_picture(self, x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32):
+        """Whether a box around pixel position (x, y) and the picture overlap."""
+        return ti.abs(x - 0.5 * self.width) < half_width + 0.5 * self.width and (
+            ti.abs(y - 0.5 * self.height) < half_height + 0.5 * self.height
+        )
 
     @ti.func
-    def tile_columns(self, row: ti.i32, place: vec4, conic: vec4, half_width: ti.f32):
-        """Columns of tiles [left, right) of a row that hold a pixel centre column of the ellipse's part in it.
+    def tile_rows(self, place: vec4, box: vec4):
+        """Rows of tiles [first, last) that hold a pixel centre within the splat's height."""
+        return self._tiles_between(place.y - box[1], place.y + box[1], self.height)
 
-        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at its
-        top, clamped to the strip; likewise the left end, by symmetry.
+    @ti.func
+    def tile_columns(self, row: ti.i32, place: vec4, conic: vec4, box: vec4):
+        """Columns of tiles [left, right) of a row that hold a pixel centre of the ellipse's part in it.
+
+        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
+        rightmost point, clamped to the strip; likewise the left end, by symmetry.
         """
-        A, B, C = conic[0], conic[1], conic[2]
-        E = place.z + STEPS + SLACK
-        det = A * C - B * B
-        x_left, x_right = -half_width, half_width
-        if det > 1e-6 * A * C:  # else too thin for this arithmetic: take the whole width
-            low = ti.max(row * self.tile + 0.5 - place.y, -conic.w)
-            high = ti.min(row * self.tile + self.tile - 0.5 - place.y, conic.w)
-            top = -B * ti.sqrt(E / (C * det))
-            d = clamp(top, low, high)
-            x_right = ti.min(x_right, (ti.sqrt(ti.max(A * E - det * d * d, 0.0)) - B * d) / A)
-            d = clamp(-top, low, high)
-            x_left = ti.max(x_left, (-ti.sqrt(ti.max(A * E - det * d * d, 0.0)) - B * d) / A)
-        first = ti.ceil(clamp(place.x + x_left - 0.5, 0.0, ti.cast(self.width, ti.f32)))
-        last = ti.floor(clamp(place.x + x_right - 0.5, -1.0, self.width - 1.0))
-        left, right = 0, 0
-        if last >= first:
-            left, right = ti.cast(first, ti.i32) // self.tile, ti.cast(last, ti.i32) // self.tile + 1
+        left, right = self._tiles_between(place.x - box[0], place.x + box[0], self.width)
+        A, B, C, det = conic[0], conic[1], conic[2], conic[3]
+        if right - left > 1 and det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
+            low = ti.max(row * self.tile + 0.5 - place.y, -box[1])
+            high = ti.min(row * self.tile + self.tile - 0.5 - place.y, box[1])
+            d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
+            root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
+            x_right, x_left = (root[0] - B * d[0]) / A, (-root[1] - B * d[1]) / A
+            left, right = self._tiles_between(place.x + x_left, place.x + x_right, self.width)
         return left, right
+
+    @ti.func
+    def _tiles_between(self, low: ti.f32, high: ti.f32, side: ti.template()):
+        """Tiles [first, last) along a side of the picture with a pixel centre in [low, high]."""
+        low_pixel = ti.cast(ti.ceil(clamp(low - 0.5, 0.0, float(side))), ti.i32)
+        high_pixel = ti.cast(ti.floor(clamp(high - 0.5, -1.0, side - 1.0)), ti.i32)
+        first, last = 0, 0
+        if high_pixel >= low_pixel:
+            first, last = low_pixel // self.tile, high_pixel // self.tile + 1
+        return first, last
 
     @ti.func
     def _color(self, g: ti.i32, mean: vec3) -> vec3:
@@ -214,7 +225,7 @@ class Projection:
 
 
 @ti.func
-def clamp(x: ti.f32, low: ti.f32, high: ti.f32) -> ti.f32:
+def clamp(x, low, high):
     return ti.min(ti.max(x, low), high)
 
 

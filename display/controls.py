@@ -130,9 +130,9 @@ class Controls:
         self._shift = False
 
     def advance(self, camera: Camera, dt: float, *, running: bool = True) -> list[Hand]:
-        """Walk for `dt` [s] and return the mouse's hand. It waits while the world does not run."""
+        """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run."""
         if self._walking:
             right, up, forward = np.sum([WALKING[name] for name in self._walking], axis=0)
             speed = max(WALK_LEAST, WALK * self.orbit.distance) * (HURRY if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
-        return [self.hand.hand(camera, dt if running else 0.0)]
+        return self.hand.hands(camera, dt if running else 0.0)

@@ -28,7 +28,8 @@ class MouseHand:
         self.position = np.zeros(3)
         self._u = self._v = self._depth = 0.0
         self._reach = Hand.reach
-        self._swing = 0.0  # [s] left of the grip after the release
+        self._fresh = self._given = False  # did the grip just begin; was there a hand in the last frame
+        self._swing: float | None = None  # [s] left of the grip after the release, None before it
         self._velocity = np.zeros(3)  # of the throw
         self._clock = 0.0
         self._goals: deque[tuple[float, np.ndarray]] = deque()  # where the cursor led, over the last `AIM`
@@ -39,7 +40,7 @@ class MouseHand:
         self.position = origin + distance * direction
         self._u, self._v, self._reach = u, v, reach
         self._depth = distance * float(direction @ camera.world_to_camera[2, :3])
-        self.gripping, self._swing = True, 0.0
+        self.gripping, self._fresh, self._swing = True, True, None
         self._goals.clear()
 
     def drag(self, du: float, dv: float) -> None:
@@ -62,31 +63,33 @@ class MouseHand:
 
     def drop(self) -> None:
         """Let go at once."""
-        self.gripping, self._swing = False, 0.0
+        self.gripping, self._swing = False, None
 
-    def hand(self, camera: Camera, dt: float) -> Hand:
-        """The hand after `dt` [s]: it closes in on the cursor, or ends its swing."""
-        if self._velocity_rules():
+    def hands(self, camera: Camera, dt: float) -> list[Hand]:
+        """The hand after `dt` [s], where it closes in on the cursor or ends its swing; none when it is open.
+
+        A grip begins with a hand that was not there before, so it never seems to come from elsewhere.
+        """
+        if self._swing is not None and self._swing <= 0.0:
+            self.drop()
+        if not self.gripping or (self._fresh and self._given):
+            self._given = False
+            return []
+        if self._swing is not None:
             self._swing -= dt
             self.position = self.position + self._velocity * dt
-        elif self.gripping and dt > 0:
-            goal = self._goal(camera)
-            step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW))
-            self.position = self.position + capped(step, FASTEST * dt)
-            self._clock += dt
-            self._goals.append((self._clock, goal))
-            while len(self._goals) > 2 and self._clock - self._goals[0][0] > AIM:
-                self._goals.popleft()
-        return Hand(position=tuple(map(float, self.position)), grip=self.gripping, reach=self._reach)
+        elif dt > 0.0:
+            self._follow(self._goal(camera), dt)
+        self._fresh, self._given = False, True
+        return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._reach)]
 
-    def _velocity_rules(self) -> bool:
-        """Is the hand in the swing of a throw? Opens it when that is over."""
-        if self._swing == 0.0:
-            return False
-        if self._swing < 0.0:
-            self.drop()
-            return False
-        return True
+    def _follow(self, goal: np.ndarray, dt: float) -> None:
+        step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW))
+        self.position = self.position + capped(step, FASTEST * dt)
+        self._clock += dt
+        self._goals.append((self._clock, goal))
+        while len(self._goals) > 2 and self._clock - self._goals[0][0] > AIM:
+            self._goals.popleft()
 
     def _goal(self, camera: Camera) -> np.ndarray:
         origin, direction = camera.ray(self._u, self._v)

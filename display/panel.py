@@ -13,6 +13,7 @@ from scenes.scene import Light, Scene
 
 MARGIN = 12.0  # [px] from the window's edge
 WIDTH = 252.0  # [px] of the panel's content
+ROOMY = 700.0  # [px] of window height, from which the list of keys is open at the start
 REFRESH = 0.5  # [s] between two readings of the numbers: faster ones cannot be read
 LIGHT_RANGE = 4.0  # [m] around the scene's target
 INTERACTIONS = {
@@ -59,7 +60,8 @@ class Panel:
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
         if self.details:
             self._performance(imgui)
-        if imgui.collapsing_header("Mouse and keys"):
+        roomy = imgui.get_io().display_size.y >= ROOMY * self.scale
+        if imgui.collapsing_header("Mouse and keys", imgui.TreeNodeFlags_.default_open if roomy else 0):
             self._help(imgui)
         imgui.end()
         return commands
@@ -137,8 +139,11 @@ class Panel:
         return {"light": replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)}
 
     def _performance(self, imgui) -> None:
-        size = self._choice(imgui, list(RESOLUTIONS), next(n for n, s in RESOLUTIONS.items() if s == self.resolution))
-        self.resolution = RESOLUTIONS[size]
+        current = next(name for name, share in RESOLUTIONS.items() if share == self.resolution)
+        tips = dict.fromkeys(
+            RESOLUTIONS, "Share of the window's pixels, on each side, that are drawn: fewer are faster."
+        )
+        self.resolution = RESOLUTIONS[self._choice(imgui, list(RESOLUTIONS), current, tips)]
         stretch = imgui.TableFlags_.sizing_stretch_prop | imgui.TableFlags_.no_host_extend_x
         if imgui.begin_table("stages", 3, stretch, (WIDTH * self.scale, 0)):
             self._row(imgui, "ms", "median", "worst", theme.QUIET)

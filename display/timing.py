@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 
 HISTORY = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
-RECENT = 120  # frames behind the panel's numbers: two seconds, steady and still current
+RECENT = 60  # samples behind the panel's numbers: steady, and still current
 
 
 class Timings:
@@ -67,9 +67,13 @@ class Timings:
         return len(self._frames) / sum(self._frames) if self._frames else 0.0
 
     def recent_fps(self) -> float:
-        """Mean frames per second over the last two seconds or so."""
-        frames = last(self._frames, RECENT)
-        return len(frames) / sum(frames) if frames else 0.0
+        """Mean frames per second over the last second, or the last frame if that took longer."""
+        count, total = 0, 0.0
+        for interval in reversed(self._frames):
+            count, total = count + 1, total + interval
+            if total >= 1.0:
+                break
+        return count / total if count else 0.0
 
     def recent(self) -> list[tuple[str, float, float]]:
         """(stage, median, worst) [ms] of the last samples, in the order in which stages first ran."""

@@ -182,14 +182,14 @@ def main() -> None:
 
 def record(frame, world) -> dict:
     """One frame for the log."""
-    hand = frame.hands[0]
+    hand = frame.hands[0] if frame.hands else None
     return {
         "dt": frame.dt,
         "eye": frame.cameras[0].position.tolist(),
         "forward": frame.cameras[0].world_to_camera[2, :3].tolist(),
         "size": world.renderer_size,
-        "hand": list(hand.position),
-        "grip": hand.grip,
+        "hand": list(hand.position) if hand else None,
+        "grip": hand is not None and hand.grip,
         "ball": world.ball.tolist(),
         "speed": float(np.linalg.norm(world.velocity)),
         "held": world._held is not None,

@@ -151,7 +151,7 @@ def test_the_wheel_pushes_a_held_body_away(session):
     session.screen.mouse_down()
     session.until(lambda f: f["held"])
     session.screen.wheel(3)
-    far = session.until(lambda f: f["hand"][2] < -0.1)
+    far = session.until(lambda f: f["grip"] and f["hand"][2] < -0.1)
     assert far["held"] and far["eye"] == [0, 0, 3]
     session.screen.mouse_up()
     session.until(lambda f: not f["held"])

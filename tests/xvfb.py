@@ -39,7 +39,7 @@ class XServer:
         width, height = self.size
         self._memory = tempfile.TemporaryDirectory(prefix="xvfb-")  # the server keeps its screen in a file there
         command = ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp"]
-        command += ["-fbdir", self._memory.name]
+        command += ["-fbdir", self._memory.name, "-noreset"]  # else properties go with the last client
         self._server = subprocess.Popen(command, pass_fds=[write], stderr=subprocess.DEVNULL)
         os.close(write)
         with os.fdopen(read) as answer:

@@ -25,25 +25,33 @@ class Locator:
         self._first = x[:, 0]
         gradients = np.linalg.inv(np.moveaxis(x[:, 1:] - x[:, :1], 1, 2))  # rows: of the weights 1 to 3
         self._gradients = np.ascontiguousarray(gradients)
-        self.size = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) * np.sqrt(2))  # edge of the regular tet, (T,)
+        edge = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) * np.sqrt(2))  # of the regular tet of that volume
+        count = np.bincount(self.tets.ravel(), minlength=len(self.vertices))
+        self._edge = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices)) / np.maximum(count, 1)
         self._build_grid(x)
         self._tree = None
 
     def weights(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Barycentric weights (M, 4) of points [m] (M, 3) in the tets `host` (M,); outside one they extrapolate."""
         last = np.einsum("nij,nj->ni", self._gradients[host], points - self._first[host])
-        return np.concatenate([1 - last.sum(1, keepdims=True), last], 1)
+        first = 1 - last[:, 0] - last[:, 1] - last[:, 2]
+        return np.concatenate([first[:, None], last], 1)
 
     def gradients(self, host: np.ndarray) -> np.ndarray:
         """Gradients [1/m] of the four barycentric weights of the tets `host`, (M, 4, 3)."""
         last = self._gradients[host]
         return np.concatenate([-last.sum(1, keepdims=True), last], 1)
 
+    def size(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Edge length [m] (M,) of the tets about points in `host`; continuous, for it is kept at the vertices."""
+        weights = self.weights(host, points).clip(0)
+        return (self._edge[self.tets[host]] * weights).sum(1) / weights.sum(1)
+
     def find(self, points: np.ndarray) -> np.ndarray:
         """Index of a tet that holds each point [m] (M, 3), or -1 where none does."""
         points = np.asarray(points, np.float64)
         index = np.floor((points - self._origin) / self._cell).astype(np.int64)
-        within = ((index >= 0) & (index < self._shape)).all(1)
+        within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self._shape[i]) for i in range(3)])
         cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self._shape), 0)
         host = np.full(len(points), -1, np.int64)
         todo = np.flatnonzero(within & (self._start[cell + 1] > self._start[cell]))
@@ -64,8 +72,8 @@ class Locator:
         at, end, p = self._start[cell[left]], self._start[cell[left] + 1], points[left]
         while len(left):
             tet = self._list[at]
-            last = np.einsum("nij,nj->ni", self._gradients[tet], p - self._first[tet])
-            inside = (last.min(1) >= INSIDE) & (last.sum(1) <= 1 - INSIDE)
+            a, b, c = np.einsum("nij,nj->ni", self._gradients[tet], p - self._first[tet]).T
+            inside = (a >= INSIDE) & (b >= INSIDE) & (c >= INSIDE) & (a + b + c <= 1 - INSIDE)
             host[left[inside]] = tet[inside]
             at = at + 1
             keep = ~inside & (at < end)
@@ -91,7 +99,8 @@ class Locator:
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
         centre = self._origin + cell * (index + 0.5)
         g = self.gradients(tet)
-        may = (self.weights(tet, centre) + 0.5 * cell * np.abs(g).sum(2) >= INSIDE).all(1)
+        most = self.weights(tet, centre) + 0.5 * cell * np.einsum("nij->ni", np.abs(g))
+        may = np.logical_and.reduce([most[:, i] >= INSIDE for i in range(4)])
         tet, flat = tet[may], np.ravel_multi_index(index[may].T, self._shape)
         order = np.argsort(flat, kind="stable")
         self._list = tet[order]

@@ -154,12 +154,15 @@ def _two_level(part: EmbeddedPart, rows: slice, locator: Locator | None):
     W = np.asarray(part.weights[rows], np.float64)
     W = W / W.sum(2, keepdims=True)  # float32 rows sum to 1 only within rounding
     y = np.einsum("nkj,nkjc->nkc", W, np.asarray(part.rest, np.float64)[vertex])
-    D = np.moveaxis(y[:, 1:] - y[:, :1], 1, 2)
-    flat = np.abs(np.linalg.det(D)) <= FLATTEST * np.linalg.norm(D, axis=1).max(1) ** 3
+    d1, d2, d3 = np.moveaxis(y[:, 1:] - y[:, :1], 1, 0)  # columns of D
+    cofactors = np.stack([np.cross(d2, d3), np.cross(d3, d1), np.cross(d1, d2)], 1)
+    volume = np.einsum("ni,ni->n", d1, cofactors[:, 0])
+    longest = np.max([np.einsum("ni,ni->n", d, d) for d in (d1, d2, d3)], axis=0)
+    flat = np.abs(volume) <= FLATTEST * longest**1.5
     if flat.any():
         where = rows.start + int(np.flatnonzero(flat)[0])
         raise BadInput(f"embedding: the local tetrahedron of Gaussian {where} (and {flat.sum() - 1} more) is flat")
-    inverse = np.linalg.inv(D)
+    inverse = cofactors / volume[:, None, None]
     corner = np.concatenate([-inverse.sum(1, keepdims=True), inverse], 1)  # F = sum_k y_k corner_k^T
     g = (W[..., None] * corner[:, :, None]).reshape(len(W), 16, 3)
     offset = part.gaussians.means[rows] - y.mean(1)  # the centre need not be the centroid: clamped corners
@@ -185,9 +188,9 @@ def _merge(part: EmbeddedPart, collect) -> tuple[np.ndarray, ...]:
         vertex, m, g = collect(part, slice(start, start + CHUNK), locator)
         n, width = vertex.shape
         order = np.argsort(vertex, 1, kind="stable")
-        vertex = np.take_along_axis(vertex, order, 1).ravel()
-        factors = np.concatenate([g, m[..., None]], 2)
-        factors = np.take_along_axis(factors, order[..., None], 1).reshape(-1, 4)
+        order = (order + width * np.arange(n)[:, None]).ravel()
+        vertex = vertex.ravel()[order]
+        factors = np.concatenate([g, m[..., None]], 2).reshape(-1, 4)[order]
         row = np.repeat(np.arange(n), width)
         first = np.flatnonzero(np.r_[True, (np.diff(vertex) != 0) | (np.diff(row) != 0)])
         found.append((row[first] + start, vertex[first], np.add.reduceat(factors, first, 0).astype(np.float32)))
@@ -198,7 +201,10 @@ def _pack(part: EmbeddedPart, row: np.ndarray, vertex: np.ndarray, factors: np.n
     """Lay the entries out in slices of LANES Gaussians, slot by slot: a sorted, sliced ELLPACK matrix."""
     n = len(part.gaussians)
     # The anchor, the vertex of the largest weight, needs no factors: the weights sum to 1, the gradients to 0.
-    heaviest = np.lexsort((-factors[:, 3], row))[np.searchsorted(row, np.arange(n))]
+    starts = np.searchsorted(row, np.arange(n))
+    most = np.maximum.reduceat(factors[:, 3], starts)
+    heaviest = np.flatnonzero(factors[:, 3] == most[row])
+    heaviest = heaviest[np.searchsorted(row[heaviest], np.arange(n))]
     anchor = vertex[heaviest]
     row, vertex, factors = (np.delete(a, heaviest, 0) for a in (row, vertex, factors))
     counts = np.bincount(row, minlength=n)
@@ -219,8 +225,9 @@ def _pack(part: EmbeddedPart, row: np.ndarray, vertex: np.ndarray, factors: np.n
     owner = np.repeat(np.arange(pieces), np.diff(begin))
     vertices = anchors.reshape(-1, LANES)[owner]
     vertices[slot, lane] = vertex
-    table = np.zeros((begin[-1], 4, LANES), np.float32)
-    table[slot, :, lane] = factors
+    table = np.zeros(begin[-1] * 4 * LANES, np.float32)
+    for c in range(4):
+        table[slot * (4 * LANES) + c * LANES + lane] = factors[:, c]
     cov = np.zeros((pieces * LANES, 6), np.float32)
     cov[:n] = rest_covariances(part.gaussians)[order]
     shift = np.where(target >= 0, part.gaussian_offset, 0)
@@ -229,6 +236,6 @@ def _pack(part: EmbeddedPart, row: np.ndarray, vertex: np.ndarray, factors: np.n
         "anchor": (anchors + part.vertex_offset).astype(np.int32),
         "begin": begin,
         "vertex": (vertices + part.vertex_offset).astype(np.int32).ravel(),
-        "factor": table.ravel(),
+        "factor": table,
         "rest_cov": np.ascontiguousarray(np.moveaxis(cov.reshape(-1, LANES, 6), 1, 2)).ravel(),
     }

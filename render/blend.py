@@ -8,6 +8,7 @@ import taichi as ti
 
 from render.bin import Bins
 from render.project import STEPS
+from render.shared import WORDS
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
 OPAQUE = 1e-4  # a pixel is finished before its transmittance would sink to this
@@ -15,7 +16,7 @@ CPU_TILE = 8  # [px] a row of a tile is one vector register of floats
 GPU_TILE = 16  # [px] a tile is one block of 256 threads
 CHECK = 16  # splats between two looks at whether a tile is finished
 BLOCK = GPU_TILE * GPU_TILE
-SHARED_FLOATS = 12  # x, y, log2 opacity, z; A, B, C; r, g, b; the rest aligns
+SHARED_FLOATS = WORDS // BLOCK  # 12: x, y, log2 opacity, z; A, B, C; r, g, b; the rest aligns
 
 
 @ti.func
@@ -122,7 +123,7 @@ class Blend:
             v, in_view = tile // self.bins.tiles_per_view, tile % self.bins.tiles_per_view
             x = in_view % self.tiles_x * GPU_TILE + lane % GPU_TILE
             y = in_view // self.tiles_x * GPU_TILE + lane // GPU_TILE
-            shared = ti.simt.block.SharedArray((BLOCK * SHARED_FLOATS,), ti.f32)
+            shared = ti.simt.block.SharedArray((WORDS,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
             done = 0
             if x >= self.width or y >= self.height:

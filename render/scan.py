@@ -2,6 +2,8 @@
 
 import taichi as ti
 
+from render.shared import WORDS
+
 SATURATED = (1 << 30) - 1  # sums stop here: two saturated sums still fit an i32
 CPU_CHUNKS = 16  # more than a small machine's cores, few enough to scan one after the other
 BLOCK = 256
@@ -20,7 +22,7 @@ def block_exclusive(value: ti.i32, lane: ti.i32):
 
     Every thread of the block must call it. Hillis and Steele's scan in shared memory.
     """
-    shared = ti.simt.block.SharedArray((2 * BLOCK,), ti.i32)
+    shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
     ti.simt.block.sync()
     shared[lane] = value
     side = 0
@@ -56,6 +58,10 @@ class Scan:
         builder.dense(ti.i, self.chunks).place(self.sums)
         builder.place(self.total)
         self.tree = builder.finalize()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.tree.destroy()
 
     @ti.func
     def exclusive(self, values: ti.template(), count: ti.template(), offsets: ti.template()):

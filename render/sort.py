@@ -3,6 +3,7 @@
 import taichi as ti
 
 from render.scan import CPU_CHUNKS, block_exclusive
+from render.shared import WORDS
 
 DROPPED = 0xFFFFFFFF  # a key that says: leave this item out
 CPU_DIGIT = 12  # [bits] 4096 buckets: their write positions stay in a core's L2 cache
@@ -135,7 +136,7 @@ class RadixSort:
         for thread in range(self.blocks * BLOCK):
             b, lane = thread // BLOCK, thread % BLOCK
             if b < self._used_blocks(p):  # the same for the whole block
-                counts = ti.simt.block.SharedArray((BLOCK,), ti.i32)
+                counts = ti.simt.block.SharedArray((WORDS,), ti.i32)
                 ti.simt.block.sync()
                 counts[lane] = 0
                 ti.simt.block.sync()
@@ -176,7 +177,7 @@ class RadixSort:
                 everyone = ti.u32(0xFFFFFFFF)
                 warp, warp_lane = lane // 32, lane % 32
                 below_me = (ti.u32(1) << ti.cast(warp_lane, ti.u32)) - ti.u32(1)
-                counts = ti.simt.block.SharedArray((WARPS * BLOCK,), ti.i32)
+                counts = ti.simt.block.SharedArray((WORDS,), ti.i32)
                 ti.simt.block.sync()
                 for w in range(WARPS):
                     counts[w * BLOCK + lane] = 0

@@ -13,7 +13,7 @@ BOTTLE = (0.0, TABLE_TOP, -0.15)
 BOTTLE_HEIGHT = 0.30  # [m]
 RING_RADIUS = 0.08  # [m], of the tube's centre line
 STARTS = [(-0.34, 0.27), (0.0, 0.33), (0.34, 0.27)]  # x, z of each ring on the table [m]
-COLOURS = ["ring_red", "ring_yellow", "ring_blue"]
+COLOURS = ["ring", "ring_yellow", "ring_blue"]
 TURN = 3.4  # [s] from one scripted throw to the next
 
 

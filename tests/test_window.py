@@ -9,18 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_world import RADIUS, fake_scene
-from xvfb import MISSING, XServer
+from xvfb import NEEDS_XVFB, XServer
 
 from assets.camera import look_at, perspective
 from assets.errors import BadInput
 from display.surface import has_display
 from display.window import Window, project
 
-pytestmark = [
-    pytest.mark.window,
-    pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}"),
-]
-
+pytestmark = NEEDS_XVFB
 ROOT = Path(__file__).resolve().parents[1]
 WIDTH, HEIGHT = 640, 480
 CAMERA = perspective(WIDTH, HEIGHT, 0.9, look_at((0, 0, 3), (0, 0, 0)))

@@ -20,12 +20,10 @@ import numpy as np
 import pytest
 
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
-
-
-def needs_xvfb(test):
-    """Mark a test that opens a window: skipped, with the reason, where the tools are missing."""
-    reason = f"needs {', '.join(MISSING)}"
-    return pytest.mark.window(pytest.mark.skipif(bool(MISSING), reason=reason)(test))
+NEEDS_XVFB = [  # as a module's `pytestmark`, or spread over a test's decorators
+    pytest.mark.window,
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}"),
+]
 
 
 class XServer:
@@ -84,23 +82,15 @@ class XServer:
 
     def click(self, x: float, y: float) -> None:
         """A left click slow enough for a program that looks once a frame."""
-        self.mouse_move(x, y)
-        time.sleep(0.15)
-        self.mouse_down()
-        time.sleep(0.15)
-        self.mouse_up()
+        self.do("mousemove", round(x), round(y), "sleep", 0.15, "mousedown", 1, "sleep", 0.15, "mouseup", 1)
 
     def drag(self, begin, end, *, button: int = 1, seconds: float = 0.5, steps: int = 12, release: bool = True) -> None:
-        """Press at `begin`, move to `end` at an even speed, let go while still moving."""
-        self.mouse_move(*begin)
-        time.sleep(0.15)
-        self.mouse_down(button)
-        time.sleep(0.15)
+        """Press at `begin`, move to `end` at an even speed, let go while still moving. One xdotool, so in time."""
+        words = ["mousemove", *map(round, begin), "sleep", 0.15, "mousedown", button, "sleep", 0.15]
         for k in range(1, steps + 1):
-            self.mouse_move(*(b + (e - b) * k / steps for b, e in zip(begin, end, strict=True)))
-            time.sleep(seconds / steps)
-        if release:
-            self.mouse_up(button)
+            words += ["mousemove", *(round(b + (e - b) * k / steps) for b, e in zip(begin, end, strict=True))]
+            words += ["sleep", seconds / steps] if k < steps else []
+        self.do(*words, *(["mouseup", button] if release else []))
 
     def wheel(self, notches: int) -> None:
         """Positive is away from the user."""

@@ -12,7 +12,7 @@ from assets.asset import Asset
 from assets.errors import BadInput
 
 SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "data"
-NAMES = ("dining_room", "bottle", "ring", "ring_blue", "ring_yellow")
+NAMES = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow")
 SEED = 7
 
 

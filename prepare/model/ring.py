@@ -16,7 +16,7 @@ from prepare.model.textures import plain
 SEGMENTS, SIDES = 30, 8  # of the cage: prisms about as long as they are wide
 MATERIAL = {"young": 3e4, "poisson": 0.4, "density": 1100.0, "friction": 0.6}
 TINTS = {  # rubber, stripe
-    "ring": ("e0301e", "f4d9c4"),
+    "ring_red": ("e0301e", "f4d9c4"),
     "ring_blue": ("1567c8", "d4e6f2"),
     "ring_yellow": ("f4b21a", "fbf0d2"),
 }
@@ -25,7 +25,7 @@ COLLAR = 0.009  # [m] their width along the ring
 
 
 def ring(name: str, rng: np.random.Generator) -> Asset:
-    """The asset `ring`, `ring_blue` or `ring_yellow`."""
+    """The asset `ring_red`, `ring_blue` or `ring_yellow`."""
     from prepare.embed import embed
 
     parts = torus_parts(name)

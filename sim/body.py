@@ -74,6 +74,11 @@ class SoftBody:
         share = np.repeat(self.material.density * volumes / 4, 4)
         return np.bincount(np.asarray(self.tets).ravel(), share, minlength=len(self.vertices))
 
+    def edge(self) -> float:
+        """Median edge length of the tets [m]."""
+        x, tets = np.asarray(self.vertices, np.float64), np.asarray(self.tets)
+        return float(np.median(np.linalg.norm(x[tets] - x[np.roll(tets, 1, axis=1)], axis=-1)))
+
 
 def rest_volumes(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Signed volumes [m^3], (T,) float64."""

@@ -17,6 +17,7 @@ from sim.summary import Summary
 from sim.transform import Transform
 
 LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
+REACH = 0.5  # of an edge; a vertex that crosses more in a substep has lost its elements (5e4 Pa: at 30-100 m/s)
 PIECE = 16  # substeps behind one call from Python, at most
 MOST_SUBSTEPS = 5000  # a frame; beyond, the mesh or the material is not meant for this
 INTERACTIONS = ("physics", "transform")
@@ -63,7 +64,8 @@ class Solver:
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
         )  # fmt: skip
         self._constraints = []
-        length = max(1, min(PIECE, nominal // collision_passes))
+        pieces = max(collision_passes, -(-nominal // PIECE))
+        length = -(-nominal // pieces)
         chunks = Chunks(s, np.array(self.vertex_offset))
         self._damping = Damping(s, chunks)
         self._substeps = Substeps(s, self._elastic, self._constraints, iterations=iterations, length=length)
@@ -115,6 +117,7 @@ class Solver:
         upload(s.mu, mu)
         upload(s.lam, lam)
         upload(s.kappa, self._kappas)
+        upload(s.reach, np.array([REACH * b.edge() for b in bodies]))
         for field, name in ((s.damping, "damping"), (s.friction, "friction"), (s.density, "density")):
             upload(field, np.array([getattr(b.material, name) for b in bodies]))
         upload(s.body_mass, np.array([m.sum() for m in masses]))

@@ -101,6 +101,7 @@ class State:
         vertex_begin, tet_begin, triangle_begin  i32[B+1]
         mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
         damping, friction, density, body_mass    f32[B];   anchored i32[B]: some of its vertices have w = 0
+        reach                 f32[B]   the farthest that a vertex may move in one substep [m]
         dt, detect_dt, gravity, tick, substeps   of this frame
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
@@ -121,7 +122,7 @@ class State:
         self.vertex_begin, self.tet_begin, self.triangle_begin = (self._scalars(B + 1, ti.i32) for _ in range(3))
         self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
         self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
-        self.anchored = self._scalars(B, ti.i32)
+        self.anchored, self.reach = self._scalars(B, ti.i32), self._scalars(B)
         self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
         self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
         self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (

@@ -25,6 +25,9 @@ def commit(s: ti.template(), i, d):
     dt = s.dt[None]
     gain = dt * s.gravity[None] + (d - s.predicted[i]) / dt
     v, v_carry = two_sum(s.v[i], s.v_carry[i] + gain)
+    speed, limit = v.norm(), s.reach[s.body_of_vertex[i]] / dt
+    if speed > limit:
+        v, v_carry = v * (limit / speed), 0.0 * v
     x, carry = two_sum(s.x[i], dt * (v + v_carry) + s.carry[i])
     s.v[i], s.v_carry[i], s.x[i], s.carry[i] = v, v_carry, x, carry
     d = dt * (v + (v_carry + dt * s.gravity[None])) + carry

@@ -25,6 +25,12 @@ class DepthOrder:
         builder.dense(ti.i, capacity).place(self.first_pair)
         self.tree = builder.finalize()
 
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.sorter.destroy()
+        self.scan.destroy()
+        self.tree.destroy()
+
     @ti.func
     def arrange(self):
         """Sort by depth and count pairs; outermost level of a kernel."""

@@ -57,6 +57,10 @@ class Projection:
         builder.dense(ti.ij, (views, splats.capacity)).place(self.tiles)
         self.tree = builder.finalize()
 
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.tree.destroy()
+
     @ti.kernel
     def set_camera(
         self, v: ti.i32,

@@ -25,6 +25,7 @@ class Raster:
         self.projection = Projection(splats, width, height, views, tile=tile, antialias=antialias, color=color)
         self.order = DepthOrder(self.projection)
         self.stage = None
+        self._cameras = {}  # numbers on the device, by view
         self._make_room(max(1 << 16, 2 * views * splats.capacity))
 
     def _make_room(self, pairs: int) -> None:
@@ -35,10 +36,19 @@ class Raster:
         capacity = 1 << (pairs - 1).bit_length()
         self.stage = DrawStage(Blend(Bins(self.order, capacity), **self.wants), self.sink)
 
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.stage.bins.destroy()
+        self.order.destroy()
+        self.projection.destroy()
+
     def set_camera(self, view: int, camera: Camera) -> None:
         """Camera of a view; its size must be the raster's."""
-        rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel()
-        self.projection.set_camera(view, *rows.tolist(), camera.fx, camera.fy, camera.cx, camera.cy)
+        rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel().tolist()
+        numbers = [*rows, camera.fx, camera.fy, camera.cx, camera.cy]
+        if self._cameras.get(view) != numbers:
+            self.projection.set_camera(view, *numbers)
+            self._cameras[view] = numbers
 
     def draw(self, out, begin: int = 0, end: int | None = None) -> None:
         """Draw Gaussians begin..end-1 through the cameras that were set. `out` is handed to the sink."""

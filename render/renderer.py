@@ -16,6 +16,9 @@ class Picture:
         self.height = height
         self.background = tuple(float(c) for c in background)
 
+    def destroy(self) -> None:
+        """Nothing to give back: the picture is the renderer's, and lives as long as someone shows it."""
+
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
         c = rgb + (1.0 - alpha) * ti.Vector(self.background)
@@ -37,6 +40,10 @@ class FloatImages:
         for f in (self.rgb, self.alpha, self.depth):
             builder.dense(ti.ijk, (views, height, width)).place(f)
         self.tree = builder.finalize()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the images must not be used after."""
+        self.tree.destroy()
 
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
@@ -71,14 +78,12 @@ class Renderer:
         self.width, self.height, self.views = width, height, views
         if outputs == "rgba8":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
-            sink, self._out = Picture(height, background), self.picture
+            self.sink, self._out = Picture(height, background), self.picture
         else:
-            sink, self._out = FloatImages(views, height, width), 0
-            self.rgb, self.alpha, self.depth = sink.rgb, sink.alpha, sink.depth
-        self.raster = Raster(
-            splats, width, height, views=views, sink=sink, antialias=antialias, depth=outputs == "float"
-        )
-        self._cameras = [None] * views
+            self.sink, self._out = FloatImages(views, height, width), 0
+            self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
+        depth = outputs == "float"
+        self.raster = Raster(splats, width, height, views=views, sink=self.sink, antialias=antialias, depth=depth)
 
     def render(self, cameras: list[Camera]) -> None:
         """Draw one picture per camera. The result is complete when this returns."""
@@ -89,10 +94,13 @@ class Renderer:
                 raise ValueError(
                     f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
                 )
-            if camera is not self._cameras[v]:
-                self.raster.set_camera(v, camera)
-                self._cameras[v] = camera
+            self.raster.set_camera(v, camera)
         self.raster.draw(self._out)
+
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.raster.destroy()
+        self.sink.destroy()
 
     def pixels(self) -> np.ndarray:
         """The picture as (views, height, width, 4) uint8 RGBA on the host."""

@@ -43,6 +43,7 @@ class Splats:
         self.cov.from_numpy(self._padded(covariances(gaussians)))
         self.opacity.from_numpy(self._padded(gaussians.opacities))
         self.sh.from_numpy(self._padded(gaussians.sh))
+        self._start = gaussians.means  # where they were at the start [m], for the host
         self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
         self.light.fill(1.0)
 
@@ -50,6 +51,12 @@ class Splats:
         out = np.zeros((self.capacity, *values.shape[1:]), np.float32)
         out[: self.count] = values
         return out
+
+    def reach(self, center) -> float:
+        """Distance from `center` within which 95% of the Gaussians lay at the start [m]; at least 1 mm."""
+        if self.count == 0:
+            return 1.0
+        return max(1e-3, float(np.percentile(np.linalg.norm(self._start - np.asarray(center), axis=1), 95)))
 
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""

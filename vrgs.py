@@ -140,11 +140,13 @@ def init_taichi(arch: str | None, seed: int = 0) -> None:
 
     if impl.get_runtime().prog is not None:
         return
+    ti.set_logging_level(ti.ERROR)  # a machine without CUDA is nothing to warn of
     cuda = arch != "cpu" and is_arch_supported(ti.cuda)
     if arch == "cuda" and not cuda:
         raise BadInput("--arch cuda: no CUDA GPU was found")
     wanted = ti.cuda if cuda else ti.cpu
-    ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, offline_cache=True, log_level=ti.WARN)
+    with contextlib.redirect_stdout(None):  # ti.init prints a banner that no option turns off
+        ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, offline_cache=True, log_level=ti.ERROR)
     if cuda and ti.cfg.arch != ti.cuda:
         raise BadInput("--arch cuda: the CUDA GPU could not be started")
 

@@ -37,6 +37,7 @@ class Video:
 
     def _first_codec(self) -> str:
         """The first codec that OpenCV can write here. It tries, as OpenCV keeps no list; leaves no file."""
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # silent: FFmpeg logs each encoder that is not there
         import cv2
 
         level = cv2.utils.logging.getLogLevel()

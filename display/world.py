@@ -1,0 +1,216 @@
+"""The world of a scene on the device: what a frame moves, deforms, shades and draws.
+
+`sim` and `render` never meet but here: the solver's fields go to the embedding, the embedding
+writes the splats' fields, shadow and renderer read them. Nothing passes through the host.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from assets.asset import Asset, DistanceGrid
+from assets.errors import BadInput
+from assets.gaussians import Gaussians, concatenate, matrices_of_quats
+from assets.library import find_asset
+from display.frame import Frame
+from display.timing import Timings
+from render.renderer import Renderer
+from render.shadow import Shadow
+from render.splats import Splats
+from scenes.scene import Body, BodyState, Light, Scene
+from sim.colliders import StaticGrid
+from sim.embedding import EmbeddedPart, Embedding
+from sim.solver import SoftBody, Solver
+
+
+class World:
+    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo)."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        width: int,
+        height: int,
+        views: int = 1,
+        interaction: str = "physics",
+        embedding: str = "two-level",
+    ):
+        self.scene, self.light, self.paused = scene, scene.light, False
+        self.timings = Timings()
+        self.time = 0.0  # [s], of the simulation since the last reset
+        static, moving = load_bodies(scene)
+        self.splats = Splats(concatenate([*(g for g, _ in static), *(p.gaussians for _, p in moving)]))
+        first = sum(len(g) for g, _ in static)
+        grids = [grid for _, grid in static if grid is not None]
+        self.solver = Solver(
+            [body for body, _ in moving],
+            [*scene.colliders, *grids],
+            gravity=scene.gravity,
+            substep=scene.substep,
+            iterations=scene.iterations,
+            collision_passes=scene.collision_passes,
+            interaction=interaction,
+        )
+        self.embedding = None
+        if moving:
+            parts, offset = [], first
+            for (_, part), vertices in zip(moving, self.solver.vertex_offset, strict=False):
+                parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
+                offset += len(part.gaussians)
+            self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
+        self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
+        self.views = views
+        self.renderer: Renderer | None = None
+        self.resize(width, height)
+        self._bodies: list[BodyState] = self.solver.bodies()
+        self._deform()
+
+    def resize(self, width: int, height: int) -> None:
+        """Draw pictures of another size from now on."""
+        if self.renderer is not None:
+            self.renderer.destroy()
+        self.renderer = Renderer(self.splats, width, height, views=self.views, background=self.scene.background)
+        self.renderer_size = (width, height)
+
+    def step(self, frame: Frame) -> None:
+        """One frame: simulate, deform, shade, draw."""
+        self.apply(frame.commands)
+        advance = not self.paused or frame.commands.get("step", False)
+        if advance:
+            with self.timings.stage("simulate"):
+                self.solver.step(frame.dt, frame.hands)
+            self.time += frame.dt
+            if self.solver.moved():
+                self._deform()
+            self._bodies = self.solver.bodies()
+            if self.scene.game is not None:
+                self.scene.game.update(self.time, self._bodies)
+        with self.timings.stage("render"):
+            self.renderer.render(frame.cameras)
+
+    def _deform(self) -> None:
+        if self.embedding is None:
+            return
+        with self.timings.stage("embed"):
+            self.embedding.deform(self.solver.x, self.splats.mean, self.splats.cov, self.splats.rotation)
+        with self.timings.stage("shadow"):
+            self.shadow.cast()
+
+    def apply(self, commands: dict) -> None:
+        """Carry out what the user asked for between two frames."""
+        if commands.get("reset"):
+            self.solver.reset()
+            self.time = 0.0
+            if self.scene.game is not None:
+                self.scene.game.reset()
+            self._bodies = self.solver.bodies()
+            self._deform()
+        if isinstance(commands.get("light"), Light):
+            self.light = commands["light"]
+            self.shadow.set_light(self.light)
+            with self.timings.stage("shadow"):
+                self.shadow.cast()
+        if "interaction" in commands:
+            self.solver.interaction = commands["interaction"]
+        if "pause" in commands:
+            self.paused = bool(commands["pause"])
+
+    def scripted_hands(self) -> list:
+        """What the scene's own player does now."""
+        return self.scene.game.hands(self.time, self._bodies) if self.scene.game is not None else []
+
+    @property
+    def picture(self):
+        """The finished picture, ti.ndarray u32 (views * H, W): R | G<<8 | B<<16 | A<<24, row 0 on top."""
+        return self.renderer.picture
+
+    @property
+    def interaction(self) -> str:
+        """ "physics" or "transform"."""
+        return self.solver.interaction
+
+    def bodies(self) -> list[BodyState]:
+        """The simulated bodies after the last frame."""
+        return self._bodies
+
+    def pick(self, origin, direction) -> tuple[float, int] | None:
+        """Distance [m] along a ray to the nearest simulated body, and its index."""
+        return self.solver.pick(origin, direction)
+
+    @property
+    def score(self) -> int:
+        return self.scene.game.score if self.scene.game is not None else 0
+
+    @property
+    def message(self) -> str:
+        return self.scene.game.message if self.scene.game is not None else ""
+
+    def stats(self) -> dict:
+        """Counts and state for the panel and `--stats`."""
+        s = self.solver.stats
+        names = ("vertices", "tets", "substeps", "dt", "finite")
+        return {"gaussians": self.splats.count, **{n: s[n] for n in names}, "score": self.score}
+
+
+def load_bodies(
+    scene: Scene,
+) -> tuple[list[tuple[Gaussians, StaticGrid | None]], list[tuple[SoftBody, EmbeddedPart]]]:
+    """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame."""
+    library: dict[str, Asset] = {}
+    static, moving = [], []
+    for body in scene.bodies:
+        if body.asset not in library:
+            library[body.asset] = Asset.load(find_asset(body.asset))
+        asset = library[body.asset]
+        if body.material is None:
+            static.append(place_static(asset, body))
+        else:
+            moving.append(place_soft(asset, body))
+    return static, moving
+
+
+def place_static(asset: Asset, body: Body) -> tuple[Gaussians, StaticGrid | None]:
+    """Gaussians in the world, and the collider."""
+    rotation = matrices_of_quats(np.array(body.rotation))
+    gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
+    grid = None
+    if asset.sdf is not None:
+        friction = (asset.material or {}).get("friction", 0.5)
+        grid = StaticGrid(asset.sdf, body.rotation, body.position, body.scale, friction)
+    return gaussians, grid
+
+
+def place_soft(asset: Asset, body: Body) -> tuple[SoftBody, EmbeddedPart]:
+    """The simulated body and its Gaussians, both at rest in the body's frame."""
+    if asset.cage is None or asset.embedded is None:
+        raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
+    s = body.scale
+    vertices = asset.cage.vertices * np.float32(s)
+    g = asset.gaussians
+    gaussians = replace(g, means=g.means * np.float32(s), log_scales=g.log_scales + np.float32(np.log(s)))
+    sdf = None
+    if asset.sdf is not None:
+        d = asset.sdf
+        sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
+    soft = SoftBody(
+        name=body.asset,
+        vertices=vertices,
+        tets=asset.cage.tets,
+        surface=asset.cage.surface,
+        material=body.material,
+        rotation=body.rotation,
+        position=body.position,
+        velocity=body.velocity,
+        sdf=sdf,
+    )
+    part = EmbeddedPart(
+        host=asset.embedded.host,
+        weights=asset.embedded.weights,
+        gaussians=gaussians,
+        rest=vertices,
+        tets=asset.cage.tets,
+    )
+    return soft, part

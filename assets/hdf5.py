@@ -19,6 +19,7 @@ from assets.border import UNPACK_BASE, file_size, unpack_bound
 from assets.errors import BadInput
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in any file of less than an exabyte
 TEXT_MAX = 1 << 20  # [characters] of a text attribute
 
 
@@ -123,9 +124,34 @@ class Reader:
         node = self._find(name) if name else self._file
         if node is None or key not in node.attrs:
             raise self.bad(f"missing attribute {key!r} of {name or 'the file'}")
-        if node.attrs.get_id(key).shape not in ((), (3,)):
-            raise self.bad(f"attribute {key!r} of {name or 'the file'} is too long")
+        stored = node.attrs.get_id(key)
+        plain = stored.dtype.kind in "fiu" or h5py.check_string_dtype(stored.dtype) is not None
+        if stored.shape not in ((), (3,)) or not plain or stored.dtype.itemsize > TEXT_MAX:
+            raise self.bad(f"attribute {key!r} of {name or 'the file'} is neither a number nor a text")
+        if h5py.check_vlen_dtype(stored.dtype) or h5py.check_string_dtype(stored.dtype):
+            self._check_heaps()
         return node.attrs[key]
+
+    def _check_heaps(self) -> None:
+        """Walk the heaps that hold texts of variable length: HDF5 loops for ever in a damaged one.
+
+        A heap is "GCOL", 1, 3 zeros and its size [8 bytes]; then objects of an index [2], 6 bytes, a
+        size [8] and the padded data. Index 0 is what is left free, its header included.
+        """
+        data = self.path.read_bytes()
+        at = data.find(HEAP)
+        while at >= 0:
+            end = at + int.from_bytes(data[at + 8 : at + 16], "little")
+            at += 16
+            while at + 16 <= end <= len(data):
+                size = int.from_bytes(data[at + 8 : at + 16], "little")
+                if data[at : at + 2] == b"\0\0":
+                    at += size
+                    break
+                at += 16 + -(-size // 8) * 8
+            if not end - 16 < at <= end:
+                raise self.bad("a heap of texts is damaged")
+            at = data.find(HEAP, at)
 
 
 @contextmanager

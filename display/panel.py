@@ -180,7 +180,10 @@ class Panel:
 
     def _score(self, imgui, world, beside_panel: bool) -> None:
         """Score and message at the top: in the middle, or right of the panel in a small window."""
-        text = f"{world.score}   {world.message}".rstrip()
+        score, message = str(world.score), world.message
+        if score in message.split():  # the game says it itself
+            score = ""
+        text = f"{score}   {message}".strip()
         middle = 0.5 * imgui.get_io().display_size.x
         if beside_panel:
             half = 0.5 * imgui.calc_text_size(text).x
@@ -189,9 +192,8 @@ class Panel:
         flags = imgui.WindowFlags_
         still = flags.no_decoration | flags.always_auto_resize | flags.no_inputs | flags.no_saved_settings
         imgui.begin("score", None, still | flags.no_nav | flags.no_focus_on_appearing)
-        score, _, message = text.partition("   ")
-        imgui.text_colored(theme.ACCENT, score)
-        if message:
+        if score:
+            imgui.text_colored(theme.ACCENT, score)
             imgui.same_line(0, 12 * self.scale)
-            imgui.text(message)
+        imgui.text(message)
         imgui.end()

@@ -23,6 +23,7 @@ from assets.gaussians import SH_COUNTS, Gaussians
 from assets.sh import sh_basis
 
 MAGIC = 0x5053474E  # "NGSP"
+GZIP = b"\x1f\x8b"
 HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
 TABLE = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
 HEADER_4_SIZE = 32
@@ -69,6 +70,8 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     with reading(path) as file:
         data = file.read()
     unzipped = data[:4] == MAGIC.to_bytes(4, "little")
+    if not unzipped and data[:2] != GZIP:
+        raise BadInput(f"{path}: not a .spz file")
     if unzipped and int.from_bytes(data[4:8], "little") == 4:
         header, streams = _read_zstd(path, data)
     else:

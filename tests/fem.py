@@ -1,4 +1,4 @@
-"""Linear tetrahedral FEM in float64 with SciPy: the reference for small loads, on the same mesh with the same masses."""
+"""Linear tetrahedral FEM in float64 with SciPy: the reference for small loads, on the same mesh, the same masses."""
 
 import numpy as np
 import scipy.sparse as sp

@@ -4,6 +4,8 @@ Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every function retu
 {"check", "reference", "measured", "tolerance", "pass"}; Taichi must be initialised.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from scenes.scene import Material
@@ -39,7 +41,7 @@ def positions(solver: Solver) -> list[np.ndarray]:
     """Positions of each body in float64, what fp32 lost included."""
     q, o = solver.snapshot(), solver.vertex_offset
     x = q["x"].astype(np.float64) + q["carry"]
-    return [x[a:b] for a, b in zip(o[:-1], o[1:], strict=True)]
+    return [x[a:b] for a, b in pairwise(o)]
 
 
 def free_fall() -> list[dict]:

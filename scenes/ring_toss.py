@@ -12,8 +12,8 @@ TABLE_TOP = 0.75  # [m]
 BOTTLE = (0.0, TABLE_TOP, -0.15)
 BOTTLE_HEIGHT = 0.30  # [m]
 RING_RADIUS = 0.08  # [m], of the tube's centre line
-STARTS = [(-0.34, 0.27), (0.0, 0.33), (0.34, 0.27)]  # x, z of each ring on the table [m]
-COLOURS = ["ring", "ring_yellow", "ring_blue"]
+STARTS = [(-0.24, 0.30), (-0.03, 0.34), (0.17, 0.30)]  # x, z of each ring on the table [m]
+COLOURS = ["ring_red", "ring_yellow", "ring_blue"]
 TURN = 3.4  # [s] from one scripted throw to the next
 
 

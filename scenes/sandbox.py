@@ -46,7 +46,7 @@ class Sandbox:
         assert bodies[0].low[1] > -0.01, "the body fell through the floor"
 
 
-def build(body: str = "ring", material: Material = PLUSH) -> Scene:
+def build(body: str = "ring_red", material: Material = PLUSH) -> Scene:
     return Scene(
         bodies=[Body("dining_room"), Body(body, material, position=START)],
         colliders=room(),

@@ -1,0 +1,116 @@
+"""Which way is up in a splat, how large it is, and the turn that brings it into the asset's frame.
+
+Structure from motion leaves the frame free, and tools differ (y down from COLMAP, y up from editors). What tells is
+how the object was photographed: it stood on its underside, so nobody saw that. There Gaussians are large and opaque,
+since no picture split or thinned them, they are dark, or they are missing. And it stood without falling over.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from assets.errors import BadInput
+from assets.gaussians import Gaussians
+from assets.sh import C0
+from prepare.clean import extent
+
+AXES = {f"{sign}{'xyz'[axis]}": (axis, 1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
+COLUMNS = 64  # pixels on the longest side of the six views
+LUMA = np.array([0.299, 0.587, 0.114])  # BT.601
+SLAB = 0.05  # of the extent: what a body stands on
+SINGLE = 0.06  # of the extent: what is seen this close together from above and below is one layer
+
+# Weights of the cues, and a head start for what files use. The cues differ by 0.1 to 0.7 between a toy's top and
+# underside; a flat side lit from a window reaches 0.2 of brightness.
+WEIGHT = {"size": 1.0, "opacity": 2.0, "brightness": 2.0, "open": 1.5, "stable": 0.3}
+USUAL = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05}
+PLAUSIBLE = (0.05, 0.6)  # [m] largest extent of what a hand can hold; files outside have arbitrary units
+USUAL_SIZE = 0.25  # [m]
+SIZES = (0.01, 10.0)  # [m] what may be asked for
+
+
+def first_hits(points: np.ndarray, axis: int, low: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the lowest and of the highest point along `axis` in each column that holds any, (C,) each."""
+    others = [i for i in range(3) if i != axis]
+    pixel = np.floor((points[:, others] - low[others]) / longest * COLUMNS).astype(np.int64)
+    flat = pixel[:, 0] * (4 * COLUMNS) + pixel[:, 1]
+    order = np.lexsort([points[:, axis], flat])
+    edge = np.flatnonzero(np.diff(flat[order])) + 1
+    return order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
+
+
+def tipping(points: np.ndarray, axis: int, sign: int, longest: float) -> float:
+    """Slope (-0.5 to 0.5) that tips a body off its lowest slab; negative if it falls on its own."""
+    h = sign * points[:, axis]
+    foot = points[h < np.percentile(h, 0.3) + SLAB * longest][:, [i for i in range(3) if i != axis]]
+    cells = np.unique(np.floor(points / longest * COLUMNS), axis=0) * longest / COLUMNS  # the surface, evenly
+    centre = cells.mean(0)
+    try:
+        sides = ConvexHull(foot).equations  # outward normals and offsets
+    except (QhullError, ValueError):  # a point or a line, or fewer than three points
+        return -0.5
+    inside = -(sides[:, :2] @ np.delete(centre, axis) + sides[:, 2]).max()
+    return float(np.clip(inside / max(sign * centre[axis] - np.percentile(h, 0.3), 1e-12), -0.5, 0.5))
+
+
+def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
+    """For each axis that may point up: what speaks for it, larger is more likely."""
+    g = gaussians.select(gaussians.opacities >= min(0.3, np.median(gaussians.opacities)))
+    points = g.means.astype(np.float64)
+    low, high = extent(points)
+    longest = (high - low).max()
+    sigma = np.sort(g.log_scales, axis=1)[:, 1]  # the middle one: the width of a disc, whatever its length
+    luma = np.clip(0.5 + C0 * g.sh[:, 0], 0, 1) @ LUMA
+    found = {}
+    for axis in range(3):
+        below, above = first_hits(points, axis, low, longest)
+        h = points[:, axis]
+        single = h[above] - h[below] < SINGLE * longest
+        middle = (h[below] + h[above]) / 2
+        height = 2 * (middle - low[axis]) / max(high[axis] - low[axis], 1e-12) - 1  # -1 bottom, 1 top
+        plus = {
+            "size": float(sigma[below].mean() - sigma[above].mean()),
+            "opacity": float(g.opacities[below].mean() - g.opacities[above].mean()),
+            "brightness": float(luma[above].mean() - luma[below].mean()),
+            "open": float((single * height.clip(-1, 1)).mean()),
+        }
+        for sign in (1, -1):
+            both = {k: sign * v for k, v in plus.items()}
+            found[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"] = both | {"stable": tipping(points, axis, sign, longest)}
+    return found
+
+
+def guess_up(gaussians: Gaussians) -> str:
+    """The axis of the file that points up: "+x", "-x", ... "-z"."""
+    votes = {
+        up: USUAL[up] + sum(WEIGHT[name] * value for name, value in of.items()) for up, of in cues(gaussians).items()
+    }
+    return max(AXES, key=lambda up: votes[up])
+
+
+def rotation_to_up(up: str) -> np.ndarray:
+    """Rotation (3, 3) that carries the axis `up` of the file to +y; of those the smallest turn. Raises BadInput."""
+    if up not in AXES:
+        raise BadInput(f"up axis {up!r} is unknown; one of {', '.join(sorted(AXES))}")
+    axis, sign = AXES[up]
+    return {
+        "+y": np.eye(3),
+        "-y": np.diag([1.0, -1.0, -1.0]),  # half a turn about x, as from COLMAP's cameras to OpenGL's
+        "+z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        "-z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        "+x": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        "-x": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    }[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"]
+
+
+def metres(longest: float, scale: float | None) -> float:
+    """Size [m] of a body whose largest extent in the file is `longest`: as asked, else the file's if it is plausible.
+
+    Raises BadInput.
+    """
+    if scale is None:
+        return longest if PLAUSIBLE[0] <= longest <= PLAUSIBLE[1] else USUAL_SIZE
+    if not SIZES[0] <= scale <= SIZES[1]:
+        raise BadInput(f"a size of {scale:g} m is out of range ({SIZES[0]} to {SIZES[1]:g})")
+    return float(scale)

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from render.project import Projection
+from render.project import WINDOW, Projection
 from render.scan import Scan
 from render.sort import RadixSort
 
@@ -36,10 +36,10 @@ class DepthOrder:
         """Sort by depth and count pairs; outermost level of a kernel."""
         self.sorter.sort()
         for k in range(self.sorter.kept[None]):
-            g = self.sorter.sorted_values[k]
+            g = self.sorter.sorted_items[k][1]
             touched = 0
             for v in range(self.projection.views):
-                touched += self.projection.tiles[v, g]
+                touched += self.projection.touched(v, g)
             self.first_pair[k] = touched
         self.scan.exclusive(self.first_pair, self.sorter.kept, self.first_pair)
 
@@ -48,7 +48,7 @@ class DepthOrder:
 class Bins:
     """Room for `capacity` pairs, sorted by tile; within a tile they stay in depth order.
 
-    `begin[t]..end[t]` of `members` are the Gaussians of tile t; tiles of all views are numbered
+    `begin[t]..end[t]` of `members`, vec2 i32 = (t, Gaussian), belong to tile t; tiles of all views are numbered
     row by row, view by view. With more pairs than room nothing is binned: the owner must look at
     `order.pairs` and come back with larger bins.
     """
@@ -58,7 +58,7 @@ class Bins:
         self.tiles_per_view = self.projection.tiles_x * self.projection.tiles_y
         self.tiles = self.projection.views * self.tiles_per_view
         self.sorter = RadixSort(capacity, bits=max(1, (self.tiles - 1).bit_length()))
-        self.members = self.sorter.sorted_values
+        self.members = self.sorter.sorted_items
         self.begin, self.end = ti.field(ti.i32), ti.field(ti.i32)
         builder = ti.FieldsBuilder()
         builder.dense(ti.i, self.tiles).place(self.begin, self.end)
@@ -77,29 +77,43 @@ class Bins:
             self.sorter.count[None] = self.order.pairs[None]
         for k in range(self.order.sorter.kept[None]):
             if self.sorter.count[None] > 0:
-                self._emit(self.order.sorter.sorted_values[k], self.order.first_pair[k])
+                self._emit(self.order.sorter.sorted_items[k][1], self.order.first_pair[k])
         self.sorter.sort()
         for t in range(self.tiles):
             self.begin[t] = 0
             self.end[t] = 0
         for i in range(self.sorter.kept[None]):
-            t = ti.cast(self.sorter.sorted_keys[i], ti.i32)
-            if i == 0 or ti.cast(self.sorter.sorted_keys[i - 1], ti.i32) != t:
+            t = self.members[i][0]
+            if i == 0 or self.members[i - 1][0] != t:
                 self.begin[t] = i
-            if i == self.sorter.kept[None] - 1 or ti.cast(self.sorter.sorted_keys[i + 1], ti.i32) != t:
+            if i == self.sorter.kept[None] - 1 or self.members[i + 1][0] != t:
                 self.end[t] = i + 1
 
     @ti.func
     def _emit(self, g: ti.i32, slot: ti.i32):
+        """Write all pairs of a Gaussian from `slot` on."""
         for v in range(self.projection.views):
-            if self.projection.tiles[v, g] > 0:
-                place, conic = self.projection.place[v, g], self.projection.conic[v, g]
-                box = self.projection.box[v, g]
-                first, last = self.projection.tile_rows(place, box)
-                for row in range(first, last):
-                    left, right = self.projection.tile_columns(row, place, conic, box)
-                    for column in range(left, right):
-                        tile = v * self.tiles_per_view + row * self.projection.tiles_x + column
-                        self.sorter.keys[slot] = ti.cast(tile, ti.u32)
-                        self.sorter.values[slot] = g
-                        slot += 1
+            window = self.projection.window[v, g]
+            bits = window[1]
+            corner = v * self.tiles_per_view + (window[0] >> 16) * self.projection.tiles_x + (window[0] & 0xFFFF)
+            while bits > 0:
+                place = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)  # of the lowest bit
+                tile = corner + place // WINDOW * self.projection.tiles_x + place % WINDOW
+                self.sorter.items[slot] = ti.Vector([tile, g])
+                slot += 1
+                bits &= bits - 1
+            if bits < 0:
+                slot = self._emit_large(v, g, slot)
+
+    @ti.func
+    def _emit_large(self, v: ti.i32, g: ti.i32, slot: ti.i32) -> ti.i32:
+        """Write the pairs of a splat that is larger than a window; returns the next slot."""
+        place, conic, box = self.projection.place[v, g], self.projection.conic[v, g], self.projection.box[v, g]
+        first, last = self.projection.tile_rows(place, box)
+        for row in range(first, last):
+            left, right = self.projection.tile_columns(row, place, conic, box)
+            for column in range(left, right):
+                tile = v * self.tiles_per_view + row * self.projection.tiles_x + column
+                self.sorter.items[slot] = ti.Vector([tile, g])
+                slot += 1
+        return slot

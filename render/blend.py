@@ -74,7 +74,7 @@ class Blend:
             x0, y0 = in_view % self.tiles_x * CPU_TILE, in_view // self.tiles_x * CPU_TILE
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
             for i in range(self.bins.begin[tile], self.bins.end[tile]):
-                g = self.bins.members[i]
+                g = self.bins.members[i][1]
                 place, conic, color = self.place[v, g], self.conic[v, g], self.color[v, g]
                 A, B, C = conic[0], 2 * conic[1], conic[2]
                 half_height = self.box[v, g][1]
@@ -135,7 +135,7 @@ class Blend:
                     break
                 size = ti.min(BLOCK, end - begin - batch * BLOCK)
                 if lane < size:
-                    g = self.bins.members[begin + batch * BLOCK + lane]
+                    g = self.bins.members[begin + batch * BLOCK + lane][1]
                     place, conic, color = self.place[v, g], self.conic[v, g], self.color[v, g]
                     for k in ti.static(range(4)):
                         shared[lane * SHARED_FLOATS + k] = place[k]

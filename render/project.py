@@ -14,6 +14,7 @@ EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of t
 STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
 MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
+WINDOW = 4  # [tiles] per side; larger splats, a few in a hundred, are looked at again when they are binned
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
@@ -31,12 +32,14 @@ def rotate_back(q: vec4, d: vec3) -> vec3:
 class Projection:
     """Splats of all `views` in pixels, and the depth by which they are sorted.
 
-    `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy). Out:
+    `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy); `near`, the
+    least camera z [m] that is drawn. Out:
     place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
     conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
     color  (r, g, b, unused)
     box    (half width, half height, dy of the rightmost point [px], unused) of the visible ellipse
-    tiles  how many tiles the splat touches, 0 if it is not seen
+    window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 4 row + column
+           for tile (column, row) from there; or, if it spans more than 4 x 4 tiles, minus their number
     """
 
     def __init__(self, splats: Splats, width: int, height: int, views: int, *, tile: int, antialias: bool, color: bool):
@@ -45,17 +48,20 @@ class Projection:
         self.tile, self.antialias, self.with_color = tile, antialias, color
         self.tiles_x, self.tiles_y = -(-width // tile), -(-height // tile)
         self.camera = ti.Vector.field(4, ti.f32)
+        self.near = ti.field(ti.f32)
         self.place = ti.Vector.field(4, ti.f32)
         self.conic = ti.Vector.field(4, ti.f32)
         self.color = ti.Vector.field(4, ti.f32)
         self.box = ti.Vector.field(4, ti.f32)
-        self.tiles = ti.field(ti.i32)
+        self.window = ti.Vector.field(2, ti.i32)
         builder = ti.FieldsBuilder()
         splat = builder.dense(ti.ij, (views, splats.capacity))
         splat.place(self.place, self.conic, self.color, self.box)  # 64 bytes: a splat is one cache line
         builder.dense(ti.ij, (views, 4)).place(self.camera)
-        builder.dense(ti.ij, (views, splats.capacity)).place(self.tiles)
+        builder.dense(ti.i, views).place(self.near)
+        builder.dense(ti.ij, (views, splats.capacity)).place(self.window)
         self.tree = builder.finalize()
+        self.near.fill(NEAR)
 
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
@@ -89,21 +95,20 @@ class Projection:
             for v in range(self.views):
                 p = self._to_camera(v, mean)
                 depth += p.z
-                touched = 0
-                if p.z >= NEAR and opacity >= 1 / 255:
-                    touched = self._project_to(v, g, p, opacity)
-                self.tiles[v, g] = touched
-                seen += touched
+                window = ti.Vector([0, 0])
+                if p.z >= self.near[v] and opacity >= 1 / 255:
+                    window = self._project_to(v, g, p, opacity)
+                self.window[v, g] = window
+                seen |= window[1]
             key = ti.u32(DROPPED)
-            if seen > 0:
+            if seen != 0:
                 if ti.static(self.with_color):
                     c = self._color(g, mean)
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
                 key = ordered_bits(depth / self.views)
-            sorter.keys[g - begin] = key
-            sorter.values[g - begin] = g
+            sorter.items[g - begin] = ti.Vector([ti.cast(key, ti.i32), g])
         sorter.count[None] = ti.max(end - begin, 0)
 
     @ti.func
@@ -115,8 +120,8 @@ class Projection:
         return p
 
     @ti.func
-    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32) -> ti.i32:
-        """Write splat `g` of view `v`; the number of tiles it touches."""
+    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32):
+        """Write splat `g` of view `v`; returns its window."""
         lens = self.camera[v, 3]  # fx, fy, cx, cy
         margin_x, margin_y = EDGE * 0.5 * self.width / lens[0], EDGE * 0.5 * self.height / lens[1]
         x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (self.width - lens[2]) / lens[0] + margin_x)
@@ -127,7 +132,7 @@ class Projection:
         size = s[0] + s[3] + s[5]  # at least the largest eigenvalue, so this box is at least the splat's
         far_x = ti.sqrt(MOST_REACH * (fx * fx * (1 + x * x) * size + DILATION))
         far_y = ti.sqrt(MOST_REACH * (fy * fy * (1 + y * y) * size + DILATION))
-        touched = 0
+        window = ti.Vector([0, 0])
         if self._meets_picture(mx, my, far_x, far_y):
             along = self.camera[v, 2].xyz
             jx = fx * (self.camera[v, 0].xyz - x * along)  # the rows of J W
@@ -148,11 +153,28 @@ class Projection:
                     conic = vec4(A, B, C, A * C - B * B)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
                     self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
-                    first, last = self.tile_rows(place, box)
-                    for row in range(first, last):
-                        left, right = self.tile_columns(row, place, conic, box)
-                        touched += right - left
-        return touched
+                    window = self._window(place, conic, box)
+        return window
+
+    @ti.func
+    def _window(self, place: vec4, conic: vec4, box: vec4):
+        top, bottom = self.tile_rows(place, box)
+        column, end = self._tiles_between(place.x - box[0], place.x + box[0], self.width)
+        touched, bits = 0, 0
+        for row in range(top, bottom):
+            left, right = self.tile_columns(row, place, conic, box)
+            touched += right - left
+            if right - column <= WINDOW:
+                bits |= ((1 << (right - left)) - 1) << ((row - top) * WINDOW + left - column)
+        if end - column > WINDOW or bottom - top > WINDOW:
+            bits = -touched
+        return ti.Vector([column | top << 16, bits])
+
+    @ti.func
+    def touched(self, v: ti.i32, g: ti.i32) -> ti.i32:
+        """How many tiles of view `v` splat `g` touches."""
+        bits = self.window[v, g][1]
+        return -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
 
     @ti.func
     def _meets_picture(self, x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32):
@@ -181,7 +203,9 @@ class Projection:
             d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
             root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
             x_right, x_left = (root[0] - B * d[0]) / A, (-root[1] - B * d[1]) / A
-            left, right = self._tiles_between(place.x + x_left, place.x + x_right, self.width)
+            inner_left, inner_right = self._tiles_between(place.x + x_left, place.x + x_right, self.width)
+            left = ti.max(left, inner_left)
+            right = ti.max(left, ti.min(right, inner_right))  # rounding must not leave the box
         return left, right
 
     @ti.func

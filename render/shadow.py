@@ -18,6 +18,7 @@ FAR = 40.0  # a directional light stands this many scene radii away: its rays di
 TAPS = 4  # per side of the filter
 WIDEST_FILTER = 12.0  # [texels] to each side, lest taps stand too far apart to blend
 OWN_BIAS = 0.004  # [m] of shadows on what cannot shadow itself
+CASTING = 0.5  # share of the way to the target on which static things cast: a lampshade or a ceiling does not
 FAR_BIAS = 0.05  # [m] how deep behind static things a static Gaussian is surely in their shadow
 
 
@@ -44,7 +45,8 @@ class Shadow:
     a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to
     them on the device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that
     were captured with them and are darkened by dynamic casters alone, and only where the light
-    reached them before.
+    reached them before. Static things near the light, such as its own lamp or, for a directional
+    light, the ceiling, cast nothing.
     """
 
     def __init__(self, splats: Splats, light: Light, dynamic: tuple[int, int], *, resolution: int = 512):
@@ -87,7 +89,8 @@ class Shadow:
         eye = np.asarray(light.target) + away
         if not self._static_is_drawn:
             view = look_at(eye, light.target)[:3]
-            self._aim_static(*view.ravel().tolist(), min(reach / distance, WIDEST))
+            near = distance - CASTING * min(distance, reach)
+            self._aim_static(*view.ravel().tolist(), min(reach / distance, WIDEST), near)
             self.raster.draw(STATIC, 0, self.begin)
             self._expose(light.softness)
             self._static_is_drawn = True
@@ -104,9 +107,10 @@ class Shadow:
         a0: ti.f32, a1: ti.f32, a2: ti.f32, a3: ti.f32,
         b0: ti.f32, b1: ti.f32, b2: ti.f32, b3: ti.f32,
         c0: ti.f32, c1: ti.f32, c2: ti.f32, c3: ti.f32,
-        tangent: ti.f32,
+        tangent: ti.f32, near: ti.f32,
     ):  # fmt: skip
         self._set_lens(STATIC, vec4(a0, a1, a2, a3), vec4(b0, b1, b2, b3), vec4(c0, c1, c2, c3), tangent)
+        self.raster.projection.near[0] = near
 
     @ti.kernel
     def _aim_dynamic(self, eye_x: ti.f32, eye_y: ti.f32, eye_z: ti.f32, softness: ti.f32):
@@ -141,6 +145,7 @@ class Shadow:
                     tangent = ti.max(tangent, ti.max(ti.abs(right.dot(p)), ti.abs(down.dot(p))) / z)
                 else:
                     tangent = WIDEST
+            self.raster.projection.near[0] = NEAR
             rows = ti.Matrix.rows([right, down, forward])
             t = -(rows @ eye)
             self._set_lens(

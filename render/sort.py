@@ -18,11 +18,11 @@ TILE = BLOCK * ITEMS  # items per block
 class RadixSort:
     """Least-significant-digit radix sort of up to `capacity` pairs by the low `bits` of their keys.
 
-    Write `keys`, `values` and `count`, call `sort()` at the outermost level of a kernel, read
-    `sorted_keys` (with keep_keys only), `sorted_values` and `kept`. With `drop`, items whose key
-    is DROPPED vanish in the first pass, so sorting compacts too. Every pass counts digits per
-    block, turns the counts into write positions, and moves the items in order: equal keys keep
-    their order on every backend.
+    Fill `items`, vec2 i32 = (key's bits, value), and `count`; call `sort()` at the outermost level
+    of a kernel; read the first `kept[None]` of `sorted_items` (their keys with keep_keys only).
+    With `drop`, items whose key is DROPPED vanish in the first pass, so sorting compacts too.
+    Every pass counts digits per block, turns the counts into write positions, and moves the items
+    in order: equal keys keep their order on every backend.
     """
 
     def __init__(self, capacity: int, *, bits: int = 32, drop: bool = False, keep_keys: bool = True):
@@ -35,22 +35,20 @@ class RadixSort:
         self.digit = GPU_DIGIT if self.on_gpu else -(-bits // self.passes)
         self.buckets = 1 << self.digit
         self.blocks = -(-capacity // TILE) if self.on_gpu else CPU_CHUNKS
-        self.key = [ti.field(ti.u32) for _ in range(2)]
-        self.value = [ti.field(ti.i32) for _ in range(2)]
+        self.item = [ti.Vector.field(2, ti.i32) for _ in range(2)]
         self.count = ti.field(ti.i32)
         self.kept = ti.field(ti.i32)
         self.position = ti.field(ti.i32)  # counts, then write positions; CPU: block-major, GPU: digit-major
         self.bucket_total = ti.field(ti.i32)
         builder = ti.FieldsBuilder()
-        for f in (*self.key, *self.value):
+        for f in self.item:
             builder.dense(ti.i, capacity).place(f)
         builder.dense(ti.i, self.blocks * self.buckets).place(self.position)
         builder.dense(ti.i, self.buckets).place(self.bucket_total)
         builder.place(self.count)
         builder.place(self.kept)
         self.tree = builder.finalize()
-        self.keys, self.values = self.key[0], self.value[0]
-        self.sorted_keys, self.sorted_values = self.key[self.passes % 2], self.value[self.passes % 2]
+        self.items, self.sorted_items = self.item[0], self.item[self.passes % 2]
 
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
@@ -75,6 +73,17 @@ class RadixSort:
         return self.count[None] if ti.static(p == 0) else self.kept[None]
 
     @ti.func
+    def _key(self, p: ti.template(), i: ti.i32) -> ti.u32:
+        return ti.cast(self.item[p % 2][i][0], ti.u32)
+
+    @ti.func
+    def _move(self, p: ti.template(), i: ti.i32, to: ti.i32):
+        """Carry item `i` over to place `to` of the other buffer."""
+        if ti.static(self.keep_keys or p < self.passes - 1):
+            self.item[1 - p % 2][to][0] = self.item[p % 2][i][0]
+        self.item[1 - p % 2][to][1] = self.item[p % 2][i][1]
+
+    @ti.func
     def _bucket(self, key: ti.u32, p: ti.template()) -> ti.i32:
         return ti.cast((key >> (p * self.digit)) & ti.u32(self.buckets - 1), ti.i32)
 
@@ -93,7 +102,7 @@ class RadixSort:
                 self.position[b * self.buckets + d] = 0
             run = (self._length(p) + self.blocks - 1) // self.blocks
             for i in range(b * run, ti.min((b + 1) * run, self._length(p))):
-                key = self.key[p % 2][i]
+                key = self._key(p, i)
                 if self._is_kept(key, p):
                     self.position[b * self.buckets + self._bucket(key, p)] += 1
 
@@ -115,14 +124,12 @@ class RadixSort:
         for b in range(self.blocks):
             run = (self._length(p) + self.blocks - 1) // self.blocks
             for i in range(b * run, ti.min((b + 1) * run, self._length(p))):
-                key = self.key[p % 2][i]
+                key = self._key(p, i)
                 if self._is_kept(key, p):
                     slot = b * self.buckets + self._bucket(key, p)
                     to = self.position[slot]
                     self.position[slot] = to + 1
-                    self.value[1 - p % 2][to] = self.value[p % 2][i]
-                    if ti.static(self.keep_keys or p < self.passes - 1):
-                        self.key[1 - p % 2][to] = key
+                    self._move(p, i, to)
 
     # ---- CUDA: a block of threads holds TILE items; a warp goes through 32 at a time
 
@@ -143,7 +150,7 @@ class RadixSort:
                 for j in range(ITEMS):
                     i = b * TILE + j * BLOCK + lane
                     if i < self._length(p):
-                        key = self.key[p % 2][i]
+                        key = self._key(p, i)
                         if self._is_kept(key, p):
                             ti.atomic_add(counts[self._bucket(key, p)], 1)
                 ti.simt.block.sync()
@@ -189,7 +196,7 @@ class RadixSort:
                 for j in ti.static(range(ITEMS)):
                     digit = BLOCK  # an item that does not exist matches no bucket
                     if first + j * 32 < self._length(p):
-                        key = self.key[p % 2][first + j * 32]
+                        key = self._key(p, first + j * 32)
                         if self._is_kept(key, p):
                             digit = self._bucket(key, p)
                     peers = ti.cast(ti.simt.warp.match_any(everyone, digit), ti.u32)
@@ -210,9 +217,7 @@ class RadixSort:
                 ti.simt.block.sync()
                 for j in ti.static(range(ITEMS)):
                     if first + j * 32 < self._length(p):
-                        key = self.key[p % 2][first + j * 32]
+                        key = self._key(p, first + j * 32)
                         if self._is_kept(key, p):
                             to = counts[warp * BLOCK + self._bucket(key, p)] + rank[j]
-                            self.value[1 - p % 2][to] = self.value[p % 2][first + j * 32]
-                            if ti.static(self.keep_keys or p < self.passes - 1):
-                                self.key[1 - p % 2][to] = key
+                            self._move(p, first + j * 32, to)

@@ -31,7 +31,7 @@ def project(g: Gaussians, *, antialias=False):
     raster.draw(0)
     bins = raster.stage.bins
     members, begin, end = bins.members.to_numpy(), bins.begin.to_numpy(), bins.end.to_numpy()
-    return raster, [members[b:e] for b, e in zip(begin, end, strict=True)]
+    return raster, [members[b:e, 1] for b, e in zip(begin, end, strict=True)]
 
 
 def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: int, shape: tuple[int, int]) -> np.ndarray:
@@ -50,10 +50,12 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
     g = gaussians(1500, 0)
     raster, lists = project(g, antialias=antialias)
     p = raster.projection
-    place, conic, tiles = (f.to_numpy()[0, : len(g)] for f in (p.place, p.conic, p.tiles))
+    place, conic, window = (f.to_numpy()[0, : len(g)] for f in (p.place, p.conic, p.window))
     cov = reference.covariances(g)
     uv, sigma, opacity, z, kept = reference.project(g.means, cov, g.opacities, CAMERA, antialias=antialias)
+    tiles = np.where(window[:, 1] < 0, -window[:, 1], np.bitwise_count(np.maximum(window[:, 1], 0)))
     drawn = tiles > 0
+    assert (window[:, 1] < 0).any() and (window[:, 1] > 0).sum() > 200
     assert 200 < drawn.sum() < len(g)
     assert not drawn[~kept].any()
     np.testing.assert_allclose(place[drawn][:, :2], uv[drawn], rtol=2e-5, atol=2e-3)  # float32 of hundreds of px
@@ -80,7 +82,7 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
 def test_colors_equal_the_twin(ti_cpu, degree):
     g = gaussians(400, degree)
     raster, _ = project(g)
-    drawn = raster.projection.tiles.to_numpy()[0, : len(g)] > 0
+    drawn = raster.projection.window.to_numpy()[0, : len(g), 1] != 0
     color = raster.projection.color.to_numpy()[0, : len(g), :3]
     np.testing.assert_allclose(color[drawn], reference.colors(g, CAMERA)[drawn], atol=2e-5)
 

@@ -54,14 +54,14 @@ def machines(ti_cpu):
 
 def sort(sorter, run, keys):
     """Sorted values (the items' old places) and keys."""
-    padded = np.full(sorter.capacity, 3, np.uint32)  # what lies beyond the count must not matter
-    padded[: len(keys)] = keys
-    sorter.keys.from_numpy(padded)
-    sorter.values.from_numpy(np.arange(sorter.capacity, dtype=np.int32))
+    items = np.full((sorter.capacity, 2), 3, np.int32)  # what lies beyond the count must not matter
+    items[: len(keys), 0] = keys.view(np.int32)
+    items[:, 1] = np.arange(sorter.capacity)
+    sorter.items.from_numpy(items)
     sorter.count[None] = len(keys)
     run()
-    kept = sorter.kept[None]
-    return sorter.sorted_values.to_numpy()[:kept], sorter.sorted_keys.to_numpy()[:kept]
+    keys, values = sorter.sorted_items.to_numpy()[: sorter.kept[None]].T
+    return values, keys.astype(np.uint32)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 15, 16, 17, 1000, 4096, 65_537, CAPACITY])

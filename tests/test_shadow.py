@@ -108,18 +108,28 @@ def test_a_moving_ball_takes_its_shadow_along_at_the_next_cast(stage):
     assert shadow_center(floor, after)[0] == pytest.approx(0.5 * 2.0 / 1.6, abs=0.02)
 
 
-def test_static_things_shadow_what_moves_and_hide_what_lies_behind_them(ti_cpu):
-    """A roof between light and ball: the ball is dark, and casts no second shadow through the roof."""
+def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
+    """A roof between light and ball: the ball is dark and casts no second shadow through it; a lampshade is nothing."""
     from render.shadow import Shadow
     from render.splats import Splats
 
-    floor, roof, blob = sheet(1.0, 0.0, 0.02), sheet(0.6, 0.8, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
+    floor, roof, blob = sheet(4.0, 0.0, 0.04), sheet(0.6, 0.8, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
     splats = Splats(concatenate([floor, roof, blob]))
-    shadow = Shadow(splats, LIGHT, (len(floor) + len(roof), splats.count))
+    parts = [len(floor), len(floor) + len(roof)]
+    shadow = Shadow(splats, LIGHT, (parts[1], splats.count))
     shadow.cast()
-    on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], [len(floor), len(floor) + len(roof)])
+    on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], parts)
     np.testing.assert_allclose(on_blob, 1 - LIGHT.strength, atol=0.02)
     np.testing.assert_allclose(on_floor, 1, atol=0.02)
+    np.testing.assert_allclose(on_roof, 1, atol=1e-3)
+
+    means = splats.mean.to_numpy()
+    means[parts[0] : parts[1], 1] = 1.8
+    splats.mean.from_numpy(means)
+    shadow.set_light(LIGHT)
+    shadow.cast()
+    on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], parts)
+    assert on_blob.max() == 1 and on_floor.min() < 0.5
     np.testing.assert_allclose(on_roof, 1, atol=1e-3)
 
 

@@ -76,26 +76,26 @@ class Shadow:
     def set_light(self, light: Light) -> None:
         """Change the light; its static map is drawn at the next cast."""
         self.light = light
+        away = np.subtract(light.position, light.target).astype(np.float64)
+        self._distance = max(float(np.linalg.norm(away)), 1e-6)
+        self._reach = self.splats.reach(light.target)
+        if light.kind == "directional":
+            away, self._distance = away * (FAR * self._reach / self._distance), FAR * self._reach
+        self._eye = np.asarray(light.target) + away
         self._static_is_drawn = False
 
     def cast(self) -> None:
         """Bring `splats.light` up to date with where the Gaussians are now."""
-        light = self.light
-        reach = self.splats.reach(light.target)
-        away = np.subtract(light.position, light.target).astype(np.float64)
-        distance = max(float(np.linalg.norm(away)), 1e-6)
-        if light.kind == "directional":
-            away, distance = away * (FAR * reach / distance), FAR * reach
-        eye = np.asarray(light.target) + away
+        light, distance = self.light, self._distance
         if not self._static_is_drawn:
-            view = look_at(eye, light.target)[:3]
-            near = distance - CASTING * min(distance, reach)
-            self._aim_static(*view.ravel().tolist(), min(reach / distance, WIDEST), near)
+            view = look_at(self._eye, light.target)[:3]
+            near = distance - CASTING * min(distance, self._reach)
+            self._aim_static(*view.ravel().tolist(), min(self._reach / distance, WIDEST), near)
             self.raster.draw(STATIC, 0, self.begin)
             self._expose(light.softness)
             self._static_is_drawn = True
         if self.begin < self.end:
-            self._aim_dynamic(*eye.tolist(), light.softness)
+            self._aim_dynamic(*self._eye.tolist(), light.softness)
             self.raster.draw(DYNAMIC, self.begin, self.end)
             self._receive(light.strength, light.softness)
         else:

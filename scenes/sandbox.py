@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from scenes.ring_toss import TABLE_TOP, room
+from scenes.ring_toss import BOTTLE, TABLE_TOP, room
 from scenes.scene import Body, BodyState, Hand, Light, Material, Scene
 from scenes.throw import Throw
 
 PLUSH = Material(young=2e4, poisson=0.35, density=250.0, friction=0.7)
-START = (0.0, TABLE_TOP + 0.08, 0.12)  # [m], of the body's lowest point
+START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 
 
 class Sandbox:
@@ -48,7 +48,7 @@ class Sandbox:
 
 def build(body: str = "ring_red", material: Material = PLUSH) -> Scene:
     return Scene(
-        bodies=[Body("dining_room"), Body(body, material, position=START)],
+        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), Body(body, material, position=START)],
         colliders=room(),
         light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
         eye=(0.0, 1.35, 1.0),

@@ -9,7 +9,7 @@ substeps (t is their sum; c t << 1), because the sums over a body cost as much a
 import numpy as np
 import taichi as ti
 
-from sim.state import MAX_BODIES, State, capacity, two_sum, upload
+from sim.state import MAX_BODIES, State, Upload, capacity, two_sum
 from sim.substep import predict
 
 CHUNK = 64  # vertices that one thread sums; chunks never straddle bodies, so sums have a fixed order
@@ -28,9 +28,8 @@ class Chunks:
         self.size = capacity(len(rows))
         self.span = ti.Vector.field(3, ti.i32, self.size)  # unused rows are empty ranges
         self.of_body = ti.field(ti.i32, MAX_BODIES + 1)
-        upload(self.span, np.array(rows))
-        bodies = np.array(rows)[:, 2]
-        upload(self.of_body, np.searchsorted(bodies, np.arange(MAX_BODIES + 1)))
+        body = np.array(rows)[:, 2]
+        Upload([self.span, self.of_body])([rows, np.searchsorted(body, np.arange(MAX_BODIES + 1))])
 
 
 @ti.data_oriented
@@ -48,7 +47,7 @@ class Damping:
         c = self.chunks
         for j in range(c.size):
             span = c.span[j]
-            about = self.center[span[2]]  # near the centroid: sums about it do not cancel
+            about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
             p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             for i in range(span[0], span[1]):
@@ -80,7 +79,7 @@ class Damping:
                 inertia = ti.Matrix(
                     [[yy + zz + tiny, -xy, -zx], [-xy, zz + xx + tiny, -yz], [-zx, -yz, xx + yy + tiny]]
                 )
-                self.center[b] += d
+                self.center[b] = s.x[s.vertex_begin[b]] + d
                 self.velocity[b] = v
                 self.omega[b] = inertia.inverse() @ L
                 if s.anchored[b] == 1:

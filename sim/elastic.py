@@ -8,7 +8,7 @@ every vertex sums its slots. The order of summation is fixed, so repeated runs a
 import numpy as np
 import taichi as ti
 
-from sim.state import State, upload
+from sim.state import State, Upload
 
 FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
 CRUSHED = -0.5  # J - 1: half the volume
@@ -62,14 +62,8 @@ class Elastic:
         self.builder.dense(ti.i, V + 1).place(self.slot_begin)
         self.tree = self.builder.finalize()
         D = np.swapaxes(rest[tets[:, 1:]] - rest[tets[:, :1]], 1, 2)
-        inverse = np.zeros((T, 3, 3), np.float32)
-        inverse[: len(tets)] = np.linalg.inv(D)
-        self.rest_inverse.from_numpy(inverse)
-        upload(self.volume, np.linalg.det(D) / 6)
-        upload(self.kappa, kappa)
-        slot, begin = corner_slots(tets, len(rest))
-        upload(self.slot, slot)
-        upload(self.slot_begin, begin)
+        fields = [self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin]
+        Upload(fields)([np.linalg.inv(D), np.linalg.det(D) / 6, kappa, *corner_slots(tets, len(rest))])
 
     @ti.func
     def project_tet(self, t, first: ti.template(), single: ti.template()):

@@ -11,7 +11,7 @@ from sim.body import SoftBody
 from sim.damping import Chunks, Damping
 from sim.elastic import Elastic
 from sim.stability import LIMIT, choose_substep, lame, stiffness_bounds
-from sim.state import Sizes, State, upload
+from sim.state import Sizes, State, Upload
 from sim.substep import Substeps
 from sim.summary import Summary
 from sim.transform import Transform
@@ -27,8 +27,9 @@ class Solver:
     """Simulates `bodies`.
 
     substep [s] is forced, or None for the longest that the stability rule allows; iterations are full sweeps a
-    substep; collision_passes is how often a frame contacts are searched. `constraints` (see sim/state.py) are
-    extra constraint classes' factories, called with (state, bodies). frame_dt [s] is the usual frame.
+    substep; collision_passes is how often a frame contacts are searched; hands is how many may grip; frame_dt [s] is
+    the usual frame. With interaction "transform" gripped bodies follow the hand rigidly and nothing else moves.
+    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Solver:
         collision_passes: int = 1,
         hands: int = 2,
         interaction: str = "physics",
+        contacts: bool = True,
         frame_dt: float = 1 / 60,
     ):
         if not bodies:
@@ -64,6 +66,10 @@ class Solver:
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
         )  # fmt: skip
         self._constraints = []
+        if contacts:
+            from sim.contact import Contacts
+
+            self._constraints.append(Contacts(s, self._bodies, list(colliders), hands=hands))
         pieces = max(collision_passes, -(-nominal // PIECE))
         length = -(-nominal // pieces)
         chunks = Chunks(s, np.array(self.vertex_offset))
@@ -99,29 +105,34 @@ class Solver:
         self._start_velocity[np.concatenate(inverse) == 0.0] = 0.0
 
         s = self.state = State(sizes)
-        upload(s.rest, rest)
-        upload(s.w, np.concatenate(inverse))
-        upload(s.mass, np.concatenate(masses))
-        upload(s.tets, tets)
-        upload(s.triangles, faces)
+        counts = np.array(each)
+        ends = np.concatenate([np.zeros((1, 3), int), np.cumsum(counts, axis=0)])
         index = np.arange(len(bodies))
-        for field, ends, column in (
-            (s.body_of_vertex, s.vertex_begin, 0),
-            (s.body_of_tet, s.tet_begin, 1),
-            (s.body_of_triangle, s.triangle_begin, 2),
-        ):
-            counts = [n[column] for n in each]
-            upload(field, np.repeat(index, counts))
-            upload(ends, np.concatenate([[0], np.cumsum(counts)]))
-        mu, lam = np.array([lame(b.material) for b in bodies]).T
-        upload(s.mu, mu)
-        upload(s.lam, lam)
-        upload(s.kappa, self._kappas)
-        upload(s.reach, np.array([REACH * b.edge() for b in bodies]))
-        for field, name in ((s.damping, "damping"), (s.friction, "friction"), (s.density, "density")):
-            upload(field, np.array([getattr(b.material, name) for b in bodies]))
-        upload(s.body_mass, np.array([m.sum() for m in masses]))
-        upload(s.anchored, np.array([int((w == 0.0).any()) for w in inverse]))
+        material = [b.material for b in bodies]
+        values = [
+            (s.rest, rest),
+            (s.w, np.concatenate(inverse)),
+            (s.mass, np.concatenate(masses)),
+            (s.tets, tets),
+            (s.triangles, faces),
+            (s.body_of_vertex, np.repeat(index, counts[:, 0])),
+            (s.body_of_tet, np.repeat(index, counts[:, 1])),
+            (s.body_of_triangle, np.repeat(index, counts[:, 2])),
+            (s.vertex_begin, ends[:, 0]),
+            (s.tet_begin, ends[:, 1]),
+            (s.triangle_begin, ends[:, 2]),
+            (s.mu, [lame(m)[0] for m in material]),
+            (s.lam, [lame(m)[1] for m in material]),
+            (s.kappa, self._kappas),
+            (s.reach, [REACH * b.edge() for b in bodies]),
+            (s.damping, [m.damping for m in material]),
+            (s.friction, [m.friction for m in material]),
+            (s.density, [m.density for m in material]),
+            (s.body_mass, [m.sum() for m in masses]),
+            (s.anchored, [int((w == 0.0).any()) for w in inverse]),
+        ]
+        Upload([f for f, _ in values])([v for _, v in values])
+        self._motion = Upload([s.x, s.carry, s.v, s.v_carry])
         self._elastic = Elastic(s, rest, tets, np.concatenate(kappas))
 
     def step(self, dt: float, hands: list[Hand] = ()) -> None:
@@ -166,14 +177,15 @@ class Solver:
 
     def restore(self, snapshot: dict[str, np.ndarray]) -> None:
         """Set positions and velocities, (V, 3) each; what fp32 cannot hold of float64 values goes to the carries."""
-        s, n = self.state, self.state.sizes.vertices
+        n = self.state.sizes.vertices
+        values = []
         for name, low in (("x", "carry"), ("v", "v_carry")):
             value = np.asarray(snapshot[name])
             if value.shape != (n, 3) or not np.isfinite(value).all():
                 raise BadInput(f"snapshot: {name} must be finite and of shape {(n, 3)}, not {value.shape}")
             high = value.astype(np.float32)
-            upload(getattr(s, name), high)
-            upload(getattr(s, low), snapshot.get(low, value - high))
+            values += [high, snapshot.get(low, value - high)]
+        self._motion(values)
         for c in self._constraints:
             c.reset()
         self._transform.reset()

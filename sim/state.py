@@ -129,8 +129,8 @@ class State:
             self._scalars(dtype=ti.i32) for _ in range(4)
         )
         self.tree = self.builder.finalize()
-        self.vertex_count[None], self.tet_count[None] = sizes.vertices, sizes.tets
-        self.triangle_count[None], self.body_count[None] = sizes.triangles, sizes.bodies
+        counts = [self.vertex_count, self.tet_count, self.triangle_count, self.body_count]
+        Upload(counts)([sizes.vertices, sizes.tets, sizes.triangles, sizes.bodies])
 
     def _place(self, field, size: int | None):
         (self.builder if size is None else self.builder.dense(ti.i, size)).place(field)
@@ -160,8 +160,44 @@ class State:
 
 def upload(field, values: np.ndarray) -> None:
     """Fill the front of a field from host values (n, ...); the rest becomes zero."""
-    dtype = np.int32 if field.dtype == ti.i32 else np.float32
-    shape = field.shape + ((field.n,) if hasattr(field, "n") else ())
-    full = np.zeros(shape, dtype)
-    full[: len(values)] = values
-    field.from_numpy(full)
+    Upload([field])([values])
+
+
+class Upload:
+    """One kernel that fills many fields (scalars, or of one dimension): one for each would take seconds to compile."""
+
+    def __init__(self, fields: list):
+        self.fields = fields
+        self.shapes = [(f.shape or (1,), getattr(f, "n", 1), getattr(f, "m", 1)) for f in fields]
+        sizes = [int(np.prod(shape)) * n * m for shape, n, m in self.shapes]
+        begins = [0, *np.cumsum(sizes).tolist()]
+        widths, matrix = [n * m for _, n, m in self.shapes], [m for _, _, m in self.shapes]
+        reals = [f.dtype == ti.f32 for f in fields]
+
+        @ti.kernel
+        def fill(bits: ti.types.ndarray(ti.i32, 1)):
+            for k in ti.static(range(len(fields))):
+                for i in range(sizes[k] // widths[k]):
+                    for c in ti.static(range(widths[k])):
+                        bit = bits[begins[k] + i * widths[k] + c]
+                        value = ti.bit_cast(bit, ti.f32) if ti.static(reals[k]) else bit
+                        if ti.static(len(fields[k].shape) == 0 and widths[k] == 1):
+                            fields[k][None] = value
+                        elif ti.static(widths[k] == 1):
+                            fields[k][i] = value
+                        elif ti.static(matrix[k] == 1):
+                            fields[k][i][c] = value
+                        else:
+                            fields[k][i][c // matrix[k], c % matrix[k]] = value
+
+        self.fill = fill
+
+    def __call__(self, values: list) -> None:
+        """Fill the front of each field from its values (n, ...); the rest becomes zero."""
+        parts = []
+        for field, (shape, n, m), value in zip(self.fields, self.shapes, values, strict=True):
+            full = np.zeros((*shape, n * m), np.int32 if field.dtype == ti.i32 else np.float32)
+            value = np.asarray(value, full.dtype).reshape(-1, n * m)
+            full[: len(value)] = value
+            parts.append(full.view(np.int32).ravel())
+        self.fill(np.concatenate(parts))

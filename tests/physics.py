@@ -49,7 +49,8 @@ def free_fall() -> list[dict]:
     heights, duration = (0.3, 1.5, 3.0, 6.0), 0.5
     x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
     material = Material(1e5, 0.3, DENSITY, damping=0.0)
-    solver = Solver([SoftBody(f"{h} m", x, tets, surface, material, position=(h, h, h)) for h in heights], substep=1e-4)
+    bodies = [SoftBody(f"{h} m", x, tets, surface, material, position=(h, h, h)) for h in heights]
+    solver = Solver(bodies, substep=1e-4, contacts=False)
     frames = 30
     for _ in range(frames):
         solver.step(duration / frames)
@@ -72,7 +73,7 @@ def statics() -> list[dict]:
     ]
     bodies.append(bar("cantilever", 4 * young, 0.3, 60.0, position=(0, 0, 3), pinned=LEFT))
     bodies.append(bar("twist", young, 0.3, 200.0, position=(0, 0, 6), pinned=np.r_[LEFT, RIGHT]))
-    solver = Solver(bodies)
+    solver = Solver(bodies, contacts=False)
     start = [b.start() for b in bodies]
     c, s = np.cos(angle), np.sin(angle)
     twisted = [x.copy() for x in start]
@@ -122,7 +123,7 @@ def vibration() -> list[dict]:
     """First longitudinal mode of the free bar, nu = 0: f = sqrt(E/rho) / 2L; it falls meanwhile."""
     young = 1e6
     b = bar("bar", young, 0.0, 0.0)
-    solver = Solver([b])
+    solver = Solver([b], contacts=False)
     mode = np.cos(np.pi * BAR[:, 0])
     solver.restore({"x": BAR, "v": 0.05 * mode[:, None] * [1.0, 0.0, 0.0]})
     frame, amplitude = 1 / 240, []
@@ -141,7 +142,7 @@ def spin() -> list[dict]:
     omega, duration = 10.0, 1.0
     b = bar("bar", 1e6, 0.3, 0.0, position=(1, 1, 1))
     m = b.masses()
-    solver = Solver([b], gravity=(0, 0, 0))
+    solver = Solver([b], gravity=(0, 0, 0), contacts=False)
     center = np.average(b.start(), axis=0, weights=m)
     v = np.cross([0, 0, omega], b.start() - center) + [0.3, -0.2, 0.1]
     solver.restore({"x": b.start(), "v": v})
@@ -170,7 +171,7 @@ def recovery() -> list[dict]:
     """A mirrored, a flattened and a random start: nothing inverted after 3 s, volume within 0.5%."""
     names = ("mirrored", "flat", "random")
     bodies = [bar(n, 1e5, 0.3, 10.0, position=(0, 0, 3 * k)) for k, n in enumerate(names)]
-    solver = Solver(bodies, gravity=(0, 0, 0))
+    solver = Solver(bodies, gravity=(0, 0, 0), contacts=False)
     rng = np.random.default_rng(0)
     starts = (BAR * [-1, 1, 1], BAR * [1, 0, 1], rng.uniform(BAR.min(0), BAR.max(0), BAR.shape))
     x = np.concatenate([s + [0, 0, 3 * k] for k, s in enumerate(starts)])
@@ -191,7 +192,7 @@ def long_run(substeps: int = 1_000_000) -> list[dict]:
     x, tets, surface = box((0.3, 0.1, 0.1), (3, 1, 1))
     b = SoftBody("bar", x, tets, surface, Material(1e5, 0.3, DENSITY, damping=0.0))
     m = b.masses()
-    solver = Solver([b], gravity=(0, 0, 0))
+    solver = Solver([b], gravity=(0, 0, 0), contacts=False)
     mode = np.cos(np.pi * x[:, 0] / 0.3)[:, None]
     v = mode * [0.3, 0.2, 0.0] + np.cross([0, 0, 1.0], x)
     solver.restore({"x": x, "v": v})

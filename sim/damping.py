@@ -12,6 +12,7 @@ import taichi as ti
 from sim.state import MAX_BODIES, State, Upload, capacity, two_sum
 from sim.substep import predict
 
+SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
 CHUNK = 64  # vertices that one thread sums; chunks never straddle bodies, so sums have a fixed order
 
 
@@ -38,13 +39,15 @@ class Damping:
 
     def __init__(self, state: State, chunks: Chunks):
         self.state, self.chunks = state, chunks
-        self.sums = ti.field(ti.f32, (chunks.size, 15))
+        self.sums, self.total = ti.field(ti.f32, (chunks.size, SUMS)), ti.field(ti.f32, (MAX_BODIES, SUMS))
         self.center, self.velocity, self.omega = (ti.Vector.field(3, ti.f32, MAX_BODIES) for _ in range(3))
 
     @ti.kernel
     def run(self, t: ti.f32):
         s = self.state
         c = self.chunks
+        if ti.static(s.serial):
+            ti.loop_config(serialize=True)
         for j in range(c.size):
             span = c.span[j]
             about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
@@ -63,12 +66,19 @@ class Damping:
                 self.sums[j, 6 + k] = L[k]
                 self.sums[j, 9 + k] = square[k]
                 self.sums[j, 12 + k] = mixed[k]
+        if ti.static(s.serial):
+            ti.loop_config(serialize=True)
+        for bk in range(MAX_BODIES * SUMS):
+            b, k = bk // SUMS, bk % SUMS
+            value = 0.0
+            for j in range(c.of_body[b], c.of_body[b + 1]):
+                value += self.sums[j, k]
+            self.total[b, k] = value
+        if ti.static(s.serial):
+            ti.loop_config(serialize=True)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
-                total = ti.Vector.zero(ti.f32, 15)
-                for j in range(c.of_body[b], c.of_body[b + 1]):
-                    for k in ti.static(range(15)):
-                        total[k] += self.sums[j, k]
+                total = ti.Vector([self.total[b, k] for k in range(SUMS)])
                 M = s.body_mass[b]
                 d = total[0:3] / M
                 v = total[3:6] / M
@@ -85,6 +95,8 @@ class Damping:
                 if s.anchored[b] == 1:
                     self.velocity[b].fill(0.0)
                     self.omega[b].fill(0.0)
+        if ti.static(s.serial):
+            ti.loop_config(serialize=True)
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]

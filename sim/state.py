@@ -53,6 +53,7 @@ import taichi as ti
 
 from assets.errors import BadInput
 
+SERIAL_BELOW = 1500  # tets: under this, waking the CPU's worker threads costs more than they save
 MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
 
 
@@ -107,9 +108,11 @@ class State:
     """
 
     def __init__(self, sizes: Sizes):
+        """`serial` says whether loops over all elements are better not spread over threads."""
         if sizes.bodies > MAX_BODIES:
             raise BadInput(f"{sizes.bodies} simulated bodies, the limit is {MAX_BODIES}")
         self.sizes = sizes
+        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and sizes.tets < SERIAL_BELOW
         self.V, self.T, self.S = (capacity(n) for n in (sizes.vertices, sizes.tets, sizes.triangles))
         self.builder = ti.FieldsBuilder()
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES

@@ -5,8 +5,6 @@ import taichi as ti
 from sim.elastic import Elastic
 from sim.state import State, two_sum
 
-SERIAL_BELOW = 600  # tets: under this, waking the CPU's worker threads costs more than they save
-
 
 @ti.func
 def predict(s: ti.template(), i):
@@ -64,12 +62,11 @@ class Substeps:
         """One sweep as a kernel; `first` starts the multipliers (and the substep), `close` commits."""
         s, e, on_vertex, in_pairs = self.state, self.elastic, self.on_vertex, self.in_pairs
         V, T = s.V, s.T
-        serial = ti.lang.impl.current_cfg().arch != ti.cuda and s.sizes.tets < SERIAL_BELOW
         tet_block, vertex_block = blocks(T), blocks(V)
 
         @ti.kernel
         def sweep():
-            if ti.static(serial):
+            if ti.static(s.serial):
                 ti.loop_config(serialize=True)
             else:
                 ti.loop_config(block_dim=tet_block)
@@ -78,7 +75,7 @@ class Substeps:
                     e.project_tet(t, first, single)
                 if ti.static(first) and t == 0:
                     s.tick[None] += 1
-            if ti.static(serial):
+            if ti.static(s.serial):
                 ti.loop_config(serialize=True)
             else:
                 ti.loop_config(block_dim=vertex_block)
@@ -94,7 +91,7 @@ class Substeps:
             for c in ti.static(in_pairs):
                 c.project_pairs(first)
             if ti.static(len(in_pairs) > 0):
-                if ti.static(serial):
+                if ti.static(s.serial):
                     ti.loop_config(serialize=True)
                 else:
                     ti.loop_config(block_dim=vertex_block)

@@ -80,22 +80,21 @@ class Summary:
                 for l in ti.static(range(3)):
                     self.partial[j, 6 + 3 * k + l] = A[k, l]
             self.partial[j, 21] = good
-        for b in range(MAX_BODIES):
+        for bk in range(MAX_BODIES * VALUES):
+            b, k = bk // VALUES, bk % VALUES
             if b < s.body_count[None]:
-                first = c.of_body[b]
-                for k in range(VALUES):
-                    value = self.partial[first, k]
-                    for j in range(first + 1, c.of_body[b + 1]):
-                        other = self.partial[j, k]
-                        if k < 15:
-                            value += other
-                        elif k < 18 or k == 21:
-                            value = ti.min(value, other)
-                        else:
-                            value = ti.max(value, other)
-                    if k < 6:
-                        value /= s.body_mass[b]
-                    self.total[b, k] = value
+                value = self.partial[c.of_body[b], k]
+                for j in range(c.of_body[b] + 1, c.of_body[b + 1]):
+                    other = self.partial[j, k]
+                    if k < 15:
+                        value += other
+                    elif k < 18 or k == 21:
+                        value = ti.min(value, other)
+                    else:
+                        value = ti.max(value, other)
+                if k < 6:
+                    value /= s.body_mass[b]
+                self.total[b, k] = value
 
     def moved(self) -> bool:
         """Whether any vertex moved more than MOVED since the last call that returned True."""

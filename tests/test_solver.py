@@ -121,6 +121,21 @@ def test_a_run_repeats_bit_for_bit_and_resumes_from_a_snapshot(solver):
     assert np.abs(end["x"] - middle["x"]).max() > 1e-2
 
 
+def test_a_run_on_several_threads_repeats_bit_for_bit():
+    x, tets, surface = box((0.3, 0.2, 0.2), (9, 6, 6))
+    big = SoftBody("big", x, tets, surface, RUBBER)
+    solver = Solver([big], contacts=False)
+    assert not solver.state.serial
+    start, ends = shaken(solver), []
+    for _ in range(2):
+        solver.restore(start)
+        for _ in range(3):
+            solver.step(1 / 60)
+        ends.append(solver.snapshot())
+    for name in ends[0]:
+        assert_array_equal(ends[0][name], ends[1][name])
+
+
 def test_damping_stops_the_shaking_and_keeps_the_rigid_motion(solver):
     """Linear and angular momentum stay; what is left after a second is rigid."""
     solver.gravity = (0.0, 0.0, 0.0)

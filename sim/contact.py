@@ -1,0 +1,163 @@
+"""All contact of the bodies: with static shapes, with one another, with hands (the protocol is in sim/state.py).
+
+Each search (`detect`) lists the samples that can touch something before the next one; each sweep then takes the
+distances anew for these only. On a sample with weights b_i and the motion y = sum_i b_i (dx_i - carry_i),
+
+    phi(x) + n . carry + n . y >= 0
+
+is the condition; sim/response.py says what follows. Vertices meet static shapes at once and exactly; points on
+triangles, and samples in other bodies, become rows of a system (sim/rows.py).
+"""
+
+import numpy as np
+import taichi as ti
+
+from scenes.scene import Hand
+from sim.body import SoftBody
+from sim.broad import Bounds
+from sim.colliders import Colliders, Shape
+from sim.damping import Chunks
+from sim.grids import FAR, corner
+from sim.hands import Hands
+from sim.pairs import Pairs
+from sim.response import respond
+from sim.rows import Rows
+from sim.samples import Samples, spacing_for
+from sim.state import State
+
+MARGIN = 0.006  # [m] besides the way at the body's present speed: what accelerations may add until the next search
+NEAR = 8  # static shapes that one sample can be near at once
+SERIAL_BELOW = 1500  # samples: under this, waking the CPU's worker threads costs more than they save
+
+
+@ti.data_oriented
+class Contacts:
+    """near i32[P,8]: shapes near sample p, near_count i32[P]. Rows 0..P-1 belong to the samples, the rest to pairs."""
+
+    has_vertex = True
+
+    def __init__(
+        self, state: State, bodies: list[SoftBody], shapes: list[Shape], *, hands: int = 2, spacing: float | None = None
+    ):
+        self.state = state
+        self.samples = Samples(state, bodies, spacing_for(shapes) if spacing is None else spacing)
+        self.colliders = Colliders(shapes)
+        self.hands = Hands(state, bodies, self.samples, hands)
+        self.bounds = Bounds(state, Chunks(state, np.cumsum([0] + [len(b.vertices) for b in bodies])))
+        self.pairs = Pairs(state, bodies, self.samples, shapes, self.bounds)
+        self.anything = bool(shapes) or self.pairs.needed
+        self.has_pairs = self.pairs.needed or (bool(shapes) and self.samples.triangle_points > 0)
+        self.rows = Rows(state, self.samples.capacity + self.pairs.size)
+        self.builder = ti.FieldsBuilder()
+        self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)
+        self.builder.dense(ti.i, self.samples.capacity).dense(ti.j, NEAR).place(self.near)
+        self.builder.dense(ti.i, self.samples.capacity).place(self.near_count)
+        self.tree = self.builder.finalize()
+
+    def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
+        self.hands.begin_frame(hands)
+
+    def gripped(self) -> list[int]:
+        return self.hands.gripped()
+
+    def reset(self) -> None:
+        self.hands.reset()
+        self.rows.clear()
+        self.near_count.fill(0)
+
+    def detect(self) -> None:
+        if self.anything:
+            self.bounds.update()
+            self._find()
+            self.pairs.detect(self.rows)
+
+    @ti.kernel
+    def _find(self):
+        self.rows.listed_count[None] = 0
+        for p in range(self.samples.capacity):
+            if p < self.samples.count[None]:
+                margin = MARGIN + 1.2 * self.bounds.speed(self.samples.body[p]) * self.state.detect_dt[None]
+                x = self.samples.blend(p, self.state.x)
+                n = 0
+                for k in range(self.colliders.count[None]):
+                    if n < NEAR and self.colliders.within(k, x, margin - self.samples.skin[p]):
+                        self.near[p, n] = k
+                        n += 1
+                self.near_count[p] = n
+                if n > 0 and not self.samples.single[p]:
+                    self.samples.put(p, p, self.rows)
+                    self.rows.size[p] = 3
+                    self.rows.enlist(p)
+                else:
+                    self.rows.forget(p)
+
+    @ti.func
+    def project_vertex(self, i, dx, first: ti.template()):
+        """The hands' springs, then vertex i itself out of all shapes near it, one after the other.
+
+        The rows' pushes come after; they are expected to be those of the last sweep.
+        """
+        s = self.state
+        d = dx
+        if ti.static(first):
+            d = self.hands.pull(i, dx)
+        p = self.samples.of_vertex[i]
+        if p >= 0 and self.near_count[p] > 0:
+            y = d - s.carry[i] + self.rows.last[i]
+            for k in range(self.near_count[p]):
+                shape = self.near[p, k]
+                phi, n = self.colliders.distance(shape, s.x[i])
+                if phi < 0.5 * FAR:
+                    phi += self.samples.skin[p] + n.dot(s.carry[i])
+                    mu = ti.sqrt(s.friction[self.samples.body[p]] * self.colliders.friction[shape])
+                    c = respond(phi, n, y, mu, s.dt[None])
+                    y += c
+                    d += c
+        return d
+
+    @ti.func
+    def project_pairs(self, first: ti.template()):
+        """Two passes over the listed rows: what is active claims its share of the masses, then takes its step."""
+        serial = ti.static(ti.lang.impl.current_cfg().arch != ti.cuda and self.samples.size < SERIAL_BELOW)
+        if ti.static(serial):
+            ti.loop_config(serialize=True)
+        for k in range(self.rows.capacity):
+            if k < self.rows.listed_count[None]:
+                r = self.rows.listed[k]
+                usable = False
+                if r < self.samples.capacity:
+                    usable = self._meet(r)
+                elif ti.static(self.pairs.needed):
+                    usable = self.pairs.meet(r, self.rows)
+                self.rows.claim(r, usable, first)
+        if ti.static(serial):
+            ti.loop_config(serialize=True)
+        for k in range(self.rows.capacity):
+            if k < self.rows.listed_count[None]:
+                self.rows.step(self.rows.listed[k])
+
+    @ti.func
+    def settle_vertex(self, i, dx):
+        return dx + self.rows.settle(i)
+
+    @ti.func
+    def _meet(self, p):
+        """Take the row of a point on a triangle anew, against the nearest of the shapes near it."""
+        s = self.state
+        x = self.samples.blend(p, s.x)
+        phi, normal, friction = FAR, corner(0.0), 0.0
+        for k in range(self.near_count[p]):
+            shape = self.near[p, k]
+            d, n = self.colliders.distance(shape, x)
+            if d < phi:
+                phi, normal, friction = d, n, self.colliders.friction[shape]
+        usable = phi < 0.5 * FAR
+        if usable:
+            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
+            self.rows.set(p, phi, normal, ti.sqrt(friction * s.friction[self.samples.body[p]]))
+        return usable
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+        for part in (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs):
+            part.destroy()

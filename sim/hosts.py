@@ -1,0 +1,229 @@
+"""Which tet of another body holds each contact sample, or comes close enough to before the next search.
+
+The points are the bodies' surface samples and, so that nothing thin slips between those, spots on the axes of static
+capsules. Bodies and capsules are *groups*; a point looks for tets of bodies other than its own group.
+"""
+
+import numpy as np
+import taichi as ti
+
+from scenes.scene import Capsule
+from sim.broad import Bounds, PointHash
+from sim.samples import Samples
+from sim.state import MAX_BODIES, State, capacity, upload
+
+MARGIN = 0.006  # [m] besides the way that velocities explain until the next search: what accelerations may add
+MAX_CAPSULES = 32
+GROUPS = MAX_BODIES + MAX_CAPSULES
+NONE = 2**62  # a key above all others
+
+
+@ti.data_oriented
+class Spots:
+    """Points on the axes of thin static capsules: place vec3, radius f32 [m], friction f32, group i32."""
+
+    def __init__(self, capsules: list[Capsule], spacing: float):
+        thin = [c for c in capsules if c.radius < 2 * spacing][:MAX_CAPSULES]  # thicker ones cannot slip through
+        rows, low, high = [], np.zeros((MAX_CAPSULES, 3)), np.zeros((MAX_CAPSULES, 3))
+        for k, c in enumerate(thin):
+            a, b = np.asarray(c.a, np.float64), np.asarray(c.b, np.float64)
+            n = int(np.clip(np.ceil(np.linalg.norm(b - a) / (0.5 * spacing)), 1, 256))
+            rows += [(*(a + (b - a) * i / n), c.radius, c.friction, MAX_BODIES + k) for i in range(n + 1)]
+            low[k], high[k] = np.minimum(a, b) - c.radius, np.maximum(a, b) + c.radius
+        table = np.array(rows).reshape(-1, 6)
+        self.size, self.groups = len(table), len(thin)
+        n = capacity(max(self.size, 1))
+        self.place, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(3))
+        self.radius, self.friction, self.group = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
+        self.builder = ti.FieldsBuilder()
+        self.builder.dense(ti.i, n).place(self.place, self.radius, self.friction, self.group)
+        self.builder.dense(ti.i, MAX_CAPSULES).place(self.low, self.high)
+        self.count, self.group_count = ti.field(ti.i32), ti.field(ti.i32)
+        self.builder.place(self.count, self.group_count)
+        self.tree = self.builder.finalize()
+        self.count[None], self.group_count[None] = self.size, self.groups
+        columns = (self.place, slice(0, 3)), (self.radius, 3), (self.friction, 4), (self.group, 5)
+        for field, column in columns:
+            upload(field, table[:, column])
+        upload(self.low, low)
+        upload(self.high, high)
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+
+
+@ti.data_oriented
+class Hosts:
+    """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face."""
+
+    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds, tets: np.ndarray, cell: float):
+        self.state, self.samples, self.spots, self.bounds = state, samples, spots, bounds
+        self.hash = PointHash(samples.size + spots.size, cell)
+        N = self.hash.points
+        self.builder = ti.FieldsBuilder()
+        self.key, self.host = ti.field(ti.i64), ti.field(ti.i32)
+        self.builder.dense(ti.i, N).place(self.key)
+        self.builder.dense(ti.i, N).place(self.host)
+        self.overlap, self.wanted = ti.field(ti.i32), ti.field(ti.i32)
+        self.builder.dense(ti.ij, (MAX_BODIES, GROUPS)).place(self.overlap)
+        self.builder.dense(ti.i, GROUPS).place(self.wanted)
+        self.neighbor = ti.Vector.field(4, ti.i32)
+        self.builder.dense(ti.i, state.T).place(self.neighbor)
+        self.busy = ti.field(ti.i32)
+        self.builder.place(self.busy)
+        self.tree = self.builder.finalize()
+        upload(self.neighbor, neighbors(tets))
+
+    @ti.func
+    def group(self, p):
+        n = self.samples.count[None]
+        return self.samples.body[p] if p < n else self.spots.group[p - n]
+
+    @ti.func
+    def place(self, p):
+        """Where point p is [m]."""
+        n = self.samples.count[None]
+        x = ti.Vector([0.0, 0.0, 0.0])
+        if p < n:
+            x = self.samples.blend(p, self.state.x)
+        else:
+            x = self.spots.place[p - n]
+        return x
+
+    @ti.func
+    def velocity(self, p):
+        v = ti.Vector([0.0, 0.0, 0.0])
+        if p < self.samples.count[None]:
+            v = self.samples.blend(p, self.state.v)
+        return v
+
+    @ti.func
+    def reach(self, p):
+        """Distance [m] at which point p touches: a capsule's axis touches at its radius."""
+        n = self.samples.count[None]
+        return 0.0 if p < n else self.spots.radius[p - n]
+
+    @ti.func
+    def sweep(self, low, high, slow, fast, g):
+        """A box that moves with velocities slow..fast, swept relative to group g until the next search.
+
+        Returns the box grown by that and by MARGIN, and whether it meets the group's.
+        """
+        t = self.state.detect_dt[None]
+        other_low, other_high = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+        other_slow, other_fast = other_low, other_low
+        if g < MAX_BODIES:
+            other_low, other_high = self.bounds.low[g], self.bounds.high[g]
+            other_slow, other_fast = self.bounds.slow[g], self.bounds.fast[g]
+        else:
+            other_low, other_high = self.spots.low[g - MAX_BODIES], self.spots.high[g - MAX_BODIES]
+        a = low + ti.min((slow - other_fast) * t, 0.0) - MARGIN
+        b = high + ti.max((fast - other_slow) * t, 0.0) + MARGIN
+        meets = (other_low - b).max() <= 0.0 and (a - other_high).max() <= 0.0
+        return a, b, meets
+
+    @ti.kernel
+    def find(self, rows: ti.template(), begin: ti.i32):
+        s = self.state
+        h = self.hash
+        groups = MAX_BODIES + self.spots.group_count[None]
+        self.busy[None], h.total[None] = 0, 0
+        for g in range(GROUPS):
+            self.wanted[g] = 0
+        for b, g in self.overlap:  # which bodies come near which groups
+            n = s.body_count[None]
+            meets = False
+            if b < n and b != g and (g < n or MAX_BODIES <= g < groups):
+                _, _, meets = self.sweep(
+                    self.bounds.low[b], self.bounds.high[b], self.bounds.slow[b], self.bounds.fast[b], g
+                )
+            self.overlap[b, g] = meets
+            if meets:
+                self.wanted[g] = 1
+                self.busy[None] = 1
+        for bucket in range(h.buckets):
+            h.clear(bucket)
+        for p in range(h.points):
+            self.key[p] = ti.i64(NONE)
+            if self._searches(p):
+                h.count(p, self.place(p))
+        for bucket in range(h.buckets):
+            h.allot(bucket)
+        for p in range(h.points):
+            if self._searches(p):
+                h.fill(p)
+        for t in range(s.T):
+            if self.busy[None] and t < s.tet_count[None]:
+                self._visit(t)
+        for p in range(h.points):
+            if self.key[p] != ti.i64(NONE):
+                self.host[p] = ti.cast(self.key[p] & ti.i64(0x7FFFFFFF), ti.i32)
+                rows.enlist(begin + p)
+            else:
+                rows.forget(begin + p)
+
+    @ti.func
+    def _searches(self, p):
+        """Whether some body comes near point p's group."""
+        result = False
+        if self.busy[None] and p < self.samples.count[None] + self.spots.count[None]:
+            result = self.wanted[self.group(p)] != 0
+        return result
+
+    @ti.func
+    def _visit(self, t):
+        """Offer tet t to all points in the cells that it can meet until the next search."""
+        s = self.state
+        h = self.hash
+        body = s.body_of_tet[t]
+        a = s.tets[t]
+        x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
+        v = 0.25 * (s.v[a[0]] + s.v[a[1]] + s.v[a[2]] + s.v[a[3]])
+        low, high = ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3)
+        box_low, box_high, near = low, high, False
+        for g in range(MAX_BODIES + self.spots.group_count[None]):
+            if (g < s.body_count[None] or g >= MAX_BODIES) and self.overlap[body, g]:
+                grown_low, grown_high, meets = self.sweep(low, high, v, v, g)
+                if meets:
+                    box_low, box_high = ti.min(box_low, grown_low), ti.max(box_high, grown_high)
+                    near = True
+        E = ti.Matrix.cols([x1 - x0, x2 - x0, x3 - x0])
+        if near and E.determinant() > 0.0:
+            inverse = E.inverse()
+            first, last = h.range_of(box_low, box_high)
+            for i in range(first[0], last[0]):
+                for j in range(first[1], last[1]):
+                    for k in range(first[2], last[2]):
+                        bucket = h.bucket_of(ti.Vector([i, j, k]))
+                        for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
+                            p = h.entry[e]
+                            if self.overlap[body, self.group(p)]:
+                                self._offer(t, p, x0, v, inverse)
+
+    @ti.func
+    def _offer(self, t, p, x0, v, inverse):
+        """Tet t is the host of point p if it is the nearest so far: the lowest key of (distance, t)."""
+        b = inverse @ (self.place(p) - x0)
+        rows = ti.Vector([inverse[0, c] + inverse[1, c] + inverse[2, c] for c in range(3)])
+        outside = ti.max((b.sum() - 1.0) / rows.norm(), 0.0)  # [m] beyond the worst face
+        for r in ti.static(range(3)):
+            outside = ti.max(outside, -b[r] / ti.Vector([inverse[r, 0], inverse[r, 1], inverse[r, 2]]).norm())
+        way = (v - self.velocity(p)).norm() * self.state.detect_dt[None]
+        if outside < MARGIN + way + self.reach(p):
+            key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
+            ti.atomic_min(self.key[p], key)
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+        self.hash.destroy()
+
+
+def neighbors(tets: np.ndarray) -> np.ndarray:
+    """Tet across the face opposite each corner, -1 at the surface, (T, 4) int32."""
+    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(1)
+    result = np.full(4 * len(tets), -1, np.int32)
+    a, b = order[:-1][same], order[1:][same]
+    result[a], result[b] = b // 4, a // 4
+    return result.reshape(-1, 4)

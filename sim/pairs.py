@@ -1,0 +1,117 @@
+"""Contact between deformable bodies: a sample in (or near) a foreign tet is pushed out along that body's distance grid.
+
+With barycentric weights b of the sample in the host tet, X = sum_j b_j X_j is where it sits in the host's rest shape.
+The rest distance phi_0 there and its gradient N give, with F = dx/dX of the tet,
+
+    n = F^-T N / |F^-T N|,   F^-T N = sum_j grad b_j (X_j . N),   phi = phi_0 |N| / |F^-T N|
+
+and the contact acts on the sample with its weights, and on the tet's corners with -b.
+"""
+
+import numpy as np
+import taichi as ti
+
+from scenes.scene import Capsule
+from sim.body import SoftBody
+from sim.broad import Bounds
+from sim.colliders import Shape
+from sim.grids import FAR, Grids
+from sim.hosts import Hosts, Spots
+from sim.rest_distance import rest_grid
+from sim.rows import Rows
+from sim.samples import Samples
+from sim.state import MAX_BODIES, State, upload
+
+FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
+OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next tet
+
+
+@ti.data_oriented
+class Pairs:
+    """Fills the rows of points near foreign tets: row begin + p for point p (see sim/hosts.py)."""
+
+    def __init__(self, state: State, bodies: list[SoftBody], samples: Samples, shapes: list[Shape], bounds: Bounds):
+        self.state, self.samples, self.begin = state, samples, samples.capacity
+        self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
+        self.needed = len(bodies) > 1 or self.spots.size > 0
+        grids = [b.sdf or rest_grid(b.vertices, b.tets, b.surface) for b in bodies] if self.needed else []
+        self.grids = Grids(grids)
+        offsets = np.cumsum([0] + [len(b.vertices) for b in bodies])
+        tets = np.concatenate([np.asarray(b.tets, np.int64) + o for b, o in zip(bodies, offsets, strict=False)])
+        x = np.concatenate([np.asarray(b.vertices, np.float64) for b in bodies])
+        edge = float(np.median(np.linalg.norm(x[tets[:, 1]] - x[tets[:, 0]], axis=1)))
+        self.hosts = Hosts(state, samples, self.spots, bounds, tets, max(edge, samples.spacing))
+        self.rim = ti.field(ti.f32, MAX_BODIES)
+        upload(self.rim, np.array([rim(g) for g in grids] or [0.0]))
+
+    @property
+    def size(self) -> int:
+        """Rows at most."""
+        return self.hosts.hash.points if self.needed else 0
+
+    def detect(self, rows: Rows) -> None:
+        """List the rows of points that are near a foreign tet; needs up-to-date Bounds."""
+        if self.needed:
+            self.hosts.find(rows, self.begin)
+
+    @ti.func
+    def meet(self, r, rows: ti.template()):
+        """Take row r's distance, normal and vertices anew; whether the host's grid says anything there."""
+        s = self.state
+        p = r - self.begin
+        sampled = p < self.samples.count[None]
+        t = self.hosts.host[p]
+        a = s.tets[t]
+        x0, X0 = s.x[a[0]], s.rest[a[0]]
+        e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+        E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
+        det = e1.dot(e2.cross(e3))
+        usable = det > FLAT * E1.dot(E2.cross(E3))
+        if usable:
+            g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det  # grad b_j
+            d = self.hosts.place(p) - x0
+            b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
+            b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
+            phi, N = self.grids.sample(s.body_of_tet[t], X0 + b1 * E1 + b2 * E2 + b3 * E3)
+            normal = g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
+            length, slope = normal.norm(), N.norm()
+            usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
+            normal /= ti.max(length, 1e-12)
+            phi *= slope / ti.max(length, 1e-12)
+            self._walk(p, t, b)
+            friction = s.friction[s.body_of_tet[t]]
+            b = ti.max(b, 0.0)
+            b /= b.sum()
+            first = 0
+            if sampled:
+                first = 3
+                phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
+                friction *= s.friction[self.samples.body[p]]
+                self.samples.put(p, r, rows)
+            else:
+                phi -= ti.min(self.hosts.reach(p), self.rim[s.body_of_tet[t]])
+                friction *= self.spots.friction[p - self.samples.count[None]]
+            for j in ti.static(range(4)):
+                phi -= b[j] * normal.dot(s.carry[a[j]])
+                rows.set_vertex(r, first + j, a[j], -b[j])
+            rows.size[r] = first + 4
+            rows.set(r, phi, normal, ti.sqrt(friction))
+        return usable
+
+    @ti.func
+    def _walk(self, p, t, b):
+        """From the next substep on, point p belongs to the tet across the face that it lies furthest outside of."""
+        if b.min() < OUTSIDE:
+            for j in ti.static(range(4)):
+                if b[j] == b.min() and self.hosts.neighbor[t][j] >= 0:
+                    self.hosts.host[p] = self.hosts.neighbor[t][j]
+
+    def destroy(self) -> None:
+        for part in (self.grids, self.hosts, self.spots):
+            part.destroy()
+
+
+def rim(grid) -> float:
+    """How far around the surface a grid surely reaches [m]: the least distance on its outermost nodes."""
+    v = np.asarray(grid.values, np.float64)
+    return float(max(0.0, min(face.min() for k in range(3) for face in (v.take(0, k), v.take(-1, k)))))

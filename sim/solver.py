@@ -8,6 +8,8 @@ import taichi as ti
 from assets.errors import BadInput
 from scenes.scene import BodyState, Hand
 from sim.body import SoftBody
+from sim.colliders import Shape
+from sim.contact import Contacts
 from sim.damping import Chunks, Damping
 from sim.elastic import Elastic
 from sim.stability import LIMIT, choose_substep, lame, stiffness_bounds
@@ -35,7 +37,7 @@ class Solver:
     def __init__(
         self,
         bodies: list[SoftBody],
-        colliders: list = (),
+        colliders: list[Shape] = (),
         *,
         gravity=(0.0, -9.81, 0.0),
         substep: float | None = None,
@@ -65,11 +67,7 @@ class Solver:
         self.x, self.v, self.rest, self.w, self.tets, self.body_of_vertex = (
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
         )  # fmt: skip
-        self._constraints = []
-        if contacts:
-            from sim.contact import Contacts
-
-            self._constraints.append(Contacts(s, self._bodies, list(colliders), hands=hands))
+        self._constraints = [Contacts(s, self._bodies, list(colliders), hands=hands)] if contacts else []
         pieces = max(collision_passes, -(-nominal // PIECE))
         length = -(-nominal // pieces)
         chunks = Chunks(s, np.array(self.vertex_offset))

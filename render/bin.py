@@ -60,8 +60,12 @@ class Bins:
         self.sorter = RadixSort(capacity, bits=max(1, (self.tiles - 1).bit_length()))
         self.members = self.sorter.sorted_items
         self.begin, self.end = ti.field(ti.i32), ti.field(ti.i32)
+        self.large, self.large_count = ti.field(ti.i32), ti.field(ti.i32)  # places in order of what exceeds a window
+        self.crew = 32 if ti.cfg.arch == ti.cuda else 1  # threads that share a large splat
         builder = ti.FieldsBuilder()
         builder.dense(ti.i, self.tiles).place(self.begin, self.end)
+        builder.dense(ti.i, self.projection.splats.capacity).place(self.large)
+        builder.place(self.large_count)
         self.tree = builder.finalize()
 
     def destroy(self) -> None:
@@ -73,11 +77,17 @@ class Bins:
     def fill(self):
         """Emit all pairs in depth order and sort them stably by tile; outermost level of a kernel."""
         self.sorter.count[None] = 0
+        self.large_count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
         for k in range(self.order.sorter.kept[None]):
             if self.sorter.count[None] > 0:
-                self._emit(self.order.sorter.sorted_items[k][1], self.order.first_pair[k])
+                larger = self._emit(self.order.sorter.sorted_items[k][1], self.order.first_pair[k])
+                if larger:
+                    self.large[ti.atomic_add(self.large_count[None], 1)] = k
+        for i in range(self.large_count[None] * self.crew):
+            k = self.large[i // self.crew]
+            self._emit_large(self.order.sorter.sorted_items[k][1], self.order.first_pair[k], i % self.crew)
         self.sorter.sort()
         for t in range(self.tiles):
             self.begin[t] = 0
@@ -91,7 +101,8 @@ class Bins:
 
     @ti.func
     def _emit(self, g: ti.i32, slot: ti.i32):
-        """Write all pairs of a Gaussian from `slot` on."""
+        """Write the pairs of a Gaussian from `slot` on; returns whether larger splats of it are left."""
+        left_over = False
         for v in range(self.projection.views):
             window = self.projection.window[v, g]
             bits = window[1]
@@ -103,17 +114,24 @@ class Bins:
                 slot += 1
                 bits &= bits - 1
             if bits < 0:
-                slot = self._emit_large(v, g, slot)
+                left_over = True
+                slot -= bits
+        return left_over
 
     @ti.func
-    def _emit_large(self, v: ti.i32, g: ti.i32, slot: ti.i32) -> ti.i32:
-        """Write the pairs of a splat that is larger than a window; returns the next slot."""
-        place, conic, box = self.projection.place[v, g], self.projection.conic[v, g], self.projection.box[v, g]
-        first, last = self.projection.tile_rows(place, box)
-        for row in range(first, last):
-            left, right = self.projection.tile_columns(row, place, conic, box)
-            for column in range(left, right):
-                tile = v * self.tiles_per_view + row * self.projection.tiles_x + column
-                self.sorter.items[slot] = ti.Vector([tile, g])
-                slot += 1
-        return slot
+    def _emit_large(self, g: ti.i32, slot: ti.i32, member: ti.i32):
+        """Write every `crew`-th row, from row `member` on, of the splats of a Gaussian that exceed a window."""
+        for v in range(self.projection.views):
+            if self.projection.window[v, g][1] >= 0:
+                slot += self.projection.touched(v, g)
+            else:
+                place, conic = self.projection.place[v, g], self.projection.conic[v, g]
+                box = self.projection.box[v, g]
+                left, right, top, bottom = self.projection.tile_box(place, box)
+                for row in range(top, bottom):
+                    first, last = self.projection.tile_columns(row, left, right, place, conic, box)
+                    if (row - top) % self.crew == member:
+                        tile = v * self.tiles_per_view + row * self.projection.tiles_x
+                        for column in range(first, last):
+                            self.sorter.items[slot + column - first] = ti.Vector([tile + column, g])
+                    slot += last - first

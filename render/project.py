@@ -158,17 +158,15 @@ class Projection:
 
     @ti.func
     def _window(self, place: vec4, conic: vec4, box: vec4):
-        top, bottom = self.tile_rows(place, box)
-        column, end = self._tiles_between(place.x - box[0], place.x + box[0], self.width)
+        left, right, top, bottom = self.tile_box(place, box)
         touched, bits = 0, 0
         for row in range(top, bottom):
-            left, right = self.tile_columns(row, place, conic, box)
-            touched += right - left
-            if right - column <= WINDOW:
-                bits |= ((1 << (right - left)) - 1) << ((row - top) * WINDOW + left - column)
-        if end - column > WINDOW or bottom - top > WINDOW:
+            first, last = self.tile_columns(row, left, right, place, conic, box)
+            touched += last - first
+            bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW + first - left)
+        if right - left > WINDOW or bottom - top > WINDOW:
             bits = -touched
-        return ti.Vector([column | top << 16, bits])
+        return ti.Vector([left | top << 16, bits])
 
     @ti.func
     def touched(self, v: ti.i32, g: ti.i32) -> ti.i32:
@@ -184,51 +182,51 @@ class Projection:
         )
 
     @ti.func
-    def tile_rows(self, place: vec4, box: vec4):
-        """Rows of tiles [first, last) that hold a pixel centre within the splat's height."""
-        return self._tiles_between(place.y - box[1], place.y + box[1], self.height)
+    def tile_box(self, place: vec4, box: vec4):
+        """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
+        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.tiles_x)
+        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.tiles_y)
+        return left, right, top, bottom
 
     @ti.func
-    def tile_columns(self, row: ti.i32, place: vec4, conic: vec4, box: vec4):
-        """Columns of tiles [left, right) of a row that hold a pixel centre of the ellipse's part in it.
+    def tile_columns(self, row: ti.i32, left: ti.i32, right: ti.i32, place: vec4, conic: vec4, box: vec4):
+        """Columns of tiles [first, last) of a row that hold a pixel centre column of the ellipse's part in it.
 
         The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
-        rightmost point, clamped to the strip; likewise the left end, by symmetry.
+        rightmost point, clamped to the strip; likewise the left end, by symmetry. left and right
+        are those of the splat's box.
         """
-        left, right = self._tiles_between(place.x - box[0], place.x + box[0], self.width)
+        first, last = left, right
         A, B, C, det = conic[0], conic[1], conic[2], conic[3]
         if right - left > 1 and det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
             low = ti.max(row * self.tile + 0.5 - place.y, -box[1])
             high = ti.min(row * self.tile + self.tile - 0.5 - place.y, box[1])
             d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
             root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
-            x_right, x_left = (root[0] - B * d[0]) / A, (-root[1] - B * d[1]) / A
-            inner_left, inner_right = self._tiles_between(place.x + x_left, place.x + x_right, self.width)
-            left = ti.max(left, inner_left)
-            right = ti.max(left, ti.min(right, inner_right))  # rounding must not leave the box
-        return left, right
+            middle = place.x - B / A * d
+            first, last = self._tiles_between(middle[1] - root[1] / A, middle[0] + root[0] / A, left, right)
+        return first, last
 
     @ti.func
-    def _tiles_between(self, low: ti.f32, high: ti.f32, side: ti.template()):
-        """Tiles [first, last) along a side of the picture with a pixel centre in [low, high]."""
-        low_pixel = ti.cast(ti.ceil(clamp(low - 0.5, 0.0, float(side))), ti.i32)
-        high_pixel = ti.cast(ti.floor(clamp(high - 0.5, -1.0, side - 1.0)), ti.i32)
-        first, last = 0, 0
-        if high_pixel >= low_pixel:
-            first, last = low_pixel // self.tile, high_pixel // self.tile + 1
-        return first, last
+    def _tiles_between(self, low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32):
+        """Tiles [first, last) within [left, right) along a side with a pixel centre in [low, high]."""
+        first = ti.cast(ti.floor(clamp((low + 0.5) / self.tile, float(left), float(right))), ti.i32)
+        last = ti.cast(ti.floor(clamp((high + (self.tile - 0.5)) / self.tile, float(left), float(right))), ti.i32)
+        return first, ti.max(first, last)
 
     @ti.func
     def _color(self, g: ti.i32, mean: vec3) -> vec3:
         """max(0, 0.5 + SH(R^T d)) times the light, d from between the cameras' centres to the mean."""
         value = harmonics.C0 * self.splats.sh[g, 0]
         if ti.static(self.splats.coefficients > 1):
-            eye = vec3(0.0)
-            for v in range(self.views):
-                for k in ti.static(range(3)):
-                    eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
-            d = rotate_back(self.splats.rotation[g], (mean - eye).normalized(1e-12))
-            value += self._bands(g, d)
+            depends_on_view = g >= self.splats.banded[0] and g < self.splats.banded[1]
+            if depends_on_view:
+                eye = vec3(0.0)
+                for v in range(self.views):
+                    for k in ti.static(range(3)):
+                        eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
+                d = rotate_back(self.splats.rotation[g], (mean - eye).normalized(1e-12))
+                value += self._bands(g, d)
         return ti.max(0.0, 0.5 + value) * self.splats.light[g]
 
     @ti.func

@@ -10,6 +10,8 @@ from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.project import Projection
 from render.splats import Splats
 
+PAIRS_PER_SPLAT = 8  # room at the start; scenes were seen to need 3 to 6
+FIRST_PAIRS = 1 << 24  # but not more than 256 MiB until they are needed
 MOST_PAIRS = 1 << 28  # 4 GiB of sort buffers
 
 
@@ -26,14 +28,14 @@ class Raster:
         self.order = DepthOrder(self.projection)
         self.stage = None
         self._cameras = {}  # numbers on the device, by view
-        self._make_room(max(1 << 16, 2 * views * splats.capacity))
+        self._make_room(min(PAIRS_PER_SPLAT * views * splats.capacity, FIRST_PAIRS))
 
     def _make_room(self, pairs: int) -> None:
         if pairs > MOST_PAIRS:
             raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
         if self.stage is not None:
             self.stage.bins.destroy()
-        capacity = 1 << (pairs - 1).bit_length()
+        capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         self.stage = DrawStage(Blend(Bins(self.order, capacity), **self.wants), self.sink)
 
     def destroy(self) -> None:

@@ -22,6 +22,9 @@ class Splats:
     sh        spherical harmonics, vec3, (capacity, coefficients)
     rotation  quaternion wxyz that turns the frame of `sh` into the world; identity at the start
     light     multiplier of the colour, 1 at the start
+
+    `banded` = [begin, end) holds all Gaussians whose colour depends on the view: a room of degree 0
+    that was padded for the sake of a shiny body is not evaluated to the body's degree.
     """
 
     def __init__(self, gaussians: Gaussians):
@@ -43,6 +46,8 @@ class Splats:
         self.cov.from_numpy(self._padded(covariances(gaussians)))
         self.opacity.from_numpy(self._padded(gaussians.opacities))
         self.sh.from_numpy(self._padded(gaussians.sh))
+        colored_by_view = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
+        self.banded = (int(colored_by_view[0]), int(colored_by_view[-1]) + 1) if colored_by_view.size else (0, 0)
         self._start = gaussians.means  # where they were at the start [m], for the host
         self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
         self.light.fill(1.0)

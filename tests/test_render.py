@@ -183,12 +183,12 @@ def test_the_shift_of_the_lens_shifts_the_picture(stage):
 
 
 def test_more_pairs_than_room_draw_the_same_picture(ti_cpu):
-    """3,000 Gaussians that cover the picture need far more pairs than the first buffers hold."""
-    g = cloud(np.random.default_rng(3), 3000, size=1.0)
+    """6,000 Gaussians that cover the picture need far more pairs than the first buffers hold."""
+    g = cloud(np.random.default_rng(3), 6000, size=1.0)
     camera = perspective(160, 120, 1.0, look_at((0, 0, -1), (0, 0, 0)))
     rgb, _, _, renderer = draw(g, [camera])
     pairs = renderer.raster.order.pairs[None]
-    assert pairs > 1 << 16 and renderer.raster.stage.bins.capacity >= pairs
+    assert pairs > 8 * g.means.shape[0] and renderer.raster.stage.bins.capacity >= pairs
     renderer.render([camera])
     np.testing.assert_array_equal(renderer.rgb.to_numpy(), rgb)
     close = np.abs(rgb[0] - reference.render(g, camera)[0]).max(axis=-1) < 2e-3

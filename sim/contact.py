@@ -24,10 +24,9 @@ from sim.response import respond
 from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
+from sim.substep import blocks
 
-MARGIN = 0.006  # [m] besides the way at the body's present speed: what accelerations may add until the next search
 NEAR = 8  # static shapes that one sample can be near at once
-SERIAL_BELOW = 1500  # samples: under this, waking the CPU's worker threads costs more than they save
 
 
 @ti.data_oriented
@@ -76,7 +75,7 @@ class Contacts:
         self.rows.listed_count[None] = 0
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
-                margin = MARGIN + 1.2 * self.bounds.speed(self.samples.body[p]) * self.state.detect_dt[None]
+                margin = self.bounds.pace[self.samples.body[p]] * self.state.detect_dt[None]
                 x = self.samples.blend(p, self.state.x)
                 n = 0
                 for k in range(self.colliders.count[None]):
@@ -84,6 +83,7 @@ class Contacts:
                         self.near[p, n] = k
                         n += 1
                 self.near_count[p] = n
+                self.rows.wake[p] = 0
                 if n > 0 and not self.samples.single[p]:
                     self.samples.put(p, p, self.rows)
                     self.rows.size[p] = 3
@@ -102,36 +102,46 @@ class Contacts:
         if ti.static(first):
             d = self.hands.pull(i, dx)
         p = self.samples.of_vertex[i]
-        if p >= 0 and self.near_count[p] > 0:
+        if p >= 0 and self.near_count[p] > 0 and s.tick[None] >= self.rows.wake[p]:
             y = d - s.carry[i] + self.rows.last[i]
+            clear = FAR
             for k in range(self.near_count[p]):
                 shape = self.near[p, k]
                 phi, n = self.colliders.distance(shape, s.x[i])
-                if phi < 0.5 * FAR:
+                if phi >= 0.5 * FAR:
+                    clear = 0.0  # a grid that says nothing here may say something in a moment
+                else:
                     phi += self.samples.skin[p] + n.dot(s.carry[i])
                     mu = ti.sqrt(s.friction[self.samples.body[p]] * self.colliders.friction[shape])
                     c = respond(phi, n, y, mu, s.dt[None])
                     y += c
                     d += c
+                    clear = ti.min(clear, phi)
+            self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
         return d
 
     @ti.func
     def project_pairs(self, first: ti.template()):
         """Two passes over the listed rows: what is active claims its share of the masses, then takes its step."""
-        serial = ti.static(ti.lang.impl.current_cfg().arch != ti.cuda and self.samples.size < SERIAL_BELOW)
-        if ti.static(serial):
+        block = ti.static(blocks(self.rows.capacity))
+        if ti.static(self.state.serial):
             ti.loop_config(serialize=True)
+        else:
+            ti.loop_config(block_dim=block)
         for k in range(self.rows.capacity):
             if k < self.rows.listed_count[None]:
                 r = self.rows.listed[k]
-                usable = False
-                if r < self.samples.capacity:
-                    usable = self._meet(r)
-                elif ti.static(self.pairs.needed):
-                    usable = self.pairs.meet(r, self.rows)
-                self.rows.claim(r, usable, first)
-        if ti.static(serial):
+                if self.state.tick[None] >= self.rows.wake[r]:
+                    usable = False
+                    if r < self.samples.capacity:
+                        usable = self._meet(r)
+                    elif ti.static(self.pairs.needed):
+                        usable = self.pairs.meet(r, self.rows)
+                    self.rows.claim(r, usable, first)
+        if ti.static(self.state.serial):
             ti.loop_config(serialize=True)
+        else:
+            ti.loop_config(block_dim=block)
         for k in range(self.rows.capacity):
             if k < self.rows.listed_count[None]:
                 self.rows.step(self.rows.listed[k])
@@ -154,7 +164,8 @@ class Contacts:
         usable = phi < 0.5 * FAR
         if usable:
             phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
-            self.rows.set(p, phi, normal, ti.sqrt(friction * s.friction[self.samples.body[p]]))
+            body = self.samples.body[p]
+            self.rows.set(p, phi, normal, ti.sqrt(friction * s.friction[body]), self.bounds.pace[body])
         return usable
 
     def destroy(self) -> None:

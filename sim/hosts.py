@@ -8,11 +8,10 @@ import numpy as np
 import taichi as ti
 
 from scenes.scene import Capsule
-from sim.broad import Bounds, PointHash
+from sim.broad import MARGIN, Bounds, PointHash
 from sim.samples import Samples
 from sim.state import MAX_BODIES, State, capacity, upload
 
-MARGIN = 0.006  # [m] besides the way that velocities explain until the next search: what accelerations may add
 MAX_CAPSULES = 32
 GROUPS = MAX_BODIES + MAX_CAPSULES
 NONE = 2**62  # a key above all others
@@ -158,6 +157,7 @@ class Hosts:
         for p in range(h.points):
             if self.key[p] != ti.i64(NONE):
                 self.host[p] = ti.cast(self.key[p] & ti.i64(0x7FFFFFFF), ti.i32)
+                rows.wake[begin + p] = 0
                 rows.enlist(begin + p)
             else:
                 rows.forget(begin + p)

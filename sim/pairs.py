@@ -31,7 +31,7 @@ class Pairs:
     """Fills the rows of points near foreign tets: row begin + p for point p (see sim/hosts.py)."""
 
     def __init__(self, state: State, bodies: list[SoftBody], samples: Samples, shapes: list[Shape], bounds: Bounds):
-        self.state, self.samples, self.begin = state, samples, samples.capacity
+        self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
         self.needed = len(bodies) > 1 or self.spots.size > 0
         grids = [b.sdf or rest_grid(b.vertices, b.tets, b.surface) for b in bodies] if self.needed else []
@@ -79,7 +79,8 @@ class Pairs:
             normal /= ti.max(length, 1e-12)
             phi *= slope / ti.max(length, 1e-12)
             self._walk(p, t, b)
-            friction = s.friction[s.body_of_tet[t]]
+            host = s.body_of_tet[t]
+            friction, pace = s.friction[host], self.bounds.pace[host]
             b = ti.max(b, 0.0)
             b /= b.sum()
             first = 0
@@ -87,15 +88,16 @@ class Pairs:
                 first = 3
                 phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
                 friction *= s.friction[self.samples.body[p]]
+                pace += self.bounds.pace[self.samples.body[p]]
                 self.samples.put(p, r, rows)
             else:
-                phi -= ti.min(self.hosts.reach(p), self.rim[s.body_of_tet[t]])
+                phi -= ti.min(self.hosts.reach(p), self.rim[host])
                 friction *= self.spots.friction[p - self.samples.count[None]]
             for j in ti.static(range(4)):
                 phi -= b[j] * normal.dot(s.carry[a[j]])
                 rows.set_vertex(r, first + j, a[j], -b[j])
             rows.size[r] = first + 4
-            rows.set(r, phi, normal, ti.sqrt(friction))
+            rows.set(r, phi, normal, ti.sqrt(friction), pace)
         return usable
 
     @ti.func

@@ -25,7 +25,8 @@ MOST = 7  # vertices of a row: a triangle's and a tet's
 class Rows:
     """The table of rows, and the sums that they make.
 
-    normal vec3[R], phi f32[R] [m], friction f32[R];   impulse vec3[R] [kg m] of the last sweep
+    normal vec3[R], phi f32[R] [m], friction f32[R], pace f32[R] [m/s];   impulse vec3[R] [kg m] of the last sweep
+    wake i32[R]: the substep until which a row is too far from contact to be looked at
     size i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a row;   claimed i32[R]: active in this sweep
     listed i32[R], listed_count: the rows in use
     share i32[V] = B, in 1/SHARE;   start, change i64[V,3], in 1/LENGTH m: what the impulses of the last substep, and
@@ -36,12 +37,13 @@ class Rows:
         self.state, self.capacity = state, capacity
         self.builder = ti.FieldsBuilder()
         self.normal, self.impulse, self.last = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.phi, self.friction, self.coefficient = (ti.field(ti.f32) for _ in range(3))
-        self.size, self.vertex, self.claimed, self.listed, self.share, self.listed_count = (
-            ti.field(ti.i32) for _ in range(6)
+        self.phi, self.friction, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(4))
+        self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.listed_count = (
+            ti.field(ti.i32) for _ in range(7)
         )
         self.start, self.change = ti.Vector.field(3, ti.i64), ti.Vector.field(3, ti.i64)
-        self.builder.dense(ti.i, capacity).place(self.normal, self.phi, self.friction, self.size, self.claimed)
+        self.builder.dense(ti.i, capacity).place(self.normal, self.phi, self.friction, self.pace, self.size)
+        self.builder.dense(ti.i, capacity).place(self.wake, self.claimed)
         self.builder.dense(ti.i, capacity).place(self.impulse)
         self.builder.dense(ti.i, capacity).place(self.listed)
         self.builder.dense(ti.i, capacity).dense(ti.j, MOST).place(self.vertex, self.coefficient)
@@ -61,8 +63,15 @@ class Rows:
         self.impulse[r] = ti.Vector([0.0, 0.0, 0.0])
 
     @ti.func
-    def set(self, r, phi, normal, friction):
-        self.phi[r], self.normal[r], self.friction[r] = phi, normal, friction
+    def set(self, r, phi, normal, friction, pace):
+        """What row r is like now; at `pace` [m/s] its distance phi may shrink."""
+        self.phi[r], self.normal[r], self.friction[r], self.pace[r] = phi, normal, friction, pace
+
+    @ti.func
+    def rest(self, r, phi, pace):
+        """Look at row r again when its distance phi [m] may be used up."""
+        s = self.state
+        self.wake[r] = s.tick[None] + 1 + ti.cast(ti.max(phi, 0.0) / (pace * s.dt[None]), ti.i32)
 
     @ti.func
     def set_vertex(self, r, e, i, c):
@@ -85,6 +94,8 @@ class Rows:
                 self._push(r, self.impulse[r], self.start)
         else:
             self.forget(r)
+            if usable:
+                self.rest(r, self.phi[r], self.pace[r])
 
     @ti.func
     def step(self, r):

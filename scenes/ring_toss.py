@@ -25,7 +25,9 @@ class RingToss:
     def __init__(self):
         above = (BOTTLE[0], TABLE_TOP + BOTTLE_HEIGHT + 0.03, BOTTLE[2])
         self.throws = [
-            Throw(grip=(x, TABLE_TOP + 0.02, z), release=(0.5 * x, 1.10, 0.38), target=above, reach=0.11)
+            Throw(
+                grip=(x, TABLE_TOP + 0.02, z), release=(0.4 * x, 1.10, 0.37), target=above, reach=0.11, flight_time=0.5
+            )
             for x, z in STARTS
         ]
         self.reset()

@@ -12,6 +12,7 @@ import numpy as np
 from scenes.scene import Hand
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
+ROUNDING = 1e-6  # [s]; the frame that ends at the release must still swing, whatever its time was summed from
 
 
 def throw_velocity(start, target, seconds: float) -> np.ndarray:
@@ -59,10 +60,10 @@ class Throw:
             position = above + (grip - above) * ease(t / self.reach_time)
         elif swung < 0:
             position = grip + (run_up - grip) * ease(lifted / self.carry_time)
-        elif t < self.released_at:
+        elif t <= self.released_at + ROUNDING:
             position = run_up + 0.5 * velocity * swung**2 / self.swing_time
         else:  # follow through, slowing down
             after = t - self.released_at
             position = release + velocity * 0.1 * (1.0 - np.exp(-after / 0.1))
-        grips = self.reach_time <= t < self.released_at
+        grips = self.reach_time <= t <= self.released_at + ROUNDING
         return Hand(position=tuple(position), grip=grips, reach=self.reach)

@@ -4,7 +4,7 @@ import math
 
 import taichi as ti
 
-from assets import sh as harmonics
+from render.color import color_of
 from render.sort import DROPPED
 from render.splats import Splats
 
@@ -18,14 +18,6 @@ WINDOW = 4  # [tiles] per side; larger splats, a few in a hundred, are looked at
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
-
-
-@ti.func
-def rotate_back(q: vec4, d: vec3) -> vec3:
-    """R(q)^T d for a unit quaternion wxyz."""
-    u = vec3(q[1], q[2], q[3])
-    t = 2.0 * u.cross(d)
-    return d - q[0] * t + u.cross(t)
 
 
 @ti.data_oriented
@@ -103,7 +95,7 @@ class Projection:
             key = ti.u32(DROPPED)
             if seen != 0:
                 if ti.static(self.with_color):
-                    c = self._color(g, mean)
+                    c = color_of(self.splats, g, mean - self._eye())
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
@@ -118,6 +110,15 @@ class Projection:
             row = self.camera[v, k]
             p[k] = row.xyz.dot(x) + row.w
         return p
+
+    @ti.func
+    def _eye(self) -> vec3:
+        """The mean of the cameras' centres [m]."""
+        eye = vec3(0.0)
+        for v in range(self.views):
+            for k in ti.static(range(3)):
+                eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
+        return eye
 
     @ti.func
     def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32):
@@ -159,12 +160,14 @@ class Projection:
     @ti.func
     def _window(self, place: vec4, conic: vec4, box: vec4):
         left, right, top, bottom = self.tile_box(place, box)
+        fits = right - left <= WINDOW and bottom - top <= WINDOW
         touched, bits = 0, 0
         for row in range(top, bottom):
             first, last = self.tile_columns(row, left, right, place, conic, box)
             touched += last - first
-            bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW + first - left)
-        if right - left > WINDOW or bottom - top > WINDOW:
+            if fits:
+                bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW + first - left)
+        if not fits:
             bits = -touched
         return ti.Vector([left | top << 16, bits])
 
@@ -213,41 +216,6 @@ class Projection:
         first = ti.cast(ti.floor(clamp((low + 0.5) / self.tile, float(left), float(right))), ti.i32)
         last = ti.cast(ti.floor(clamp((high + (self.tile - 0.5)) / self.tile, float(left), float(right))), ti.i32)
         return first, ti.max(first, last)
-
-    @ti.func
-    def _color(self, g: ti.i32, mean: vec3) -> vec3:
-        """max(0, 0.5 + SH(R^T d)) times the light, d from between the cameras' centres to the mean."""
-        value = harmonics.C0 * self.splats.sh[g, 0]
-        if ti.static(self.splats.coefficients > 1):
-            depends_on_view = g >= self.splats.banded[0] and g < self.splats.banded[1]
-            if depends_on_view:
-                eye = vec3(0.0)
-                for v in range(self.views):
-                    for k in ti.static(range(3)):
-                        eye -= self.camera[v, k].w * self.camera[v, k].xyz / self.views
-                d = rotate_back(self.splats.rotation[g], (mean - eye).normalized(1e-12))
-                value += self._bands(g, d)
-        return ti.max(0.0, 0.5 + value) * self.splats.light[g]
-
-    @ti.func
-    def _bands(self, g: ti.i32, d: vec3) -> vec3:
-        """Degrees 1 to 3 of the harmonics at unit direction d; the basis of assets/sh.py."""
-        sh = ti.static(self.splats.sh)
-        x, y, z = d.x, d.y, d.z
-        value = harmonics.C1 * (z * sh[g, 2] - y * sh[g, 1] - x * sh[g, 3])
-        if ti.static(self.splats.coefficients > 4):
-            xx, yy, zz = x * x, y * y, z * z
-            C2 = ti.static(harmonics.C2)
-            value += C2[0] * x * y * sh[g, 4] + C2[1] * y * z * sh[g, 5] + C2[2] * (2 * zz - xx - yy) * sh[g, 6]
-            value += C2[3] * x * z * sh[g, 7] + C2[4] * (xx - yy) * sh[g, 8]
-            if ti.static(self.splats.coefficients > 9):
-                C3 = ti.static(harmonics.C3)
-                value += C3[0] * y * (3 * xx - yy) * sh[g, 9] + C3[1] * x * y * z * sh[g, 10]
-                value += C3[2] * y * (4 * zz - xx - yy) * sh[g, 11]
-                value += C3[3] * z * (2 * zz - 3 * xx - 3 * yy) * sh[g, 12]
-                value += C3[4] * x * (4 * zz - xx - yy) * sh[g, 13]
-                value += C3[5] * z * (xx - yy) * sh[g, 14] + C3[6] * x * (xx - 3 * yy) * sh[g, 15]
-        return value
 
 
 @ti.func

@@ -19,8 +19,11 @@ def gaussians(count: int, degree: int) -> Gaussians:
     return Gaussians.of(means, rng.normal(size=(count, 4)), scales, rng.normal(0, 2.5, count), sh)
 
 
-def project(g: Gaussians, *, antialias=False):
-    """A raster that has arranged and binned `g`, and one list of Gaussians per tile."""
+def project(g: Gaussians, *, antialias=False, crew=None):
+    """A raster that has arranged and binned `g`, and one list of Gaussians per tile.
+
+    `crew` threads share each large splat; as many as the backend likes if None.
+    """
     from render.raster import Raster
     from render.renderer import FloatImages
     from render.splats import Splats
@@ -28,6 +31,7 @@ def project(g: Gaussians, *, antialias=False):
     sink = FloatImages(1, CAMERA.height, CAMERA.width)
     raster = Raster(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, antialias=antialias)
     raster.set_camera(0, CAMERA)
+    raster.stage.bins.crew = crew or raster.stage.bins.crew
     raster.draw(0)
     bins = raster.stage.bins
     members, begin, end = bins.members.to_numpy(), bins.begin.to_numpy(), bins.end.to_numpy()
@@ -76,6 +80,13 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
         needed[i] = tiles_with_a_visible_pixel(uv[i], sigma[i], opacity[i], p.tile, shape).ravel()
     assert not (needed & ~binned).any()
     assert binned.sum() < 1.1 * needed.sum()  # a strip's span counts between pixel centres, too
+
+
+def test_threads_may_share_a_large_splat(ti_cpu):
+    g = gaussians(1500, 0)
+    alone, shared = project(g, crew=1)[1], project(g, crew=32)[1]
+    for a, b in zip(alone, shared, strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])

@@ -1,9 +1,5 @@
 """Pictures against gsplat's and against the float64 twin, and what must never break a picture."""
 
-import json
-import re
-from argparse import Namespace
-
 import numpy as np
 import pytest
 import reference_render as reference
@@ -246,35 +242,3 @@ def test_the_light_and_the_frame_of_the_harmonics_belong_to_each_gaussian(ti_cpu
     colors = reference.colors(g, camera, matrices_of_quats(quats)) * light[:, None]
     expected = reference.render(g, camera, rgb=colors)[0]
     assert (np.abs(renderer.rgb.to_numpy()[0] - expected).max(axis=-1) < 1e-3).mean() > 0.999
-
-
-def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
-    import cv2
-
-    from assets.errors import BadInput
-    from assets.files import write_gaussians
-    from render.command import run
-
-    write_gaussians(tmp_path / "g.ply", single())
-    view = {"width": 16, "height": 8, "fx": 20, "fy": 20, "cx": 8, "cy": 4, "world_to_camera": np.eye(4).tolist()}
-    (tmp_path / "one.json").write_text(json.dumps(view))
-    (tmp_path / "two.json").write_text(json.dumps([view, view]))
-
-    def command(camera, out):
-        run(Namespace(splats=tmp_path / "g.ply", camera=tmp_path / camera, out=tmp_path / out, antialias=False))
-
-    command("two.json", "a.npz")
-    arrays = np.load(tmp_path / "a.npz")
-    assert {k: (arrays[k].shape, arrays[k].dtype) for k in arrays} == {
-        "rgb": ((2, 8, 16, 3), np.float32),
-        "alpha": ((2, 8, 16), np.float32),
-        "depth": ((2, 8, 16), np.float32),
-    }
-    command("one.json", "a.png")
-    command("two.json", "b.png")
-    assert sorted(p.name for p in tmp_path.glob("*.png")) == ["a.png", "b_000.png", "b_001.png"]
-    picture = cv2.imread(str(tmp_path / "a.png"))[..., ::-1] / 255
-    np.testing.assert_allclose(picture, arrays["rgb"][0], atol=0.51 / 255)
-    for out in ("a.jpg", "nowhere/a.png"):
-        with pytest.raises(BadInput, match=re.escape(out)):
-            command("one.json", out)

@@ -45,21 +45,21 @@ class Substeps:
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.length = length
+        if iterations == 1:
+            kernels = [self.sweep(first=True, fused=True)]
+        else:  # two sweeps and the commit are compiled, instead of a third sweep that closes
+            kernels = [self.sweep(first=True, fused=False), self.closing()]
+            kernels[1:1] = [self.sweep(first=False, fused=False)] * (iterations - 1)
         graph = ti.graph.GraphBuilder()
-        single = iterations == 1
-        last = self.sweep(first=single, single=single, close=True)
-        first = None if single else self.sweep(first=True, single=False, close=False)
-        middle = None if iterations < 3 else self.sweep(first=False, single=False, close=False)
-        for _ in range(length):
-            for kernel in [first] * (not single) + [middle] * (iterations - 2) + [last]:
-                graph.dispatch(kernel)
+        for kernel in kernels * length:
+            graph.dispatch(kernel)
         self.graph = graph.compile()
 
     def run(self) -> None:
         self.graph.run({})
 
-    def sweep(self, *, first: bool, single: bool, close: bool):
-        """One sweep as a kernel; `first` starts the multipliers (and the substep), `close` commits."""
+    def sweep(self, *, first: bool, fused: bool):
+        """A sweep as a kernel; `first` starts the multipliers and the substep, `fused` is its only one and commits."""
         s, e, on_vertex, in_pairs = self.state, self.elastic, self.on_vertex, self.in_pairs
         V, T = s.V, s.T
         tet_block, vertex_block = blocks(T), blocks(V)
@@ -72,7 +72,7 @@ class Substeps:
                 ti.loop_config(block_dim=tet_block)
             for t in range(T):
                 if t < s.tet_count[None]:
-                    e.project_tet(t, first, single)
+                    e.project_tet(t, first, fused)
                 if ti.static(first) and t == 0:
                     s.tick[None] += 1
             if ti.static(s.serial):
@@ -84,7 +84,7 @@ class Substeps:
                     d = s.dx[i] + e.summed(i)
                     for c in ti.static(on_vertex):
                         d = c.project_vertex(i, d, first)
-                    if ti.static(close and len(in_pairs) == 0):
+                    if ti.static(fused and len(in_pairs) == 0):
                         commit(s, i, d)
                     else:
                         s.dx[i] = d
@@ -100,12 +100,26 @@ class Substeps:
                         d = s.dx[i]
                         for c in ti.static(in_pairs):
                             d = c.settle_vertex(i, d)
-                        if ti.static(close):
+                        if ti.static(fused):
                             commit(s, i, d)
                         else:
                             s.dx[i] = d
 
         return sweep
+
+    def closing(self):
+        """The commit as a kernel of its own, after the last of several sweeps."""
+        s = self.state
+
+        @ti.kernel
+        def close():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                    commit(s, i, s.dx[i])
+
+        return close
 
 
 def blocks(n: int) -> int:

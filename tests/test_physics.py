@@ -17,5 +17,5 @@ def test_the_table_holds(measure):
 
 
 def test_undamped_motion_never_gains_energy():
-    """A tenth of the table's 1e6 substeps; elastic energy starts at zero, so kinetic energy bounds the gain."""
-    assert physics.long_run(100_000)[0]["pass"]
+    """Elastic energy starts at zero, so no later kinetic energy may exceed the first."""
+    assert physics.long_run()[0]["pass"]

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from render.project import WINDOW, Projection
+from render.project import WINDOW_COLUMNS, Projection
 from render.scan import Scan
 from render.sort import RadixSort
 
@@ -109,7 +109,7 @@ class Bins:
             corner = v * self.tiles_per_view + (window[0] >> 16) * self.projection.tiles_x + (window[0] & 0xFFFF)
             while bits > 0:
                 place = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)  # of the lowest bit
-                tile = corner + place // WINDOW * self.projection.tiles_x + place % WINDOW
+                tile = corner + place // WINDOW_COLUMNS * self.projection.tiles_x + place % WINDOW_COLUMNS
                 self.sorter.items[slot] = ti.Vector([tile, g])
                 slot += 1
                 bits &= bits - 1

@@ -14,7 +14,7 @@ EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of t
 STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
 MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
-WINDOW = 4  # [tiles] per side; larger splats, a few in a hundred, are looked at again when they are binned
+WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
@@ -30,8 +30,8 @@ class Projection:
     conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
     color  (r, g, b, unused)
     box    (half width, half height, dy of the rightmost point [px], unused) of the visible ellipse
-    window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 4 row + column
-           for tile (column, row) from there; or, if it spans more than 4 x 4 tiles, minus their number
+    window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 6 row + column
+           for tile (column, row) from there; or, if it spans more than 6 x 5 tiles, minus their number
     """
 
     def __init__(self, splats: Splats, width: int, height: int, views: int, *, tile: int, antialias: bool, color: bool):
@@ -160,13 +160,13 @@ class Projection:
     @ti.func
     def _window(self, place: vec4, conic: vec4, box: vec4):
         left, right, top, bottom = self.tile_box(place, box)
-        fits = right - left <= WINDOW and bottom - top <= WINDOW
+        fits = right - left <= WINDOW_COLUMNS and bottom - top <= WINDOW_ROWS
         touched, bits = 0, 0
         for row in range(top, bottom):
             first, last = self.tile_columns(row, left, right, place, conic, box)
             touched += last - first
             if fits:
-                bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW + first - left)
+                bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW_COLUMNS + first - left)
         if not fits:
             bits = -touched
         return ti.Vector([left | top << 16, bits])

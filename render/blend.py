@@ -73,14 +73,15 @@ class Blend:
             v, in_view = tile // self.bins.tiles_per_view, tile % self.bins.tiles_per_view
             x0, y0 = in_view % self.tiles_x * CPU_TILE, in_view // self.tiles_x * CPU_TILE
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
+            top, bottom = 0, CPU_TILE - 1  # rows that are not finished
             for i in range(self.bins.begin[tile], self.bins.end[tile]):
                 g = self.bins.members[i][1]
                 place, conic, color = self.place[v, g], self.conic[v, g], self.color[v, g]
                 A, B, C = conic[0], 2 * conic[1], conic[2]
                 half_height = self.box[v, g][1]
                 dx0, dy0 = x0 + 0.5 - place.x, y0 + 0.5 - place.y
-                first = ti.max(0, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
-                last = ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32)
+                first = ti.max(top, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
+                last = ti.min(bottom, ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32))
                 for row in range(first, last + 1):
                     dy = dy0 + row
                     base, tilt = place.z - C * dy * dy, B * dy
@@ -103,10 +104,14 @@ class Blend:
                         if ti.static(self.with_depth):
                             depth[q] += weight * place.w
                 if (i - self.bins.begin[tile]) % CHECK == CHECK - 1:
-                    alive = 0
-                    for q in range(CPU_TILE * CPU_TILE):
-                        alive += ti.cast(T[q] > 0, ti.i32)
-                    if alive == 0:
+                    top, bottom = CPU_TILE, -1
+                    for row in range(CPU_TILE):
+                        alive = 0
+                        for column in range(CPU_TILE):
+                            alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
+                        if alive > 0:
+                            top, bottom = ti.min(top, row), row
+                    if bottom < 0:
                         break
             for q in range(CPU_TILE * CPU_TILE):
                 x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE

@@ -66,8 +66,8 @@ class Pairs:
         e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
         E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
         det = e1.dot(e2.cross(e3))
-        usable = det > FLAT * E1.dot(E2.cross(E3))
-        if usable:
+        usable = rows.claimed[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
+        if det > FLAT * E1.dot(E2.cross(E3)):
             g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det  # grad b_j
             d = self.hosts.place(p) - x0
             b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)

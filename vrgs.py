@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from assets.errors import BadInput
+from display.device import start_taichi
 
 EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
@@ -45,7 +46,7 @@ def play(args) -> None:
 
     scene = registry.load(args.scene, body=prepared_body(args))
     with open_display(args, scene) as display, open_recorder(args, display) as recorder:
-        init_taichi(args.arch, args.seed)
+        start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats
         from display.world import World
 
@@ -124,31 +125,11 @@ def prepared_body(args) -> str | None:
     if not out.is_file():
         from prepare.command import prepare_file
 
-        init_taichi(args.arch, args.seed)
+        start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", file=sys.stderr)
         out.parent.mkdir(parents=True, exist_ok=True)
         prepare_file(path, out, vertices=args.vertices, scale=args.scale, up=args.up)
     return str(out)
-
-
-def init_taichi(arch: str | None, seed: int = 0) -> None:
-    """Start Taichi once: on CUDA if there is a GPU or `arch` asks for it, else on the CPU."""
-    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
-    import taichi as ti
-    from taichi.lang import impl
-    from taichi.lang.misc import is_arch_supported
-
-    if impl.get_runtime().prog is not None:
-        return
-    ti.set_logging_level(ti.ERROR)  # a machine without CUDA is nothing to warn of
-    cuda = arch != "cpu" and is_arch_supported(ti.cuda)
-    if arch == "cuda" and not cuda:
-        raise BadInput("--arch cuda: no CUDA GPU was found")
-    wanted = ti.cuda if cuda else ti.cpu
-    with contextlib.redirect_stdout(None):  # ti.init prints a banner that no option turns off
-        ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, offline_cache=True, log_level=ti.ERROR)
-    if cuda and ti.cfg.arch != ti.cuda:
-        raise BadInput("--arch cuda: the CUDA GPU could not be started")
 
 
 def command(module: str, *, taichi: bool = False):
@@ -158,7 +139,7 @@ def command(module: str, *, taichi: bool = False):
         import importlib
 
         if taichi:
-            init_taichi(args.arch)
+            start_taichi(args.arch)
         importlib.import_module(module).run(args)
 
     return run

@@ -13,8 +13,11 @@ def ti_cpu():
     """Taichi on the CPU, initialised once: fields of earlier tests stay valid. VRGS_TEST_ARCH=cuda: on the GPU."""
     import taichi as ti
 
+    from display.device import quicken
+
     arch = {"cpu": ti.cpu, "cuda": ti.cuda}[os.environ.get("VRGS_TEST_ARCH", "cpu")]
     ti.init(arch=arch, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
+    quicken()
     return ti
 
 

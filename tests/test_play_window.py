@@ -45,7 +45,6 @@ class Play:
             time.sleep(0.1)
         raise AssertionError(f"not within {seconds:.0f} s; the last frame is {self.frames()[-1:]}")
 
-
     def after(self, count: int = 3) -> dict:
         """The state once a few more frames are on the screen."""
         number = len(self.frames()) + count

@@ -36,13 +36,15 @@ class Gaussians:
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
         quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
+        sh = np.ascontiguousarray(sh, np.float32)
+        count = sh.size // (3 * n) if n else sh.shape[1] if sh.ndim == 3 else 1
         ids = np.zeros(n, np.uint16) if object_id is None else np.asarray(object_id, np.uint16)
         return cls(
             np.ascontiguousarray(means, np.float32).reshape(n, 3),
             np.ascontiguousarray(quats, np.float32),
             np.ascontiguousarray(log_scales, np.float32).reshape(n, 3),
             np.ascontiguousarray(logit_opacities, np.float32).reshape(n),
-            np.ascontiguousarray(sh, np.float32).reshape(n, -1, 3),
+            sh.reshape(n, count, 3),
             np.ascontiguousarray(ids).reshape(n),
         )
 

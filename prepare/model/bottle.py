@@ -9,16 +9,17 @@ from prepare.model.cover import Cover, cover, join_covers
 from prepare.model.finish import albedo, gaussians, sharpened, smoothed, tone
 from prepare.model.layout import BOTTLE_AT, BOTTLE_HEIGHT
 from prepare.model.light import LIFT, Room
-from prepare.model.looks import DIRECTIONS, view_dependent
+from prepare.model.looks import directions, view_dependent
 from prepare.model.shapes import Part, lathe, smooth, surface
 from prepare.model.solids import grid_of, turned
-from prepare.model.textures import fbm, mix, plain, ramp, srgb
+from prepare.model.textures import mix, plain, ramp, srgb
 
 BODY = 0.0368  # [m] radii
 NECK = 0.0138
 GLASS = 1.45  # refractive index, between glass and wine
 TINT = np.array([0.10, 0.30, 0.07])  # share of light that crosses the bottle
 LABEL_Y, LABEL_HALF = (0.058, 0.148), np.radians(78)  # [m], [rad] to either side of +z
+PRINT = 0.00155  # [m] distance of the label's points
 FOIL_Y = 0.238
 
 
@@ -39,9 +40,9 @@ def bottle_parts() -> list[Part]:
     cut = int(np.searchsorted(curve[1:-4, 1], FOIL_Y)) + 1
     foil = curve[cut:] + np.where(curve[cut:, :1] > 0, (0.0004, 0.0), (0.0, 0.0))
     parts = [
-        Part("glass", lathe(curve[: cut + 2], 64), plain(TINT * 0.12), 0.0048, fixed=True, gloss=0.045),
-        Part("foil", lathe(foil, 48), plain("5c0f16", 0.04), 0.0034, fixed=True, gloss=0.20),
-        Part("label", _label_mesh(), label, 0.0029, fixed=True),
+        Part("glass", lathe(curve[: cut + 2], 64), plain(TINT * 0.12), 0.0038, fixed=True),
+        Part("foil", lathe(foil, 48), plain("5c0f16", 0.04), 0.0034, fixed=True),
+        Part("label", _label_mesh(), label, 0.0019, fixed=True),
     ]
     return [p.placed(position=BOTTLE_AT) for p in parts]
 
@@ -49,19 +50,17 @@ def bottle_parts() -> list[Part]:
 def bottle(light: Room, rng: np.random.Generator) -> Asset:
     """The asset `bottle`; its highlights mirror the room from where the bottle stands."""
     parts = bottle_parts()
-    c = join_covers([cover(p, i, rng) for i, p in enumerate(parts)])
+    c = join_covers([cover(parts[0], 0, rng), cover(parts[1], 1, rng), _label_cover()])
     behind = np.abs(np.arctan2(*(c.points - BOTTLE_AT)[:, [0, 2]].T)) < LABEL_HALF - 0.06
     height = c.points[:, 1] - BOTTLE_AT[1]
     c = c.select(~((c.part == 0) & behind & (height > LABEL_Y[0] + 0.002) & (height < LABEL_Y[1] - 0.002)))
     irradiance, _ = light.irradiance(c, parts, 160)
-    irradiance = smoothed(c, irradiance)
+    for _ in range(2):
+        irradiance = smoothed(c, irradiance, 4.0, 60)
     matt = albedo(c, parts, rng) * irradiance / np.pi
-    shine = _shine(c, light)
-
-    def look(directions, cosine):
-        return tone(matt[:, None] + shine)
-
-    sh = view_dependent(c.normals, look, degree=2)
+    views = directions(np.asarray(BOTTLE_AT) + (0.0, 0.5 * BOTTLE_HEIGHT, 0.0))
+    shine = _shine(c, light, views[0])
+    sh = view_dependent(c.normals, lambda cosine: tone(matt[:, None] + shine), 2, views)
     paper = c.part == 2
     own = c.select(paper)
     sh[paper] = 0
@@ -74,31 +73,20 @@ def bottle(light: Room, rng: np.random.Generator) -> Asset:
 
 
 def label(p, n):
-    """Cream paper: border lines, a landscape vignette, lettering hinted at by dark strokes."""
+    """Cream paper with a red foot, gold lines and an emblem of three rings."""
     u = np.arctan2(p[:, 0], p[:, 2]) * BODY  # [m] along the paper, 0 in the middle
     v = p[:, 1] - LABEL_Y[0]
-    w, h = LABEL_HALF * BODY, LABEL_Y[1] - LABEL_Y[0]
-    c = srgb("efe4c8") * (1 + 0.06 * fbm(p * 90, 3, 4))[:, None]
-    inset = np.minimum(w - np.abs(u), np.minimum(v, h - v))
-    c = mix(c, srgb("a07a2c"), (np.abs(inset - 0.0048) < 0.0009) * 1.0)
-    hills = 0.054 + 0.006 * np.sin(u * 190) + 0.004 * np.sin(u * 77 + 1)
-    picture = (np.abs(u) < 0.030) & (v > 0.046) & (v < 0.078)
-    sun = np.hypot(u - 0.012, v - 0.068) < 0.0055
-    scene = mix(srgb("e9b872"), srgb("f6dfae"), ramp(0.05, 0.08, v))
-    scene = np.where(sun[:, None], srgb("c8452a"), scene)
-    scene = np.where((v < hills)[:, None], srgb("55693a"), scene)
-    scene = np.where((v < hills - 0.006)[:, None], srgb("37482a"), scene)
-    c = np.where(picture[:, None], scene, c)
-    for y, height, half, stroke in (
-        (0.033, 0.0075, 0.034, 340.0),
-        (0.0215, 0.0036, 0.026, 620.0),
-        (0.0135, 0.003, 0.020, 700.0),
-    ):
-        letters = (
-            (np.abs(v - y) < 0.5 * height) & (np.abs(u) < half) & (np.sin(u * stroke + 2 * np.sin(u * 91)) > -0.25)
-        )
-        c = mix(c, srgb("4a1a18") if height > 0.005 else srgb("3c3630"), 0.9 * letters)
-    return c
+    height = LABEL_Y[1] - LABEL_Y[0]
+    gold, red = srgb("b08a3c"), srgb("8e2420")
+    c = np.broadcast_to(srgb("f3ead2"), p.shape)
+    c = np.where((v < 0.022)[:, None], red, c)
+    for y, half in ((0.0245, 0.0012), (height - 0.006, 0.0012)):
+        c = np.where((np.abs(v - y) < half)[:, None], gold, c)
+    for x, y, colour in ((-0.0095, 0.056, "c8321f"), (0.0095, 0.056, "1c5fae"), (0.0, 0.0665, "e0a416")):
+        ring = np.abs(np.hypot(u - x, v - y) - 0.0085)
+        c = mix(c, srgb(colour), 1 - ramp(0.0013, 0.0021, ring))
+    letters = (np.abs(v - 0.0355) < 0.0035) & (np.abs(u) < 0.026) & (np.abs((u / 0.0075) % 1 - 0.5) < 0.33)
+    return mix(c, srgb("4a3a30"), 0.9 * letters)
 
 
 def _label_mesh():
@@ -109,20 +97,28 @@ def _label_mesh():
     return surface(points)
 
 
-def _shine(c: Cover, room: Room) -> np.ndarray:
-    """Radiance (N, M, 3) over the directions of `looks`: mirrored by glass and foil, and let through by the glass."""
-    i = np.arange(DIRECTIONS) + 0.5
-    z, a = 1 - 2 * i / DIRECTIONS, np.pi * (1 + 5**0.5) * i
-    directions = np.stack([np.sqrt(1 - z * z) * np.cos(a), np.sqrt(1 - z * z) * np.sin(a), z], 1)
-    result = np.zeros((len(c), DIRECTIONS, 3))
+def _label_cover() -> Cover:
+    """The label's points: a regular grid, on which fine print stays straight."""
+    u = np.arange(-LABEL_HALF, LABEL_HALF, PRINT / BODY)
+    u, y = (x.ravel() for x in np.meshgrid(u, np.arange(LABEL_Y[0] + PRINT / 2, LABEL_Y[1], PRINT)))
+    normals = np.stack([np.sin(u), 0 * u, np.cos(u)], 1)
+    points = (BODY + 0.0004) * normals + np.stack([0 * u, y, 0 * u], 1) + BOTTLE_AT
+    return Cover(
+        points, normals, np.tile((0.0, 1.0, 0.0), (len(u), 1)), np.full((len(u), 2), 0.72 * PRINT), np.full(len(u), 2)
+    )
+
+
+def _shine(c: Cover, room: Room, views: np.ndarray) -> np.ndarray:
+    """Radiance (N, M, 3) seen along `views` (M, 3): mirrored by glass and foil, and let through by the glass."""
+    result = np.zeros((len(c), len(views), 3))
     axis = np.asarray(BOTTLE_AT) * (1, 0, 1)
     radius = np.linalg.norm((c.points - axis) * (1, 0, 1), axis=1)
-    for m, d in enumerate(directions):
+    for m, d in enumerate(views):
         cosine = -(c.normals @ d)
         front = np.flatnonzero((cosine > 0.02) & (c.part != 2))
         p, n, k = c.points[front], c.normals[front], cosine[front][:, None]
         mirror = d + 2 * k * n
-        fresnel = np.where(c.part[front] == 1, 0.16, 0.04)[:, None]
+        fresnel = np.where(c.part[front] == 1, 0.16, 0.075)[:, None]
         fresnel = fresnel + (1 - fresnel) * (1 - k) ** 5
         light = fresnel * room.radiance(p + LIFT * n, mirror)
         glass = c.part[front] == 0

@@ -7,13 +7,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
+from prepare.model.edges import CREASE, clearance, confine, edges_of, face_normals, points_along, rows_along
 from prepare.model.layout import EYE, EYES
-from prepare.model.shapes import Mesh, Part
+from prepare.model.shapes import Mesh, Part, welded
 
-CREASE = np.cos(np.radians(38))  # faces that meet at a sharper angle form an edge
-CANDIDATES = 10  # random points drawn for each one that stays; more leave fewer gaps
-WIDTH = 0.80  # standard deviation over the distance of neighbours: closed at an opacity of 0.95
+CANDIDATES, ROUNDS = 4, 3  # random points drawn per square of the spacing, again and again until gaps are rare
+WIDTH = 0.95  # standard deviation over the distance of neighbours: closed where neighbours are farthest
 LEVEL = 1.3  # sampling radii are rounded down to powers of this
+LEAST = 0.55  # of the part's spacing: where a thin tube would ask for still less
 
 
 @dataclass(frozen=True)
@@ -46,69 +47,55 @@ def join_covers(covers: list[Cover]) -> Cover:
 
 
 def cover(part: Part, index: int, rng: np.random.Generator) -> Cover:
-    """Points for one part; denser near the player and where the player can look."""
-    mesh = part.world
+    """Points for one part; denser near the player and where the player can look.
+
+    All is done in a space that is squeezed along the grain, where drawn-out Gaussians are round.
+    """
     a = np.array([1.0, 0.0, 0.0])
     if part.grain is not None:
         a = np.asarray(part.grain, float) if part.rotation is None else part.rotation @ np.asarray(part.grain, float)
-    squeeze = np.eye(3) - (1 - 1 / part.stretch) * np.outer(a, a)  # makes drawn-out neighbours round
-    edges = _edge_rows(mesh, part, a)
-    mesh = _divided(mesh, 12 * part.spacing)
-    v = mesh.vertices[mesh.faces]
-    normal = _face_normals(mesh)
-    spacing = _spacing(v.mean(1), normal, part)
-    corner_normals = _corner_normals(mesh, normal)
+    squeeze = np.eye(3) - (1 - 1 / part.stretch) * np.outer(a, a)
+    unsqueeze = np.eye(3) + (part.stretch - 1) * np.outer(a, a)
+    world = part.world
+    edges = edges_of(Mesh(world.vertices @ squeeze, world.faces))
+    edge_normals = _unit(edges.normals @ squeeze)  # of the world, as normals go with the inverse transpose
+    edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ unsqueeze, edge_normals, part)
+    edge_points = points_along(edges, edge_spacing)
 
-    flat = v @ squeeze
-    area = 0.5 * np.linalg.norm(np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]), axis=1)
+    mesh = _divided(world, 12 * part.spacing)
+    centre, normal = mesh.vertices[mesh.faces].mean(1), face_normals(mesh)
+    corner_normals = _unit(_corner_normals(mesh, normal) @ unsqueeze)
+    v = (mesh.vertices @ squeeze)[mesh.faces]
+    spacing = np.minimum(
+        _spacing(centre, normal, part), _bend_limit(v, corner_normals, part.spacing).clip(LEAST * part.spacing)
+    )
+    area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     level = np.floor(np.log(spacing / spacing.min()) / np.log(LEVEL) + 1e-9)
-    edge_tree = cKDTree(edges["points"]) if len(edges["points"]) else None
-    points, normals, radii, clearances, edge_dirs = [], [], [], [], []
-    for k in np.unique(level):
+    points, normals, radii = [], [], []
+    for k in np.repeat(np.unique(level), ROUNDS):
         s = spacing.min() * LEVEL**k
         face = np.flatnonzero(level == k)
-        count = rng.poisson(CANDIDATES * 0.66 * area[face].sum() / s**2) + 1
+        count = rng.poisson(CANDIDATES * area[face].sum() / s**2) + 1
         pick = face[np.searchsorted(np.cumsum(area[face]) / area[face].sum(), rng.random(count)).clip(0, len(face) - 1)]
         b = _barycentric(rng, count)
         p = np.einsum("nk,nkd->nd", b, v[pick])
-        n = np.einsum("nk,nkd->nd", b, corner_normals[pick])
-        n /= np.linalg.norm(n, axis=1, keepdims=True)
-        clearance, direction = np.full(count, np.inf), np.zeros((count, 3))
-        if edge_tree is not None:
-            distance, near = edge_tree.query(p, distance_upper_bound=4 * s)
-            hit = np.isfinite(distance)
-            direction[hit] = edges["directions"][near[hit]]
-            offset = p[hit] - edges["points"][near[hit]]
-            off = offset - (offset * direction[hit]).sum(1, keepdims=True) * direction[hit]
-            clearance[hit] = np.linalg.norm(off, axis=1)
-            keep = ~(clearance < 0.62 * s)
-            p, n, clearance, direction = p[keep], n[keep], clearance[keep], direction[keep]
-        keep = _blue_noise(p @ squeeze, n, s, np.concatenate(points) @ squeeze if points else None)
+        n = _unit(np.einsum("nk,nkd->nd", b, corner_normals[pick]))
+        free = clearance(edge_points, p, n, 2 * s) >= 0.62 * s
+        p, n = p[free], n[free]
+        keep = _blue_noise(p, n, s, (np.concatenate(points), np.concatenate(normals)) if points else None)
         points.append(p[keep])
         normals.append(n[keep])
         radii.append(np.full(keep.sum(), s))
-        clearances.append(clearance[keep])
-        edge_dirs.append(direction[keep])
-    p, n, s, clearance, direction = (np.concatenate(x) for x in (points, normals, radii, clearances, edge_dirs))
-
-    tangent = a - (n @ a)[:, None] * n if part.stretch > 1 else _any_tangent(n, rng)
-    weak = np.linalg.norm(tangent, axis=1) < 0.05
-    tangent[weak] = _any_tangent(n[weak], rng)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    along = np.linalg.norm(tangent @ squeeze, axis=1)  # 1/stretch along the grain, 1 across it
-    sigma = WIDTH * np.stack([s / along, s], 1)
-    upright = np.linalg.norm(np.cross(direction, n), axis=1) < 0.2
-    near = (clearance < 2.2 * s) & ~upright  # turn along the edge and stay on this side of it
-    tangent[near] = direction[near] - (direction[near] * n[near]).sum(1, keepdims=True) * n[near]
-    tangent[near] /= np.linalg.norm(tangent[near], axis=1, keepdims=True)
-    drawn = 1 / np.linalg.norm(tangent[near] @ squeeze, axis=1)
-    across = 1 / np.linalg.norm(np.cross(n[near], tangent[near]) @ squeeze, axis=1)
-    sigma[near] = np.stack([WIDTH * s[near] * drawn, np.minimum(WIDTH * s[near] * across, 0.55 * clearance[near])], 1)
-
-    rows = Cover(
-        edges["rows"], edges["normals"], edges["row_directions"], edges["sigma"], np.full(len(edges["rows"]), index)
-    )
-    return join_covers([Cover(p, n, tangent, sigma, np.full(len(p), index)), rows])
+    p, n, s = (np.concatenate(x) for x in (points, normals, radii))
+    covariance = (part.width * WIDTH * s[:, None, None]) ** 2 * (np.eye(3) - n[:, :, None] * n[:, None])
+    row_p, row_n, row_covariance, _ = rows_along(edges, edge_spacing)
+    p, n = np.concatenate([p, row_p]), np.concatenate([n, row_n])
+    covariance = confine(edge_points, p, n, np.concatenate([covariance, row_covariance]))
+    sigma, axes = np.linalg.eigh(unsqueeze @ covariance @ unsqueeze)
+    normals = _unit(n @ squeeze)
+    tangents = _unit(axes[..., 2] - (axes[..., 2] * normals).sum(1, keepdims=True) * normals)
+    sigma = np.sqrt(sigma[:, [2, 1]].clip(1e-8))
+    return Cover(p @ unsqueeze, normals, tangents, sigma, np.full(len(p), index))
 
 
 def _spacing(points: np.ndarray, normals: np.ndarray, part: Part) -> np.ndarray:
@@ -123,10 +110,15 @@ def _spacing(points: np.ndarray, normals: np.ndarray, part: Part) -> np.ndarray:
     return part.spacing * factor
 
 
-def _face_normals(mesh: Mesh) -> np.ndarray:
-    v = mesh.vertices[mesh.faces]
-    normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])
-    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+def _bend_limit(vertices: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
+    """Largest spacing (F,) at which flat Gaussians still follow the bent surface: half its radius."""
+    along = np.linalg.norm(vertices - np.roll(vertices, 1, 1), axis=2)
+    turning = np.linalg.norm(normals - np.roll(normals, 1, 1), axis=2)
+    return 0.5 / np.maximum((turning / np.maximum(along, 0.3 * spacing)).max(1), 1e-6)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-20)
 
 
 def _divided(mesh: Mesh, longest: float) -> Mesh:
@@ -134,9 +126,7 @@ def _divided(mesh: Mesh, longest: float) -> Mesh:
     import trimesh
 
     v, f = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=max(longest, 0.12), max_iter=12)
-    v, inverse = np.unique(np.round(v, 7), axis=0, return_inverse=True)
-    f = inverse.reshape(-1)[f]
-    return Mesh(v, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])])
+    return welded(Mesh(v, f))
 
 
 def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
@@ -159,62 +149,20 @@ def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
     return total.reshape(-1, 3, 3)
 
 
-def _edge_rows(mesh: Mesh, part: Part, grain: np.ndarray) -> dict:
-    """Rows of narrow points just inside both faces of every crease and along open borders."""
-    normal = _face_normals(mesh)
-    half = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
-    face = np.tile(np.arange(len(mesh.faces)), 3)
-    key = np.sort(half, 1) @ np.array([len(mesh.vertices), 1])
-    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
-    first = np.full(len(count), -1)
-    first[inverse[::-1]] = face[::-1]
-    last = np.full(len(count), -1)
-    last[inverse] = face
-    crease = (count == 1) | ((normal[first] * normal[last]).sum(1) < CREASE)
-    use = crease[inverse]
-    half, normal = half[use], normal[face[use]]
-    a, b = mesh.vertices[half[:, 0]], mesh.vertices[half[:, 1]]
-
-    def spread(step):
-        """Index of the edge and position 0..1 of points `step` [m] apart along all edges."""
-        n = np.maximum(np.ceil(np.linalg.norm(b - a, axis=1) / step - 0.3), 1).astype(int)
-        e = np.repeat(np.arange(len(n)), n)
-        k = np.arange(len(e)) - np.repeat(np.cumsum(n) - n, n)
-        return e, k / n[e], (k + 1) / n[e]
-
-    e, begin, end = spread(0.3)  # pieces short enough for one spacing each
-    a, b, normal = a[e] + begin[:, None] * (b - a)[e], a[e] + end[:, None] * (b - a)[e], normal[e]
-    length = np.linalg.norm(b - a, axis=1)
-    direction = (b - a) / np.maximum(length, 1e-12)[:, None]
-    inward = np.cross(normal, direction)
-    s = _spacing(0.5 * (a + b), normal, part)
-    squeezed = direction - (1 - 1 / part.stretch) * (direction @ grain)[:, None] * grain
-    drawn = 1 / np.maximum(np.linalg.norm(squeezed, axis=1), 1e-9)
-    e, begin, end = spread(0.95 * s * drawn)
-    t = 0.5 * (begin + end)
-    f, begin, end = spread(0.5 * s)
-    u = 0.5 * (begin + end)
-    rows = a[e] + t[:, None] * (b - a)[e] + 0.26 * s[e, None] * inward[e]
-    sigma = np.stack([np.minimum(WIDTH * s * drawn, np.maximum(0.5 * length, 0.25 * s))[e], 0.24 * s[e]], 1)
-    return {
-        "rows": rows,
-        "normals": normal[e],
-        "row_directions": direction[e],
-        "sigma": sigma,
-        "points": a[f] + u[:, None] * (b - a)[f],
-        "directions": direction[f],
-    }
-
-
-def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: np.ndarray | None) -> np.ndarray:
+def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: tuple | None) -> np.ndarray:
     """Mask of points of which no two on the same side of a sheet are nearer than `radius`.
 
-    Points are in random order; a point stays if it comes first among its undecided neighbours.
+    Points are in random order; a point stays if it comes first among its undecided neighbours, and if none
+    of the points and normals already `taken` is near.
     """
     undecided = np.ones(len(points), bool)
-    if taken is not None and len(taken):
-        undecided &= cKDTree(taken).query(points, distance_upper_bound=0.9 * radius)[0] > 0.9 * radius
-    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
+    if taken is not None and len(taken[0]) and len(points):
+        near = cKDTree(taken[0]).query(points, k=4, distance_upper_bound=radius)[1]
+        there = near < len(taken[0])
+        side = (taken[1][np.where(there, near, 0)] * normals[:, None]).sum(2) > 0.2
+        undecided &= ~(there & side).any(1)
+    which = np.flatnonzero(undecided)
+    pairs = which[cKDTree(points[which]).query_pairs(radius, output_type="ndarray")]
     pairs = pairs[(normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1) > 0.2]
     keep = np.zeros(len(points), bool)
     while undecided.any():
@@ -232,8 +180,3 @@ def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: n
 def _barycentric(rng: np.random.Generator, count: int) -> np.ndarray:
     r, t = np.sqrt(rng.random(count)), rng.random(count)
     return np.stack([1 - r, r * (1 - t), r * t], 1)
-
-
-def _any_tangent(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    t = np.cross(normals, rng.normal(size=normals.shape))
-    return t / np.maximum(np.linalg.norm(t, axis=1, keepdims=True), 1e-12)

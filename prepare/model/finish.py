@@ -11,7 +11,10 @@ from prepare.model.cover import Cover
 from prepare.model.shapes import Part
 
 FOOTPRINT = 6  # texture samples under each Gaussian
-SHARPEN = 3  # rounds that undo the blur of overlapping Gaussians
+EXPOSURE, WHITE = 1.5, 3.2  # radiance times exposure that shows as 1
+WARMTH = np.array([1.0, 1.0, 1.02])
+CONTRAST, SATURATION = 0.22, 1.0
+SHARPEN = 4  # rounds that undo the blur of overlapping Gaussians
 OPACITY = 0.97
 THIN = 0.12  # thickness over the smaller width
 THICKEST = 0.002  # [m]
@@ -19,10 +22,13 @@ MANTISSA = 11  # bits kept of the floats in a file: errors of 1/4096, which nobo
 
 
 def tone(radiance: np.ndarray) -> np.ndarray:
-    """Display colour 0..1 of linear radiance: filmic curve (Narkowicz 2016), then the sRGB transfer."""
-    x = np.maximum(radiance, 0) * 0.62
-    x = np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    """Display colour 0..1 of linear radiance: a soft shoulder towards white (Reinhard 2002, eq. 4), then sRGB."""
+    x = EXPOSURE * np.maximum(radiance, 0) * WARMTH
+    x = np.clip(x * (1 + x / WHITE**2) / (1 + x), 0, 1)
+    x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    x = x + CONTRAST * x * (1 - x) * (2 * x - 0.9)
+    grey = x.mean(-1, keepdims=True)
+    return np.clip(grey + SATURATION * (x - grey), 0, 1)
 
 
 def albedo(cover: Cover, parts: list[Part], rng: np.random.Generator) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 
 from prepare.model.layout import ROOM_LOW, TABLE_SIZE, TABLE_THICKNESS, TABLE_TOP
 from prepare.model.shapes import Part, block, box, join, pillow, smooth, surface, tube, turn
-from prepare.model.textures import BEECH, HONEY, WALNUT, cloth, mix, noise, plain, ramp, srgb, wood
+from prepare.model.textures import BEECH, HONEY, WALNUT, cloth, plain, srgb, wood
 
 Z0 = ROOM_LOW[2]
 
@@ -46,7 +46,7 @@ def table() -> list[Part]:
             legs.append(surface(ring.transpose(1, 0, 2), close_u=True))
     upright = wood(HONEY, axis=1, across=0, seed=33)
     return [
-        Part("table top", top, boards, 0.0042, grain=(1, 0, 0), stretch=3.2, gloss=0.045, roughness=0.13, object_id=1),
+        Part("table top", top, boards, 0.0035, grain=(1, 0, 0), stretch=5.0, gloss=0.045, roughness=0.13, object_id=1),
         Part("apron", apron, boards, 0.012, grain=(1, 0, 0), stretch=2.5, object_id=1),
         Part("legs", join(*legs), upright, 0.009, grain=(0, 1, 0), stretch=2.5, gloss=0.03, object_id=1),
     ]
@@ -61,9 +61,14 @@ def chair(rotation, position) -> list[Part]:
         legs.append(
             tube([(s * 0.205, 0.0, 0.205), (s * 0.19, 0.25, 0.19), (s * 0.18, 0.44, 0.18)], [0.011, 0.015, 0.018], 12)
         )
-        back = smooth([(s * 0.20, 0, -0.225), (s * 0.185, 0.25, -0.195), (s * 0.18, 0.46, -0.19), (s * 0.185, 0.70, -0.225),
-                       (s * 0.19, 0.875, -0.275)], 12)  # fmt: skip
-        legs.append(tube(back, [0.012] + [0.017] * 9 + [0.013, 0.009], 12))
+        back = [
+            (0.20, 0, -0.225),
+            (0.185, 0.25, -0.195),
+            (0.18, 0.46, -0.19),
+            (0.185, 0.70, -0.225),
+            (0.19, 0.875, -0.275),
+        ]
+        legs.append(tube(smooth(np.array(back) * (s, 1, 1), 12), [0.012] + [0.017] * 9 + [0.013, 0.009], 12))
     rails = [
         tube([(-0.185, 0.20, 0.19), (0.185, 0.20, 0.19)], 0.008, 10),
         tube([(-0.185, 0.24, -0.19), (0.185, 0.24, -0.19)], 0.008, 10),
@@ -76,10 +81,10 @@ def chair(rotation, position) -> list[Part]:
     frame = block((0.40, 0.045, 0.40), 0.008).moved(translation=(0, 0.425, 0))
     seat = pillow((0.425, 0.062, 0.42), 0.34).moved(translation=(0, 0.462, 0.005))
     parts = [
-        Part("chair legs", join(*legs), upright, 0.0085, grain=(0, 1, 0), stretch=2.2, **timber),
-        Part("chair back", join(*slats), level, 0.0080, grain=(1, 0, 0), stretch=2.2, **timber),
-        Part("chair rails", join(*rails, frame), level, 0.0095, grain=(1, 0, 0), stretch=2.0, **timber),
-        Part("chair seat", seat, cloth("64798c", 0.006), 0.0105, object_id=2),
+        Part("chair legs", join(*legs), upright, 0.0095, grain=(0, 1, 0), stretch=3.0, **timber),
+        Part("chair back", join(*slats), level, 0.0085, grain=(1, 0, 0), stretch=2.2, **timber),
+        Part("chair rails", join(*rails, frame), level, 0.0110, grain=(1, 0, 0), stretch=2.5, **timber),
+        Part("chair seat", seat, cloth("7189a0", 0.012, 0.08, 0.03), 0.0125, object_id=2),
     ]
     return [p.placed(rotation, position) for p in parts]
 
@@ -112,25 +117,20 @@ def sideboard() -> list[Part]:
 
 
 def rug() -> Part:
-    """Woven rug: a madder field with a small repeat, cream and indigo borders."""
+    """Flat-woven rug: bands with stepped edges in rust and indigo on cream."""
     half = np.array([1.28, 0.93])
     mesh = block((2 * half[0], 0.012, 2 * half[1]), 0.004).moved(translation=(0, 0.006, -0.10))
-    weave = cloth((1.0, 1.0, 1.0), 0.009, 0.26, 0.07, 61)
-    madder, cream, indigo, ochre = srgb("9c4a3a"), srgb("dccfb2"), srgb("34485f"), srgb("c08f4a")
+    weave = cloth((1.0, 1.0, 1.0), 0.016, 0.10, 0.05, 61)
+    rust, cream, indigo = srgb("b5583f"), srgb("e6dcc4"), srgb("4a6078")
 
     def of(p, n):
-        q = np.stack([p[:, 0], p[:, 2] + 0.10], 1) + 0.006 * np.stack([noise(p * 9, 62), noise(p * 9, 63)], 1)
-        inset = (half - np.abs(q)).min(1)
-        cell = (q / 0.16 + 0.5) % 1 - 0.5
-        diamond = np.abs(cell).sum(1)
-        c = mix(madder, ochre, ramp(0.02, -0.02, np.abs(diamond - 0.30) - 0.04))
-        c = np.where((diamond < 0.12)[:, None], cream, c)
-        step = (np.abs(q).sum(1) / 0.09) % 1
-        border = np.where((step < 0.5)[:, None], indigo, mix(indigo, cream, 0.75 * np.ones(len(p))))
-        c = np.where((inset < 0.21)[:, None], cream, c)
-        c = np.where((inset < 0.185)[:, None], border, c)
-        c = np.where((inset < 0.075)[:, None], cream, c)
-        c = np.where((inset < 0.05)[:, None], madder * 0.85, c)
+        x, z = np.abs(p[:, 0]), p[:, 2] + 0.10
+        step = 0.03 * np.floor(np.abs((z / 0.36) % 1 - 0.5) * 4)  # woven steps of the stripes' edges
+        at = (x - step) % 0.32
+        c = np.where(((at > 0.08) & (at < 0.14))[:, None], rust, cream)
+        c = np.where(((at > 0.165) & (at < 0.20))[:, None], indigo, c)
+        c = np.where((x > 1.02)[:, None], rust, c)
+        c = np.where(((x > 1.06) & (x < 1.10))[:, None] | (x > 1.20)[:, None], cream, c)
         return c * weave(p, n)
 
-    return Part("rug", mesh, of, 0.0145)
+    return Part("rug", mesh, of, 0.0110, grain=(0, 0, 1), stretch=2.0)

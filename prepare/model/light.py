@@ -14,14 +14,16 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from prepare.model.cover import Cover
+from prepare.model.layout import EYE
 from prepare.model.shapes import Part
 from prepare.model.textures import ramp
 
 LIFT = 1.5e-3  # [m] ray origins above the surface
 SIDE = 0.02  # [m] look-up points are moved off the surface, so that the two sides of a board stay apart
 BATCH = 1_000_000  # rays at a time
+BURIED = 0.92  # share of such rays; the rest may slip through faces that touch
 BOUNCES = 5
-NEAR = 0.012  # [m] where every ray ends this soon, nobody can look
+NEAR = 0.012  # [m] where nearly every ray ends this soon (or within a Gaussian's width), nobody can look
 
 
 @dataclass(frozen=True)
@@ -84,17 +86,22 @@ class Room:
         Thin sheets get the mean of their two sides, weighted by what shines through. Needs `solve` before.
         """
         through = np.array([np.nan if p.through is None else p.through for p in parts])[cover.part]
-        front, hidden = self._arriving(cover.points, cover.normals, rays)
+        near = cover.sigma.max(1).clip(NEAR, 5 * NEAR)
+        front, hidden = self._arriving(cover.points, cover.normals, rays, near)
         sheet = np.flatnonzero(np.isfinite(through))
         if len(sheet):
-            back, _ = self._arriving(cover.points[sheet], -cover.normals[sheet], rays)
+            back, _ = self._arriving(cover.points[sheet], -cover.normals[sheet], rays, near[sheet])
             t = through[sheet, None]
-            seen = np.asarray([(_eye - cover.points[sheet]) for _eye in [np.array([0.0, 1.5, 1.3])]])[0]
-            facing = ((seen * cover.normals[sheet]).sum(1) > 0)[:, None]
-            near, far = np.where(facing, front[sheet], back), np.where(facing, back, front[sheet])
-            front[sheet] = (1 - t) * near + t * far
+            facing = (((np.asarray(EYE) - cover.points[sheet]) * cover.normals[sheet]).sum(1) > 0)[:, None]
+            here, there = np.where(facing, front[sheet], back), np.where(facing, back, front[sheet])
+            front[sheet] = (1 - t) * here + t * there
             hidden[sheet] = False
         return front, hidden
+
+    def thin(self, points: np.ndarray, normals: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Whether there is another surface within `depth` (N,) [m] behind each point."""
+        t, _, normal = self._cast(points - 1e-4 * normals, -normals)
+        return (t < depth) & ((normal * normals).sum(1) < 0)
 
     def solve(self, cover: Cover, parts: list[Part], albedo: np.ndarray, rays: int = 96) -> None:
         """Exchange of light between the points of a coarse cover with albedos (N, 3)."""
@@ -106,7 +113,7 @@ class Room:
         self._tree = cKDTree(points + SIDE * normals)
         direct = self._direct(points, normals)
         n = len(points)
-        transport, glow, _ = self._gather(points, normals, rays)
+        transport, glow, _ = self._gather(points, normals, rays, np.full(n, NEAR))
         first = direct + glow
         total = first
         for _ in range(BOUNCES):
@@ -153,17 +160,17 @@ class Room:
             total[i : i + BATCH] = part
         return total
 
-    def _arriving(self, points, normals, rays) -> tuple[np.ndarray, np.ndarray]:
+    def _arriving(self, points, normals, rays, near) -> tuple[np.ndarray, np.ndarray]:
         total, hidden = self._direct(points, normals), np.zeros(len(points), bool)
         step = max(BATCH // rays, 1)
         for i in range(0, len(points), step):
             s = slice(i, i + step)
-            transport, glow, near = self._gather(points[s], normals[s], rays)
+            transport, glow, short = self._gather(points[s], normals[s], rays, near[s])
             total[s] += transport @ self._radiosity + glow
-            hidden[s] = near > 0.97
+            hidden[s] = short > BURIED
         return total, hidden
 
-    def _gather(self, points, normals, rays) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+    def _gather(self, points, normals, rays, near) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
         """Irradiance = matrix @ radiosity of the look-up points + glow; and the share of very short rays.
 
         Cosine-distributed rays weigh alike: each carries pi / rays.
@@ -182,9 +189,9 @@ class Room:
         behind = hit & ((normal * d).sum(1) >= 0)
         glow = np.where(hit[:, None], self._emission[geometry], 0).reshape(n, rays, 3).sum(1) * (np.pi / rays)
         valid = np.flatnonzero(hit & ~behind)
-        near = self._tree.query(o[valid] + t[valid, None] * d[valid] + SIDE * normal[valid], workers=2)[1]
-        matrix = csr_matrix((np.full(len(valid), np.pi / rays), (valid // rays, near)), (n, self._tree.n))
-        return matrix, glow, (behind | (t < NEAR)).reshape(n, rays).mean(1)
+        source = self._tree.query(o[valid] + t[valid, None] * d[valid] + SIDE * normal[valid], workers=2)[1]
+        matrix = csr_matrix((np.full(len(valid), np.pi / rays), (valid // rays, source)), (n, self._tree.n))
+        return matrix, glow, (behind | (t < np.repeat(near, rays))).reshape(n, rays).mean(1)
 
     def _direct(self, points, normals, samples: int = 5) -> np.ndarray:
         """Irradiance from openings (`samples` squared points each), sun and lamps."""

@@ -8,7 +8,7 @@ from assets.asset import Asset, Cage, Embedded
 from prepare.model.cover import Cover, cover, join_covers
 from prepare.model.finish import albedo, gaussians, sharpened, tone
 from prepare.model.layout import RING_MAJOR, RING_TUBE
-from prepare.model.looks import view_dependent
+from prepare.model.looks import AROUND, directions, view_dependent
 from prepare.model.shapes import Part, surface
 from prepare.model.solids import grid_of, torus
 from prepare.model.textures import plain
@@ -53,7 +53,7 @@ def torus_parts(name: str, sides: int = 28) -> list[Part]:
         for start, end, steps, which in spans:
             a = np.linspace(start, end, steps)
             points = np.stack([np.outer(np.cos(a), r), np.broadcast_to(y, (steps, sides)), -np.outer(np.sin(a), r)], -1)
-            colour = plain(TINTS[name][which], 0.05, 0.03, seed=k)
+            colour = plain(TINTS[name][which], 0.02, 0.03, seed=k)
             parts.append(Part(f"{name} {k}", surface(points, close_v=True), colour, 0.0034, fixed=True))
     return parts
 
@@ -112,12 +112,15 @@ def _rubber_sheen(c: Cover, parts: list[Part], rng: np.random.Generator) -> np.n
     lit = 0.58 + 0.45 * np.abs(c.normals[:, 1]) + 0.17 * (c.normals * outward).sum(1)
     base = sharpened(c, tone(1.12 * base * lit[:, None]))
 
-    def look(directions, cosine):
+    views, _ = directions((0.0, 0.0, 0.0))
+    all_round = views[:AROUND], np.ones(AROUND)  # the ring turns, so no side of it counts more
+
+    def look(cosine):
         rim = (1 - cosine) ** 3
         gleam = np.exp(-(((1 - cosine) / 0.10) ** 2))
         return base[:, None] * (0.94 + 0.10 * cosine - 0.10 * rim)[..., None] + (0.13 * rim + 0.10 * gleam)[..., None]
 
-    return view_dependent(c.normals, look, degree=2)
+    return view_dependent(c.normals, look, 2, all_round)
 
 
 def _rounded_weights(weights: np.ndarray) -> np.ndarray:

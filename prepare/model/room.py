@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from prepare.model.layout import DOOR_X, DOOR_Y, ROOM_HIGH, ROOM_LOW, WINDOW_Y, WINDOW_Z
 from prepare.model.light import Opening
-from prepare.model.shapes import Mesh, Part, box, join, quad
+from prepare.model.shapes import Mesh, Part, box, join, quad, surface
 from prepare.model.textures import OAK, fbm, mix, noise, plain, ramp, random_of, srgb, wood
 
 (X0, Y0, Z0), (X1, Y1, Z1) = ROOM_LOW, ROOM_HIGH
 PLANK = (X1 - X0) / 26  # [m] width of a floor board
 DADO = 0.90  # [m] height of the white panelling
 REVEAL = 0.14  # [m] depth of door and window
-WHITE = "e9e4d8"
+ARCHITRAVE = 0.065  # [m] width of the frame round the door
+PANEL_Y, BAR = (0.21, 0.77), 0.022  # [m] height of the panel frames, width of their bars
+FAR_PANELS = [(X0 + 0.10, DOOR_X[0] - 0.15), (DOOR_X[1] + 0.17, 0.62), (0.74, X1 - 0.12)]  # along x
+SIDE_PANELS = [(Z0 + 0.12, -1.15), (-1.03, 0.0), (0.12, 1.15), (1.27, Z1 - 0.12)]  # along z
+WHITE = "efebe2"
+FILL = (0.16, 0.16, 0.16)  # light added to frames that stand against the sky, as a photographer would
 
 
 def shell() -> list[Part]:
@@ -37,7 +44,7 @@ def floor() -> Part:
     boards = []
     for i in range(26):
         ends = _board_ends(i)
-        for z0, z1 in zip(ends[:-1], ends[1:], strict=True):
+        for z0, z1 in pairwise(ends):
             boards.append(quad((X0 + i * PLANK, 0, z1), (PLANK, 0, 0), (0, 0, z0 - z1)))
     grain = wood(OAK, axis=2, board=PLANK, across=0, seed=3)
 
@@ -60,52 +67,51 @@ def walls() -> list[Part]:
     green, white = srgb("a9b29a"), srgb(WHITE)
 
     def paint(p, n):
-        brushed = 1 + 0.05 * fbm(p * (2.0, 2.6, 2.0), 4, 11) + 0.03 * noise(p * 30, 12)
+        brushed = 1 + 0.025 * fbm(p * (1.2, 1.6, 1.2), 2, 11)
         return np.where(p[:, 1:2] < DADO, white, green) * brushed[:, None]
 
     def ceiling(p, n):
-        return srgb("efece4") * (1 + 0.03 * fbm(p * 1.5, 3, 13))[:, None]
+        return srgb("efece4") * (1 + 0.02 * fbm(p * 1.5, 2, 13))[:, None]
 
-    height, depth = Y1 - Y0, Z1 - Z0
-    far = _with_hole((X0, Y0, Z0), (X1 - X0, 0, 0), (0, height, 0), DOOR_X, DOOR_Y)
-    left = _with_hole(
-        (X0, Y0, Z1), (0, 0, -depth), (0, height, 0), (Z1 - WINDOW_Z[1], Z1 - WINDOW_Z[0]), WINDOW_Y, True
-    )
-    right = quad((X1, Y0, Z0), (0, 0, depth), (0, height, 0))
-    near = quad((X1, Y0, Z1), (X0 - X1, 0, 0), (0, height, 0))
-    top = quad((X0, Y1, Z0), (X1 - X0, 0, 0), (0, 0, depth))
-    return [
-        Part("far wall", far, paint, 0.020),
-        Part("left wall", left, paint, 0.026),
-        Part("right wall", right, paint, 0.026),
-        Part("near wall", near, paint, 0.045),
-        Part("ceiling", top, ceiling, 0.060),
-    ]
+    sides = {
+        "far": ((X0, X1), [*_bars(FAR_PANELS)], lambda u, v: (u, v, Z0)),
+        "left": ((Z1, Z0), [(*WINDOW_Z, *WINDOW_Y), *_bars(SIDE_PANELS)], lambda u, v: (X0, v, u)),
+        "right": ((Z0, Z1), _bars(SIDE_PANELS), lambda u, v: (X1, v, u)),
+        "near": ((X1, X0), [], lambda u, v: (u, v, Z1)),
+    }
+    sides["far"][1].append((DOOR_X[0] - ARCHITRAVE, DOOR_X[1] + ARCHITRAVE, 0.0, DOOR_Y[1] + ARCHITRAVE))
+    fineness = {"far": 0.012, "left": 0.016, "right": 0.016, "near": 0.030}
+    parts = []
+    for name, (span, holes, to_room) in sides.items():  # nothing lies behind the rails
+        lower = _sheet(span, (0.118, DADO - 0.042), holes, to_room)
+        upper = _sheet(span, (DADO + 0.012, Y1 - 0.07), holes, to_room)
+        parts.append(Part(f"{name} panelling", lower, paint, fineness[name], width=1.1))
+        parts.append(Part(f"{name} wall", upper, paint, {"far": 0.020, "near": 0.045}.get(name, 0.030), width=1.2))
+    top = quad((X0, Y1, Z0), (X1 - X0, 0, 0), (0, 0, Z1 - Z0))
+    return [*parts, Part("ceiling", top, ceiling, 0.060, width=1.2)]
 
 
 def mouldings() -> list[Part]:
     """Skirting, dado rail, panel frames and a cornice."""
-    white = plain(WHITE, 0.02)
-    gap = 0.07  # the door's architrave ends the rails
-    runs = [  # (from, to) along each wall, as boxes of the given height range and depth
-        ((X0, Z0), (DOOR_X[0] - gap, Z0), "z+"),
-        ((DOOR_X[1] + gap, Z0), (X1, Z0), "z+"),
+    white = plain(WHITE, 0.01)
+    runs = [  # from and to along each wall, and the way out of it
+        ((X0, Z0), (DOOR_X[0] - ARCHITRAVE, Z0), "z+"),
+        ((DOOR_X[1] + ARCHITRAVE, Z0), (X1, Z0), "z+"),
         ((X0, Z0), (X0, Z1), "x+"),
         ((X1, Z0), (X1, Z1), "x-"),
         ((X0, Z1), (X1, Z1), "z-"),
     ]
-    meshes = []
+    low, meshes = DADO - 0.02, []
     for a, b, side in runs:
         meshes += [_strip(a, b, side, 0.0, 0.10, 0.016), _strip(a, b, side, 0.10, 0.118, 0.009)]
-        low = DADO - 0.02
         meshes += [_strip(a, b, side, low, DADO + 0.012, 0.020), _strip(a, b, side, low - 0.022, low, 0.010)]
-        meshes.append(_strip(a, b, side, Y1 - 0.07, Y1, 0.06))
-    frames = []
-    for x0, x1 in ((X0 + 0.10, DOOR_X[0] - 0.15), (DOOR_X[1] + 0.17, 0.62), (0.74, X1 - 0.12)):
-        frames.append(_frame((x0, 0.21), (x1, 0.77), lambda u, v, w: (u, v, Z0 + w)))
-    for z0, z1 in ((Z0 + 0.12, -1.15), (-1.03, 0.0), (0.12, 1.15)):
-        frames.append(_frame((z0, 0.21), (z1, 0.77), lambda u, v, w: (X0 + w, v, u)))
-        frames.append(_frame((z0, 0.21), (z1, 0.77), lambda u, v, w: (X1 - w, v, u)))
+    for a, b, side in (((X0, Z0), (X1, Z0), "z+"), *runs[2:]):
+        meshes.append(_strip(a, b, side, Y1 - 0.07, Y1, 0.05))
+    depth = 0.009
+    frames = [box((a, c, Z0 - depth), (b, d, Z0 + depth)) for a, b, c, d in _bars(FAR_PANELS)]
+    for a, b, c, d in _bars(SIDE_PANELS):
+        frames += [box((X0 - depth, c, a), (X0 + depth, d, b)), box((X1 - depth, c, a), (X1 + depth, d, b))]
+    frames = [_in_room(m) for m in frames]
     return [
         Part("mouldings", join(*meshes), white, 0.034, gloss=0.02),
         Part("panel frames", join(*frames), white, 0.026, gloss=0.02),
@@ -121,7 +127,7 @@ def door() -> list[Part]:
         bars += [box((a, y0, z), (a + 0.055, y1, z + 0.045)), box((b - 0.055, y0, z), (b, y1, z + 0.045))]
         for low, high in ((y0, y0 + 0.17), (y0 + 0.80, y0 + 0.83), (y0 + 1.42, y0 + 1.45), (y1 - 0.06, y1)):
             bars.append(box((a + 0.055, low, z + 0.004), (b - 0.055, high, z + 0.041)))
-    w = 0.065
+    w = ARCHITRAVE
     trim = [
         box((x0 - w, 0, Z0), (x0, y1 + w, Z0 + 0.022)),
         box((x1, 0, Z0), (x1 + w, y1 + w, Z0 + 0.022)),
@@ -129,15 +135,15 @@ def door() -> list[Part]:
         box((x0, 0, Z0 - REVEAL), (x1, y0, Z0 + 0.01)),
     ]
     inner = _reveal((x0, y0), (x1, y1), lambda u, v, w: (u, v, Z0 - w))
-    white = plain("e6e1d5", 0.02)
+    white = plain("f1eee6", 0.01)
     handle = join(
         box((middle - 0.040, 0.98, z + 0.045), (middle - 0.022, 1.12, z + 0.050)),
         box((middle - 0.036, 1.045, z + 0.05), (middle - 0.026, 1.055, z + 0.09)),
         box((middle - 0.135, 1.042, z + 0.078), (middle - 0.026, 1.058, z + 0.092)),
     )
     return [
-        Part("door", join(*bars), white, 0.011, gloss=0.03),
-        Part("architrave", join(*trim, inner), white, 0.017, gloss=0.02),
+        Part("door", join(*bars), white, 0.011, emission=FILL),
+        Part("architrave", join(*trim, inner), white, 0.017, emission=FILL),
         Part("handle", handle, plain("8a6a30", 0.05), 0.006, gloss=0.25),
     ]
 
@@ -153,9 +159,9 @@ def window() -> list[Part]:
             bars.append(box((x + 0.004, low, a + 0.05), (x + 0.041, high, b - 0.05)))
     sill = box((X0 - REVEAL, y0 - 0.03, z0 - 0.05), (X0 + 0.07, y0, z1 + 0.05))
     inner = _reveal((z0, y0), (z1, y1), lambda u, v, w: (X0 - w, v, u), flip=True)
-    white = plain("e6e1d5", 0.02)
+    white = plain("f1eee6", 0.01)
     return [
-        Part("window", join(*bars), white, 0.018, gloss=0.03),
+        Part("window", join(*bars), white, 0.018, emission=FILL),
         Part("sill", join(sill, inner), white, 0.018, gloss=0.03),
     ]
 
@@ -181,9 +187,9 @@ def garden() -> list[Part]:
     back = quad((-6.5, -0.3, -7.0), (8.5, 0, 0), (0, 4.4, 0))
     side_back = quad((-5.6, -0.3, 4.5), (0, 0, -9.0), (0, 4.4, 0))
     return [
-        Part("terrace", ground, terrace, 0.095, emission=(3.0, 2.9, 2.7), **outside),
-        Part("hedge", back, hedge, 0.11, emission=(3.6, 3.7, 3.6), **outside),
-        Part("side hedge", side_back, hedge, 0.13, emission=(3.6, 3.7, 3.6), **outside),
+        Part("terrace", ground, terrace, 0.095, width=1.2, emission=(3.0, 2.9, 2.7), **outside),
+        Part("hedge", back, hedge, 0.11, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
+        Part("side hedge", side_back, hedge, 0.13, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
     ]
 
 
@@ -193,36 +199,47 @@ def _board_ends(column: int) -> np.ndarray:
     return np.array([Z0, first, first + 1.1 + 0.6 * random_of(np.array(column), 2), Z1])
 
 
-def _with_hole(corner, along, up, span, heights, relative: bool = False) -> Mesh:
-    """Rectangle with a rectangular hole, `span` along it (world or, if `relative`, from the corner) and `heights`."""
-    corner, along, up = (np.asarray(a, float) for a in (corner, along, up))
-    length, height = np.linalg.norm(along), np.linalg.norm(up)
-    start = 0.0 if relative else corner @ (along / length)
-    u0, u1 = ((s - start) / length for s in span)
-    v0, v1 = ((h - corner[1]) / height for h in heights)
-    uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1), (u0, v0), (u1, v0), (u1, v1), (u0, v1)])
-    quads = np.array([(k, (k + 1) % 4, 4 + (k + 1) % 4, 4 + k) for k in range(4)])
-    return Mesh(corner + uv[:, :1] * along + uv[:, 1:] * up, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
+def _sheet(span, heights, holes, to_room) -> Mesh:
+    """Wall between `span` along it and between `heights`, without `holes` (along from, to, up from, to)."""
+    low, high = min(span), max(span)
+    bottom, top = heights
+    holes = [(*np.clip((a, b), low, high), *np.clip((c, d), bottom, top)) for a, b, c, d in holes]
+    u = np.unique([low, high, *(h for hole in holes for h in hole[:2])])[:: 1 if span[0] < span[1] else -1]
+    v = np.unique([bottom, top, *(h for hole in holes for h in hole[2:])])
+    mesh = surface(np.array([[to_room(a, b) for b in v] for a in u]))
+    centre = mesh.vertices[mesh.faces].mean(1)
+    along = centre @ np.abs(np.sign(np.array(to_room(1.0, 0.0)) - to_room(0.0, 0.0)))
+    inside = np.zeros(len(centre), bool)
+    for a, b, c, d in holes:
+        inside |= (along > a) & (along < b) & (centre[:, 1] > c) & (centre[:, 1] < d)
+    return Mesh(mesh.vertices, mesh.faces[~inside])
+
+
+def _bars(panels) -> list[tuple[float, float, float, float]]:
+    """The four bars (along from, to, up from, to) of each panel frame."""
+    v0, v1 = PANEL_Y
+    bars = []
+    for a, b in panels:
+        bars += [(a, b, v0, v0 + BAR), (a, b, v1 - BAR, v1), (a, a + BAR, v0 + BAR, v1 - BAR)]
+        bars.append((b - BAR, b, v0 + BAR, v1 - BAR))
+    return bars
 
 
 def _strip(a, b, side: str, low: float, high: float, depth: float) -> Mesh:
-    """Box along a wall from a to b (x, z), standing out by `depth` towards `side`."""
+    """Box along a wall from a to b (x, z), standing out by `depth` towards `side`; its back is left out."""
     p, q = np.array([a[0], low, a[1]]), np.array([b[0], high, b[1]])
     axis, sign = (0 if side[0] == "x" else 2), (1 if side[1] == "+" else -1)
     (p if sign < 0 else q)[axis] += sign * depth
-    return box(np.minimum(p, q), np.maximum(p, q))
+    (q if sign < 0 else p)[axis] -= sign * depth
+    return _in_room(box(np.minimum(p, q), np.maximum(p, q)))
 
 
-def _frame(low, high, to_wall, width: float = 0.022, depth: float = 0.009) -> Mesh:
-    """Rectangular frame of four bars on a wall; `to_wall` maps (along, up, out) to the world."""
-    (u0, v0), (u1, v1) = low, high
-    bars = [(u0, v0, u1, v0 + width), (u0, v1 - width, u1, v1), (u0, v0 + width, u0 + width, v1 - width)]
-    bars.append((u1 - width, v0 + width, u1, v1 - width))
-    meshes = []
-    for a, b, c, d in bars:
-        p, q = np.array(to_wall(a, b, 0.0)), np.array(to_wall(c, d, depth))
-        meshes.append(box(np.minimum(p, q), np.maximum(p, q)))
-    return join(*meshes)
+def _in_room(mesh: Mesh) -> Mesh:
+    """The mesh without faces that lie wholly in or behind a wall, cut off at the walls."""
+    low, high = np.array(ROOM_LOW), np.array(ROOM_HIGH)
+    v = mesh.vertices[mesh.faces]
+    out = ((v <= low + 1e-9).all(1) | (v >= high - 1e-9).all(1)).any(1)
+    return Mesh(mesh.vertices.clip(low, high), mesh.faces[~out])
 
 
 def _reveal(low, high, to_wall, flip: bool = False) -> Mesh:
@@ -232,5 +249,5 @@ def _reveal(low, high, to_wall, flip: bool = False) -> Mesh:
     meshes = []
     for (a, b), (c, d) in zip(loop, loop[1:] + loop[:1], strict=True):
         p, q, r = (np.array(to_wall(*t)) for t in ((a, b, 0), (c, d, 0), (a, b, REVEAL)))
-        meshes.append(quad(p, r - p, q - p) if not flip else quad(p, q - p, r - p))
+        meshes.append(quad(p, q - p, r - p) if not flip else quad(p, r - p, q - p))
     return join(*meshes)

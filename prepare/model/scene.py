@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,58 +12,76 @@ from prepare.model.cover import Cover, cover, join_covers
 from prepare.model.decor import decor, lamps
 from prepare.model.finish import albedo, flat_sh, gaussians, sharpened, smoothed, tone
 from prepare.model.furniture import furniture
-from prepare.model.layout import EYE, GRID_HIGH, GRID_LOW, GRID_SPACING
+from prepare.model.layout import EYE, EYES, GRID_HIGH, GRID_LOW, GRID_SPACING
 from prepare.model.light import Room
 from prepare.model.room import openings, shell
 from prepare.model.shapes import Part
 from prepare.model.solids import grid_of
 from prepare.model.tableware import tableware
 
-COARSE = 2.6  # spacing of the look-up points over that of the Gaussians
-RAYS = 72  # gathered for each Gaussian
+RAYS = 112  # gathered for each Gaussian
+WIDE = 0.022  # [m]
+EXCHANGE = 0.03  # [m] rough distance of the points that exchange light
 
 
 @dataclass(frozen=True)
 class LitRoom:
-    """Parts, their solids, and the solved light."""
+    """Parts and their cover, the solids on the table, and the solved light. The bottle's parts come last:
+    it shades the table, though it is an asset of its own."""
 
     parts: list[Part]
+    cover: Cover
+    own: int  # parts before the bottle's
     solids: list
     light: Room
 
 
 def lit_room(rng: np.random.Generator, report) -> LitRoom:
-    """Model all parts and solve the exchange of light between them."""
+    """Model and cover all parts, and solve the exchange of light between them."""
     on_table, solids = tableware()
     parts = [*shell(), *furniture(), *decor(), *on_table]
-    blockers = [*parts, *(p for p in bottle_parts())]  # the bottle shades the table, though it is an asset of its own
-    light = Room(blockers, openings(), lamps(), rng)
-    inside = [p for p in blockers if p.casts]
-    coarse = [replace(p, spacing=COARSE * max(p.spacing, 0.006), stretch=1.0) for p in inside]
-    points = join_covers([cover(p, i, rng) for i, p in enumerate(coarse)])
-    report(f"room: {len(parts)} parts, {len(points):,} points that exchange light")
-    light.solve(points, inside, albedo(points, inside, rng))
-    return LitRoom(parts, solids, light)
+    own = len(parts)
+    parts += bottle_parts()
+    points = join_covers([cover(p, i, rng) for i, p in enumerate(parts)])
+    report(f"room: {len(parts)} parts, covered by {len(points):,} points")
+    light = Room(parts, openings(), lamps(), rng)
+    share = (points.sigma.prod(1) / EXCHANGE**2).clip(0.06, 1) * np.array([p.casts for p in parts])[points.part]
+    some = points.select(rng.random(len(points)) < share)
+    light.solve(some, parts, albedo(some, parts, rng))
+    report(f"room: solved the exchange of light between {len(some):,} points")
+    return LitRoom(parts, points, own, solids, light)
 
 
 def dining_room(room: LitRoom, rng: np.random.Generator, report) -> Asset:
     """The asset `dining_room`."""
-    parts = room.parts
-    points = join_covers([cover(p, i, rng) for i, p in enumerate(parts)])
-    report(f"dining_room: {len(points):,} points cover the parts")
-    irradiance, hidden = room.light.irradiance(points, parts, RAYS)
-    outside = np.array([not p.casts for p in parts])[points.part]
-    keep = ~hidden | outside
-    points, irradiance = points.select(keep), smoothed(points.select(keep), irradiance[keep])
+    points, irradiance = lit_cover(room)
     report(f"dining_room: lit, {len(points):,} points can be seen")
     colours = sharpened(points, tone(_radiance(room, points, irradiance, rng)))
-    object_id = np.array([p.object_id for p in parts])[points.part]
-    asset = Asset(
+    object_id = np.array([p.object_id for p in room.parts])[points.part]
+    return Asset(
         gaussians(points, flat_sh(colours), object_id),
         sdf=grid_of(room.solids, GRID_LOW, GRID_HIGH, GRID_SPACING),
         provenance={"made_by": "vrgs build", "name": "dining_room"},
     )
-    return asset
+
+
+def lit_cover(room: LitRoom) -> tuple[Cover, np.ndarray]:
+    """The points of the dining room that can be seen, and their irradiance (N, 3)."""
+    points = room.cover.select(room.cover.part < room.own)
+    # The underside of a thin shell would shine through the seen one, as Gaussians are sorted by their centres.
+    seen = np.max([((np.asarray(e) - points.points) * points.normals).sum(1) for e in EYES], axis=0) > 0
+    sheet = np.array([p.through is not None or not p.casts for p in room.parts])[points.part]
+    thin = room.light.thin(points.points, points.normals, np.maximum(0.012, points.sigma.max(1)))
+    points = points.select(seen | sheet | ~thin | (points.normals[:, 1] > -0.2))
+    irradiance, hidden = room.light.irradiance(points, room.parts, RAYS)
+    keep = ~hidden | np.array([not p.casts for p in room.parts])[points.part]
+    points, irradiance = points.select(keep), irradiance[keep]
+    for _ in range(3):  # the rays' noise; what is left of a contact shadow is two Gaussians wide
+        irradiance = smoothed(points, irradiance, 1.3, 16)
+    wide = points.sigma.max(1) > WIDE
+    for _ in range(4):  # walls: few, wide Gaussians show noise as clouds
+        irradiance[wide] = smoothed(points, irradiance, 1.5, 20)[wide]
+    return points, irradiance
 
 
 def _radiance(room: LitRoom, points: Cover, irradiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -82,7 +100,7 @@ def _radiance(room: LitRoom, points: Cover, irradiance: np.ndarray, rng: np.rand
     cosine = (view * own.normals).sum(1)
     fresnel = gloss[shiny] + (1 - gloss[shiny]) * (1 - np.clip(cosine, 0, 1)) ** 5 * 0.5
     spread = np.array([p.roughness for p in parts])[own.part]
-    mirrored = smoothed(own, room.light.mirrored(own.points, own.normals, EYE, spread, 16))
+    mirrored = smoothed(own, smoothed(own, room.light.mirrored(own.points, own.normals, EYE, spread, 16)))
     metal = gloss[shiny] > 0.2
     tint = np.where(metal[:, None], colour[shiny] / colour[shiny].max(1, keepdims=True), 1.0)
     radiance[shiny] += (fresnel * (cosine > 0.02))[:, None] * tint * mirrored

@@ -33,6 +33,7 @@ class Part:
     gloss         mirror reflectance at normal incidence; `roughness` [rad] is the width of its lobe
     through       share of light that shines through a thin sheet; a sheet is seen from both sides
     emission      linear radiance that the part gives off itself, or None
+    width         of the Gaussians over the usual; plain surfaces close better with wide ones
     fixed         keep `spacing` at any distance
     """
 
@@ -48,6 +49,7 @@ class Part:
     emission: tuple[float, float, float] | None = None
     rotation: np.ndarray | None = None
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    width: float = 1.0
     fixed: bool = False
     casts: bool = True  # stands in the way of light
     object_id: int = 0
@@ -121,10 +123,14 @@ def surface(points: np.ndarray, close_u: bool = False, close_v: bool = False) ->
     ids = np.concatenate([ids, ids[:1]], 0) if close_u else ids
     ids = np.concatenate([ids, ids[:, :1]], 1) if close_v else ids
     quads = np.stack([ids[:-1, :-1], ids[1:, :-1], ids[1:, 1:], ids[:-1, 1:]], -1).reshape(-1, 4)
-    mesh = Mesh(points.reshape(-1, 3).astype(float), _split(quads))
-    v = mesh.vertices[mesh.faces]
-    area = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
-    return Mesh(mesh.vertices, mesh.faces[area > 1e-12])  # a pole of a lathe makes empty triangles
+    return welded(Mesh(points.reshape(-1, 3).astype(float), _split(quads)))
+
+
+def welded(mesh: Mesh) -> Mesh:
+    """The mesh with vertices at the same place joined, without the empty triangles that a pole of a lathe leaves."""
+    v, inverse = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
+    f = inverse.reshape(-1)[mesh.faces]
+    return Mesh(v, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])])
 
 
 def lathe(profile, segments: int = 48) -> Mesh:

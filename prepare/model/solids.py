@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,14 +34,14 @@ def torus(major: float, tube: float) -> Solid:
 
 
 def turned(profile) -> Solid:
-    """Solid of revolution about y; `profile` (K, 2) of (radius, y) runs from the axis at the bottom to it at the top."""
+    """Solid of revolution about y; `profile` (K, 2) of (radius, y) runs from bottom to top."""
     profile = np.asarray(profile, float)
     profile = np.concatenate([[(0.0, profile[0, 1])], profile, [(0.0, profile[-1, 1])]])
 
     def of(p):
         q = np.stack([np.hypot(p[:, 0], p[:, 2]), p[:, 1]], 1)
         nearest, inside = np.full(len(q), np.inf), np.zeros(len(q), bool)
-        for a, b in zip(profile[:-1], profile[1:], strict=True):
+        for a, b in pairwise(profile):
             d = b - a
             t = (((q - a) @ d) / max(d @ d, 1e-20)).clip(0, 1)
             if a[0] > 0 or b[0] > 0:  # the stretch along the axis itself is no surface

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from prepare.model.fruit import apple, banana, lemon, orange
 from prepare.model.layout import TABLE_TOP
-from prepare.model.shapes import Mesh, Part, block, box, join, lathe, pillow, smooth, surface, tube, turn
+from prepare.model.shapes import Mesh, Part, block, box, join, lathe, smooth, surface, tube, turn
 from prepare.model.solids import Solid, ball, brick, moved, turned
 from prepare.model.textures import cloth, fbm, mix, noise, plain, ramp, speckled, srgb
 
@@ -18,9 +19,9 @@ def tableware() -> Things:
     """All parts on the table, and solids in the world."""
     things = [
         _put(fruit_bowl(), 0, (0.52, -0.12), 10),
-        _put(mug(), 40, (-0.40, 0.14), 11),
-        _put(breakfast(), 0, (-0.60, 0.02), 12),
-        _put(books(), 24, (0.47, 0.27), 13),
+        _put(mug(), 150, (-0.455, 0.12), 11),
+        _put(breakfast(), 0, (-0.61, -0.04), 12),
+        _put(books(), 14, (0.63, 0.24), 13),
         _put(plant(), 0, (-0.46, -0.29), 14),
         _put(candle(), 0, (0.27, -0.34), 15),
     ]
@@ -33,7 +34,7 @@ def fruit_bowl() -> Things:
     inside = smooth([(0.137, 0.086), (0.126, 0.076), (0.092, 0.038), (0.050, 0.014), (0.0, 0.011)], 36)
     glaze = speckled("3f8f95", "2b5f66", 0.15, 0.004, 101)
     parts = [Part("bowl", lathe(np.concatenate([outside, inside]), 72), glaze, 0.0048, gloss=0.05, roughness=0.10)]
-    solids = [turned([*outside, (0.110, 0.084), (0.0, 0.092)])]
+    solids = [turned([*outside[::3], (0.110, 0.084), (0.0, 0.092)])]
     fruit = [
         (apple("c22f24", "e9b44a", 1), (0.058, 0.075, 0.040), (20, 30), 0.037),
         (orange(2), (-0.048, 0.078, 0.052), (0, 0), 0.039),
@@ -56,66 +57,6 @@ def fruit_bowl() -> Things:
     return parts, solids
 
 
-def apple(red: str, yellow: str, seed: int) -> list[Part]:
-    """Apple with streaks, dimple and stalk."""
-    a = np.linspace(-np.pi / 2, np.pi / 2, 40)
-    r = 0.038 * np.cos(a) * (1 + 0.06 * np.sin(a))
-    y = 0.033 * np.sin(a) - 0.012 * np.exp(-((r / 0.010) ** 2)) * np.sign(np.sin(a))
-
-    def of(p, n):
-        turn_ = np.arctan2(p[:, 2], p[:, 0])
-        streak = noise(np.stack([3.5 * np.cos(turn_) * 3, 3.5 * np.sin(turn_) * 3, p[:, 1] * 18], 1), seed)
-        side = 0.35 * np.cos(turn_ + seed) + 0.5 * noise(p * 28, seed + 1)
-        c = mix(srgb(red), srgb(yellow), ramp(0.10, 0.75, side + 0.55 * streak))
-        c = mix(c, srgb("8a7a3a"), 0.8 * ramp(0.008, 0.003, np.hypot(p[:, 0], p[:, 2])))
-        return c * (1 + 0.25 * (noise(p * 420, seed + 2) > 0.42))[:, None]
-
-    stalk = tube([(0, 0.018, 0), (0.001, 0.030, 0.001), (0.005, 0.040, 0.003)], 0.0013, 7)
-    body = Part("apple", lathe(np.stack([r, y], 1), 44), of, 0.0040, gloss=0.05, roughness=0.16)
-    return [body, Part("stalk", stalk, plain("4a3420"), 0.003)]
-
-
-def orange(seed: int) -> list[Part]:
-    """Orange with a pored skin."""
-
-    def of(p, n):
-        pores = ramp(0.15, 0.5, noise(p * 520, seed))
-        c = srgb("f0861c") * (1 - 0.20 * pores + 0.12 * noise(p * 40, seed + 1))[:, None]
-        return mix(c, srgb("5f6a2a"), ramp(0.005, 0.003, np.hypot(p[:, 0], p[:, 2])) * (p[:, 1] > 0))
-
-    return [Part("orange", pillow((0.078, 0.074, 0.078), 1.0, 28), of, 0.0040, gloss=0.04, roughness=0.22)]
-
-
-def lemon(seed: int) -> list[Part]:
-    """Lemon, its long axis along x."""
-    curve = smooth([(0, -0.042), (0.006, -0.040), (0.011, -0.034), (0.024, -0.018), (0.027, 0.0), (0.023, 0.019),
-                    (0.010, 0.034), (0.006, 0.041), (0, 0.044)], 40)  # fmt: skip
-
-    def of(p, n):
-        return (
-            srgb("f2cf2e") * (1 - 0.14 * ramp(0.1, 0.5, noise(p * 420, seed)) + 0.10 * noise(p * 50, seed + 1))[:, None]
-        )
-
-    mesh = lathe(curve, 36).moved(turn("z", 90))
-    return [Part("lemon", mesh, of, 0.0038, gloss=0.04, roughness=0.2)]
-
-
-def banana(seed: int) -> list[Part]:
-    """Banana bent in the x-y plane, ends up."""
-    t = np.linspace(-1, 1, 22)
-    path = np.stack([0.085 * np.sin(0.95 * t) / np.sin(0.95), 0.052 * (1 - np.cos(0.95 * t)), 0 * t], 1)
-    radius = 0.0165 * (1 - np.abs(t) ** 5 * 0.72) * (1 - 0.1 * t)
-
-    def of(p, n):
-        end = ramp(0.070, 0.084, np.abs(p[:, 0]))
-        spots = ramp(0.30, 0.45, noise(p * (160, 300, 300), 130 + seed)) + ramp(0.3, 0.5, noise(p * 60, 133 + seed))
-        c = srgb("f0c52f") * (1 + 0.12 * noise(p * (20, 90, 90), 131))[:, None]
-        c = mix(c, srgb("7a5522"), 0.65 * spots.clip(0, 1))
-        return mix(c, srgb("4c4420"), end)
-
-    return [Part("banana", tube(path, radius, 14), of, 0.0042, gloss=0.03, roughness=0.25)]
-
-
 def mug() -> Things:
     """Cream mug with a blue rim, half full of coffee."""
     outside = smooth([(0.0, 0.0), (0.034, 0.0), (0.0385, 0.004), (0.041, 0.030), (0.041, 0.090), (0.0405, 0.094)], 40)
@@ -129,7 +70,7 @@ def mug() -> Things:
         (0.040, 0.024, 0),
     ]
     handle = tube(smooth(handle_path, 28), 0.0058, 12, flat=1.0, up=(0, 0, 1))
-    glaze = speckled("ece0c6", "8a7550", 0.08, 0.0035, 141)
+    glaze = plain("ece0c6", 0.03, 0.05, 141)
 
     def of(p, n):
         return mix(glaze(p, n), srgb("2f5f8a") * 1.0, ramp(0.0725, 0.0745, p[:, 1] + 0.0012 * noise(p * 90, 142)))
@@ -140,7 +81,7 @@ def mug() -> Things:
         Part("handle", handle, of, 0.0037, gloss=0.05, roughness=0.10),
         Part("coffee", coffee, plain((0.030, 0.013, 0.006), 0.05), 0.0042, gloss=0.04, roughness=0.05),
     ]
-    return parts, [turned([*outside, (0.0, 0.094)]), moved(brick((0.036, 0.020, -0.006), (0.075, 0.082, 0.006)))]
+    return parts, [turned([*outside[::3], (0.0, 0.094)]), moved(brick((0.036, 0.020, -0.006), (0.075, 0.082, 0.006)))]
 
 
 def breakfast() -> Things:
@@ -151,15 +92,15 @@ def breakfast() -> Things:
 
     def of(p, n):
         r = np.hypot(p[:, 0], p[:, 2])
-        ring = (np.abs(r - 0.108) < 0.0026) & (n[:, 1] > 0.3)
-        return mix(glaze(p, n), srgb("2f5f8a"), 0.85 * ring)
+        ring = ramp(0.1130, 0.1145, r)
+        return mix(glaze(p, n), srgb("2f5f8a"), 0.9 * ring)
 
     parts = [Part("plate", lathe(np.concatenate([under, over]), 72), of, 0.0046, gloss=0.05, roughness=0.10)]
-    solids = [turned([*under, (0.118, 0.0215), (0.0, 0.0215)])]
+    solids = [turned([*under[::3], (0.118, 0.0215), (0.0, 0.0215)])]
     for spin, x, z in ((25, 0.005, 0.030), (-160, -0.005, -0.038)):
         parts.append(croissant(spin).placed(turn("y", spin), (x, 0.026, z)))
         solids += [moved(ball((0.030 * s, 0.022, 0.0), 0.023), turn("y", spin), (x, 0.0, z)) for s in (-1, 0, 1)]
-    napkin = block((0.13, 0.004, 0.21), 0.0012).moved(turn("y", 12), (-0.155, 0.002, 0.055))
+    napkin = block((0.13, 0.004, 0.21), 0.0012).moved(turn("y", 78), (0.0, 0.002, 0.205))
     parts.append(Part("napkin", napkin, cloth("c8553a", 0.0035, 0.2, 0.05, 155), 0.0052))
     return parts, solids
 
@@ -191,20 +132,20 @@ def books() -> Things:
             box((-w / 2, 0.003, d / 2 - 0.003), (w / 2, h - 0.003, d / 2)),
         )
         pages = box((-w / 2 + 0.005, 0.003, -d / 2 + 0.005), (w / 2 - 0.005, h - 0.003, d / 2 - 0.003))
-        linen, gold = cloth(colour, 0.0025, 0.16, 0.06, 171), srgb("c9a04e")
+        linen = cloth(colour, 0.0025, 0.16, 0.06, 171)
 
         def bound(p, n, w=w, d=d, h=h, linen=linen):
             u, v = np.abs(p[:, 0]), np.abs(p[:, 2])
             line = (np.abs(np.minimum(w / 2 - u, d / 2 - v) - 0.014) < 0.0014) & (n[:, 1] > 0.5)
             title = (u < 0.052) & (np.abs(p[:, 2] + 0.022) < 0.007) & (np.sin(p[:, 0] * 520) > -0.4) & (n[:, 1] > 0.5)
             spine = (np.abs(p[:, 1] - h / 2) < 0.0045) & (u < 0.060) & (np.sin(p[:, 0] * 600) > -0.3) & (n[:, 2] > 0.5)
-            return mix(linen(p, n), gold, 0.9 * (line | title | spine))
+            return mix(linen(p, n), srgb("c9a04e"), 0.9 * (line | title | spine))
 
         def paper(p, n):
             return srgb("ead9b4") * (0.90 + 0.14 * noise(p * (6, 1500, 6), 173))[:, None]
 
-        parts.append(Part("book", covers, bound, 0.0045).placed(r, at))
-        parts.append(Part("pages", pages, paper, 0.0042, grain=(1, 0, 0), stretch=3.0).placed(r, at))
+        parts.append(Part("book", covers, bound, 0.0062).placed(r, at))
+        parts.append(Part("pages", pages, paper, 0.0050, grain=(1, 0, 0), stretch=3.0).placed(r, at))
         solids.append(moved(brick((-w / 2, 0, -d / 2), (w / 2, h, d / 2)), r, at))
     return parts, solids
 
@@ -226,7 +167,7 @@ def plant() -> Things:
         out = np.array([np.cos(a), 0, np.sin(a)])
         path = np.array([0, 0.082, 0]) + 0.018 * out + s * height * np.cos(lean) * np.array([0, 1, 0])
         path = path + (0.35 * s + 0.65 * s**2) * height * np.sin(lean) * out
-        stems.append(tube(path, 0.0016, 6))
+        stems.append(tube(path, 0.0016, 10))
         for j in (3, 4, 5, 6, 7, 8):
             for side in (-1, 1) if j < 8 else (0, 1):
                 yaw = a + (side * 1.25 if j < 8 else 0.9 * side) + 0.35 * rng.normal()
@@ -238,24 +179,24 @@ def plant() -> Things:
         c = mix(srgb("3d6a2c"), srgb("86a848"), 0.75 * young + 0.25 * fbm(p * 45, 2, 183))
         return c * (1 + 0.15 * noise(p * 260, 184))[:, None]
 
-    parts = [pot, soil, Part("stems", join(*stems), plain("5f7a38", 0.1), 0.0045)]
-    parts.append(Part("leaves", join(*leaves), green, 0.0046, through=0.35))
-    return parts, [turned([*outside, *rim, (0.0, 0.0935)])]
+    parts = [pot, soil, Part("stems", join(*stems), plain("5f7a38", 0.1), 0.0070)]
+    parts.append(Part("leaves", join(*leaves), green, 0.0052, through=0.35))
+    return parts, [turned([*outside[::3], *rim, (0.0, 0.0935)])]
 
 
 def candle() -> Things:
     """Beeswax candle in a brass holder."""
-    foot = smooth([(0.0, 0.0), (0.045, 0.0), (0.047, 0.004), (0.030, 0.010), (0.012, 0.018), (0.010, 0.034), (0.020, 0.042),
-                   (0.021, 0.050)], 44)  # fmt: skip
+    foot = [(0.0, 0.0), (0.045, 0.0), (0.047, 0.004), (0.030, 0.010), (0.012, 0.018), (0.010, 0.034)]
+    foot = smooth([*foot, (0.020, 0.042), (0.021, 0.050)], 44)
     holder = lathe([*foot, (0.0, 0.050)], 40)
     wax = lathe([(0.0115, 0.050), (0.0112, 0.170), (0.0095, 0.1745), (0.0, 0.172)], 28)
-    wick = tube([(0, 0.170, 0), (0.0005, 0.178, 0), (0.003, 0.184, 0)], 0.0011, 6)
+    wick = tube([(0, 0.170, 0), (0.0005, 0.178, 0), (0.003, 0.184, 0)], 0.0011, 10)
     parts = [
-        Part("holder", holder, plain("b08a42", 0.08), 0.0040, gloss=0.35, roughness=0.2),
+        Part("holder", holder, plain("9a7430", 0.04), 0.0040, gloss=0.30, roughness=0.2),
         Part("candle", wax, plain("ecdcb0", 0.04), 0.0042, gloss=0.03),
         Part("wick", wick, plain((0.02, 0.02, 0.02)), 0.0028),
     ]
-    return parts, [turned([*foot, (0.0115, 0.050), (0.0112, 0.170), (0.0, 0.1745)])]
+    return parts, [turned([*foot[::3], (0.0115, 0.050), (0.0112, 0.170), (0.0, 0.1745)])]
 
 
 def _leaf(length: float, droop: float) -> Mesh:

@@ -89,9 +89,9 @@ def wood(tones, axis: int = 0, board: float = 0.0, across: int = 2, seed: int = 
         t = np.hypot(y, z) / ring + wobble / ring
         t = t - np.floor(t)
         late = ramp(0.15, 0.8, t) * (1 - ramp(0.86, 1.0, t))
-        pores = ramp(0.02, 0.45, noise(q * (14, 330, 330), seed + 3))
+        pores = ramp(0.02, 0.45, noise(q * (9, 170, 170), seed + 3))
         streak = fbm(q * (2.2, 60, 60), 3, seed + 5)
-        tone = 0.16 + 0.50 * late + 0.20 * pores + 0.28 * streak + 0.30 * (shift[3] - 0.5)
+        tone = 0.14 + 0.58 * late + 0.24 * pores + 0.30 * streak + 0.30 * (shift[3] - 0.5)
         hue = 1 + 0.05 * (shift[1] - 0.5)[:, None] * (1, 0, -1)
         c = mix(light, dark, np.clip(tone, 0, 1)) * hue
         if board:  # dark line where two boards are glued

@@ -1,11 +1,11 @@
 """Hands: what they grip, and the springs that hold it.
 
 A gripped vertex i is tied to its place in the hand's frame by a critically damped spring. The springs of one hand
-together carry the whole body at FREQUENCY, so they share its mass:
+together carry the whole body, of mass M, at FREQUENCY (or faster, a body lighter than LIGHTEST):
 
-    kappa = omega^2 M / m_held,   gamma = 2 omega M / m_held   (per mass of vertex),   |force_i| <= FORCE m_i / m_held
+    kappa = omega^2 max(M, LIGHTEST) / m_held,   gamma = 2 sqrt(kappa M / m_held),   |force_i| <= FORCE m_i / m_held
 
-and are integrated implicitly in each substep, with the hand's pose interpolated to the substep:
+per mass of vertex, and are integrated implicitly in each substep, with the hand's pose interpolated to the substep:
 
     dx' = dx + dt^2 (kappa (p - x - dx') + gamma (p_dot - x_dot')),   x_dot' = (dx' - carry) / dt
 """
@@ -22,6 +22,7 @@ from sim.samples import Samples
 from sim.state import State
 
 FREQUENCY = 20.0  # [Hz] of the whole body on its springs: stiffer than an arm, softer than a pin
+LIGHTEST = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
 FORCE = 80.0  # [N] of one hand at most: a firm pull
 FEWEST = 4  # vertices that fix a body's attitude with some to spare
 WIDER = 1.5  # times the reach, where a coarse cage has fewer than FEWEST within reach
@@ -34,7 +35,8 @@ class Hands:
 
     held i32[V]: bit h = hand h holds the vertex;   place vec3[H,V]: where, in the hand's frame [m]
     position vec3[H,2], rotation vec4[H,2]: poses at the start and at the end of the frame
-    share f32[H] = M / m_held, mass f32[H] = m_held [kg];   total i64[H,3]: force sums [1e-6 N]
+    kappa [1/s^2], gamma [1/s], mass f32[H] = m_held [kg];   pulled vec3[H,V]: last correction of a vertex [m]
+    total i64[H,3]: force sums [1e-6 N]
     """
 
     def __init__(self, state: State, bodies: list[SoftBody], samples: Samples, count: int):
@@ -43,13 +45,13 @@ class Hands:
         self.masses = np.concatenate([b.masses() for b in bodies])
         H = max(count, 1)
         self.builder = ti.FieldsBuilder()
-        self.held, self.place = ti.field(ti.i32), ti.Vector.field(3, ti.f32)
+        self.held, self.place, self.pulled = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
         self.builder.dense(ti.i, state.V).place(self.held)
-        self.builder.dense(ti.ij, (H, state.V)).place(self.place)
+        self.builder.dense(ti.ij, (H, state.V)).place(self.place, self.pulled)
         self.position, self.rotation = ti.Vector.field(3, ti.f32), ti.Vector.field(4, ti.f32)
         self.builder.dense(ti.ij, (H, 2)).place(self.position, self.rotation)
-        self.share, self.mass, self.total = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i64)
-        self.builder.dense(ti.i, H).place(self.share, self.mass)
+        self.kappa, self.gamma, self.mass, self.total = (ti.field(t) for t in (ti.f32, ti.f32, ti.f32, ti.i64))
+        self.builder.dense(ti.i, H).place(self.kappa, self.gamma, self.mass)
         self.builder.dense(ti.ij, (H, 3)).place(self.total)
         self.tree = self.builder.finalize()
         self.reset()
@@ -103,8 +105,9 @@ class Hands:
         rotation = matrices_of_quats(unit(hand.rotation)[None])[0]
         self.bodies[h] = body
         self._hold(h, taken, (x[taken] - np.asarray(hand.position)) @ rotation)
-        held = float(self.masses[taken].sum())
-        self.mass[h], self.share[h] = held, float(self.masses[mine].sum()) / held
+        held, whole = float(self.masses[taken].sum()), float(self.masses[mine].sum())
+        kappa = OMEGA**2 * max(whole, LIGHTEST) / held
+        self.mass[h], self.kappa[h], self.gamma[h] = held, kappa, 2 * math.sqrt(kappa * whole / held)
 
     def _hold(self, h: int, taken: np.ndarray, places: np.ndarray) -> None:
         """Let hand h hold exactly these vertices, at these places in its frame."""
@@ -121,6 +124,7 @@ class Hands:
             self.held[i] &= ~(1 << h)
         for k in range(count):
             self.held[taken[k]] |= 1 << h
+            self.pulled[h, taken[k]] = ti.Vector([0.0, 0.0, 0.0])
             self.place[h, taken[k]] = ti.Vector([places[k, 0], places[k, 1], places[k, 2]])
 
     @ti.kernel
@@ -139,13 +143,13 @@ class Hands:
         return ti.math.mix(self.position[h, 0], self.position[h, 1], fraction) + r + q[0] * t + u.cross(t)
 
     @ti.func
-    def _spring(self, h, i, d, tick):
-        """Correction [m] of vertex i's increment d by the spring of hand h, in substep `tick` of the frame."""
+    def _spring(self, h, i, d):
+        """Correction [m] of vertex i's increment d by the spring of hand h."""
         s = self.state
-        dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
+        dt, tick, n = s.dt[None], s.tick[None], ti.cast(s.substeps[None], ti.f32)
         p = self._target(h, i, (tick + 1) / n)
         step = p - self._target(h, i, tick / n)
-        kappa, gamma = OMEGA**2 * self.share[h] * dt * dt, 2.0 * OMEGA * self.share[h] * dt
+        kappa, gamma = self.kappa[h] * dt * dt, self.gamma[h] * dt
         a = (kappa * (p - s.x[i] - d) + gamma * (step + s.carry[i] - d)) / (1.0 + kappa + gamma)
         most = FORCE / self.mass[h] * dt * dt
         return a * ti.min(1.0, most / ti.max(a.norm(), 1e-20))
@@ -157,13 +161,15 @@ class Hands:
         if ti.static(self.count > 0):
             held = self.held[i]
             if held != 0:
-                for h in ti.static(range(self.count)):
+                for h in range(self.count):
                     if (held >> h) & 1:
-                        pulled += self._spring(h, i, d, self.state.tick[None])
+                        a = self._spring(h, i, d)
+                        self.pulled[h, i] = a
+                        pulled += a
         return pulled
 
     def forces(self) -> list[np.ndarray]:
-        """Force of each hand on what it holds at the end of the frame [N], (3,) each; zero for an open hand."""
+        """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
         self._sum()
         return list(self.total.to_numpy()[: self.count] * 1e-6)
 
@@ -173,12 +179,11 @@ class Hands:
         for h, c in self.total:
             self.total[h, c] = 0
         for i in self.held:
-            for h in ti.static(range(self.count)):
+            for h in range(self.count):
                 if (self.held[i] >> h) & 1 and s.dt[None] > 0.0:
-                    # dx is already the prediction for the substep after the last
-                    f = s.mass[i] / s.dt[None] ** 2 * self._spring(h, i, s.dx[i], s.tick[None] + 1)
+                    force = s.mass[i] / s.dt[None] ** 2 * self.pulled[h, i]
                     for c in ti.static(range(3)):
-                        ti.atomic_add(self.total[h, c], ti.cast(f[c] * 1e6, ti.i64))
+                        ti.atomic_add(self.total[h, c], ti.cast(force[c] * 1e6, ti.i64))
 
     def destroy(self) -> None:
         self.tree.destroy()

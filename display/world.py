@@ -14,6 +14,7 @@ from assets.asset import Asset, DistanceGrid
 from assets.errors import BadInput
 from assets.gaussians import Gaussians, concatenate, matrices_of_quats
 from assets.library import find_asset
+from assets.order import morton_order
 from display.frame import Frame
 from display.timing import Timings
 from render.renderer import Renderer
@@ -23,6 +24,8 @@ from scenes.scene import Body, BodyState, Light, Scene
 from sim.colliders import StaticGrid
 from sim.embedding import EmbeddedPart, Embedding
 from sim.solver import SoftBody, Solver
+
+NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.zeros((0, 1, 3)))
 
 
 class World:
@@ -42,8 +45,10 @@ class World:
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
         static, moving = load_bodies(scene)
-        self.splats = Splats(concatenate([*(g for g, _ in static), *(p.gaussians for _, p in moving)]))
-        first = sum(len(g) for g, _ in static)
+        room = concatenate([g for g, _ in static]) if static else NOTHING
+        room = room.select(morton_order(room.means))
+        self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
+        first = len(room)  # the shadow wants what moves behind all that does not
         grids = [grid for _, grid in static if grid is not None]
         self.solver = Solver(
             [body for body, _ in moving],
@@ -188,8 +193,9 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody, EmbeddedPart]:
     if asset.cage is None or asset.embedded is None:
         raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
     s = body.scale
+    order = morton_order(asset.gaussians.means)
     vertices = asset.cage.vertices * np.float32(s)
-    g = asset.gaussians
+    g = asset.gaussians.select(order)
     gaussians = replace(g, means=g.means * np.float32(s), log_scales=g.log_scales + np.float32(np.log(s)))
     sdf = None
     if asset.sdf is not None:
@@ -207,8 +213,8 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody, EmbeddedPart]:
         sdf=sdf,
     )
     part = EmbeddedPart(
-        host=asset.embedded.host,
-        weights=asset.embedded.weights,
+        host=asset.embedded.host[order],
+        weights=asset.embedded.weights[order],
         gaussians=gaussians,
         rest=vertices,
         tets=asset.cage.tets,

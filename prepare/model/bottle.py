@@ -19,8 +19,24 @@ NECK = 0.0138
 GLASS = 1.45  # refractive index, between glass and wine
 TINT = np.array([0.10, 0.30, 0.07])  # share of light that crosses the bottle
 LABEL_Y, LABEL_HALF = (0.058, 0.148), np.radians(78)  # [m], [rad] to either side of +z
-PRINT = 0.00155  # [m] distance of the label's points
+LETTERS = np.array(  # "VR-GS"
+    [
+        [dot == "#" for dot in row]
+        for row in (
+            "#...#.####.........###...####",
+            "#...#.#...#.......#...#.#....",
+            "#...#.#...#.......#.....#....",
+            "#...#.####..#####.#.###..###.",
+            "#...#.#.#.........#...#.....#",
+            ".#.#..#..#........#...#.....#",
+            "..#...#...#........###..####.",
+        )
+    ]
+)
+DOT = 0.0019  # [m] of a letter
+PRINT = 0.0014  # [m] distance of the label's points
 FOIL_Y = 0.238
+LIFTED = np.array([0.0, 0.5, 0.0])  # bends mirrored directions up to where the windows are
 
 
 def profile() -> np.ndarray:
@@ -82,11 +98,13 @@ def label(p, n):
     c = np.where((v < 0.022)[:, None], red, c)
     for y, half in ((0.0245, 0.0012), (height - 0.006, 0.0012)):
         c = np.where((np.abs(v - y) < half)[:, None], gold, c)
-    for x, y, colour in ((-0.0095, 0.056, "c8321f"), (0.0095, 0.056, "1c5fae"), (0.0, 0.0665, "e0a416")):
+    for x, y, colour in ((-0.0095, 0.0575, "c8321f"), (0.0095, 0.0575, "1c5fae"), (0.0, 0.068, "e0a416")):
         ring = np.abs(np.hypot(u - x, v - y) - 0.0085)
         c = mix(c, srgb(colour), 1 - ramp(0.0013, 0.0021, ring))
-    letters = (np.abs(v - 0.0355) < 0.0035) & (np.abs(u) < 0.026) & (np.abs((u / 0.0075) % 1 - 0.5) < 0.33)
-    return mix(c, srgb("4a3a30"), 0.9 * letters)
+    row, column = np.floor((0.0415 - v) / DOT).astype(int), np.floor(u / DOT + 14.5).astype(int)
+    inside = (row >= 0) & (row < 7) & (column >= 0) & (column < 29)
+    letters = inside & LETTERS[row.clip(0, 6), column.clip(0, 28)]
+    return mix(c, srgb("3a2a26"), 0.95 * letters)
 
 
 def _label_mesh():
@@ -120,8 +138,10 @@ def _shine(c: Cover, room: Room, views: np.ndarray) -> np.ndarray:
         mirror = d + 2 * k * n
         fresnel = np.where(c.part[front] == 1, 0.16, 0.075)[:, None]
         fresnel = fresnel + (1 - fresnel) * (1 - k) ** 5
-        light = fresnel * room.radiance(p + LIFT * n, mirror)
         glass = c.part[front] == 0
+        mirror[glass] += LIFTED  # else, seen from above, upright glass mirrors the table only
+        mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
+        light = fresnel * room.radiance(p + LIFT * n, mirror)
         inner = _refract(np.broadcast_to(d, n.shape), n, 1 / GLASS)
         chord = -2 * radius[front][:, None] * (inner * n).sum(1, keepdims=True)
         leave = p + chord * inner

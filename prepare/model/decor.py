@@ -38,8 +38,8 @@ def pendant() -> list[Part]:
     rose = lathe([(0.05, 2.57), (0.05, 2.6)], 24)
     bulb = pillow((0.07, 0.085, 0.07), 1.0, 14).moved(translation=(0, 0.10, 0))
     parts = [
-        Part("shade", outer, plain("2f4a45", 0.03), 0.0070, gloss=0.05, roughness=0.12),
-        Part("shade inside", inner, plain("f4ead6", 0.02), 0.0085),
+        Part("shade", outer, plain("2f4a45", 0.03), 0.0082, gloss=0.05, roughness=0.12),
+        Part("shade inside", inner, plain("f4ead6", 0.02), 0.0100),
         Part("bulb", bulb, plain("ffffff", 0.0), 0.006, emission=tuple(14 * GLOW), casts=False),
     ]
     parts = [p.placed(position=LAMP_AT) for p in parts]
@@ -73,7 +73,7 @@ def curtains() -> list[Part]:
         depth = 0.020 * wave * (0.7 + 0.5 * loose) + 0.004 * np.sin(11 * u + 4 * v + seed)
         along = a + (b - a) * (u + 0.012 * np.sin(9 * v + 7 * u + seed) * loose)
         mesh = surface(np.stack(np.broadcast_arrays(*to_room(along, low + (high - low) * v, depth)), -1))
-        parts.append(Part(name, mesh, linen, 0.0115, grain=(0, 1, 0), stretch=3.5, through=0.38))
+        parts.append(Part(name, mesh, linen, 0.0115, grain=(0, 1, 0), stretch=3.5, through=0.38, width=1.12))
 
     for a, b, seed in ((DOOR_X[0] - 0.36, DOOR_X[0] + 0.10, 1.0), (DOOR_X[1] - 0.08, DOOR_X[1] + 0.34, 2.0)):
         drape("curtain", a, b, 4, 0.015, 2.30, seed, lambda u, y, d: (u, y, Z0 + OFF + d))
@@ -141,7 +141,7 @@ def vase() -> list[Part]:
     parts = [
         Part("vase", lathe(body, 40), plain("ece8de", 0.02), 0.0055, gloss=0.04, roughness=0.15),
         Part("twigs", join(*stems), plain("6a5a40", 0.1), 0.0070),
-        Part("eucalyptus", join(*leaves), plain("7f9a86", 0.14, 0.03), 0.0062, through=0.3),
+        Part("eucalyptus", join(*leaves), plain("7f9a86", 0.14, 0.03), 0.0075, through=0.3),
     ]
     parts = [p.placed(position=(0.60, 0.80, Z0 + 0.20)) for p in parts]
     for k, (w, h, d, colour) in enumerate(

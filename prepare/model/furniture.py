@@ -46,7 +46,7 @@ def table() -> list[Part]:
             legs.append(surface(ring.transpose(1, 0, 2), close_u=True))
     upright = wood(HONEY, axis=1, across=0, seed=33)
     return [
-        Part("table top", top, boards, 0.0035, grain=(1, 0, 0), stretch=5.0, gloss=0.045, roughness=0.13, object_id=1),
+        Part("table top", top, boards, 0.0036, grain=(1, 0, 0), stretch=5.0, gloss=0.045, roughness=0.13, object_id=1),
         Part("apron", apron, boards, 0.012, grain=(1, 0, 0), stretch=2.5, object_id=1),
         Part("legs", join(*legs), upright, 0.009, grain=(0, 1, 0), stretch=2.5, gloss=0.03, object_id=1),
     ]

@@ -187,9 +187,9 @@ def garden() -> list[Part]:
     back = quad((-6.5, -0.3, -7.0), (8.5, 0, 0), (0, 4.4, 0))
     side_back = quad((-5.6, -0.3, 4.5), (0, 0, -9.0), (0, 4.4, 0))
     return [
-        Part("terrace", ground, terrace, 0.095, width=1.2, emission=(3.0, 2.9, 2.7), **outside),
-        Part("hedge", back, hedge, 0.11, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
-        Part("side hedge", side_back, hedge, 0.13, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
+        Part("terrace", ground, terrace, 0.12, width=1.2, emission=(3.0, 2.9, 2.7), **outside),
+        Part("hedge", back, hedge, 0.12, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
+        Part("side hedge", side_back, hedge, 0.15, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
     ]
 
 

@@ -146,7 +146,7 @@ def books() -> Things:
 
         parts.append(Part("book", covers, bound, 0.0062).placed(r, at))
         parts.append(Part("pages", pages, paper, 0.0050, grain=(1, 0, 0), stretch=3.0).placed(r, at))
-        solids.append(moved(brick((-w / 2, 0, -d / 2), (w / 2, h, d / 2)), r, at))
+        solids.append(moved(brick((-w / 2, -y, -d / 2), (w / 2, h, d / 2)), r, at))  # down to the table: no seam
     return parts, solids
 
 

@@ -1,5 +1,6 @@
 """The shipped assets, and how models are covered with Gaussians."""
 
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset
+from assets.errors import BadInput
 from assets.gaussians import matrices_of_quats
 from prepare.model import solids
+from prepare.model.command import run
 from prepare.model.cover import cover
 from prepare.model.finish import flat_sh, gaussians, sharpened, smoothed
 from prepare.model.layout import (
@@ -44,6 +47,12 @@ def at(asset: Asset, points) -> np.ndarray:
     """Signed distance of an asset at points, from the nearest grid node."""
     index = np.round((np.asarray(points) - asset.sdf.origin) / asset.sdf.spacing).astype(int)
     return asset.sdf.values[tuple(index.T)].astype(float)
+
+
+def test_an_unknown_name_is_refused(tmp_path):
+    with pytest.raises(BadInput, match="teapot"):
+        run(Namespace(names=["teapot"], out=tmp_path))
+    assert not list(tmp_path.iterdir())
 
 
 def test_all_files_together_stay_small():

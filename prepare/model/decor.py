@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from prepare.model.layout import DOOR_X, LAMP_AT, ROOM_HIGH, ROOM_LOW, SIDE_LAMP_AT, WINDOW_Z
-from prepare.model.light import Lamp
 from prepare.model.shapes import Part, box, join, lathe, pillow, quad, smooth, surface, tube, turn
+from prepare.model.sources import Lamp
 from prepare.model.textures import WALNUT, cloth, fbm, mix, noise, plain, ramp, srgb, wood
 
 Z0 = ROOM_LOW[2]

@@ -59,10 +59,10 @@ def banana(seed: int) -> list[Part]:
     radius = 0.0165 * (1 - np.abs(t) ** 5 * 0.72) * (1 - 0.1 * t)
 
     def of(p, n):
-        end = ramp(0.070, 0.084, np.abs(p[:, 0]))
+        end = ramp(0.078, 0.086, np.abs(p[:, 0]))
         spots = ramp(0.42, 0.60, noise(p * (120, 240, 240), 130 + seed))
         c = srgb("f0c52f") * (1 + 0.12 * noise(p * (12, 60, 60), 131))[:, None]
-        c = mix(c, srgb("7a5522"), 0.65 * spots.clip(0, 1))
+        c = mix(c, srgb("7a5522"), 0.5 * spots.clip(0, 1))
         return mix(c, srgb("4c4420"), end)
 
     return [Part("banana", tube(path, radius, 14), of, 0.0042, gloss=0.03, roughness=0.25)]

@@ -26,6 +26,8 @@ EYES = ((-1.1, 1.15, 1.0), (1.1, 1.15, 1.0), (-1.1, 1.9, 1.9), (1.1, 1.9, 1.9), 
 DOOR_X, DOOR_Y = (-1.45, -0.35), (0.04, 2.12)
 WINDOW_Z, WINDOW_Y = (-0.55, 0.95), (0.85, 2.12)
 
+REVEAL = 0.14  # [m] depth of door and window in the wall
+
 LAMP_AT = (0.0, 1.72, 0.0)  # lower rim of the pendant lamp
 SIDE_LAMP_AT = (1.52, 0.80, -1.96)  # foot of the lamp on the sideboard
 

@@ -7,8 +7,6 @@ exchange of light has been solved before (radiosity; Goral et al. 1984).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
@@ -16,7 +14,7 @@ from scipy.spatial import cKDTree
 from prepare.model.cover import Cover
 from prepare.model.layout import EYE
 from prepare.model.shapes import Part
-from prepare.model.textures import ramp
+from prepare.model.sources import SUN, SUN_IRRADIANCE, SUN_SPREAD, Lamp, Opening, outside
 
 LIFT = 1.5e-3  # [m] ray origins above the surface
 SIDE = 0.02  # [m] look-up points are moved off the surface, so that the two sides of a board stay apart
@@ -24,37 +22,6 @@ BATCH = 1_000_000  # rays at a time
 BURIED = 0.92  # share of such rays; the rest may slip through faces that touch
 BOUNCES = 5
 NEAR = 0.012  # [m] where nearly every ray ends this soon (or within a Gaussian's width), nobody can look
-
-
-@dataclass(frozen=True)
-class Opening:
-    """Parallelogram that daylight enters through: corner and two edges [m]."""
-
-    corner: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """Glowing ball: centre, radius [m] and radiant intensity per steradian, linear RGB."""
-
-    centre: np.ndarray
-    radius: float
-    intensity: np.ndarray
-
-
-SUN = np.array([0.50, -0.66, 0.62]) / np.linalg.norm([0.50, -0.66, 0.62])  # direction of travel
-SUN_IRRADIANCE = np.array([1.0, 0.86, 0.66]) * 22
-SUN_SPREAD = 0.018  # [rad] wider than the real one: thin cloud
-
-
-def outside(direction: np.ndarray) -> np.ndarray:
-    """Radiance (N, 3) of what is seen through an opening: bright sky over a garden."""
-    up = direction[:, 1:2]
-    sky = np.array([3.6, 4.2, 5.0]) * (1 + 0.35 * np.clip(up, 0, 1))
-    garden = np.array([1.5, 1.7, 1.1])
-    return garden + (sky - garden) * ramp(-0.02, 0.12, up)
 
 
 class Room:

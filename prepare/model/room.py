@@ -6,15 +6,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from prepare.model.layout import DOOR_X, DOOR_Y, ROOM_HIGH, ROOM_LOW, WINDOW_Y, WINDOW_Z
-from prepare.model.light import Opening
+from prepare.model.layout import DOOR_X, DOOR_Y, REVEAL, ROOM_HIGH, ROOM_LOW, WINDOW_Y, WINDOW_Z
 from prepare.model.shapes import Mesh, Part, box, join, quad, surface
-from prepare.model.textures import OAK, fbm, mix, noise, plain, ramp, random_of, srgb, wood
+from prepare.model.sources import Opening
+from prepare.model.textures import OAK, fbm, plain, ramp, random_of, srgb, wood
 
 (X0, Y0, Z0), (X1, Y1, Z1) = ROOM_LOW, ROOM_HIGH
 PLANK = (X1 - X0) / 26  # [m] width of a floor board
 DADO = 0.90  # [m] height of the white panelling
-REVEAL = 0.14  # [m] depth of door and window
 ARCHITRAVE = 0.065  # [m] width of the frame round the door
 PANEL_Y, BAR = (0.21, 0.77), 0.022  # [m] height of the panel frames, width of their bars
 FAR_PANELS = [(X0 + 0.10, DOOR_X[0] - 0.15), (DOOR_X[1] + 0.17, 0.62), (0.74, X1 - 0.12)]  # along x
@@ -25,7 +24,7 @@ FILL = (0.16, 0.16, 0.16)  # light added to frames that stand against the sky, a
 
 def shell() -> list[Part]:
     """All parts of the shell."""
-    return [floor(), *walls(), *mouldings(), *door(), *window(), *garden()]
+    return [floor(), *walls(), *mouldings(), *door(), *window()]
 
 
 def openings() -> list[Opening]:
@@ -163,33 +162,6 @@ def window() -> list[Part]:
     return [
         Part("window", join(*bars), white, 0.018, emission=FILL),
         Part("sill", join(sill, inner), white, 0.018, gloss=0.03),
-    ]
-
-
-def garden() -> list[Part]:
-    """Terrace, hedge and sky: bright and soft, as a camera set for the room sees them."""
-
-    def terrace(p, n):
-        stone = 0.80 + 0.14 * fbm(p * (1.6, 1, 1.6), 3, 21) + 0.05 * noise(p * 9, 22)
-        joint = np.minimum(*(np.abs((p[:, k] / 0.6 + 0.5) % 1 - 0.5) for k in (0, 2)))
-        stone = stone * (0.85 + 0.15 * ramp(0, 0.05, joint))
-        return mix(srgb("c9b896"), srgb("b7c08c"), ramp(-5.3, -5.6, p[:, 2])) * stone[:, None]
-
-    def hedge(p, n):
-        leaves = fbm(p * (1.3, 1.5, 1.3), 4, 23)
-        green = mix(srgb("7f9a5c"), srgb("c2d08e"), ramp(-0.5, 0.6, leaves + 0.25 * (p[:, 1] - 1)))
-        sky = mix(srgb("e8eef2"), srgb("cfe2f5"), ramp(1.5, 4.0, p[:, 1]))
-        crown = p[:, 1] - 1.75 - 0.55 * fbm(p * (0.8, 0.0, 0.8), 3, 25) - 0.25 * leaves
-        return mix(green, sky * 1.0, ramp(-0.12, 0.16, crown))
-
-    outside = {"casts": False, "fixed": True}
-    ground = quad((-5.5, -0.12, Z0 - REVEAL), (6.5, 0, 0), (0, 0, -4.8))
-    back = quad((-6.5, -0.3, -7.0), (8.5, 0, 0), (0, 4.4, 0))
-    side_back = quad((-5.6, -0.3, 4.5), (0, 0, -9.0), (0, 4.4, 0))
-    return [
-        Part("terrace", ground, terrace, 0.12, width=1.2, emission=(3.0, 2.9, 2.7), **outside),
-        Part("hedge", back, hedge, 0.12, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
-        Part("side hedge", side_back, hedge, 0.15, width=1.2, emission=(3.6, 3.7, 3.6), **outside),
     ]
 
 

@@ -12,6 +12,7 @@ from prepare.model.cover import Cover, cover, join_covers
 from prepare.model.decor import decor, lamps
 from prepare.model.finish import albedo, flat_sh, gaussians, sharpened, smoothed, tone
 from prepare.model.furniture import furniture
+from prepare.model.garden import garden
 from prepare.model.layout import EYE, EYES, GRID_HIGH, GRID_LOW, GRID_SPACING
 from prepare.model.light import Room
 from prepare.model.room import openings, shell
@@ -39,7 +40,7 @@ class LitRoom:
 def lit_room(rng: np.random.Generator, report) -> LitRoom:
     """Model and cover all parts, and solve the exchange of light between them."""
     on_table, solids = tableware()
-    parts = [*shell(), *furniture(), *decor(), *on_table]
+    parts = [*shell(), *garden(), *furniture(), *decor(), *on_table]
     own = len(parts)
     parts += bottle_parts()
     points = join_covers([cover(p, i, rng) for i, p in enumerate(parts)])

@@ -49,10 +49,8 @@ def fruit_bowl() -> Things:
         parts += [p.placed(r, at) for p in shapes]
         solids.append(ball(at, radius))
     for k in range(3):
-        parts += [
-            p.placed(turn("y", 52 + 9 * k), (-0.020 - 0.010 * k, 0.100 + 0.004 * k, -0.030 - 0.020 * k))
-            for p in banana(k)
-        ]
+        r, at = turn("y", 52 + 7 * k), (-0.052 + 0.022 * k, 0.096 + 0.004 * k, -0.052 + 0.016 * k)
+        parts += [p.placed(r, at) for p in banana(k)]
     solids += [ball((-0.03 + t, 0.122 - 9 * t * t, -0.05 - 0.9 * t), 0.024) for t in (-0.05, 0.0, 0.05)]
     return parts, solids
 

@@ -49,5 +49,6 @@ def build(names: list[str], report=print):
             continue
         if room is None:
             room = lit_room(np.random.default_rng(SEED), report)
+        room.light.rng = rng
         asset: Asset = dining_room(room, rng, report) if name == "dining_room" else bottle(room.light, rng)
         yield name, asset

@@ -25,14 +25,14 @@ NEAR = 0.012  # [m] where nearly every ray ends this soon (or within a Gaussian'
 
 
 class Room:
-    """Rays, lights and the solved exchange of light between the surfaces of `parts`."""
+    """Rays, lights and the solved exchange of light between the surfaces of `parts`; `rng` draws the rays."""
 
     def __init__(self, parts: list[Part], openings: list[Opening], lamps: list[Lamp], rng: np.random.Generator):
         import open3d as o3d
 
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
-        self._rng, self._openings, self._lamps = rng, openings, lamps
+        self.rng, self._openings, self._lamps = rng, openings, lamps
         emission, sheet = [], []
         for part in parts:
             if not part.casts:
@@ -104,7 +104,7 @@ class Room:
         mirror = 2 * (view * normals).sum(1, keepdims=True) * normals - view
         total = np.zeros((len(points), 3))
         for _ in range(rays):
-            d = mirror + np.tan(spread)[:, None] * self._rng.normal(size=mirror.shape) * 0.7
+            d = mirror + np.tan(spread)[:, None] * self.rng.normal(size=mirror.shape) * 0.7
             d /= np.linalg.norm(d, axis=1, keepdims=True)
             below = (d * normals).sum(1, keepdims=True)
             d -= 2 * np.minimum(below, 0) * normals
@@ -144,8 +144,8 @@ class Room:
         """
         n = len(points)
         k = np.arange(rays)
-        u = (k[None] + self._rng.random((n, rays))) / rays  # stratified in elevation, golden angle in azimuth
-        angle = 2 * np.pi * ((k * 0.6180339887 + self._rng.random((n, 1))) % 1)
+        u = (k[None] + self.rng.random((n, rays))) / rays  # stratified in elevation, golden angle in azimuth
+        angle = 2 * np.pi * ((k * 0.6180339887 + self.rng.random((n, 1))) % 1)
         t1, t2 = _frame(normals)
         r = np.sqrt(u)
         d = (r * np.cos(angle))[..., None] * t1[:, None] + (r * np.sin(angle))[..., None] * t2[:, None]
@@ -167,20 +167,20 @@ class Room:
         for opening in self._openings:
             face = np.cross(opening.a, opening.b)
             for i in range(samples**2):
-                u = (i % samples + self._rng.random((len(points), 1))) / samples
-                v = (i // samples + self._rng.random((len(points), 1))) / samples
+                u = (i % samples + self.rng.random((len(points), 1))) / samples
+                v = (i // samples + self.rng.random((len(points), 1))) / samples
                 d = opening.corner + u * opening.a + v * opening.b - origins
                 square = (d * d).sum(1, keepdims=True)
                 d /= np.sqrt(square)
                 weight = (normals * d).sum(1).clip(0) * np.abs(d @ face) / np.maximum(square[:, 0], 0.01)
                 self._add(total, origins, d, np.inf, weight[:, None] * outside(d) / samples**2)
         for _ in range(8):
-            d = -SUN + SUN_SPREAD * self._rng.normal(size=points.shape)
+            d = -SUN + SUN_SPREAD * self.rng.normal(size=points.shape)
             d /= np.linalg.norm(d, axis=1, keepdims=True)
             self._add(total, origins, d, np.inf, (normals * d).sum(1).clip(0)[:, None] * SUN_IRRADIANCE / 8)
         for lamp in self._lamps:
             for _ in range(10):
-                d = lamp.centre + lamp.radius * _ball(self._rng, len(points)) - origins
+                d = lamp.centre + lamp.radius * _ball(self.rng, len(points)) - origins
                 far = np.linalg.norm(d, axis=1)
                 d /= far[:, None]
                 weight = (normals * d).sum(1).clip(0) / np.maximum(far, 0.05) ** 2

@@ -75,9 +75,10 @@ class World:
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
-        if self.renderer is not None:
-            self.renderer.destroy()
-        self.renderer = Renderer(self.splats, width, height, views=self.views, background=self.scene.background)
+        if self.renderer is None:
+            self.renderer = Renderer(self.splats, width, height, views=self.views, background=self.scene.background)
+        else:
+            self.renderer.resize(width, height)
         self.renderer_size = (width, height)
 
     def step(self, frame: Frame) -> None:

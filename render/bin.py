@@ -6,6 +6,9 @@ from render.project import WINDOW_COLUMNS, Projection
 from render.scan import Scan
 from render.sort import RadixSort
 
+# [bits] of a tile's number, at least: pictures of common sizes share the room and the kernels. By backend, on_gpu:
+FIRST_TILE_BITS = {False: 12, True: 16}  # what the sort does in one pass (640 x 360 in tiles of 8), in two passes
+
 
 @ti.data_oriented
 class DepthOrder:
@@ -55,23 +58,34 @@ class Bins:
 
     def __init__(self, order: DepthOrder, capacity: int):
         self.order, self.projection, self.capacity = order, order.projection, capacity
-        self.tiles_per_view = self.projection.tiles_x * self.projection.tiles_y
-        self.tiles = self.projection.views * self.tiles_per_view
-        self.sorter = RadixSort(capacity, bits=max(1, (self.tiles - 1).bit_length()))
+        bits = max(FIRST_TILE_BITS[ti.cfg.arch == ti.cuda], (self.tiles - 1).bit_length())
+        self.tile_capacity = 1 << bits
+        self.sorter = RadixSort(capacity, bits=bits)
         self.members = self.sorter.sorted_items
         self.begin, self.end = ti.field(ti.i32), ti.field(ti.i32)
         self.large, self.large_count = ti.field(ti.i32), ti.field(ti.i32)  # places in order of what exceeds a window
         self.crew = 32 if ti.cfg.arch == ti.cuda else 1  # threads that share a large splat
         builder = ti.FieldsBuilder()
-        builder.dense(ti.i, self.tiles).place(self.begin, self.end)
+        builder.dense(ti.i, self.tile_capacity).place(self.begin, self.end)
         builder.dense(ti.i, self.projection.splats.capacity).place(self.large)
         builder.place(self.large_count)
         self.tree = builder.finalize()
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of all views in pictures of the present size; more than `tile_capacity` need larger bins."""
+        columns, rows = self.projection.tiles
+        return self.projection.views * columns * rows
 
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
         self.sorter.destroy()
         self.tree.destroy()
+
+    @ti.func
+    def tiles_per_view(self) -> ti.i32:
+        """As the device knows it."""
+        return self.projection.grid[None][2] * self.projection.grid[None][3]
 
     @ti.func
     def fill(self):
@@ -89,7 +103,7 @@ class Bins:
             k = self.large[i // self.crew]
             self._emit_large(self.order.sorter.sorted_items[k][1], self.order.first_pair[k], i % self.crew)
         self.sorter.sort()
-        for t in range(self.tiles):
+        for t in range(self.projection.views * self.tiles_per_view()):
             self.begin[t] = 0
             self.end[t] = 0
         for i in range(self.sorter.kept[None]):
@@ -103,13 +117,14 @@ class Bins:
     def _emit(self, g: ti.i32, slot: ti.i32):
         """Write the pairs of a Gaussian from `slot` on; returns whether larger splats of it are left."""
         left_over = False
+        columns = self.projection.grid[None][2]
         for v in range(self.projection.views):
             window = self.projection.window[v, g]
             bits = window[1]
-            corner = v * self.tiles_per_view + (window[0] >> 16) * self.projection.tiles_x + (window[0] & 0xFFFF)
+            corner = v * self.tiles_per_view() + (window[0] >> 16) * columns + (window[0] & 0xFFFF)
             while bits > 0:
                 place = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)  # of the lowest bit
-                tile = corner + place // WINDOW_COLUMNS * self.projection.tiles_x + place % WINDOW_COLUMNS
+                tile = corner + place // WINDOW_COLUMNS * columns + place % WINDOW_COLUMNS
                 self.sorter.items[slot] = ti.Vector([tile, g])
                 slot += 1
                 bits &= bits - 1
@@ -131,7 +146,7 @@ class Bins:
                 for row in range(top, bottom):
                     first, last = self.projection.tile_columns(row, left, right, place, conic, box)
                     if (row - top) % self.crew == member:
-                        tile = v * self.tiles_per_view + row * self.projection.tiles_x
+                        tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
                         for column in range(first, last):
                             self.sorter.items[slot + column - first] = ti.Vector([tile + column, g])
                     slot += last - first

@@ -45,7 +45,7 @@ class Blend:
         projection = bins.projection
         self.place, self.conic = projection.place, projection.conic
         self.color, self.box = projection.color, projection.box
-        self.width, self.height, self.tiles_x = projection.width, projection.height, projection.tiles_x
+        self.grid = projection.grid
         self.with_color, self.with_depth = with_color, with_depth
         self.on_gpu = ti.cfg.arch == ti.cuda
 
@@ -69,9 +69,10 @@ class Blend:
         test against OPAQUE again, and the loop over a row needs no branch.
         """
         ti.loop_config(block_dim=4)
-        for tile in range(self.bins.tiles):
-            v, in_view = tile // self.bins.tiles_per_view, tile % self.bins.tiles_per_view
-            x0, y0 = in_view % self.tiles_x * CPU_TILE, in_view // self.tiles_x * CPU_TILE
+        for tile in range(self.bins.projection.views * self.bins.tiles_per_view()):
+            width, height, columns = self.grid[None][0], self.grid[None][1], self.grid[None][2]
+            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
+            x0, y0 = in_view % columns * CPU_TILE, in_view // columns * CPU_TILE
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
             top, bottom = 0, CPU_TILE - 1  # rows that are not finished
             for i in range(self.bins.begin[tile], self.bins.end[tile]):
@@ -115,7 +116,7 @@ class Blend:
                         break
             for q in range(CPU_TILE * CPU_TILE):
                 x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE
-                if x < self.width and y < self.height:
+                if x < width and y < height:
                     rgb = ti.math.vec3(red[q], green[q], blue[q])
                     sink.write(out, v, y, x, rgb, depth[q], 1.0 - ti.abs(T[q]))
 
@@ -123,15 +124,16 @@ class Blend:
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
         """One tile a block of threads, one pixel a thread; splats come through shared memory in batches."""
         ti.loop_config(block_dim=BLOCK)
-        for thread in range(self.bins.tiles * BLOCK):
+        for thread in range(self.bins.projection.views * self.bins.tiles_per_view() * BLOCK):
             tile, lane = thread // BLOCK, thread % BLOCK
-            v, in_view = tile // self.bins.tiles_per_view, tile % self.bins.tiles_per_view
-            x = in_view % self.tiles_x * GPU_TILE + lane % GPU_TILE
-            y = in_view // self.tiles_x * GPU_TILE + lane // GPU_TILE
+            width, height, columns = self.grid[None][0], self.grid[None][1], self.grid[None][2]
+            v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
+            x = in_view % columns * GPU_TILE + lane % GPU_TILE
+            y = in_view // columns * GPU_TILE + lane // GPU_TILE
             shared = ti.simt.block.SharedArray((WORDS,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
             done = 0
-            if x >= self.width or y >= self.height:
+            if x >= width or y >= height:
                 done = 1
             begin, end = self.bins.begin[tile], self.bins.end[tile]
             for batch in range((end - begin + BLOCK - 1) // BLOCK):
@@ -169,7 +171,7 @@ class Blend:
                             if ti.static(self.with_color):
                                 for k in ti.static(range(3)):
                                     rgb[k] += weight * shared[s + 7 + k]
-            if x < self.width and y < self.height:
+            if x < width and y < height:
                 sink.write(out, v, y, x, rgb, depth, 1.0 - T)
 
 

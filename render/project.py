@@ -25,7 +25,8 @@ class Projection:
     """Splats of all `views` in pixels, and the depth by which they are sorted.
 
     `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy); `near`, the
-    least camera z [m] that is drawn. Out:
+    least camera z [m] that is drawn; `grid`, (width, height [px], columns, rows of tiles): on the device, so that
+    a picture of another size needs no other kernels. Out:
     place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
     conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
     color  (r, g, b, unused)
@@ -36,11 +37,10 @@ class Projection:
 
     def __init__(self, splats: Splats, width: int, height: int, views: int, *, tile: int, antialias: bool, color: bool):
         self.splats = splats
-        self.width, self.height, self.views = width, height, views
-        self.tile, self.antialias, self.with_color = tile, antialias, color
-        self.tiles_x, self.tiles_y = -(-width // tile), -(-height // tile)
+        self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.camera = ti.Vector.field(4, ti.f32)
         self.near = ti.field(ti.f32)
+        self.grid = ti.Vector.field(4, ti.i32)
         self.place = ti.Vector.field(4, ti.f32)
         self.conic = ti.Vector.field(4, ti.f32)
         self.color = ti.Vector.field(4, ti.f32)
@@ -51,9 +51,16 @@ class Projection:
         splat.place(self.place, self.conic, self.color, self.box)  # 64 bytes: a splat is one cache line
         builder.dense(ti.ij, (views, 4)).place(self.camera)
         builder.dense(ti.i, views).place(self.near)
+        builder.place(self.grid)
         builder.dense(ti.ij, (views, splats.capacity)).place(self.window)
         self.tree = builder.finalize()
         self.near.fill(NEAR)
+        self.set_size(width, height)
+
+    def set_size(self, width: int, height: int) -> None:
+        """Pictures are width x height [px] from now on."""
+        self.tiles = (-(-width // self.tile), -(-height // self.tile))  # columns, rows
+        self.grid[None] = [width, height, *self.tiles]
 
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
@@ -124,9 +131,10 @@ class Projection:
     def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32):
         """Write splat `g` of view `v`; returns its window."""
         lens = self.camera[v, 3]  # fx, fy, cx, cy
-        margin_x, margin_y = EDGE * 0.5 * self.width / lens[0], EDGE * 0.5 * self.height / lens[1]
-        x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (self.width - lens[2]) / lens[0] + margin_x)
-        y = clamp(p.y / p.z, -lens[3] / lens[1] - margin_y, (self.height - lens[3]) / lens[1] + margin_y)
+        width, height = self.grid[None][0], self.grid[None][1]
+        margin_x, margin_y = EDGE * 0.5 * width / lens[0], EDGE * 0.5 * height / lens[1]
+        x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (width - lens[2]) / lens[0] + margin_x)
+        y = clamp(p.y / p.z, -lens[3] / lens[1] - margin_y, (height - lens[3]) / lens[1] + margin_y)
         fx, fy = lens[0] / p.z, lens[1] / p.z
         mx, my = fx * p.x + lens[2], fy * p.y + lens[3]
         s = self.splats.cov[g]
@@ -180,15 +188,14 @@ class Projection:
     @ti.func
     def _meets_picture(self, x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32):
         """Whether a box around pixel position (x, y) and the picture overlap."""
-        return ti.abs(x - 0.5 * self.width) < half_width + 0.5 * self.width and (
-            ti.abs(y - 0.5 * self.height) < half_height + 0.5 * self.height
-        )
+        middle_x, middle_y = 0.5 * self.grid[None][0], 0.5 * self.grid[None][1]
+        return ti.abs(x - middle_x) < half_width + middle_x and ti.abs(y - middle_y) < half_height + middle_y
 
     @ti.func
     def tile_box(self, place: vec4, box: vec4):
         """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
-        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.tiles_x)
-        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.tiles_y)
+        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.grid[None][2])
+        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.grid[None][3])
         return left, right, top, bottom
 
     @ti.func

@@ -38,6 +38,12 @@ class Raster:
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         self.stage = DrawStage(Blend(Bins(self.order, capacity), **self.wants), self.sink)
 
+    def resize(self, width: int, height: int) -> None:
+        """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
+        self.projection.set_size(width, height)
+        if self.stage.bins.tiles > self.stage.bins.tile_capacity:
+            self._make_room(self.stage.bins.capacity * 4 // 5)
+
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
         self.stage.bins.destroy()

@@ -12,8 +12,8 @@ from render.splats import Splats
 class Picture:
     """Sink of 8-bit pixels over a background colour, R | G << 8 | B << 16 | A << 24, views one below the other."""
 
-    def __init__(self, height: int, background):
-        self.height = height
+    def __init__(self, views: int, background):
+        self.views = views
         self.background = tuple(float(c) for c in background)
 
     def destroy(self) -> None:
@@ -26,7 +26,7 @@ class Picture:
         for k in ti.static(range(3)):
             level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
             packed |= level << (8 * k)
-        out[v * self.height + y, x] = packed
+        out[v * (out.shape[0] // self.views) + y, x] = packed
 
 
 @ti.data_oriented
@@ -78,12 +78,20 @@ class Renderer:
         self.width, self.height, self.views = width, height, views
         if outputs == "rgba8":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
-            self.sink, self._out = Picture(height, background), self.picture
+            self.sink, self._out = Picture(views, background), self.picture
         else:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
         depth = outputs == "float"
         self.raster = Raster(splats, width, height, views=views, sink=self.sink, antialias=antialias, depth=depth)
+
+    def resize(self, width: int, height: int) -> None:
+        """Draw another size [px] from now on; for outputs="rgba8". `picture` is a new array."""
+        if not isinstance(self.sink, Picture):
+            raise ValueError("float images keep the size they were made with")
+        self.width, self.height = width, height
+        self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
+        self.raster.resize(width, height)
 
     def render(self, cameras: list[Camera]) -> None:
         """Draw one picture per camera. The result is complete when this returns."""

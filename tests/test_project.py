@@ -34,7 +34,7 @@ def project(g: Gaussians, *, antialias=False, crew=None):
     raster.stage.bins.crew = crew or raster.stage.bins.crew
     raster.draw(0)
     bins = raster.stage.bins
-    members, begin, end = bins.members.to_numpy(), bins.begin.to_numpy(), bins.end.to_numpy()
+    members, begin, end = bins.members.to_numpy(), *(f.to_numpy()[: bins.tiles] for f in (bins.begin, bins.end))
     return raster, [members[b:e, 1] for b, e in zip(begin, end, strict=True)]
 
 
@@ -69,7 +69,7 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
     size = np.linalg.norm(inverse, axis=1, keepdims=True)
     np.testing.assert_allclose(conic[drawn][:, :3] / (0.5 * np.log2(np.e)) / size, inverse / size, atol=3e-3)
 
-    shape = (p.tiles_y, p.tiles_x)
+    shape = p.tiles[::-1]
     binned = np.zeros((len(g), len(lists)), bool)
     for t, members in enumerate(lists):
         assert (np.diff(z[members].astype(np.float32)) >= -1e-6).all()  # front to back

@@ -242,3 +242,23 @@ def test_the_light_and_the_frame_of_the_harmonics_belong_to_each_gaussian(ti_cpu
     colors = reference.colors(g, camera, matrices_of_quats(quats)) * light[:, None]
     expected = reference.render(g, camera, rgb=colors)[0]
     assert (np.abs(renderer.rgb.to_numpy()[0] - expected).max(axis=-1) < 1e-3).mean() > 0.999
+
+
+def test_a_resized_picture_equals_one_made_so(ti_cpu):
+    """Smaller, larger, and with more tiles than there was room for."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    splats = Splats(cloud(np.random.default_rng(7), 60))
+    resized = Renderer(splats, 40, 30, background=(0.2, 0.3, 0.4))
+    for width, height in [(33, 21), (150, 97), (700, 500), (40, 30)]:
+        camera = Camera(
+            width, height, 0.8 * width, 0.8 * width, 0.5 * width, 0.5 * height, look_at((0, 0, -2), (0, 0, 0))
+        )
+        resized.resize(width, height)
+        resized.render([camera])
+        fresh = Renderer(splats, width, height, background=(0.2, 0.3, 0.4))
+        fresh.render([camera])
+        assert resized.pixels().std() > 5
+        np.testing.assert_array_equal(resized.pixels(), fresh.pixels())
+        fresh.destroy()

@@ -126,7 +126,7 @@ def prepared_body(args) -> str | None:
         from prepare.command import prepare_file
 
         start_taichi(args.arch, args.seed)
-        print(f"preparing {path.name} (once; kept as {out})", file=sys.stderr)
+        print(f"preparing {path.name} (once; kept as {out})", flush=True)
         out.parent.mkdir(parents=True, exist_ok=True)
         prepare_file(path, out, vertices=args.vertices, scale=args.scale, up=args.up)
     return str(out)

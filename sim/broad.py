@@ -6,9 +6,9 @@ import taichi as ti
 from sim.damping import Chunks
 from sim.state import MAX_BODIES, State, capacity
 
-MARGIN = 0.006  # [m] besides the way at present speeds: what accelerations may add until the next search
+MARGIN = 0.004  # [m] besides the way at present speeds: what accelerations may add until the next search
 HUGE = 3.0e38  # larger than any coordinate, finite in float32
-MAX_CELLS = 16  # of the hash along each axis of a query; a box that large has exploded
+MAX_CELLS = 24  # of the hash along each axis of a query; a box that large has exploded
 
 
 @ti.data_oriented
@@ -59,6 +59,8 @@ class Bounds:
 class PointHash:
     """Points sorted into cells of a hash (Teschner et al. 2003): `count`, then `allot`, then `fill`, then query.
 
+    entry i32[N] the points and at vec3[N] where they are, cell after cell; begin, size i32[] the range of each bucket.
+
     Where a cell's points lie is decided by an atomic counter and differs from run to run; what a query finds does not.
     """
 
@@ -67,7 +69,9 @@ class PointHash:
         self.points, self.buckets = capacity(points), 1 << max(8, int(np.ceil(np.log2(2 * points + 1))))
         self.builder = ti.FieldsBuilder()
         self.bucket, self.place, self.entry = (ti.field(ti.i32) for _ in range(3))
-        self.builder.dense(ti.i, self.points).place(self.bucket, self.place, self.entry)
+        self.at = ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.i, self.points).place(self.bucket, self.place)
+        self.builder.dense(ti.i, self.points).place(self.entry, self.at)
         self.size, self.begin = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.dense(ti.i, self.buckets).place(self.size, self.begin)
         self.total = ti.field(ti.i32)
@@ -100,8 +104,10 @@ class PointHash:
             self.begin[bucket] = ti.atomic_add(self.total[None], self.size[bucket])
 
     @ti.func
-    def fill(self, k):
-        self.entry[self.begin[self.bucket[k]] + self.place[k]] = k
+    def fill(self, k, p):
+        """Put point k at p into its bucket's run."""
+        e = self.begin[self.bucket[k]] + self.place[k]
+        self.entry[e], self.at[e] = k, p
 
     @ti.func
     def range_of(self, low, high):

@@ -9,6 +9,7 @@ import taichi as ti
 
 from scenes.scene import Capsule
 from sim.broad import MARGIN, Bounds, PointHash
+from sim.grids import FAR, corner
 from sim.samples import Samples
 from sim.state import MAX_BODIES, State, capacity, upload
 
@@ -19,7 +20,10 @@ NONE = 2**62  # a key above all others
 
 @ti.data_oriented
 class Spots:
-    """Points on the axes of thin static capsules: place vec3, radius f32 [m], friction f32, group i32."""
+    """Points on the axes of thin static capsules: place vec3, radius f32 [m], friction f32, group i32.
+
+    Per capsule: low, high vec3 the box of its axis, thickness f32 its radius [m].
+    """
 
     def __init__(self, capsules: list[Capsule], spacing: float):
         thin = [c for c in capsules if c.radius < 2 * spacing][:MAX_CAPSULES]  # thicker ones cannot slip through
@@ -28,15 +32,16 @@ class Spots:
             a, b = np.asarray(c.a, np.float64), np.asarray(c.b, np.float64)
             n = int(np.clip(np.ceil(np.linalg.norm(b - a) / (0.5 * spacing)), 1, 256))
             rows += [(*(a + (b - a) * i / n), c.radius, c.friction, MAX_BODIES + k) for i in range(n + 1)]
-            low[k], high[k] = np.minimum(a, b) - c.radius, np.maximum(a, b) + c.radius
+            low[k], high[k] = np.minimum(a, b), np.maximum(a, b)
         table = np.array(rows).reshape(-1, 6)
         self.size, self.groups = len(table), len(thin)
         n = capacity(max(self.size, 1))
         self.place, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.radius, self.friction, self.group = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
+        self.radius, self.friction, self.thickness = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+        self.group = ti.field(ti.i32)
         self.builder = ti.FieldsBuilder()
         self.builder.dense(ti.i, n).place(self.place, self.radius, self.friction, self.group)
-        self.builder.dense(ti.i, MAX_CAPSULES).place(self.low, self.high)
+        self.builder.dense(ti.i, MAX_CAPSULES).place(self.low, self.high, self.thickness)
         self.count, self.group_count = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.place(self.count, self.group_count)
         self.tree = self.builder.finalize()
@@ -46,6 +51,7 @@ class Spots:
             upload(field, table[:, column])
         upload(self.low, low)
         upload(self.high, high)
+        upload(self.thickness, np.array([c.radius for c in thin] or [0.0]))
 
     def destroy(self) -> None:
         self.tree.destroy()
@@ -90,13 +96,6 @@ class Hosts:
         return x
 
     @ti.func
-    def velocity(self, p):
-        v = ti.Vector([0.0, 0.0, 0.0])
-        if p < self.samples.count[None]:
-            v = self.samples.blend(p, self.state.v)
-        return v
-
-    @ti.func
     def reach(self, p):
         """Distance [m] at which point p touches: a capsule's axis touches at its radius."""
         n = self.samples.count[None]
@@ -104,22 +103,22 @@ class Hosts:
 
     @ti.func
     def sweep(self, low, high, slow, fast, g):
-        """A box that moves with velocities slow..fast, swept relative to group g until the next search.
+        """How a box that moves with velocities slow..fast can meet group g until the next search.
 
-        Returns the box grown by that and by MARGIN, and whether it meets the group's.
+        Returns the part of g's box in which they can meet, whether there is any, and how far [m] they may approach.
         """
         t = self.state.detect_dt[None]
         other_low, other_high = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-        other_slow, other_fast = other_low, other_low
+        other_slow, other_fast, margin = other_low, other_low, MARGIN
         if g < MAX_BODIES:
             other_low, other_high = self.bounds.low[g], self.bounds.high[g]
             other_slow, other_fast = self.bounds.slow[g], self.bounds.fast[g]
         else:
             other_low, other_high = self.spots.low[g - MAX_BODIES], self.spots.high[g - MAX_BODIES]
-        a = low + ti.min((slow - other_fast) * t, 0.0) - MARGIN
-        b = high + ti.max((fast - other_slow) * t, 0.0) + MARGIN
-        meets = (other_low - b).max() <= 0.0 and (a - other_high).max() <= 0.0
-        return a, b, meets
+            margin += self.spots.thickness[g - MAX_BODIES]
+        back, forth = ti.min((slow - other_fast) * t, 0.0), ti.max((fast - other_slow) * t, 0.0)
+        a, b = ti.max(low + back - margin, other_low), ti.min(high + forth + margin, other_high)
+        return a, b, (a - b).max() <= 0.0, margin + ti.max(-back, forth).norm()
 
     @ti.kernel
     def find(self, rows: ti.template(), begin: ti.i32):
@@ -133,9 +132,8 @@ class Hosts:
             n = s.body_count[None]
             meets = False
             if b < n and b != g and (g < n or MAX_BODIES <= g < groups):
-                _, _, meets = self.sweep(
-                    self.bounds.low[b], self.bounds.high[b], self.bounds.slow[b], self.bounds.fast[b], g
-                )
+                box = self.bounds
+                _, _, meets, _ = self.sweep(box.low[b], box.high[b], box.slow[b], box.fast[b], g)
             self.overlap[b, g] = meets
             if meets:
                 self.wanted[g] = 1
@@ -150,7 +148,7 @@ class Hosts:
             h.allot(bucket)
         for p in range(h.points):
             if self._searches(p):
-                h.fill(p)
+                h.fill(p, self.place(p))
         for t in range(s.T):
             if self.busy[None] and t < s.tet_count[None]:
                 self._visit(t)
@@ -172,7 +170,7 @@ class Hosts:
 
     @ti.func
     def _visit(self, t):
-        """Offer tet t to all points in the cells that it can meet until the next search."""
+        """Offer tet t to the points that it can meet until the next search; the lowest (distance, t) wins a point."""
         s = self.state
         h = self.hash
         body = s.body_of_tet[t]
@@ -180,38 +178,38 @@ class Hosts:
         x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
         v = 0.25 * (s.v[a[0]] + s.v[a[1]] + s.v[a[2]] + s.v[a[3]])
         low, high = ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3)
-        box_low, box_high, near = low, high, False
-        for g in range(MAX_BODIES + self.spots.group_count[None]):
-            if (g < s.body_count[None] or g >= MAX_BODIES) and self.overlap[body, g]:
-                grown_low, grown_high, meets = self.sweep(low, high, v, v, g)
+        box_low, box_high, reach = corner(FAR), corner(-FAR), 0.0
+        n = s.body_count[None]
+        for k in range(n + self.spots.group_count[None]):
+            g = k if k < n else MAX_BODIES + k - n
+            if self.overlap[body, g]:
+                part_low, part_high, meets, way = self.sweep(low, high, v, v, g)
                 if meets:
-                    box_low, box_high = ti.min(box_low, grown_low), ti.max(box_high, grown_high)
-                    near = True
-        E = ti.Matrix.cols([x1 - x0, x2 - x0, x3 - x0])
-        if near and E.determinant() > 0.0:
-            inverse = E.inverse()
+                    box_low, box_high, reach = (
+                        ti.min(box_low, part_low),
+                        ti.max(box_high, part_high),
+                        ti.max(reach, way),
+                    )
+        e1, e2, e3 = x1 - x0, x2 - x0, x3 - x0
+        if reach > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
+            # the faces' planes: outward unit normals; all but the first pass through x0
+            n1, n2, n3 = -e2.cross(e3).normalized(), -e3.cross(e1).normalized(), -e1.cross(e2).normalized()
+            n0 = (e2 - e1).cross(e3 - e1).normalized()
             first, last = h.range_of(box_low, box_high)
             for i in range(first[0], last[0]):
                 for j in range(first[1], last[1]):
                     for k in range(first[2], last[2]):
                         bucket = h.bucket_of(ti.Vector([i, j, k]))
                         for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
-                            p = h.entry[e]
-                            if self.overlap[body, self.group(p)]:
-                                self._offer(t, p, x0, v, inverse)
-
-    @ti.func
-    def _offer(self, t, p, x0, v, inverse):
-        """Tet t is the host of point p if it is the nearest so far: the lowest key of (distance, t)."""
-        b = inverse @ (self.place(p) - x0)
-        rows = ti.Vector([inverse[0, c] + inverse[1, c] + inverse[2, c] for c in range(3)])
-        outside = ti.max((b.sum() - 1.0) / rows.norm(), 0.0)  # [m] beyond the worst face
-        for r in ti.static(range(3)):
-            outside = ti.max(outside, -b[r] / ti.Vector([inverse[r, 0], inverse[r, 1], inverse[r, 2]]).norm())
-        way = (v - self.velocity(p)).norm() * self.state.detect_dt[None]
-        if outside < MARGIN + way + self.reach(p):
-            key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
-            ti.atomic_min(self.key[p], key)
+                            x = h.at[e]
+                            if (box_low - x).max() <= 0.0 and (x - box_high).max() <= 0.0:
+                                # beyond the worst face: 0 inside, at most the distance outside
+                                r = x - x0
+                                outside = ti.max(n0.dot(r - e1), n1.dot(r), n2.dot(r), n3.dot(r), 0.0)
+                                p = h.entry[e]
+                                if outside < reach and self.overlap[body, self.group(p)]:
+                                    key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
+                                    ti.atomic_min(self.key[p], key)
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -40,7 +40,7 @@ class Pairs:
         tets = np.concatenate([np.asarray(b.tets, np.int64) + o for b, o in zip(bodies, offsets, strict=False)])
         x = np.concatenate([np.asarray(b.vertices, np.float64) for b in bodies])
         edge = float(np.median(np.linalg.norm(x[tets[:, 1]] - x[tets[:, 0]], axis=1)))
-        self.hosts = Hosts(state, samples, self.spots, bounds, tets, max(edge, samples.spacing))
+        self.hosts = Hosts(state, samples, self.spots, bounds, tets, max(1.0 * edge, samples.spacing))
         self.rim = ti.field(ti.f32, MAX_BODIES)
         upload(self.rim, np.array([rim(g) for g in grids] or [0.0]))
 
@@ -72,33 +72,43 @@ class Pairs:
             d = self.hosts.place(p) - x0
             b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
             b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
-            phi, N = self.grids.sample(s.body_of_tet[t], X0 + b1 * E1 + b2 * E2 + b3 * E3)
+            host = s.body_of_tet[t]
+            pace = self.bounds.pace[host]
+            if sampled:
+                pace += self.bounds.pace[self.samples.body[p]]
+            X = X0 + b1 * E1 + b2 * E2 + b3 * E3
+            phi, N = self.grids.sample(host, X)
             normal = g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
             length, slope = normal.norm(), N.norm()
             usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
-            normal /= ti.max(length, 1e-12)
-            phi *= slope / ti.max(length, 1e-12)
             self._walk(p, t, b)
-            host = s.body_of_tet[t]
-            friction, pace = s.friction[host], self.bounds.pace[host]
-            b = ti.max(b, 0.0)
-            b /= b.sum()
-            first = 0
-            if sampled:
-                first = 3
-                phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
-                friction *= s.friction[self.samples.body[p]]
-                pace += self.bounds.pace[self.samples.body[p]]
-                self.samples.put(p, r, rows)
-            else:
-                phi -= ti.min(self.hosts.reach(p), self.rim[host])
-                friction *= self.spots.friction[p - self.samples.count[None]]
-            for j in ti.static(range(4)):
-                phi -= b[j] * normal.dot(s.carry[a[j]])
-                rows.set_vertex(r, first + j, a[j], -b[j])
-            rows.size[r] = first + 4
-            rows.set(r, phi, normal, ti.sqrt(friction), pace)
+            if usable:
+                b = ti.max(b, 0.0)
+                self._fill(r, p, t, b / b.sum(), phi * slope / length, normal / length, pace, rows)
+            elif phi >= 0.5 * FAR:  # outside the grid, whose rim is outside the body
+                rows.rest(r, self.rim[host] + self.grids.box_distance(host, X), pace)
         return usable
+
+    @ti.func
+    def _fill(self, r, p, t, b, distance, normal, pace, rows: ti.template()):
+        """Write row r: point p at a distance from tet t's body, with weights b in the tet."""
+        s = self.state
+        a = s.tets[t]
+        host = s.body_of_tet[t]
+        phi, friction, first = distance, s.friction[host], 0
+        if p < self.samples.count[None]:
+            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
+            friction *= s.friction[self.samples.body[p]]
+            self.samples.put(p, r, rows)
+            first = 3
+        else:
+            phi -= ti.min(self.hosts.reach(p), self.rim[host])
+            friction *= self.spots.friction[p - self.samples.count[None]]
+        for j in ti.static(range(4)):
+            phi -= b[j] * normal.dot(s.carry[a[j]])
+            rows.set_vertex(r, first + j, a[j], -b[j])
+        rows.size[r] = first + 4
+        rows.set(r, phi, normal, ti.sqrt(friction), pace)
 
     @ti.func
     def _walk(self, p, t, b):

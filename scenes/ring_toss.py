@@ -11,6 +11,7 @@ RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
 TABLE_TOP = 0.75  # [m]
 BOTTLE = (0.0, TABLE_TOP, -0.15)
 BOTTLE_HEIGHT = 0.30  # [m]
+PLASTER = (0.5, 0.47, 0.4)  # the colour behind the few pixels that no Gaussian covers
 RING_RADIUS = 0.08  # [m], of the tube's centre line
 STARTS = [(-0.24, 0.30), (-0.03, 0.34), (0.17, 0.30)]  # x, z of each ring on the table [m]
 COLOURS = ["ring_red", "ring_yellow", "ring_blue"]
@@ -78,6 +79,7 @@ def build() -> Scene:
         bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), *rings],
         colliders=[*room(), neck],
         light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
+        background=PLASTER,
         eye=(0.0, 1.42, 1.15),
         target=(0.0, 0.86, -0.12),
         game=RingToss(),

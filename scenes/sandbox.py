@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scenes.ring_toss import BOTTLE, TABLE_TOP, room
+from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
 from scenes.scene import Body, BodyState, Hand, Light, Material, Scene
 from scenes.throw import Throw
 
@@ -51,6 +51,7 @@ def build(body: str = "ring_red", material: Material = PLUSH) -> Scene:
         bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), Body(body, material, position=START)],
         colliders=room(),
         light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
+        background=PLASTER,
         eye=(0.0, 1.35, 1.0),
         target=(0.0, 0.85, 0.0),
         game=Sandbox(),

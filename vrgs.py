@@ -55,7 +55,7 @@ def play(args) -> None:
         how = {"interaction": args.interaction, "embedding": args.embedding}
         world = World(scene, width=width, height=height, views=views, **how)
         if args.headless:
-            display.hands = lambda time: world.scripted_hands()
+            display.hands = world.scripted_hands
         frames = 0
         limit = None if args.headless else args.frames  # a headless display counts for itself
         for frame in itertools.islice(display.frames(), limit):

@@ -31,6 +31,7 @@ HELP = [
     ("Space  /  N", "pause  /  one step"),
     ("R", "reset the scene"),
     ("T", "physics or transform"),
+    ("P", "watch the scene play itself"),
     ("F1  /  Esc", "hide this  /  quit"),
 ]
 
@@ -118,6 +119,9 @@ class Controls:
             return {"pause": True, "step": True}
         elif down and name == "space" and world is not None:
             return {"pause": not world.paused}
+        elif down and name == "p" and world is not None:
+            self.let_go()
+            return {"demo": not world.demo}
         elif down and name == "t" and world is not None:
             return {"interaction": "transform" if world.interaction == "physics" else "physics"}
         return {}

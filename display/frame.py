@@ -14,7 +14,7 @@ class Frame:
 
     `time` [s] is the sum of all dt so far. `commands` are the user's wishes between two frames,
     see `World.apply`: {"reset": True}, {"light": Light}, {"interaction": "physics"|"transform"},
-    {"pause": bool}, {"step": True}.
+    {"pause": bool}, {"step": True}, {"demo": bool}.
     """
 
     dt: float

@@ -9,7 +9,7 @@ from assets.errors import BadInput
 from display import theme
 
 INSTEAD = "run with --headless instead"
-KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "f1", "home", "escape", "space"]
+KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space"]
 
 
 def import_glfw():

@@ -20,11 +20,12 @@ from display.timing import Timings
 from render.renderer import Renderer
 from render.shadow import Shadow
 from render.splats import Splats
-from scenes.scene import Body, BodyState, Light, Scene
+from scenes.scene import Body, BodyState, Hand, Light, Scene
 from sim.colliders import StaticGrid
 from sim.embedding import EmbeddedPart, Embedding
 from sim.solver import SoftBody, Solver
 
+SCRIPT_DT = 1 / 60  # [s]
 NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.zeros((0, 1, 3)))
 
 
@@ -42,8 +43,10 @@ class World:
         embedding: str = "two-level",
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
+        self.demo = False  # the scene's scripted hand plays
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
+        self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
@@ -87,8 +90,7 @@ class World:
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
             with self.timings.stage("simulate"):
-                self.solver.step(frame.dt, frame.hands)
-            self.time += frame.dt
+                self._simulate(frame)
             if self.solver.moved():
                 self._deform()
             self._bodies = self.solver.bodies()
@@ -96,6 +98,18 @@ class World:
                 self.scene.game.update(self.time, self._bodies)
         with self.timings.stage("render"):
             self.renderer.render(frame.cameras)
+
+    def _simulate(self, frame: Frame) -> None:
+        """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
+        if not self.demo:
+            self.solver.step(frame.dt, frame.hands)
+            self.time += frame.dt
+            return
+        self._owed += frame.dt
+        while self._owed >= SCRIPT_DT:
+            self._owed -= SCRIPT_DT
+            self.time += SCRIPT_DT
+            self.solver.step(SCRIPT_DT, self.scripted_hands(self.time))
 
     def _deform(self) -> None:
         if self.embedding is None:
@@ -107,9 +121,11 @@ class World:
 
     def apply(self, commands: dict) -> None:
         """Carry out what the user asked for between two frames."""
-        if commands.get("reset"):
+        if "demo" in commands:
+            self.demo = bool(commands["demo"])
+        if commands.get("reset") or commands.get("demo"):  # a script begins at the beginning
             self.solver.reset()
-            self.time = 0.0
+            self.time = self._owed = 0.0
             if self.scene.game is not None:
                 self.scene.game.reset()
             self._bodies = self.solver.bodies()
@@ -124,9 +140,9 @@ class World:
         if "pause" in commands:
             self.paused = bool(commands["pause"])
 
-    def scripted_hands(self) -> list:
-        """What the scene's own player does now."""
-        return self.scene.game.hands(self.time, self._bodies) if self.scene.game is not None else []
+    def scripted_hands(self, time: float) -> list[Hand]:
+        """What the scene's own player does at `time` [s]."""
+        return self.scene.game.hands(time, self._bodies) if self.scene.game is not None else []
 
     @property
     def picture(self):

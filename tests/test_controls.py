@@ -28,7 +28,7 @@ class Target:
     """A world for the controls: a ball of 0.3 m at the origin."""
 
     pick, bodies = FakeWorld.pick, FakeWorld.bodies
-    paused, interaction = False, "physics"
+    paused, demo, interaction = False, False, "physics"
 
     def __init__(self):
         self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
@@ -250,6 +250,7 @@ def test_keys_become_commands(controls):
     assert controls.key("t", True, world) == {"interaction": "transform"}
     world.interaction = "transform"
     assert controls.key("t", True, world) == {"interaction": "physics"}
+    assert controls.key("p", True, world) == {"demo": True}
     assert controls.key("r", True, world) == {"reset": True}
     assert controls.key("r", False, world) == {}
     controls.orbit.turn(1.0, 0.3)

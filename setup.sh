@@ -8,7 +8,8 @@ shift 2
 
 if command -v dpkg-query >/dev/null 2>&1; then
     missing=
-    for p in python3-venv libgl1 libegl1 libusb-1.0-0 libgomp1 "$@"; do
+    # For Python; open3d; the window.
+    for p in python3-venv libusb-1.0-0 libgomp1 libgl1 libegl1 libx11-6 libxcursor1 libxi6 libxinerama1 libxrandr2 "$@"; do
         # A Python that brings its own venv module needs no package for it.
         [ "$p" = python3-venv ] && python3 -c 'import ensurepip, venv' 2>/dev/null && continue
         dpkg-query -W -f '${Status}' "$p" 2>/dev/null | grep -q 'ok installed' || missing="$missing $p"

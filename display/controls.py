@@ -31,7 +31,7 @@ HELP = [
     ("Space  /  N", "pause  /  one step"),
     ("R", "reset the scene"),
     ("T", "physics or transform"),
-    ("P", "watch the scene play itself"),
+    ("P", "watch a demonstration"),
     ("F1  /  Esc", "hide this  /  quit"),
 ]
 

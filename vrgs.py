@@ -26,6 +26,10 @@ EXAMPLES = """examples:
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 2 bad input, 130 interrupted."""
+    argv = sys.argv[1:] if argv is None else argv
+    for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
+        if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
+            argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
     args = parser().parse_args(argv)
     try:
         args.run(args)
@@ -176,6 +180,17 @@ def positive(kind):
     return parse
 
 
+def add_preparation(p: argparse.ArgumentParser, what: str = "") -> None:
+    """The options of making a splat simulatable."""
+    suppress = {} if what else {"default": argparse.SUPPRESS}  # those of a command must not undo those before it
+    axes = ("+x", "-x", "+y", "-y", "+z", "-z")
+    p.add_argument("--up", choices=axes, help=f"{what}the file's up axis (default: guessed)", **suppress)
+    metres = f"{what}largest extent in metres (default: guessed)"
+    p.add_argument("--scale", type=positive(float), metavar="M", help=metres, **suppress)
+    vertices = f"{what}cage vertices (default 2000)"
+    p.add_argument("--vertices", type=positive(int), metavar="N", help=vertices, **(suppress or {"default": 2000}))
+
+
 def parser() -> argparse.ArgumentParser:
     """All commands and options."""
     formatter = argparse.RawDescriptionHelpFormatter
@@ -197,9 +212,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     p.add_argument("--body", metavar="FILE", help="sandbox: splat file or prepared asset to play with")
-    p.add_argument("--up", choices=("+x", "-x", "+y", "-y", "+z", "-z"), help="--body: the file's up axis")
-    p.add_argument("--scale", type=positive(float), metavar="M", help="--body: its largest extent in metres")
-    p.add_argument("--vertices", type=positive(int), default=2000, help="--body: cage vertices (default 2000)")
+    add_preparation(p, "--body: ")
     commands = p.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
 
     def add(name: str, run, text: str, example: str) -> argparse.ArgumentParser:
@@ -229,9 +242,7 @@ def parser() -> argparse.ArgumentParser:
     )
     c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat or .spz")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
-    c.add_argument("--vertices", type=positive(int), default=2000, help="cage vertices (default 2000)")
-    c.add_argument("--scale", type=positive(float), metavar="M", help="largest extent in metres (default: guessed)")
-    c.add_argument("--up", choices=("+x", "-x", "+y", "-y", "+z", "-z"), help="the file's up axis (default: guessed)")
+    add_preparation(c)
     c.add_argument("--material", help="foam, rubber, plush, jelly or wood (default plush)")
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND

@@ -89,6 +89,14 @@ def test_bad_input_gives_one_line_and_status_2(args, says):
     assert says in done.stderr
 
 
+def test_up_may_be_given_as_two_words():
+    """argparse takes a lone -y for an option."""
+    done = vrgs("--scene", "sandbox", "--body", "nothing.ply", "--up", "-y", timeout=60)
+    assert done.returncode == 2 and "nothing.ply: no such file" in done.stderr
+    done = vrgs("prepare", "nothing.ply", "--out", "nothing.h5", "--up", "-y", timeout=60)
+    assert done.returncode == 2 and "nothing.ply" in done.stderr and "--up" not in done.stderr
+
+
 def test_cuda_without_a_gpu_is_an_error():
     import taichi as ti
     from taichi.lang.misc import is_arch_supported

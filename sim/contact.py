@@ -24,7 +24,6 @@ from sim.response import respond
 from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
-from sim.substep import blocks
 
 NEAR = 8  # static shapes that one sample can be near at once
 
@@ -47,6 +46,7 @@ class Contacts:
         self.anything = bool(shapes) or self.pairs.needed
         self.has_pairs = self.pairs.needed or (bool(shapes) and self.samples.triangle_points > 0)
         self.rows = Rows(state, self.samples.capacity + self.pairs.size)
+        self.stage_sizes = (self.rows.capacity, self.rows.capacity)
         self.builder = ti.FieldsBuilder()
         self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.dense(ti.i, self.samples.capacity).dense(ti.j, NEAR).place(self.near)
@@ -121,16 +121,11 @@ class Contacts:
         return d
 
     @ti.func
-    def project_pairs(self, first: ti.template()):
+    def project_stage(self, stage: ti.template(), k, first: ti.template()):
         """Two passes over the listed rows: what is active claims its share of the masses, then takes its step."""
-        block = ti.static(blocks(self.rows.capacity))
-        if ti.static(self.state.serial):
-            ti.loop_config(serialize=True)
-        else:
-            ti.loop_config(block_dim=block)
-        for k in range(self.rows.capacity):
-            if k < self.rows.listed_count[None]:
-                r = self.rows.listed[k]
+        if k < self.rows.listed_count[None]:
+            r = self.rows.listed[k]
+            if ti.static(stage == 0):
                 if self.state.tick[None] >= self.rows.wake[r]:
                     usable = False
                     if r < self.samples.capacity:
@@ -138,13 +133,8 @@ class Contacts:
                     elif ti.static(self.pairs.needed):
                         usable = self.pairs.meet(r, self.rows)
                     self.rows.claim(r, usable, first)
-        if ti.static(self.state.serial):
-            ti.loop_config(serialize=True)
-        else:
-            ti.loop_config(block_dim=block)
-        for k in range(self.rows.capacity):
-            if k < self.rows.listed_count[None]:
-                self.rows.step(self.rows.listed[k])
+            else:
+                self.rows.step(r)
 
     @ti.func
     def settle_vertex(self, i, dx):

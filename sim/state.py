@@ -26,14 +26,16 @@ and handed to the Solver. It provides
                                 with w[i] > 0. `dx` is vertex i's increment in registers; return the corrected
                                 one; do not read or write state.dx[i]. `first` says, at compile time, whether
                                 this is the substep's first sweep.
-    @ti.func project_pairs(self, first: ti.template())
-                                one or several top-level loops that read state.dx and sum corrections (in a
-                                fixed order or as integers: repeated CPU runs must agree bit for bit).
+    stage_sizes                 ints, fixed at construction: elements of each stage of the pairs
+    @ti.func project_stage(self, stage: ti.template(), k, first: ti.template())
+                                element k < stage_sizes[stage] of a stage. All elements of a stage are done before any
+                                of the next. Stages read state.dx and sum corrections (in a fixed order or as
+                                integers: repeated CPU runs must agree bit for bit).
     @ti.func settle_vertex(self, i, dx) -> dx
-                                like project_vertex, after project_pairs, if there are pairs: add their sums.
+                                like project_vertex, after all stages, if there are pairs: add their sums.
     reset()                     host; forget contacts and grips
 
-Without has_pairs a substep is two loops (tets; vertices), with it three and the constraint's own. Python
+Without has_pairs a substep is two loops (tets; vertices), with it three and one for each stage. Python
 attributes are compile-time constants in both functions. `state.tick[None]` is the index of the current substep
 in the frame, 0 .. substeps[None]-1, constant throughout both functions: a hand's pose in a substep is
 the interpolation at (tick + 1) / substeps.

@@ -89,7 +89,13 @@ class Substeps:
                     else:
                         s.dx[i] = d
             for c in ti.static(in_pairs):
-                c.project_pairs(first)
+                for stage in ti.static(range(len(c.stage_sizes))):
+                    if ti.static(s.serial):
+                        ti.loop_config(serialize=True)
+                    else:
+                        ti.loop_config(block_dim=blocks(c.stage_sizes[stage]))
+                    for k in range(c.stage_sizes[stage]):
+                        c.project_stage(stage, k, first)
             if ti.static(len(in_pairs) > 0):
                 if ti.static(s.serial):
                     ti.loop_config(serialize=True)

@@ -2,7 +2,7 @@
 
     v_i += k (v_cm + omega x r_i - v_i),   k = 1 - exp(-c t),   omega = I^-1 L
 
-A body with prescribed vertices has no free rigid motion: there v_cm = omega = 0. Applied once for several
+In a body with prescribed vertices, v_cm and omega are those of these alone. Applied once for several
 substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
 """
 
@@ -55,6 +55,8 @@ class Damping:
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             for i in range(span[0], span[1]):
                 m, r, v = s.mass[i], s.x[i] - about, s.v[i]
+                if s.w[i] > 0.0 and s.led[span[2]] > 0.0:
+                    m = 0.0
                 p += m * r
                 q += m * v
                 L += m * r.cross(v)
@@ -79,22 +81,19 @@ class Damping:
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
                 total = ti.Vector([self.total[b, k] for k in range(SUMS)])
-                M = s.body_mass[b]
+                M = s.led[b] if s.led[b] > 0.0 else s.body_mass[b]
                 d = total[0:3] / M
                 v = total[3:6] / M
                 L = total[6:9] - M * d.cross(v)
                 xx, yy, zz = total[9] - M * d[0] ** 2, total[10] - M * d[1] ** 2, total[11] - M * d[2] ** 2
                 yz, zx, xy = total[12] - M * d[1] * d[2], total[13] - M * d[2] * d[0], total[14] - M * d[0] * d[1]
-                tiny = 1e-6 * (xx + yy + zz) + 1e-30  # a body flattened to a line has no inertia about it
+                tiny = 1e-6 * (xx + yy + zz) + 1e-9 * M  # a body flattened to a line has no inertia about it
                 inertia = ti.Matrix(
                     [[yy + zz + tiny, -xy, -zx], [-xy, zz + xx + tiny, -yz], [-zx, -yz, xx + yy + tiny]]
                 )
                 self.center[b] = s.x[s.vertex_begin[b]] + d
                 self.velocity[b] = v
-                self.omega[b] = inertia.inverse() @ L
-                if s.anchored[b] == 1:
-                    self.velocity[b].fill(0.0)
-                    self.omega[b].fill(0.0)
+                self.omega[b] = (inertia / M).inverse() @ (L / M)
         if ti.static(s.serial):
             ti.loop_config(serialize=True)
         for i in range(s.V):

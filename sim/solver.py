@@ -127,7 +127,7 @@ class Solver:
             (s.friction, [m.friction for m in material]),
             (s.density, [m.density for m in material]),
             (s.body_mass, [m.sum() for m in masses]),
-            (s.anchored, [int((w == 0.0).any()) for w in inverse]),
+            (s.led, [m[w == 0.0].sum() for m, w in zip(masses, inverse, strict=True)]),
         ]
         Upload([f for f, _ in values])([v for _, v in values])
         self._motion = Upload([s.x, s.carry, s.v, s.v_carry])

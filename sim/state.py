@@ -10,7 +10,7 @@ substep (dt^2 g = 1e-7 m) are smaller than one unit in the last place of a posit
 So the position that a constraint sees is x[i] + dx[i] (`state.at(i)`), and **all it does is change dx[i]**:
 the velocity follows from that at the commit, once, and no correction is lost however small it is. The
 motion of vertex i in this substep so far, for friction, is dx[i] - carry[i]. Corrections must be weighted
-by w: vertices with w = 0 are prescribed; what is added to their dx is ignored.
+by w: vertices with w = 0 are prescribed, and move on with their v; what is added to their dx is ignored.
 
 A constraint object is a `@ti.data_oriented` class that is built from the State (and whatever else it needs)
 and handed to the Solver. It provides
@@ -103,7 +103,7 @@ class State:
         triangles             vec3i[S] global vertex indices, outward;              body_of_triangle i32[S]
         vertex_begin, tet_begin, triangle_begin  i32[B+1]
         mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
-        damping, friction, density, body_mass    f32[B];   anchored i32[B]: some of its vertices have w = 0
+        damping, friction, density, body_mass    f32[B];   led f32[B]: of its prescribed vertices
         reach                 f32[B]   the farthest that a vertex may move in one substep [m]
         dt, detect_dt, gravity, tick, substeps   of this frame
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
@@ -127,7 +127,7 @@ class State:
         self.vertex_begin, self.tet_begin, self.triangle_begin = (self._scalars(B + 1, ti.i32) for _ in range(3))
         self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
         self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
-        self.anchored, self.reach = self._scalars(B, ti.i32), self._scalars(B)
+        self.led, self.reach = self._scalars(B), self._scalars(B)
         self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
         self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
         self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (

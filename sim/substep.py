@@ -8,10 +8,10 @@ from sim.state import State, two_sum
 
 @ti.func
 def predict(s: ti.template(), i):
-    """dx = dt (v + dt g) + carry for a free vertex, 0 for a prescribed one."""
-    d = ti.Vector([0.0, 0.0, 0.0])
+    """dx = dt (v + dt g) + carry for a free vertex, dt v + carry for a prescribed one, which moves on at its v."""
+    dt = s.dt[None]
+    d = dt * s.v[i] + s.carry[i]
     if s.w[i] > 0.0:
-        dt = s.dt[None]
         d = dt * (s.v[i] + (s.v_carry[i] + dt * s.gravity[None])) + s.carry[i]
     s.predicted[i] = d
     s.dx[i] = d
@@ -21,16 +21,16 @@ def predict(s: ti.template(), i):
 def commit(s: ti.template(), i, d):
     """Turn the final increment d of vertex i into its new velocity and position, and predict the next one."""
     dt = s.dt[None]
-    gain = dt * s.gravity[None] + (d - s.predicted[i]) / dt
-    v, v_carry = two_sum(s.v[i], s.v_carry[i] + gain)
-    speed, limit = v.norm(), s.reach[s.body_of_vertex[i]] / dt
-    if speed > limit:
-        v, v_carry = v * (limit / speed), 0.0 * v
-    x, carry = two_sum(s.x[i], dt * (v + v_carry) + s.carry[i])
-    s.v[i], s.v_carry[i], s.x[i], s.carry[i] = v, v_carry, x, carry
-    d = dt * (v + (v_carry + dt * s.gravity[None])) + carry
-    s.predicted[i] = d
-    s.dx[i] = d
+    v, v_carry = s.v[i], s.v_carry[i]
+    if s.w[i] > 0.0:
+        gain = dt * s.gravity[None] + (d - s.predicted[i]) / dt
+        v, v_carry = two_sum(v, v_carry + gain)
+        speed, limit = v.norm(), s.reach[s.body_of_vertex[i]] / dt
+        if speed > limit:
+            v, v_carry = v * (limit / speed), 0.0 * v
+        s.v[i], s.v_carry[i] = v, v_carry
+    s.x[i], s.carry[i] = two_sum(s.x[i], dt * (v + v_carry) + s.carry[i])
+    predict(s, i)
 
 
 class Substeps:
@@ -80,10 +80,12 @@ class Substeps:
             else:
                 ti.loop_config(block_dim=vertex_block)
             for i in range(V):
-                if i < s.vertex_count[None] and s.w[i] > 0.0:
-                    d = s.dx[i] + e.summed(i)
-                    for c in ti.static(on_vertex):
-                        d = c.project_vertex(i, d, first)
+                if i < s.vertex_count[None]:
+                    d = s.dx[i]
+                    if s.w[i] > 0.0:
+                        d += e.summed(i)
+                        for c in ti.static(on_vertex):
+                            d = c.project_vertex(i, d, first)
                     if ti.static(fused and len(in_pairs) == 0):
                         commit(s, i, d)
                     else:
@@ -102,10 +104,11 @@ class Substeps:
                 else:
                     ti.loop_config(block_dim=vertex_block)
                 for i in range(V):
-                    if i < s.vertex_count[None] and s.w[i] > 0.0:
+                    if i < s.vertex_count[None]:
                         d = s.dx[i]
-                        for c in ti.static(in_pairs):
-                            d = c.settle_vertex(i, d)
+                        if s.w[i] > 0.0:
+                            for c in ti.static(in_pairs):
+                                d = c.settle_vertex(i, d)
                         if ti.static(fused):
                             commit(s, i, d)
                         else:
@@ -122,7 +125,7 @@ class Substeps:
             if ti.static(s.serial):
                 ti.loop_config(serialize=True)
             for i in range(s.V):
-                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                if i < s.vertex_count[None]:
                     commit(s, i, s.dx[i])
 
         return close

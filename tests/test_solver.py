@@ -221,3 +221,18 @@ def test_a_gripped_body_follows_the_hand_rigidly_in_transform_mode():
     solver.interaction = "physics"
     solver.step(1 / 60, [])
     assert solver.bodies()[0].velocity[1] == pytest.approx(-9.81 / 60, rel=1e-3)
+
+
+def test_prescribed_vertices_move_on_at_their_velocity_and_lead_the_damping():
+    x, tets, surface = box((0.2, 0.1, 0.1), (2, 1, 1))
+    left = np.flatnonzero(x[:, 0] < 1e-9)
+    body = SoftBody("led", x, tets, surface, Material(2e4, 0.3, 1000.0, damping=20.0), position=(0, 1, 0), pinned=left)
+    solver = Solver([body], gravity=(0, 0, 0), contacts=False)
+    v = np.zeros((len(x), 3))
+    v[left] = [0.3, 0.0, 0.1]
+    solver.restore({"x": body.start(), "v": v})
+    for _ in range(60):
+        solver.step(1 / 60)
+    moved = solver.x.to_numpy()[: len(x)] - body.start()
+    assert np.allclose(moved[left], [0.3, 0.0, 0.1], atol=1e-6)
+    assert np.allclose(moved, [0.3, 0.0, 0.1], atol=2e-4)  # the rest is led along, and damping does not hold it back

@@ -40,6 +40,11 @@ def command(module: str, *, taichi: bool = False):
     return run
 
 
+def bench(args) -> None:
+    """Measure what was asked for."""
+    command(f"tests.bench.{args.subject}", taichi=True)(args)
+
+
 def list_scenes(args) -> None:
     """Print each scene's name and what it is."""
     from scenes import registry
@@ -140,6 +145,13 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.ply cat.spz")
     c.add_argument("input", type=Path, metavar="IN", help=".ply, .splat, .spz or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply or .spz")
+    c = add("bench", bench, "measure speed", "bench sim --json sim.json")
+    c.add_argument("subject", choices=("sim",), help="sim: the solver, 400 substeps a frame")
+    sizes = ("1.7k", "9.3k", "24k", "46k")
+    c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
+    c.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
+    c.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
+    c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add("build", command("prepare.model.command"), "build the shipped assets anew from code", "build ring_red")
     c.add_argument("names", nargs="*", metavar="NAME", help="which ones (default: all)")
     c.add_argument("--out", type=Path, default=SHIPPED, metavar="DIR")

@@ -137,6 +137,16 @@ class Contacts:
                 self.rows.step(r)
 
     @ti.func
+    def busy(self):
+        """Whether any row is listed; it stays so until the next search."""
+        return self.rows.listed_count[None] > 0
+
+    @ti.func
+    def stage_count(self, stage: ti.template()):
+        """How many of a stage's elements there are at present."""
+        return self.rows.listed_count[None]
+
+    @ti.func
     def settle_vertex(self, i, dx):
         return dx + self.rows.settle(i)
 

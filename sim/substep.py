@@ -92,10 +92,11 @@ class Substeps:
                         s.dx[i] = d
             for c in ti.static(in_pairs):
                 for stage in ti.static(range(len(c.stage_sizes))):
+                    block = ti.static(blocks(c.stage_sizes[stage]))
                     if ti.static(s.serial):
                         ti.loop_config(serialize=True)
                     else:
-                        ti.loop_config(block_dim=blocks(c.stage_sizes[stage]))
+                        ti.loop_config(block_dim=block)
                     for k in range(c.stage_sizes[stage]):
                         c.project_stage(stage, k, first)
             if ti.static(len(in_pairs) > 0):

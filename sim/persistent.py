@@ -101,7 +101,7 @@ class Persistent:
             lane, parity, rounds = thread % LANES, 0, 0
             paired = self._paired()
             top = (s.vertex_count[None] + 31) // 32 * 32  # whole warps stay together
-            for n in range(substeps):
+            for _ in range(substeps):
                 i = thread // LANES
                 while i < top:
                     total = self._gathered(i, lane, parity)

@@ -59,4 +59,4 @@ def test_the_sums_are_those_of_the_two_loops():
         both()
         expected = one.to_numpy()
         assert np.abs(expected).max() > 1e-9
-        assert_allclose(other.to_numpy(), expected, rtol=0, atol=3e-6 * np.abs(expected).max())
+        assert_allclose(other.to_numpy(), expected, rtol=0, atol=1e-5 * np.abs(expected).max())

@@ -3,8 +3,8 @@
     python -m venv .dev/newton && .dev/newton/bin/pip install -r tests/bench/requirements-newton.txt
     python -m tests.bench.peer_newton [--mesh BODY.npz] [--newton PYTHON] [--only NAME]
 
-Bodies hang from pinned vertices and settle under gravity. Both solvers have the same energy (stable neo-Hookean), so they
-must agree where the strain is large too; linear elements agree with both where it is small. BODY.npz holds V (V, 3) and
+Bodies hang from pinned vertices and settle under gravity. Both solvers have the same energy, so they agree
+where the strain is large too; linear elements agree with both where it is small. BODY.npz holds V (V, 3) and
 T (T, 4), any unit; it is scaled to 0.3 m. Newton runs in its own environment, in another process.
 """
 

@@ -44,7 +44,7 @@ class SoftBody:
 
     def check(self) -> None:
         """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
-        x, tets, m = np.asarray(self.vertices, np.float64), np.asarray(self.tets), self.material
+        x, tets = np.asarray(self.vertices, np.float64), np.asarray(self.tets)
         if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
             raise BadInput(f"{self.name}: vertices must be finite and of shape (V, 3), not {x.shape}")
         for what, index, k in (("tets", tets, 4), ("surface", np.asarray(self.surface), 3)):
@@ -52,8 +52,7 @@ class SoftBody:
                 raise BadInput(f"{self.name}: {what} must be of shape (n, {k}), not {index.shape}")
             if index.min() < 0 or index.max() >= len(x):
                 raise BadInput(f"{self.name}: {what} refer to vertices outside 0..{len(x) - 1}")
-        if not (m.young > 0 and m.density > 0 and 0 <= m.poisson < 0.5 and m.damping >= 0 and m.friction >= 0):
-            raise BadInput(f"{self.name}: material out of range (young, density > 0; 0 <= poisson < 0.5): {m}")
+        self.check_material()
         loose = np.setdiff1d(np.arange(len(x)), tets)
         if len(loose):
             raise BadInput(f"{self.name}: vertex {loose[0]} ({len(loose)} in all) belongs to no tetrahedron")
@@ -67,6 +66,12 @@ class SoftBody:
                 f"{self.name}: tetrahedron {t} ({len(flat)} in all) is flat or inverted at rest"
                 f" (volume {volumes[t]:.3g} m^3, longest edge {longest[t]:.3g} m)"
             )
+
+    def check_material(self) -> None:
+        """Raise BadInput for a material that no body can have."""
+        m = self.material
+        if not (m.young > 0 and m.density > 0 and 0 <= m.poisson < 0.5 and m.damping >= 0 and m.friction >= 0):
+            raise BadInput(f"{self.name}: material out of range (young, density > 0; 0 <= poisson < 0.5): {m}")
 
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""

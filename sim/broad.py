@@ -3,8 +3,9 @@
 import numpy as np
 import taichi as ti
 
+from sim.assembly import MAX_BODIES
 from sim.damping import Chunks
-from sim.state import MAX_BODIES, State, capacity
+from sim.state import State, capacity
 
 MARGIN = 0.004  # [m] besides the way at present speeds: what accelerations may add until the next search
 HUGE = 3.0e38  # larger than any coordinate, finite in float32
@@ -59,13 +60,13 @@ class Bounds:
 class PointHash:
     """Points sorted into cells of a hash (Teschner et al. 2003): `count`, then `allot`, then `fill`, then query.
 
-    entry i32[N] the points and at vec3[N] where they are, cell after cell; begin, size i32[] the range of each bucket.
+    cell f32 is a cell's size [m]; entry i32[N] the points and at vec3[N] where they are, cell after cell; begin, size
+    i32[] the range of each bucket.
 
     Where a cell's points lie is decided by an atomic counter and differs from run to run; what a query finds does not.
     """
 
-    def __init__(self, points: int, cell: float):
-        self.cell = float(cell)
+    def __init__(self, points: int):
         self.points, self.buckets = capacity(points), 1 << max(8, int(np.ceil(np.log2(2 * points + 1))))
         self.builder = ti.FieldsBuilder()
         self.bucket, self.place, self.entry = (ti.field(ti.i32) for _ in range(3))
@@ -74,13 +75,13 @@ class PointHash:
         self.builder.dense(ti.i, self.points).place(self.entry, self.at)
         self.size, self.begin = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.dense(ti.i, self.buckets).place(self.size, self.begin)
-        self.total = ti.field(ti.i32)
-        self.builder.place(self.total)
+        self.total, self.cell = ti.field(ti.i32), ti.field(ti.f32)
+        self.builder.place(self.total, self.cell)
         self.tree = self.builder.finalize()
 
     @ti.func
     def cell_of(self, p):
-        return ti.floor(p / self.cell, ti.i32)
+        return ti.floor(p / self.cell[None], ti.i32)
 
     @ti.func
     def bucket_of(self, c):

@@ -43,7 +43,9 @@ class Colliders:
         if len(shapes) > MAX_SHAPES:
             raise BadInput(f"{len(shapes)} static shapes, the limit is {MAX_SHAPES}")
         self.shapes = list(shapes)
-        self.grids = Grids([s.grid for s in shapes if isinstance(s, StaticGrid)])
+        grids = [s.grid for s in shapes if isinstance(s, StaticGrid)]
+        self.grids = Grids(grids)
+        self.grids.load(grids)
         self.builder = ti.FieldsBuilder()
         self.kind, self.grid = ti.field(ti.i32), ti.field(ti.i32)
         self.radius, self.friction, self.scale = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)

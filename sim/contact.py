@@ -9,16 +9,15 @@ is the condition; sim/response.py says what follows. Vertices meet static shapes
 triangles, and samples in other bodies, become rows of a system (sim/rows.py).
 """
 
-import numpy as np
 import taichi as ti
 
 from scenes.scene import Hand
-from sim.body import SoftBody
+from sim.assembly import Assembly, Room, fit
 from sim.broad import Bounds
 from sim.colliders import Colliders, Shape
 from sim.damping import Chunks
 from sim.grids import FAR, corner
-from sim.hands import Hands
+from sim.hands import Grips, Hands
 from sim.pairs import Pairs
 from sim.response import respond
 from sim.rows import Rows
@@ -35,16 +34,25 @@ class Contacts:
     has_vertex = True
 
     def __init__(
-        self, state: State, bodies: list[SoftBody], shapes: list[Shape], *, hands: int = 2, spacing: float | None = None
+        self,
+        state: State,
+        first: Assembly,
+        shapes: list[Shape],
+        chunks: Chunks,
+        *,
+        hands: int = 2,
+        spacing: float | None = None,
+        room: Room = Room(),
     ):
         self.state = state
-        self.samples = Samples(state, bodies, spacing_for(shapes) if spacing is None else spacing)
+        self.samples = Samples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
         self.colliders = Colliders(shapes)
-        self.hands = Hands(state, bodies, self.samples, hands)
-        self.bounds = Bounds(state, Chunks(state, np.cumsum([0] + [len(b.vertices) for b in bodies])))
-        self.pairs = Pairs(state, bodies, self.samples, shapes, self.bounds)
+        self.hands = Hands(state, self.samples, hands)
+        self.bounds = Bounds(state, chunks)
+        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, room)
         self.anything = bool(shapes) or self.pairs.needed
-        self.has_pairs = self.pairs.needed or (bool(shapes) and self.samples.triangle_points > 0)
+        points = room.grows or self.samples.triangle_points(first) > 0
+        self.has_pairs = self.pairs.needed or (bool(shapes) and points)
         self.rows = Rows(state, self.samples.capacity + self.pairs.size)
         self.stage_sizes = (self.rows.capacity, self.rows.capacity)
         self.builder = ti.FieldsBuilder()
@@ -53,11 +61,32 @@ class Contacts:
         self.builder.dense(ti.i, self.samples.capacity).place(self.near_count)
         self.tree = self.builder.finalize()
 
+    def check_room(self, assembly: Assembly) -> None:
+        self.pairs.check_room(assembly)
+        self.samples.check_room(assembly)
+        if self.anything and not self.has_pairs:
+            fit("samples on triangles", self.samples.triangle_points(assembly), 0)
+
+    def load(self, assembly: Assembly) -> None:
+        self.samples.load(assembly)
+        self.pairs.load(assembly)
+        self.hands.load(assembly)
+        self.reset()
+
+    def grips(self) -> Grips:
+        return self.hands.grips()
+
+    def hold(self, grips: Grips) -> None:
+        self.hands.hold(grips)
+
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
         self.hands.begin_frame(hands)
 
     def gripped(self) -> list[int]:
         return self.hands.gripped()
+
+    def hand_forces(self) -> list:
+        return self.hands.forces()
 
     def reset(self) -> None:
         self.hands.reset()

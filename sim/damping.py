@@ -6,10 +6,13 @@ In a body with prescribed vertices, v_cm and omega are those of these alone. App
 substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import taichi as ti
 
-from sim.state import MAX_BODIES, State, Upload, capacity, two_sum
+from sim.assembly import MAX_BODIES, Assembly
+from sim.state import State, Upload, capacity, two_sum
 from sim.substep import predict
 
 SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
@@ -20,17 +23,27 @@ CHUNK = 64  # vertices that one thread sums; chunks never straddle bodies, so su
 class Chunks:
     """The vertices of all bodies in runs of at most CHUNK: begin, end, body of each; run range of each body."""
 
-    def __init__(self, state: State, vertex_begin: np.ndarray):
+    def __init__(self, state: State):
+        self.size = capacity(state.V // CHUNK + MAX_BODIES)
+        self.builder = ti.FieldsBuilder()
+        self.span, self.of_body = ti.Vector.field(3, ti.i32), ti.field(ti.i32)  # unused rows are empty ranges
+        self.builder.dense(ti.i, self.size).place(self.span)
+        self.builder.dense(ti.i, MAX_BODIES + 1).place(self.of_body)
+        self.tree = self.builder.finalize()
+        self._upload = Upload([self.span, self.of_body])
+
+    def load(self, assembly: Assembly) -> None:
+        """Cut up the vertices of these bodies."""
         rows = [
-            (begin, min(begin + CHUNK, vertex_begin[b + 1]), b)
-            for b in range(state.sizes.bodies)
-            for begin in range(vertex_begin[b], vertex_begin[b + 1], CHUNK)
+            (begin, min(begin + CHUNK, last), b)
+            for b, (first, last) in enumerate(pairwise(assembly.vertex_begin.tolist()))
+            for begin in range(first, last, CHUNK)
         ]
-        self.size = capacity(len(rows))
-        self.span = ti.Vector.field(3, ti.i32, self.size)  # unused rows are empty ranges
-        self.of_body = ti.field(ti.i32, MAX_BODIES + 1)
-        body = np.array(rows)[:, 2]
-        Upload([self.span, self.of_body])([rows, np.searchsorted(body, np.arange(MAX_BODIES + 1))])
+        table = np.array(rows, np.int64).reshape(-1, 3)
+        self._upload([table, np.searchsorted(table[:, 2], np.arange(MAX_BODIES + 1))])
+
+    def destroy(self) -> None:
+        self.tree.destroy()
 
 
 @ti.data_oriented
@@ -39,8 +52,13 @@ class Damping:
 
     def __init__(self, state: State, chunks: Chunks):
         self.state, self.chunks = state, chunks
-        self.sums, self.total = ti.field(ti.f32, (chunks.size, SUMS)), ti.field(ti.f32, (MAX_BODIES, SUMS))
-        self.center, self.velocity, self.omega = (ti.Vector.field(3, ti.f32, MAX_BODIES) for _ in range(3))
+        self.builder = ti.FieldsBuilder()
+        self.sums, self.total = ti.field(ti.f32), ti.field(ti.f32)
+        self.builder.dense(ti.ij, (chunks.size, SUMS)).place(self.sums)
+        self.builder.dense(ti.ij, (MAX_BODIES, SUMS)).place(self.total)
+        self.center, self.velocity, self.omega = (ti.Vector.field(3, ti.f32) for _ in range(3))
+        self.builder.dense(ti.i, MAX_BODIES).place(self.center, self.velocity, self.omega)
+        self.tree = self.builder.finalize()
 
     @ti.kernel
     def run(self, t: ti.f32):
@@ -104,3 +122,6 @@ class Damping:
                     k = 1.0 - ti.exp(-s.damping[b] * t)
                     s.v[i], s.v_carry[i] = two_sum(s.v[i], s.v_carry[i] + k * (rigid - s.v[i]))
                 predict(s, i)
+
+    def destroy(self) -> None:
+        self.tree.destroy()

@@ -8,6 +8,8 @@ every vertex sums its slots. The order of summation is fixed, so repeated runs a
 import numpy as np
 import taichi as ti
 
+from sim.assembly import Assembly, stacked
+from sim.parts import RestShape
 from sim.state import State, Upload
 
 FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
@@ -45,7 +47,7 @@ class Elastic:
     slot vec4i[T] where corner k writes; correction vec3[4T]; slot_begin i32[V+1]; multiplier f32[T] (lambda of XPBD)
     """
 
-    def __init__(self, state: State, rest: np.ndarray, tets: np.ndarray, kappa: np.ndarray):
+    def __init__(self, state: State):
         self.state = state
         T, V = state.T, state.V
         self.builder = ti.FieldsBuilder()
@@ -61,9 +63,22 @@ class Elastic:
         self.builder.dense(ti.i, 4 * T).place(self.correction)
         self.builder.dense(ti.i, V + 1).place(self.slot_begin)
         self.tree = self.builder.finalize()
-        D = np.swapaxes(rest[tets[:, 1:]] - rest[tets[:, :1]], 1, 2)
-        fields = [self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin]
-        Upload(fields)([np.linalg.inv(D), np.linalg.det(D) / 6, kappa, *corner_slots(tets, len(rest))])
+        self._upload = Upload([self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin])
+
+    def load(self, assembly: Assembly) -> None:
+        """Take the rest shapes of these bodies."""
+        a, shapes = assembly, assembly.shapes
+        slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
+        first = 4 * a.tet_begin
+        self._upload(
+            [
+                stacked([s.inverse.reshape(-1, 9) for s in shapes], 9),
+                stacked([s.volumes for s in shapes]),
+                stacked([p.kappa for p in a.parts]),
+                stacked([slot + o for (slot, _), o in zip(slots, first, strict=False)], 4),
+                stacked([*(begin[:-1] + o for (_, begin), o in zip(slots, first, strict=False)), first[-1:]]),
+            ]
+        )
 
     @ti.func
     def project_tet(self, t, first: ti.template(), single: ti.template()):
@@ -129,6 +144,10 @@ class Elastic:
         for k in range(self.slot_begin[i], self.slot_begin[i + 1]):
             total += self.correction[k]
         return self.state.w[i] * total
+
+
+def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:
+    return corner_slots(shape.tets, len(shape.vertices))
 
 
 def corner_slots(tets: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:

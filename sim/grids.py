@@ -4,7 +4,9 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import DistanceGrid
-from sim.state import capacity
+from sim.assembly import Room, fit
+from sim.parts import same_grid
+from sim.state import Upload, capacity
 
 FAR = 1e3  # [m], the distance of what is nowhere near
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache
@@ -25,22 +27,37 @@ class Grids:
     dims     vec3i[G] nodes per axis;   origin vec3[G] [m];   spacing f32[G] [m]
     """
 
-    def __init__(self, grids: list[DistanceGrid]):
-        sizes = [int(np.prod(g.values.shape)) for g in grids]
+    def __init__(self, first: list[DistanceGrid], room: Room = Room()):
+        self.size = capacity(room.sized("nodes", sum(g.values.size for g in distinct(first))))
         self.builder = ti.FieldsBuilder()
         self.values = ti.field(ti.f32)
-        self.builder.dense(ti.i, capacity(max(sum(sizes), 1))).place(self.values)
+        self.builder.dense(ti.i, self.size).place(self.values)
         self.begin, self.spacing = ti.field(ti.i32), ti.field(ti.f32)
         self.dims, self.origin = ti.Vector.field(3, ti.i32), ti.Vector.field(3, ti.f32)
         self.builder.dense(ti.i, MAX_GRIDS).place(self.begin, self.spacing, self.dims, self.origin)
         self.tree = self.builder.finalize()
-        first = 0
-        for k, (grid, size) in enumerate(zip(grids, sizes, strict=True)):
-            self.begin[k], self.spacing[k] = first, float(grid.spacing)
-            self.dims[k] = grid.values.shape
-            self.origin[k] = [float(c) for c in grid.origin]
-            self._copy(np.ascontiguousarray(grid.values, np.float32).reshape(-1), first)
-            first += size
+        self._upload = Upload([self.begin, self.spacing, self.dims, self.origin])
+        self.stored: list[tuple[int, DistanceGrid]] = []  # where values begin, in order
+
+    def check_room(self, grids: list[DistanceGrid]) -> None:
+        fit("grid nodes", sum(g.values.size for g in distinct(grids)), self.size)
+
+    def load(self, grids: list[DistanceGrid]) -> None:
+        """Take these grids; values that are here already are not copied again."""
+        wanted = distinct(grids)
+        kept = [(at, g) for at, g in self.stored if any(g is w for w in wanted)]
+        new = [w for w in wanted if not any(g is w for _, g in kept)]
+        at = max((at + g.values.size for at, g in kept), default=0)
+        if at + sum(g.values.size for g in new) > self.size:  # close the gaps that other grids left
+            at, kept, new = 0, [], wanted
+        for grid in new:
+            self._copy(np.ascontiguousarray(grid.values, np.float32).reshape(-1), at)
+            kept.append((at, grid))
+            at += grid.values.size
+        self.stored = kept
+        begins = [next(at for at, w in kept if same_grid(w, g)) for g in grids]
+        spacings, origins = [float(g.spacing) for g in grids], [np.asarray(g.origin, np.float64) for g in grids]
+        self._upload([begins, spacings, [g.values.shape for g in grids], origins])
 
     @ti.kernel
     def _copy(self, values: ti.types.ndarray(ti.f32, 1), first: ti.i32):
@@ -81,3 +98,12 @@ class Grids:
 
     def destroy(self) -> None:
         self.tree.destroy()
+
+
+def distinct(grids: list[DistanceGrid]) -> list[DistanceGrid]:
+    """The grids without repetitions."""
+    kept: list[DistanceGrid] = []
+    for grid in grids:
+        if not any(same_grid(grid, k) for k in kept):
+            kept.append(grid)
+    return kept

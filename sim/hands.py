@@ -11,15 +11,17 @@ per mass of vertex, and are integrated implicitly in each substep, with the hand
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import taichi as ti
 
 from assets.gaussians import matrices_of_quats
 from scenes.scene import Hand
-from sim.body import SoftBody
+from sim.assembly import Assembly, stacked
+from sim.grips import Grip, Grips, pose, unit
 from sim.samples import Samples
-from sim.state import State
+from sim.state import Download, State
 
 FREQUENCY = 20.0  # [Hz] of the whole body on its springs: stiffer than an arm, softer than a pin
 LIGHTEST = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
@@ -39,10 +41,8 @@ class Hands:
     total i64[H,3]: force sums [1e-6 N]
     """
 
-    def __init__(self, state: State, bodies: list[SoftBody], samples: Samples, count: int):
+    def __init__(self, state: State, samples: Samples, count: int):
         self.state, self.samples, self.count = state, samples, count
-        self.offsets = [0, *np.cumsum([len(b.vertices) for b in bodies]).tolist()]
-        self.masses = np.concatenate([b.masses() for b in bodies])
         H = max(count, 1)
         self.builder = ti.FieldsBuilder()
         self.held, self.place, self.pulled = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
@@ -54,39 +54,56 @@ class Hands:
         self.builder.dense(ti.i, H).place(self.kappa, self.gamma, self.mass)
         self.builder.dense(ti.ij, (H, 3)).place(self.total)
         self.tree = self.builder.finalize()
+        self._positions = Download([state.x])
+
+    def load(self, assembly: Assembly) -> None:
+        """Other bodies from now on."""
+        self.assembly, self.offsets = assembly, assembly.vertex_begin
+        self.masses = stacked([p.mass for p in assembly.parts])
         self.reset()
 
     def reset(self) -> None:
         """Open all hands and forget where they were."""
-        self.bodies = [-1] * self.count
-        self.last: list[Hand | None] = [None] * self.count
-        self.held.fill(0)
+        self.hold(Grips((None,) * self.count, (None,) * self.count))
 
     def gripped(self) -> list[int]:
         """The body that each hand holds, -1 for none."""
-        return list(self.bodies)
+        return [-1 if grip is None else grip.body for grip in self.held_by]
+
+    def grips(self) -> Grips:
+        """What each hand holds, and where it was."""
+        return Grips(tuple(self.held_by), tuple(self.last))
+
+    def hold(self, grips: Grips) -> None:
+        """Hold this and nothing else."""
+        self.held_by, self.last = list(grips.held), list(grips.last)
+        self.held.fill(0)
+        for h, grip in enumerate(self.held_by):
+            if grip is not None:
+                self._hold(h, grip)
 
     def begin_frame(self, hands: list[Hand]) -> None:
         """Take the hands' new poses; grip and release. A hand that is no longer given opens."""
         poses = np.zeros((max(self.count, 1), 2, 7), np.float32)
         for h in range(self.count):
             now, before = (hands[h] if h < len(hands) else None), self.last[h]
-            if self.bodies[h] >= 0 and (now is None or not now.grip):
-                self.bodies[h] = -1
-                self._hold(h, np.zeros(0, np.int64), np.zeros((0, 3)))
+            if self.held_by[h] is not None and (now is None or not now.grip):
+                self._hold(h, None)
             elif now is not None and now.grip and not (before is not None and before.grip):
                 self._grip(h, now)
                 before = None  # places are measured at the present pose: nothing may jerk them there
             if now is not None:
                 poses[h, 0], poses[h, 1] = pose(now if before is None else before), pose(now)
-            self.last[h] = now
-        if any(b >= 0 for b in self.bodies):
+            self.last[h] = None if now is None else replace(now)
+        if any(grip is not None for grip in self.held_by):
             self._set_poses(poses)
 
     def _grip(self, h: int, hand: Hand) -> None:
         """Hold the vertices within reach of the nearest body that has its surface or inside within reach."""
-        count = self.offsets[-1]
-        x = self.state.x.to_numpy()[:count].astype(np.float64)
+        count = int(self.offsets[-1])
+        if count == 0:
+            return
+        x = self._positions(count)[0].astype(np.float64)
         away = np.linalg.norm(x - np.asarray(hand.position), axis=1)
         ids, weights = self.samples.host_ids, self.samples.host_weights
         surface = np.linalg.norm((x[ids] * weights[..., None]).sum(1) - np.asarray(hand.position), axis=1)
@@ -102,26 +119,35 @@ class Hands:
             taken = nearest[away[nearest] <= WIDER * hand.reach]
         if len(taken) == 0:  # a triangle far larger than the hand
             taken = np.unique(ids[first])
-        rotation = matrices_of_quats(unit(hand.rotation)[None])[0]
-        self.bodies[h] = body
-        self._hold(h, taken, (x[taken] - np.asarray(hand.position)) @ rotation)
-        held, whole = float(self.masses[taken].sum()), float(self.masses[mine].sum())
-        kappa = OMEGA**2 * max(whole, LIGHTEST) / held
-        self.mass[h], self.kappa[h], self.gamma[h] = held, kappa, 2 * math.sqrt(kappa * whole / held)
+        places = (x[taken] - np.asarray(hand.position)) @ matrices_of_quats(unit(hand.rotation)[None])[0]
+        self._hold(h, Grip(body, taken - int(self.offsets[body]), places))
 
-    def _hold(self, h: int, taken: np.ndarray, places: np.ndarray) -> None:
-        """Let hand h hold exactly these vertices, at these places in its frame."""
-        rows = max(len(taken), 1)  # Taichi takes no empty arrays
-        vertices, local = np.zeros(rows, np.int32), np.zeros((rows, 3), np.float32)
-        vertices[: len(taken)], local[: len(taken)] = taken, places
-        self._set_held(h, len(taken), vertices, local)
+    def _hold(self, h: int, grip: Grip | None) -> None:
+        """Let hand h hold exactly this."""
+        self.held_by[h] = grip
+        rows = 1 if grip is None else len(grip.vertices)  # Taichi takes no empty arrays
+        vertices, places = np.zeros(rows, np.int32), np.zeros((rows, 3), np.float32)
+        strength = ti.Vector([0.0, 0.0, 0.0])
+        if grip is not None:
+            first, last = self.offsets[grip.body : grip.body + 2]
+            vertices[:], places[:] = grip.vertices + first, grip.places
+            held, whole = float(self.masses[vertices].sum()), float(self.masses[first:last].sum())
+            kappa = OMEGA**2 * max(whole, LIGHTEST) / held
+            strength = ti.Vector([held, kappa, 2 * math.sqrt(kappa * whole / held)])
+        self._set_held(h, 0 if grip is None else rows, vertices, places, strength)
 
     @ti.kernel
     def _set_held(
-        self, h: ti.i32, count: ti.i32, taken: ti.types.ndarray(ti.i32, 1), places: ti.types.ndarray(ti.f32, 2)
+        self,
+        h: ti.i32,
+        count: ti.i32,
+        taken: ti.types.ndarray(ti.i32, 1),
+        places: ti.types.ndarray(ti.f32, 2),
+        strength: ti.types.vector(3, ti.f32),
     ):
         for i in self.held:
             self.held[i] &= ~(1 << h)
+        self.mass[h], self.kappa[h], self.gamma[h] = strength[0], strength[1], strength[2]
         for k in range(count):
             self.held[taken[k]] |= 1 << h
             self.pulled[h, taken[k]] = ti.Vector([0.0, 0.0, 0.0])
@@ -187,13 +213,3 @@ class Hands:
 
     def destroy(self) -> None:
         self.tree.destroy()
-
-
-def unit(quaternion) -> np.ndarray:
-    q = np.asarray(quaternion, np.float64)
-    return q / np.linalg.norm(q)
-
-
-def pose(hand: Hand) -> np.ndarray:
-    """Position and unit quaternion of a hand, (7,)."""
-    return np.concatenate([np.asarray(hand.position, np.float64), unit(hand.rotation)])

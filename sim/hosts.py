@@ -8,10 +8,12 @@ import numpy as np
 import taichi as ti
 
 from scenes.scene import Capsule
+from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.broad import MARGIN, Bounds, PointHash
 from sim.grids import FAR, corner
+from sim.parts import RestShape
 from sim.samples import Samples
-from sim.state import MAX_BODIES, State, capacity, upload
+from sim.state import State, Upload, capacity
 
 MAX_CAPSULES = 32
 GROUPS = MAX_BODIES + MAX_CAPSULES
@@ -45,13 +47,14 @@ class Spots:
         self.count, self.group_count = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.place(self.count, self.group_count)
         self.tree = self.builder.finalize()
-        self.count[None], self.group_count[None] = self.size, self.groups
-        columns = (self.place, slice(0, 3)), (self.radius, 3), (self.friction, 4), (self.group, 5)
-        for field, column in columns:
-            upload(field, table[:, column])
-        upload(self.low, low)
-        upload(self.high, high)
-        upload(self.thickness, np.array([c.radius for c in thin] or [0.0]))
+        columns = [(self.place, table[:, :3]), (self.radius, table[:, 3]), (self.friction, table[:, 4])]
+        columns += [(self.group, table[:, 5]), (self.low, low), (self.high, high)]
+        columns += [
+            (self.thickness, [c.radius for c in thin]),
+            (self.count, self.size),
+            (self.group_count, self.groups),
+        ]
+        Upload([f for f, _ in columns])([v for _, v in columns])
 
     def destroy(self) -> None:
         self.tree.destroy()
@@ -61,9 +64,9 @@ class Spots:
 class Hosts:
     """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face."""
 
-    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds, tets: np.ndarray, cell: float):
+    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds):
         self.state, self.samples, self.spots, self.bounds = state, samples, spots, bounds
-        self.hash = PointHash(samples.size + spots.size, cell)
+        self.hash = PointHash(samples.capacity + spots.size)
         N = self.hash.points
         self.builder = ti.FieldsBuilder()
         self.key, self.host = ti.field(ti.i64), ti.field(ti.i32)
@@ -77,7 +80,15 @@ class Hosts:
         self.busy = ti.field(ti.i32)
         self.builder.place(self.busy)
         self.tree = self.builder.finalize()
-        upload(self.neighbor, neighbors(tets))
+        self._upload = Upload([self.neighbor, self.hash.cell])
+
+    def load(self, assembly: Assembly) -> None:
+        """Take the tets of these bodies."""
+        shapes, begin = assembly.shapes, assembly.tet_begin
+        near = [s.root.once(neighbors_of) for s in shapes]
+        near = stacked([np.where(n < 0, n, n + o) for n, o in zip(near, begin, strict=False)], 4)
+        edge = float(np.median([s.edge for s in shapes])) if shapes else 0.0
+        self._upload([near, max(edge, self.samples.spacing)])
 
     @ti.func
     def group(self, p):
@@ -214,6 +225,10 @@ class Hosts:
     def destroy(self) -> None:
         self.tree.destroy()
         self.hash.destroy()
+
+
+def neighbors_of(shape: RestShape) -> np.ndarray:
+    return neighbors(shape.tets)
 
 
 def neighbors(tets: np.ndarray) -> np.ndarray:

@@ -11,16 +11,18 @@ and the contact acts on the sample with its weights, and on the tet's corners wi
 import numpy as np
 import taichi as ti
 
+from assets.asset import DistanceGrid
 from scenes.scene import Capsule
-from sim.body import SoftBody
+from sim.assembly import MAX_BODIES, Assembly, Room, fit
 from sim.broad import Bounds
 from sim.colliders import Shape
 from sim.grids import FAR, Grids
 from sim.hosts import Hosts, Spots
+from sim.parts import RestShape, scaled_grid
 from sim.rest_distance import rest_grid
 from sim.rows import Rows
 from sim.samples import Samples
-from sim.state import MAX_BODIES, State, upload
+from sim.state import State, Upload
 
 FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
 OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next tet
@@ -30,19 +32,33 @@ OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next
 class Pairs:
     """Fills the rows of points near foreign tets: row begin + p for point p (see sim/hosts.py)."""
 
-    def __init__(self, state: State, bodies: list[SoftBody], samples: Samples, shapes: list[Shape], bounds: Bounds):
+    def __init__(
+        self, state: State, first: Assembly, samples: Samples, shapes: list[Shape], bounds: Bounds, room: Room = Room()
+    ):
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
-        self.needed = len(bodies) > 1 or self.spots.size > 0
-        grids = [b.sdf or rest_grid(b.vertices, b.tets, b.surface) for b in bodies] if self.needed else []
-        self.grids = Grids(grids)
-        offsets = np.cumsum([0] + [len(b.vertices) for b in bodies])
-        tets = np.concatenate([np.asarray(b.tets, np.int64) + o for b, o in zip(bodies, offsets, strict=False)])
-        x = np.concatenate([np.asarray(b.vertices, np.float64) for b in bodies])
-        edge = float(np.median(np.linalg.norm(x[tets[:, 1]] - x[tets[:, 0]], axis=1)))
-        self.hosts = Hosts(state, samples, self.spots, bounds, tets, max(1.0 * edge, samples.spacing))
-        self.rim = ti.field(ti.f32, MAX_BODIES)
-        upload(self.rim, np.array([rim(g) for g in grids] or [0.0]))
+        self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0
+        self.grids = Grids(self._grids(first), room)
+        self.hosts = Hosts(state, samples, self.spots, bounds)
+        self.rim = ti.field(ti.f32)
+        self.builder = ti.FieldsBuilder()
+        self.builder.dense(ti.i, MAX_BODIES).place(self.rim)
+        self.tree = self.builder.finalize()
+        self._upload = Upload([self.rim])
+
+    def _grids(self, assembly: Assembly) -> list[DistanceGrid]:
+        return [s.once(grid_of) for s in assembly.shapes] if self.needed else []
+
+    def check_room(self, assembly: Assembly) -> None:
+        fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
+        self.grids.check_room(self._grids(assembly))
+
+    def load(self, assembly: Assembly) -> None:
+        """Take the grids and tets of these bodies."""
+        if self.needed:
+            self.grids.load(self._grids(assembly))
+            self.hosts.load(assembly)
+            self._upload([[s.once(rim_of) for s in assembly.shapes]])
 
     @property
     def size(self) -> int:
@@ -119,8 +135,22 @@ class Pairs:
                     self.hosts.host[p] = self.hosts.neighbor[t][j]
 
     def destroy(self) -> None:
+        self.tree.destroy()
         for part in (self.grids, self.hosts, self.spots):
             part.destroy()
+
+
+def grid_of(shape: RestShape) -> DistanceGrid:
+    """The distance grid of a rest shape: its body's own, else one made of the mesh."""
+    if shape.sdf is not None:
+        return shape.sdf
+    if shape.root is not shape:
+        return scaled_grid(shape.root.once(grid_of), shape.factor)
+    return rest_grid(shape.vertices, shape.tets, shape.surface)
+
+
+def rim_of(shape: RestShape) -> float:
+    return rim(shape.once(grid_of))
 
 
 def rim(grid) -> float:

@@ -8,9 +8,10 @@ from scipy.spatial import cKDTree
 
 from assets.asset import DistanceGrid
 from scenes.scene import Capsule
-from sim.body import SoftBody
+from sim.assembly import Assembly, Room, fit, stacked
 from sim.colliders import Shape, StaticGrid
-from sim.state import State, capacity, upload
+from sim.parts import RestShape
+from sim.state import State, Upload, capacity
 
 FINEST, COARSEST = 0.004, 0.02  # [m] spacing that is worth its cost; spacing that still finds a finger
 CLOSE = 0.75  # [spacings] between points that are thinned out: so far apart at least, one spacing at most on average
@@ -42,6 +43,8 @@ def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, mo
     used = np.unique(surface)
     ids, weights = np.repeat(used[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(used), 1))
     edges = np.linalg.norm(x[surface] - x[np.roll(surface, -1, axis=1)], axis=-1).max(1)
+    area = np.linalg.norm(np.cross(*np.diff(x[surface], axis=1).swapaxes(0, 1)), axis=1).sum() / 2
+    spacing = max(spacing, 0.8 * np.sqrt(area / most))  # as many points would be far too many already
     while True:
         lattice = [
             triangle_lattice(surface[steps == n], n)
@@ -94,20 +97,26 @@ def skin(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) 
     return np.clip(phi, -2 * sdf.spacing, 2 * sdf.spacing)
 
 
+def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
+    return surface_points(shape.vertices, shape.surface, spacing)
+
+
+def skin_of(shape: RestShape, spacing: float) -> np.ndarray:
+    return skin(shape.once(points_of, spacing), shape.vertices, shape.sdf)
+
+
 @ti.data_oriented
 class Samples:
     """Samples of all bodies on the device.
 
     ids vec3i[P] global vertex indices;   weight vec3[P];   body i32[P];   skin f32[P] [m]
     of_vertex i32[V]: the sample that is vertex i, -1 for none;   single i32[P]: whether a sample is a vertex
-    host_ids, host_weights: the same in NumPy;   triangle_points: how many samples are not vertices
+    host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: State, bodies: list[SoftBody], spacing: float):
-        points = [surface_points(b.vertices, b.surface, spacing) for b in bodies]
-        offsets = np.cumsum([0] + [len(b.vertices) for b in bodies])
-        self.state, self.spacing, self.size = state, spacing, sum(len(p.ids) for p in points)
-        self.capacity = capacity(self.size)
+    def __init__(self, state: State, first: Assembly, spacing: float, room: Room = Room()):
+        self.state, self.spacing = state, spacing
+        self.capacity = capacity(room.sized("samples", sum(len(p.ids) for p in self._points(first))))
         self.builder = ti.FieldsBuilder()
         self.ids, self.weight = ti.Vector.field(3, ti.i32), ti.Vector.field(3, ti.f32)
         self.body, self.single, self.skin = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.f32)
@@ -117,20 +126,31 @@ class Samples:
         self.count = ti.field(ti.i32)
         self.builder.place(self.count)
         self.tree = self.builder.finalize()
-        self.count[None] = self.size
-        self.host_ids = np.concatenate([p.ids + o for p, o in zip(points, offsets, strict=False)])
-        self.host_weights = np.concatenate([p.weights for p in points])
-        upload(self.ids, self.host_ids)
-        upload(self.weight, self.host_weights)
+        self._upload = Upload(
+            [self.ids, self.weight, self.single, self.of_vertex, self.body, self.skin, self.count],
+        )
+
+    def _points(self, assembly: Assembly) -> list[SurfacePoints]:
+        return [s.once(points_of, self.spacing) for s in assembly.shapes]
+
+    def check_room(self, assembly: Assembly) -> None:
+        fit("samples", sum(len(p.ids) for p in self._points(assembly)), self.capacity)
+
+    def triangle_points(self, assembly: Assembly) -> int:
+        """How many samples are not vertices."""
+        return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(assembly))
+
+    def load(self, assembly: Assembly) -> None:
+        """Take the samples of these bodies."""
+        points = self._points(assembly)
+        ids = [p.ids + o for p, o in zip(points, assembly.vertex_begin, strict=False)]
+        self.host_ids, self.host_weights = stacked(ids, 3), stacked([p.weights for p in points], 3)
         single = self.host_weights[:, 0] == 1.0
-        self.triangle_points = int((~single).sum())
-        of_vertex = np.full(state.V, -1)
+        of_vertex = np.full(self.state.V, -1)
         of_vertex[self.host_ids[single, 0]] = np.flatnonzero(single)
-        upload(self.single, single)
-        upload(self.of_vertex, of_vertex)
-        upload(self.body, np.repeat(np.arange(len(bodies)), [len(p.ids) for p in points]))
-        skins = [skin(p, b.vertices, b.sdf) for p, b in zip(points, bodies, strict=True)]
-        upload(self.skin, np.concatenate(skins))
+        body = np.repeat(np.arange(len(points)), [len(p.ids) for p in points])
+        skins = stacked([s.once(skin_of, self.spacing) for s in assembly.shapes])
+        self._upload([self.host_ids, self.host_weights, single, of_vertex, body, skins, len(body)])
 
     @ti.func
     def blend(self, p, field: ti.template()):

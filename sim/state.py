@@ -37,6 +37,11 @@ and handed to the Solver. It provides
     @ti.func settle_vertex(self, i, dx) -> dx
                                 like project_vertex, after all stages, if there are pairs: add their sums.
     reset()                     host; forget contacts and grips
+    check_room(assembly)        host; BadInput if these bodies do not fit
+    load(assembly)              host; other bodies from now on, in the same fields and kernels: so what is compile-time
+                                must follow from the Room alone. Contacts and grips are forgotten
+    grips() -> value, hold(value)
+                                host; what hands hold, as an immutable value, and to hold that again
 
 Without has_pairs a substep is two loops (tets; vertices), with it three and one for each stage. Python
 attributes are compile-time constants in both functions. `state.tick[None]` is the index of the current substep
@@ -51,15 +56,12 @@ Loops run over the capacity and test `i < vertex_count[None]`: a range whose end
 more launch, and equal capacities let scenes of different sizes share compiled kernels.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import taichi as ti
 
-from assets.errors import BadInput
+from sim.assembly import MAX_BODIES, Assembly, Room, Sizes, fit
 
 SERIAL_BELOW = 1500  # tets: under this, waking the CPU's worker threads costs more than they save
-MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
 
 
 def capacity(n: int) -> int:
@@ -68,16 +70,6 @@ def capacity(n: int) -> int:
     while size * 2 < n:
         size *= 2
     return next(size * k // 4 for k in (4, 5, 6, 7, 8) if size * k // 4 >= n)
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """How many of each there are (the fields' capacities are larger)."""
-
-    vertices: int
-    tets: int
-    triangles: int
-    bodies: int
 
 
 @ti.func
@@ -112,13 +104,12 @@ class State:
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
 
-    def __init__(self, sizes: Sizes):
-        """`serial` says whether loops over all elements are better not spread over threads."""
-        if sizes.bodies > MAX_BODIES:
-            raise BadInput(f"{sizes.bodies} simulated bodies, the limit is {MAX_BODIES}")
-        self.sizes = sizes
-        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and sizes.tets < SERIAL_BELOW
-        self.V, self.T, self.S = (capacity(n) for n in (sizes.vertices, sizes.tets, sizes.triangles))
+    def __init__(self, first: Sizes, room: Room = Room()):
+        """Room for what is there `first` and what may come; `serial`: loops are better not spread over threads."""
+        vertices, tets, triangles = (room.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
+        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and tets < SERIAL_BELOW
+        self.V, self.T, self.S = capacity(vertices), capacity(tets), capacity(triangles)
+        self.sizes = Sizes(0, 0, 0, 0)
         self.builder = ti.FieldsBuilder()
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
@@ -137,8 +128,21 @@ class State:
             self._scalars(dtype=ti.i32) for _ in range(4)
         )
         self.tree = self.builder.finalize()
-        counts = [self.vertex_count, self.tet_count, self.triangle_count, self.body_count]
-        Upload(counts)([sizes.vertices, sizes.tets, sizes.triangles, sizes.bodies])
+        self._upload: Upload | None = None
+
+    def load(self, assembly: Assembly) -> None:
+        """Take these bodies, of which only the motion is left to be set."""
+        columns = assembly.columns()
+        if self._upload is None:
+            self._upload = Upload([getattr(self, name) for name in columns])
+        self._upload(list(columns.values()))
+        self.sizes = assembly.sizes
+
+    def check_room(self, sizes: Sizes) -> None:
+        """BadInput if this much does not fit."""
+        capacities = {"vertices": self.V, "tets": self.T, "triangles": self.S, "bodies": MAX_BODIES}
+        for what, most in capacities.items():
+            fit(what, getattr(sizes, what), most)
 
     def _place(self, field, size: int | None):
         (self.builder if size is None else self.builder.dense(ti.i, size)).place(field)
@@ -169,6 +173,26 @@ class State:
 def upload(field, values: np.ndarray) -> None:
     """Fill the front of a field from host values (n, ...); the rest becomes zero."""
     Upload([field])([values])
+
+
+class Download:
+    """One kernel that reads the fronts of several vec3 fields of one size, as (fields, n, 3) float32."""
+
+    def __init__(self, fields: list):
+        self.count = len(fields)
+
+        @ti.kernel
+        def read(n: ti.i32, out: ti.types.ndarray(ti.f32, 3)):
+            for i in range(n):
+                for k, c in ti.static(ti.ndrange(len(fields), 3)):
+                    out[k, i, c] = fields[k][i][c]
+
+        self.read = read
+
+    def __call__(self, n: int) -> np.ndarray:
+        out = np.zeros((self.count, max(n, 1), 3), np.float32)  # Taichi takes no empty arrays
+        self.read(n, out)
+        return out[:, :n]
 
 
 class Upload:

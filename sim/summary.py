@@ -4,9 +4,9 @@ import numpy as np
 import taichi as ti
 
 from scenes.scene import BodyState
-from sim.body import SoftBody
+from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
-from sim.state import MAX_BODIES, State, upload
+from sim.state import State, Upload
 
 FAR = 3.0e38  # larger than any distance, finite in float32
 MOVED = 1e-5  # [m] under this nobody sees a difference
@@ -25,17 +25,25 @@ def finite(a) -> ti.i32:
 class Summary:
     """`bodies()`, `moved()`, `pick()` of the solver."""
 
-    def __init__(self, state: State, chunks: Chunks, bodies: list[SoftBody]):
+    def __init__(self, state: State, chunks: Chunks):
         self.state, self.chunks = state, chunks
-        self.names = [b.name for b in bodies]
-        self.flattest = np.array([flattest_direction(b.vertices, b.masses()) for b in bodies])
-        self.rest_center = ti.Vector.field(3, ti.f32, MAX_BODIES)
-        upload(self.rest_center, np.array([np.average(b.vertices, axis=0, weights=b.masses()) for b in bodies]))
-        self.partial = ti.field(ti.f32, (chunks.size, VALUES))
-        self.total = ti.field(ti.f32, (MAX_BODIES, VALUES))
-        self.last = ti.Vector.field(3, ti.f32, state.V)
-        self.anything = ti.field(ti.i32, ())
-        self.distance, self.hit = ti.field(ti.f32, ()), ti.field(ti.i32, ())
+        self.builder = ti.FieldsBuilder()
+        self.rest_center, self.last = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.rest_center)
+        self.builder.dense(ti.i, state.V).place(self.last)
+        self.partial, self.total = ti.field(ti.f32), ti.field(ti.f32)
+        self.builder.dense(ti.ij, (chunks.size, VALUES)).place(self.partial)
+        self.builder.dense(ti.ij, (MAX_BODIES, VALUES)).place(self.total)
+        self.anything, self.distance, self.hit = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
+        self.builder.place(self.anything, self.distance, self.hit)
+        self.tree = self.builder.finalize()
+        self._upload = Upload([self.rest_center])
+
+    def load(self, assembly: Assembly) -> None:
+        """Tell of these bodies."""
+        self.names = [p.body.name for p in assembly.parts]
+        self.flattest = [s.flattest for s in assembly.shapes]
+        self._upload([stacked([s.center[None] for s in assembly.shapes], 3)])
 
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
@@ -51,6 +59,9 @@ class Summary:
         """Whether every position and velocity is finite."""
         self._sum()
         return bool(self.total.to_numpy()[: len(self.names), 21].all())
+
+    def destroy(self) -> None:
+        self.tree.destroy()
 
     @ti.kernel
     def _sum(self):
@@ -150,13 +161,6 @@ class Summary:
         for j in range(s.S):
             if j < s.triangle_count[None] and self._distance(j, origin, direction) <= self.distance[None]:
                 ti.atomic_min(self.hit[None], s.body_of_triangle[j])
-
-
-def flattest_direction(x: np.ndarray, mass: np.ndarray) -> np.ndarray:
-    """Unit direction of the smallest spread of the mass at rest, its largest component positive."""
-    r = np.asarray(x, np.float64) - np.average(x, axis=0, weights=mass)
-    n = np.linalg.eigh((r * mass[:, None]).T @ r)[1][:, 0]
-    return n * np.sign(n[np.argmax(np.abs(n))])
 
 
 def best_rotation(A: np.ndarray) -> np.ndarray:

@@ -18,7 +18,10 @@ class Transform:
 
     def __init__(self, state: State):
         self.state = state
-        self.at_grip = ti.Vector.field(3, ti.f32, state.V)
+        self.builder = ti.FieldsBuilder()
+        self.at_grip = ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.i, state.V).place(self.at_grip)
+        self.tree = self.builder.finalize()
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
 
     def step(self, hands: list[Hand], gripped: list[int]) -> None:
@@ -39,6 +42,9 @@ class Transform:
 
     def reset(self) -> None:
         self.grips.clear()
+
+    def destroy(self) -> None:
+        self.tree.destroy()
 
     @ti.kernel
     def _keep(self, body: ti.i32):

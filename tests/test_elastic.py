@@ -5,6 +5,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scenes.scene import Material
+from sim.assembly import Assembly
+from sim.body import SoftBody
+from sim.parts import Part, RestShape
 from sim.stability import LIMIT, lame, largest_substep, stiffness_bounds
 from tests import fem
 from tests.meshes import box
@@ -82,7 +85,7 @@ class OneMesh:
 
     def __init__(self, ti, single: bool):
         from sim.elastic import Elastic
-        from sim.state import Sizes, State, upload
+        from sim.state import State
 
         self.x, self.tets, _ = box((0.2, 0.1, 0.1), (2, 1, 1))
         rng = np.random.default_rng(3)
@@ -91,13 +94,15 @@ class OneMesh:
         self.w[0] = 0.0
         self.kappa = stiffness_bounds(self.x, self.tets, self.w, MATERIAL)
         self.dt = largest_substep(self.kappa.max())
-        self.state = s = State(Sizes(len(self.x), len(self.tets), 1, 1))
-        upload(s.w, self.w)
-        upload(s.tets, self.tets)
-        upload(s.mu, np.array([MU]))
-        upload(s.lam, np.array([LAM]))
+        body = SoftBody("mesh", self.x, self.tets, self.tets[:1, :3], MATERIAL)
+        part = Part(body, RestShape.of(body))
+        part.w = self.w
+        bodies = Assembly([part])
+        self.state = s = State(bodies.sizes)
+        s.load(bodies)
         s.dt[None] = self.dt
-        self.elastic = e = Elastic(s, self.x, self.tets, self.kappa)
+        self.elastic = e = Elastic(s)
+        e.load(bodies)
         self.moved = ti.Vector.field(3, ti.f32, s.V)
         moved = self.moved
 

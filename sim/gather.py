@@ -7,7 +7,8 @@ and the four corners of a tet each work it out again. That is more arithmetic an
 import numpy as np
 import taichi as ti
 
-from sim.elastic import CROWD, CRUSHED, FAR_STRETCHED, corner_slots, energy_density, stress
+from sim.assembly import Assembly, stacked
+from sim.elastic import CROWD, CRUSHED, FAR_STRETCHED, energy_density, slots_of, stress
 from sim.state import State, Upload
 
 OTHERS = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]  # the other corners of each corner, in positive order
@@ -41,19 +42,23 @@ class Gather:
         self.tree = self.builder.finalize()
         self._upload = Upload([*self.other, *self.gradient, self.tet, self.kappa, self.begin])
 
-    def load(self, rest: np.ndarray, tets: np.ndarray, kappa: np.ndarray) -> None:
-        """Take rest positions (V, 3), tets (T, 4) and their stiffness bounds (T,)."""
-        D = np.swapaxes(rest[tets[:, 1:]] - rest[tets[:, :1]], 1, 2)
-        inner = np.linalg.inv(D)
+    def load(self, assembly: Assembly) -> None:
+        """Take the rest shapes of these bodies."""
+        a, shapes = assembly, assembly.shapes
+        slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
+        slot = stacked([slot + 4 * o for (slot, _), o in zip(slots, a.tet_begin, strict=False)], 4)
+        begin = [begin[:-1] + 4 * o for (_, begin), o in zip(slots, a.tet_begin, strict=False)]
+        inner = stacked([s.inverse.reshape(-1, 9) for s in shapes], 9).reshape(-1, 3, 3)
         gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # (T, 4, 3)
-        slot, begin = corner_slots(tets, len(rest))
-        other, gradient = np.empty((4 * len(tets), 3), np.int32), np.empty((4 * len(tets), 9), np.float32)
-        tet = np.empty(4 * len(tets), np.int32)
+        n = len(slot)
+        other, gradient = np.empty((4 * n, 3), np.int32), np.empty((4 * n, 9), np.float32)
+        tet = np.empty(4 * n, np.int32)
         for c, others in enumerate(OTHERS):
-            other[slot[:, c]] = tets[:, others]
+            other[slot[:, c]] = a.tets[:, others]
             gradient[slot[:, c]] = gradients[:, others].reshape(-1, 9)
-            tet[slot[:, c]] = np.arange(len(tets))
-        self._upload([*other.T, *gradient.T, tet, kappa, begin])
+            tet[slot[:, c]] = np.arange(n)
+        kappa = stacked([p.kappa for p in a.parts])
+        self._upload([*other.T, *gradient.T, tet, kappa, stacked([*begin, [4 * n]])])
 
     @ti.func
     def publish(self, i, parity):

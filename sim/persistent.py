@@ -10,13 +10,13 @@ import sys
 
 import taichi as ti
 
+from sim.assembly import Assembly
 from sim.gather import Gather
 from sim.state import State
 from sim.substep import commit
 
 BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
 LANES = 8  # threads that share the tets of a vertex
-PIECE = 64  # substeps behind one call, at most: damping acts between calls
 
 
 def multiprocessors() -> int:
@@ -38,8 +38,10 @@ def multiprocessors() -> int:
 class Persistent:
     """`run(n)` makes n substeps of one sweep each."""
 
-    def __init__(self, state: State, gather: Gather, constraints: list):
-        self.state, self.gather = state, gather
+    piece = 64  # substeps behind one call, at most: damping acts between calls
+
+    def __init__(self, state: State, constraints: list):
+        self.state, self.gather = state, Gather(state)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.blocks = multiprocessors()
@@ -49,6 +51,10 @@ class Persistent:
         self.builder.dense(ti.i, 32).place(self.arrived)  # a cache line of its own
         self.builder.dense(ti.i, 32).place(self.released)
         self.tree = self.builder.finalize()
+
+    def load(self, assembly: Assembly) -> None:
+        """Take other bodies."""
+        self.gather.load(assembly)
 
     def run(self, substeps: int) -> None:
         self._run(substeps)
@@ -163,3 +169,4 @@ class Persistent:
 
     def destroy(self) -> None:
         self.tree.destroy()
+        self.gather.destroy()

@@ -17,12 +17,11 @@ from sim.elastic import Elastic
 from sim.parts import Part
 from sim.stability import LIMIT, choose_substep
 from sim.state import State
-from sim.substep import Substeps
+from sim.substep import jacobi
 from sim.summary import Summary
 from sim.transform import Transform
 
 LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
-PIECE = 16  # substeps behind one call from Python, at most
 MOST_SUBSTEPS = 5000  # a frame; beyond, the mesh or the material is not meant for this
 INTERACTIONS = ("physics", "transform")
 
@@ -72,7 +71,7 @@ class Solver(Editing):
         self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
         contact = [Contacts(s, first, list(colliders), self._chunks, hands=hands, room=room)] if contacts else []
         self._constraints = contact
-        self._substeps = Substeps(s, self._elastic, self._constraints, iterations=iterations)
+        self._substeps = jacobi(s, self._elastic, self._constraints, iterations=iterations)
         self._last = (0, 0.0)  # substeps and their length in the last frame
         self._open()
         self._load(first)
@@ -97,7 +96,7 @@ class Solver(Editing):
         self._parts, self._substep = assembly.parts, substep
         self._kappa = float(assembly.kappas.max(initial=0.0))
         self.vertex_offset = assembly.vertex_begin.tolist()
-        for part in (self.state, self._elastic, self._chunks, self._summary, *self._constraints):
+        for part in (self.state, self._elastic, self._chunks, self._summary, self._substeps, *self._constraints):
             part.load(assembly)
 
     def step(self, dt: float, hands: list[Hand] = ()) -> None:
@@ -109,7 +108,7 @@ class Solver(Editing):
         if dt == 0.0 or not self._parts:
             return
         n = max(self._passes, math.ceil(dt / self._substep - 1e-6))
-        pieces = max(self._passes, -(-n // PIECE))
+        pieces = max(self._passes, -(-n // self._substeps.piece))
         length = -(-n // pieces)
         n = pieces * length
         self.state.begin_frame(dt / n, dt / self._passes, n, ti.Vector(self.gravity))

@@ -2,6 +2,7 @@
 
 import taichi as ti
 
+from sim.assembly import Assembly
 from sim.elastic import Elastic
 from sim.state import State, two_sum
 
@@ -33,12 +34,23 @@ def commit(s: ti.template(), i, d):
     predict(s, i)
 
 
+def jacobi(state: State, elastic: Elastic, constraints: list, *, iterations: int):
+    """Substeps in the form that suits the device: one kernel that stays on CUDA, where launches cost most."""
+    if ti.cfg.arch == ti.cuda and iterations == 1:
+        from sim.persistent import Persistent
+
+        return Persistent(state, constraints)
+    return Substeps(state, elastic, constraints, iterations=iterations)
+
+
 class Substeps:
     """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python.
 
     One sweep: all tets; all vertices gather, and meet static shapes and hands; the constraints' pairs, and what these
     did to each vertex. What needs no loop of its own is fused: without pairs a substep of one sweep is two loops.
     """
+
+    piece = 16  # substeps behind one call from Python, at most
 
     def __init__(self, state: State, elastic: Elastic, constraints: list, *, iterations: int):
         self.state, self.elastic = state, elastic
@@ -50,6 +62,9 @@ class Substeps:
             self.kernels = [self.sweep(first=True, fused=False), self.closing()]
             self.kernels[1:1] = [self.sweep(first=False, fused=False)] * (iterations - 1)
         self.graphs: dict[int, ti.graph.Graph] = {}
+
+    def load(self, assembly: Assembly) -> None:
+        """Take other bodies: all that these kernels read is the state's and the elements'."""
 
     def run(self, substeps: int) -> None:
         """Take so many substeps; each number has a graph of its own, of the same kernels, recorded in 0.3 ms."""

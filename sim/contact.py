@@ -115,7 +115,7 @@ class Contacts:
                 self.rows.wake[p] = 0
                 if n > 0 and not self.samples.single[p]:
                     self.samples.put(p, p, self.rows)
-                    self.rows.size[p] = 3
+                    self.rows.set_size(p, 3)
                     self.rows.enlist(p)
                 else:
                     self.rows.forget(p)

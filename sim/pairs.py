@@ -123,7 +123,7 @@ class Pairs:
         for j in ti.static(range(4)):
             phi -= b[j] * normal.dot(s.carry[a[j]])
             rows.set_vertex(r, first + j, a[j], -b[j])
-        rows.size[r] = first + 4
+        rows.set_size(r, first + 4)
         rows.set(r, phi, normal, ti.sqrt(friction), pace)
 
     @ti.func

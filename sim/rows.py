@@ -35,6 +35,8 @@ class Rows:
 
     def __init__(self, state: State, capacity: int):
         self.state, self.capacity = state, capacity
+        # side by side, the vertices' loads wait for memory once instead of one after the other; a CPU gains nothing
+        self.unrolled = ti.cfg.arch == ti.cuda
         self.builder = ti.FieldsBuilder()
         self.normal, self.impulse, self.last = (ti.Vector.field(3, ti.f32) for _ in range(3))
         self.phi, self.friction, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(4))
@@ -78,6 +80,15 @@ class Rows:
         self.vertex[r, e], self.coefficient[r, e] = i, c
 
     @ti.func
+    def set_size(self, r, size):
+        """Row r has the vertices set so far. The places after them are filled with nothing, harmlessly."""
+        self.size[r] = size
+        if ti.static(self.unrolled):
+            for e in ti.static(range(MOST)):
+                if e >= size:
+                    self.vertex[r, e], self.coefficient[r, e] = self.vertex[r, 0], 0.0
+
+    @ti.func
     def claim(self, r, usable, first: ti.template()):
         """First pass: if the row carries a load or is about to, claim masses and push as in the last substep."""
         self.claimed[r] = 0
@@ -86,10 +97,12 @@ class Rows:
             or self.normal[r].dot(self._motion(r, False)) < least(self.phi[r], self.state.dt[None])
         ):
             self.claimed[r] = 1
-            for e in range(self.size[r]):
-                i, c = self.vertex[r, e], self.coefficient[r, e]
-                if self.state.w[i] > 0.0:
-                    ti.atomic_add(self.share[i], ti.cast(ti.abs(c) * SHARE, ti.i32))
+            if ti.static(self.unrolled):
+                for e in ti.static(range(MOST)):
+                    self._claim(r, e)
+            else:
+                for e in range(self.size[r]):
+                    self._claim(r, e)
             if ti.static(first):
                 self._push(r, self.impulse[r], self.start)
         else:
@@ -102,9 +115,12 @@ class Rows:
         """Second pass: change the impulse so that lambda_n >= 0 and |lambda_t| <= friction lambda_n."""
         if self.claimed[r]:
             mass = 0.0  # inverse
-            for e in range(self.size[r]):
-                i = self.vertex[r, e]
-                mass += ti.abs(self.coefficient[r, e]) * self.state.w[i] * ti.cast(self.share[i], ti.f32) / SHARE
+            if ti.static(self.unrolled):
+                for e in ti.static(range(MOST)):
+                    mass += self._split(r, e)
+            else:
+                for e in range(self.size[r]):
+                    mass += self._split(r, e)
             if mass > 0.0:
                 n, old, y = self.normal[r], self.impulse[r], self._motion(r, True)
                 old_n, y_n = n.dot(old), n.dot(y)
@@ -131,22 +147,51 @@ class Rows:
     def _motion(self, r, started: ti.template()):
         """y [m] in this substep so far; in the second pass (`started`) with what the first one pushed."""
         y = ti.Vector([0.0, 0.0, 0.0])
-        for e in range(self.size[r]):
-            i = self.vertex[r, e]
-            y_e = self.state.dx[i] - self.state.carry[i]
-            if ti.static(started):
-                y_e += ti.cast(self.start[i], ti.f32) * (1.0 / LENGTH)
-            y += self.coefficient[r, e] * y_e
+        if ti.static(self.unrolled):
+            for e in ti.static(range(MOST)):
+                y += self._moved(r, e, started)
+        else:
+            for e in range(self.size[r]):
+                y += self._moved(r, e, started)
         return y
 
     @ti.func
+    def _moved(self, r, e, started: ti.template()):
+        """The share of vertex e in y [m]."""
+        i = self.vertex[r, e]
+        y = self.state.dx[i] - self.state.carry[i]
+        if ti.static(started):
+            y += ti.cast(self.start[i], ti.f32) * (1.0 / LENGTH)
+        return self.coefficient[r, e] * y
+
+    @ti.func
     def _push(self, r, impulse, sums: ti.template()):
-        for e in range(self.size[r]):
-            i = self.vertex[r, e]
-            if self.state.w[i] > 0.0:
-                push = self.state.w[i] * self.coefficient[r, e] * LENGTH * impulse
-                for axis in ti.static(range(3)):
-                    ti.atomic_add(sums[i][axis], ti.cast(push[axis], ti.i64))
+        if ti.static(self.unrolled):
+            for e in ti.static(range(MOST)):
+                self._push_one(r, e, impulse, sums)
+        else:
+            for e in range(self.size[r]):
+                self._push_one(r, e, impulse, sums)
+
+    @ti.func
+    def _push_one(self, r, e, impulse, sums: ti.template()):
+        i = self.vertex[r, e]
+        push = self.state.w[i] * self.coefficient[r, e] * LENGTH * impulse
+        if push.norm_sqr() > 0.0:
+            for axis in ti.static(range(3)):
+                ti.atomic_add(sums[i][axis], ti.cast(push[axis], ti.i64))
+
+    @ti.func
+    def _claim(self, r, e):
+        i, c = self.vertex[r, e], self.coefficient[r, e]
+        if c != 0.0 and self.state.w[i] > 0.0:
+            ti.atomic_add(self.share[i], ti.cast(ti.abs(c) * SHARE, ti.i32))
+
+    @ti.func
+    def _split(self, r, e):
+        """Inverse of the mass [1/kg] that row r may use of its vertex e."""
+        i = self.vertex[r, e]
+        return ti.abs(self.coefficient[r, e]) * self.state.w[i] * ti.cast(self.share[i], ti.f32) / SHARE
 
     @ti.kernel
     def clear(self):

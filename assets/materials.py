@@ -23,3 +23,10 @@ def material_named(name: str) -> dict[str, float]:
     if name not in MATERIALS:
         raise BadInput(f"material {name!r} is unknown; one of {', '.join(MATERIALS)}")
     return dict(MATERIALS[name])
+
+
+def run(args) -> None:
+    """vrgs.py materials: print the table."""
+    print(f"{'':8} {'young [Pa]':>10} {'poisson':>8} {'density [kg/m^3]':>17} {'friction':>9}")
+    for name, m in MATERIALS.items():
+        print(f"{name:8} {m['young']:10.0e} {m['poisson']:8} {m['density']:17} {m['friction']:9}")

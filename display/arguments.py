@@ -19,6 +19,7 @@ EXAMPLES = """examples:
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
   python vrgs.py convert cat.ply cat.spz
+  python vrgs.py tune cat.h5                            how stiff should it be?
   python vrgs.py check --quick
 """
 
@@ -108,6 +109,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     p.add_argument("--body", metavar="FILE", help="sandbox: splat file or prepared asset to play with")
+    p.add_argument("--material", metavar="NAME", help="sandbox: what the body is made of (see: vrgs.py materials)")
     add_preparation(p, "--body: ")
     commands = p.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
 
@@ -139,7 +141,12 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat or .spz")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
     add_preparation(c)
-    c.add_argument("--material", help="foam, rubber, plush, jelly or wood (default plush)")
+    c.add_argument(
+        "--material",
+        metavar="NAME",
+        default=argparse.SUPPRESS,
+        help="foam, rubber, plush, jelly or wood (default plush)",
+    )
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.ply cat.spz")
@@ -155,6 +162,28 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c = add("build", command("prepare.model.command"), "build the shipped assets anew from code", "build ring_red")
     c.add_argument("names", nargs="*", metavar="NAME", help="which ones (default: all)")
     c.add_argument("--out", type=Path, default=SHIPPED, metavar="DIR")
+    c = add(
+        "tune",
+        command("display.tune", taichi=True),
+        "drop a body with one stiffness after another: what each does, as a table and a strip of pictures",
+        "tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",
+    )
+    c.add_argument("asset", metavar="ASSET", help="a prepared asset, or a shipped one by name")
+    young = {"type": positive(float), "metavar": "E"}
+    c.add_argument("--young", nargs="+", **young, help="Young's moduli to try [Pa]")
+    c.add_argument("--from", dest="lowest", default=1e3, **young, help="else: the lowest (default 1e3)")
+    c.add_argument("--to", dest="highest", default=1e6, **young, help="the highest (default 1e6)")
+    c.add_argument("--steps", type=positive(int), default=6, metavar="N", help="how many (default 6)")
+    c.add_argument(
+        "--material", metavar="NAME", help="density and so on (default: the asset's; see: vrgs.py materials)"
+    )
+    c.add_argument(
+        "--height", type=positive(float), metavar="M", help="of the drop (default: 1.5 bodies, at least 0.3)"
+    )
+    c.add_argument("--out", type=Path, metavar="STRIP.png", help="(default: ASSET_tune.png)")
+    c.add_argument("--json", type=Path, metavar="OUT.json", help="write the table")
+    c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
+    add("materials", command("assets.materials"), "list the materials by name", "materials")
     c = add(
         "check",
         command("tests.check", taichi=True),

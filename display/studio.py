@@ -14,12 +14,12 @@ from scenes.scene import Body, Light, Material, Plane, Scene
 
 BACKDROP = (0.93, 0.92, 0.90)
 FLOOR, LINE = (0.80, 0.78, 0.75), (0.66, 0.64, 0.62)
-CELLS = 96  # Gaussians along each side of the floor
-LINE_EVERY = 6  # of them
+CELLS = 160  # Gaussians along each side of the floor
+LINE_EVERY = 10  # of them
 FLOOR_SIZE = 8.0  # sides of the floor, in sizes of the body
 FOV = 0.55  # [rad]
-ELEVATION = 0.33  # [rad] of the camera above the floor
-ROOM = 1.02  # of the body's half diagonal, what the picture shows to each side
+ELEVATION, AZIMUTH = 0.33, 0.35  # [rad] of the camera above the floor, and from +z to +x
+ROOM = 0.9  # of the body's half diagonal, what the picture shows to each side
 
 
 def floor(size: float) -> Gaussians:
@@ -65,5 +65,6 @@ def framing(centre: np.ndarray, extent: np.ndarray, width: int, height: int) -> 
     """A camera that shows a body of `extent` (3,) [m] standing on the floor around `centre` (x and z count)."""
     half = ROOM * float(np.linalg.norm(extent)) / 2
     target = np.array([centre[0], 0.45 * extent[1], centre[2]])
-    away = half / np.tan(FOV / 2) * np.array([0.0, np.sin(ELEVATION), np.cos(ELEVATION)])
+    flat = np.cos(ELEVATION)
+    away = half / np.tan(FOV / 2) * np.array([flat * np.sin(AZIMUTH), np.sin(ELEVATION), flat * np.cos(AZIMUTH)])
     return perspective(width, height, FOV, look_at(target + away, target))

@@ -46,9 +46,11 @@ class Sandbox:
         assert bodies[0].low[1] > -0.01, "the body fell through the floor"
 
 
-def build(body: str = "ring_red", material: Material = PLUSH) -> Scene:
+def build(body: str = "ring_red", material: str | None = None) -> Scene:
+    """`material` is a name (assets/materials.py)."""
+    made_of = Material.named(material) if material else PLUSH
     return Scene(
-        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), Body(body, material, position=START)],
+        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), Body(body, made_of, position=START)],
         colliders=room(),
         light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
         background=PLASTER,

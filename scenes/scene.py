@@ -7,6 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from assets.materials import material_named
+
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -22,6 +24,11 @@ class Material:
     density: float
     friction: float = 0.5
     damping: float = 2.0
+
+    @classmethod
+    def named(cls, name: str, **changes: float) -> Material:
+        """A material by its name in assets/materials.py, with some properties changed. Raises BadInput."""
+        return cls(**{**material_named(name), **changes})
 
 
 @dataclass(frozen=True)

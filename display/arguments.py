@@ -178,7 +178,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "--material", metavar="NAME", help="density and so on (default: the asset's; see: vrgs.py materials)"
     )
     c.add_argument(
-        "--height", type=positive(float), metavar="M", help="of the drop (default: 1.5 bodies, at least 0.3)"
+        "--height", type=positive(float), metavar="M", help="of the drop (default: half the body's, at least 0.1)"
     )
     c.add_argument("--out", type=Path, metavar="STRIP.png", help="(default: ASSET_tune.png)")
     c.add_argument("--json", type=Path, metavar="OUT.json", help="write the table")

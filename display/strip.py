@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from display.tune import Drop
 
 PANEL = 300  # [px]
-GAP, MARGIN, HEAD, FOOT = 6, 18, 92, 30  # [px]
+GAP, MARGIN, HEAD, FOOT = 6, 18, 104, 30  # [px]
 PAPER, INK, FAINT, ACCENT = (250, 249, 247), (40, 38, 36), (120, 116, 112), (200, 70, 40)
 
 
@@ -22,10 +22,11 @@ def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:
     width = 2 * MARGIN + len(drops) * PANEL + (len(drops) - 1) * GAP
     page = np.full((HEAD + 2 * (PANEL + FOOT) + MARGIN, max(width, 2 * PANEL), 3), PAPER, np.uint8)
     write(page, f"{name}, dropped from {height:.2f} m", (MARGIN, 34), 22, weight=600)
+    write(page, "dashed: the undeformed height", (MARGIN, 54), 15, ACCENT)
     rows = ("greatest compression", "at rest")
     for column, d in enumerate(drops):
         left = MARGIN + column * (PANEL + GAP)
-        write(page, f"E = {pascal(d.young)}", (left, HEAD - 14), 20, weight=600)
+        write(page, f"E = {pascal(d.young)}", (left, HEAD - 12), 20, weight=600)
         numbers = (f"{d.compression:.0%}", f"{d.settled:.0%} of its height")
         for k, (picture, row, number) in enumerate(zip(d.pictures, rows, numbers, strict=True)):
             top = HEAD + k * (PANEL + FOOT)
@@ -37,12 +38,11 @@ def strip(name: str, drops: list[Drop], height: float) -> np.ndarray:
 
 def mark_height(picture: np.ndarray, camera: Camera, x: np.ndarray, height: float) -> None:
     """Draw a dashed line behind which the body would reach, were it undeformed: `height` [m] over its lowest point."""
-    w, low = camera.world_to_camera, x[:, 1].min()
-    along = np.linspace(-2.0, 2.0, 81) * np.ptp(x, axis=0).max()
-    line = np.stack([x[:, 0].mean() + along, np.full(81, low + height), np.full(81, x[:, 2].mean())], 1)
-    p = line @ w[:3, :3].T + w[:3, 3]
+    w, reach = camera.world_to_camera, 2.0 * np.ptp(x, axis=0).max()
+    middle = np.array([x[:, 0].mean(), x[:, 1].min() + height, x[:, 2].mean()])
+    p = (middle + np.linspace(-reach, reach, 82)[:, None] * w[0, :3]) @ w[:3, :3].T + w[:3, 3]
     pixels = p[:, :2] / p[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-    for a, b in pixels[: len(pixels) // 2 * 2].reshape(-1, 2, 2):
+    for a, b in pixels.reshape(-1, 2, 2):
         cv2.line(picture, *(tuple(np.round(16 * q).astype(int).tolist()) for q in (a, b)), ACCENT, 1, cv2.LINE_AA, 4)
 
 

@@ -56,7 +56,12 @@ class Solver(Editing):
             raise BadInput("nothing to simulate: no body has a cage and a material")
         if iterations < 1 or collision_passes < 1:
             raise BadInput(f"iterations and collision_passes must be at least 1, not {iterations}, {collision_passes}")
-        self._forced, self._frame_dt, self._passes, self.interaction = substep, frame_dt, collision_passes, interaction
+        self._forced, self._frame_dt, self.collision_passes, self.interaction = (
+            substep,
+            frame_dt,
+            collision_passes,
+            interaction,
+        )
         self.gravity = tuple(float(g) for g in gravity)
         self._parts: list[Part] = []
         for b in bodies:
@@ -107,15 +112,15 @@ class Solver(Editing):
             return
         if dt == 0.0 or not self._parts:
             return
-        n = max(self._passes, math.ceil(dt / self._substep - 1e-6))
-        pieces = max(self._passes, -(-n // self._substeps.piece))
+        n = max(self.collision_passes, math.ceil(dt / self._substep - 1e-6))
+        pieces = max(self.collision_passes, -(-n // self._substeps.piece))
         length = -(-n // pieces)
         n = pieces * length
-        self.state.begin_frame(dt / n, dt / self._passes, n, ti.Vector(self.gravity))
+        self.state.begin_frame(dt / n, dt / self.collision_passes, n, ti.Vector(self.gravity))
         for c in self._constraints:
             c.begin_frame(hands, dt, n)
         for p in range(pieces):
-            if p == 0 or p * self._passes // pieces != (p - 1) * self._passes // pieces:
+            if p == 0 or p * self.collision_passes // pieces != (p - 1) * self.collision_passes // pieces:
                 for c in self._constraints:
                     c.detect()
             self._damping.run(dt / pieces)

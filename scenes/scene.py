@@ -16,14 +16,21 @@ IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Material:
-    """An isotropic elastic material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3],
-    Coulomb friction coefficient, and a damping rate [1/s] towards the body's rigid motion."""
+    """An isotropic elastic material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3], Coulomb's coefficient of
+    friction that holds, a damping rate [1/s] towards the body's rigid motion, and the coefficient of friction of what
+    slides (None: it is the same)."""
 
     young: float
     poisson: float
     density: float
     friction: float = 0.5
     damping: float = 2.0
+    kinetic_friction: float | None = None
+
+    @property
+    def sliding_friction(self) -> float:
+        """The coefficient of friction of what slides."""
+        return self.friction if self.kinetic_friction is None else self.kinetic_friction
 
     @classmethod
     def named(cls, name: str, **changes: float) -> Material:

@@ -113,6 +113,7 @@ class Assembly:
             "reach": [REACH * s.edge for s in shapes],
             "damping": [m.damping for m in material],
             "friction": [m.friction for m in material],
+            "sliding_friction": [m.sliding_friction for m in material],
             "density": [m.density for m in material],
             "body_mass": [p.mass.sum() for p in parts],
             "led": [p.mass[p.w == 0.0].sum() for p in parts],

@@ -72,6 +72,8 @@ class SoftBody:
         m = self.material
         if not (m.young > 0 and m.density > 0 and 0 <= m.poisson < 0.5 and m.damping >= 0 and m.friction >= 0):
             raise BadInput(f"{self.name}: material out of range (young, density > 0; 0 <= poisson < 0.5): {m}")
+        if not 0 <= m.sliding_friction <= m.friction:
+            raise BadInput(f"{self.name}: kinetic friction must lie between 0 and the static one, {m.friction}: {m}")
 
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""

@@ -7,7 +7,7 @@ from sim.assembly import MAX_BODIES
 from sim.damping import Chunks
 from sim.state import State, capacity
 
-MARGIN = 0.004  # [m] besides the way at present speeds: what accelerations may add until the next search
+MARGIN = 0.002  # [m] besides the way that is foreseen: what that estimate may lack
 HUGE = 3.0e38  # larger than any coordinate, finite in float32
 MAX_CELLS = 24  # of the hash along each axis of a query; a box that large has exploded
 
@@ -16,6 +16,8 @@ MAX_CELLS = 24  # of the hash along each axis of a query; a box that large has e
 class Bounds:
     """Per body: box of positions low, high vec3[B] [m], and of velocities slow, fast vec3[B] [m/s].
 
+    speed f32[B] [m/s]: that of the fastest vertex, at most
+    extra f32[B] [m/s]: what may come on top until the next search (sim/foresight.py), already part of slow and fast
     pace f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
     """
 
@@ -25,8 +27,9 @@ class Bounds:
         self.partial = ti.Vector.field(3, ti.f32)
         self.builder.dense(ti.ij, (chunks.size, 4)).place(self.partial)
         self.low, self.high, self.slow, self.fast = (ti.Vector.field(3, ti.f32) for _ in range(4))
-        self.pace = ti.field(ti.f32)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.low, self.high, self.slow, self.fast, self.pace)
+        self.pace, self.speed, self.extra = (ti.field(ti.f32) for _ in range(3))
+        self.builder.dense(ti.i, MAX_BODIES).place(self.low, self.high, self.slow, self.fast)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.pace, self.speed, self.extra)
         self.tree = self.builder.finalize()
 
     @ti.kernel
@@ -49,8 +52,16 @@ class Bounds:
                     low, high = ti.min(low, self.partial[j, 0]), ti.max(high, self.partial[j, 1])
                     slow, fast = ti.min(slow, self.partial[j, 2]), ti.max(fast, self.partial[j, 3])
                 self.low[b], self.high[b], self.slow[b], self.fast[b] = low, high, slow, fast
-                speed = ti.max(abs(slow), abs(fast)).norm()
-                self.pace[b] = 1.2 * speed + MARGIN / s.detect_dt[None]
+                self.speed[b] = ti.max(abs(slow), abs(fast)).norm()
+                self.widen(b, 0.0)
+
+    @ti.func
+    def widen(self, b, extra):
+        """Expect body b to gain so much speed [m/s], in any direction."""
+        self.slow[b] -= extra
+        self.fast[b] += extra
+        self.extra[b] = extra
+        self.pace[b] = 1.2 * self.speed[b] + extra + MARGIN / self.state.detect_dt[None]
 
     def destroy(self) -> None:
         self.tree.destroy()

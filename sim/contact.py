@@ -16,6 +16,9 @@ from sim.assembly import Assembly, Room, fit
 from sim.broad import Bounds
 from sim.colliders import Colliders, Shape
 from sim.damping import Chunks
+from sim.folding import Folding, foldable
+from sim.forces import Forces
+from sim.foresight import Foresight
 from sim.grids import FAR, corner
 from sim.hands import Grips, Hands
 from sim.pairs import Pairs
@@ -41,6 +44,7 @@ class Contacts:
         chunks: Chunks,
         *,
         hands: int = 2,
+        self_contact: bool = True,
         spacing: float | None = None,
         room: Room = Room(),
     ):
@@ -49,11 +53,15 @@ class Contacts:
         self.colliders = Colliders(shapes)
         self.hands = Hands(state, self.samples, hands)
         self.bounds = Bounds(state, chunks)
-        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, room)
+        self.foresight = Foresight(state, self.hands, self.bounds)
+        folds = self_contact and (room.grows or any(foldable(s) for s in first.shapes))
+        self.folding = Folding(state, chunks, self.bounds) if folds else None
+        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, self.folding, room)
         self.anything = bool(shapes) or self.pairs.needed
         points = room.grows or self.samples.triangle_points(first) > 0
         self.has_pairs = self.pairs.needed or (bool(shapes) and points)
         self.rows = Rows(state, self.samples.capacity + self.pairs.size)
+        self.forces = Forces(state)
         self.stage_sizes = (self.rows.capacity, self.rows.capacity)
         self.builder = ti.FieldsBuilder()
         self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)
@@ -96,6 +104,9 @@ class Contacts:
     def detect(self) -> None:
         if self.anything:
             self.bounds.update()
+            self.foresight.update()
+            if self.folding is not None:
+                self.folding.update()
             self._find()
             self.pairs.detect(self.rows)
 
@@ -112,6 +123,8 @@ class Contacts:
                         self.near[p, n] = k
                         n += 1
                 self.near_count[p] = n
+                if self.samples.single[p]:
+                    self.forces.forget(self.samples.ids[p][0])
                 self.rows.wake[p] = 0
                 if n > 0 and not self.samples.single[p]:
                     self.samples.put(p, p, self.rows)
@@ -133,7 +146,7 @@ class Contacts:
         p = self.samples.of_vertex[i]
         if p >= 0 and self.near_count[p] > 0 and s.tick[None] >= self.rows.wake[p]:
             y = d - s.carry[i] + self.rows.last[i]
-            clear = FAR
+            clear, push = FAR, corner(0.0)
             for k in range(self.near_count[p]):
                 shape = self.near[p, k]
                 phi, n = self.colliders.distance(shape, s.x[i])
@@ -141,11 +154,13 @@ class Contacts:
                     clear = 0.0  # a grid that says nothing here may say something in a moment
                 else:
                     phi += self.samples.skin[p] + n.dot(s.carry[i])
-                    mu = ti.sqrt(s.friction[self.samples.body[p]] * self.colliders.friction[shape])
+                    mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
                     c = respond(phi, n, y, mu, s.dt[None])
                     y += c
-                    d += c
+                    push += c
                     clear = ti.min(clear, phi)
+            d += push
+            self.forces.note(i, push, first)
             self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
         return d
 
@@ -194,10 +209,11 @@ class Contacts:
         if usable:
             phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
             body = self.samples.body[p]
-            self.rows.set(p, phi, normal, ti.sqrt(friction * s.friction[body]), self.bounds.pace[body])
+            self.rows.set(p, phi, normal, ti.sqrt(friction * s.frictions(body)), self.bounds.pace[body])
         return usable
 
     def destroy(self) -> None:
         self.tree.destroy()
-        for part in (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs):
+        parts = (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs)
+        for part in (*parts, self.foresight, self.forces, *([self.folding] if self.folding else [])):
             part.destroy()

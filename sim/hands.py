@@ -194,6 +194,15 @@ class Hands:
                         pulled += a
         return pulled
 
+    @ti.func
+    def lag(self, i):
+        """How far vertex i is from where hands want it at the end of the frame [m]."""
+        most = 0.0
+        for h in range(self.count):
+            if (self.held[i] >> h) & 1:
+                most = ti.max(most, (self._target(h, i, 1.0) - self.state.x[i]).norm())
+        return most
+
     def forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
         self._sum()

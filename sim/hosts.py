@@ -1,7 +1,8 @@
 """Which tet of another body holds each contact sample, or comes close enough to before the next search.
 
 The points are the bodies' surface samples and, so that nothing thin slips between those, spots on the axes of static
-capsules. Bodies and capsules are *groups*; a point looks for tets of bodies other than its own group.
+capsules. Bodies and capsules are *groups*; a point looks for tets of other groups,
+and of its own body where that may be folded on itself (sim/folding.py).
 """
 
 import numpy as np
@@ -10,6 +11,7 @@ import taichi as ti
 from scenes.scene import Capsule
 from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.broad import MARGIN, Bounds, PointHash
+from sim.folding import Folding
 from sim.grids import FAR, corner
 from sim.parts import RestShape
 from sim.samples import Samples
@@ -64,7 +66,8 @@ class Spots:
 class Hosts:
     """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face."""
 
-    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds):
+    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds, folding: Folding | None):
+        self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.spots, self.bounds = state, samples, spots, bounds
         self.hash = PointHash(samples.capacity + spots.size)
         N = self.hash.points
@@ -142,7 +145,12 @@ class Hosts:
         for b, g in self.overlap:  # which bodies come near which groups
             n = s.body_count[None]
             meets = False
-            if b < n and b != g and (g < n or MAX_BODIES <= g < groups):
+            alone = True
+            if ti.static(self.folds):
+                alone = b == g and self.folding.folded[b] == 0
+            else:
+                alone = b == g
+            if b < n and not alone and (g < n or MAX_BODIES <= g < groups):
                 box = self.bounds
                 _, _, meets, _ = self.sweep(box.low[b], box.high[b], box.slow[b], box.fast[b], g)
             self.overlap[b, g] = meets
@@ -187,14 +195,15 @@ class Hosts:
         body = s.body_of_tet[t]
         a = s.tets[t]
         x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
-        v = 0.25 * (s.v[a[0]] + s.v[a[1]] + s.v[a[2]] + s.v[a[3]])
+        v0, v1, v2, v3 = s.v[a[0]], s.v[a[1]], s.v[a[2]], s.v[a[3]]
+        slow, fast = ti.min(v0, v1, v2, v3) - self.bounds.extra[body], ti.max(v0, v1, v2, v3) + self.bounds.extra[body]
         low, high = ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3)
         box_low, box_high, reach = corner(FAR), corner(-FAR), 0.0
         n = s.body_count[None]
         for k in range(n + self.spots.group_count[None]):
             g = k if k < n else MAX_BODIES + k - n
             if self.overlap[body, g]:
-                part_low, part_high, meets, way = self.sweep(low, high, v, v, g)
+                part_low, part_high, meets, way = self.sweep(low, high, slow, fast, g)
                 if meets:
                     box_low, box_high, reach = (
                         ti.min(box_low, part_low),
@@ -218,9 +227,25 @@ class Hosts:
                                 r = x - x0
                                 outside = ti.max(n0.dot(r - e1), n1.dot(r), n2.dot(r), n3.dot(r), 0.0)
                                 p = h.entry[e]
-                                if outside < reach and self.overlap[body, self.group(p)]:
+                                if outside < reach and self.overlap[body, self.group(p)] and self._strange(p, t, body):
                                     key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
                                     ti.atomic_min(self.key[p], key)
+
+    @ti.func
+    def _strange(self, p, t, body):
+        """Whether tet t of a body is foreign to point p: of another, or far away at rest."""
+        result = True
+        if ti.static(self.folds):
+            s = self.state
+            a = s.tets[t]
+            if self.group(p) == body:
+                X = self.samples.blend(p, s.rest)
+                away = 0.25 * (s.rest[a[0]] + s.rest[a[1]] + s.rest[a[2]] + s.rest[a[3]]) - X
+                result = away.norm() > self.folding.apart(body)
+                for k in ti.static(range(3)):
+                    for j in ti.static(range(4)):
+                        result = result and self.samples.ids[p][k] != a[j]
+        return result
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -16,8 +16,10 @@ from scenes.scene import Capsule
 from sim.assembly import MAX_BODIES, Assembly, Room, fit
 from sim.broad import Bounds
 from sim.colliders import Shape
+from sim.folding import Folding
 from sim.grids import FAR, Grids
 from sim.hosts import Hosts, Spots
+from sim.normals import Normals
 from sim.parts import RestShape, scaled_grid
 from sim.rest_distance import rest_grid
 from sim.rows import Rows
@@ -25,6 +27,9 @@ from sim.samples import Samples
 from sim.state import State, Upload
 
 FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
+# Of the surfaces' normals, the cosine above which two surfaces do not face each other: a point that was forced right
+# through a body is let back in. Were it held on the far side, what is entangled would stay so.
+ALONG = 0.3
 OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next tet
 
 
@@ -33,13 +38,22 @@ class Pairs:
     """Fills the rows of points near foreign tets: row begin + p for point p (see sim/hosts.py)."""
 
     def __init__(
-        self, state: State, first: Assembly, samples: Samples, shapes: list[Shape], bounds: Bounds, room: Room = Room()
+        self,
+        state: State,
+        first: Assembly,
+        samples: Samples,
+        shapes: list[Shape],
+        bounds: Bounds,
+        folding: Folding | None,
+        room: Room = Room(),
     ):
+        self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
-        self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0
+        self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
         self.grids = Grids(self._grids(first), room)
-        self.hosts = Hosts(state, samples, self.spots, bounds)
+        self.hosts = Hosts(state, samples, self.spots, bounds, folding)
+        self.normals = Normals(state)
         self.rim = ti.field(ti.f32)
         self.builder = ti.FieldsBuilder()
         self.builder.dense(ti.i, MAX_BODIES).place(self.rim)
@@ -68,6 +82,7 @@ class Pairs:
     def detect(self, rows: Rows) -> None:
         """List the rows of points that are near a foreign tet; needs up-to-date Bounds."""
         if self.needed:
+            self.normals.update()
             self.hosts.find(rows, self.begin)
 
     @ti.func
@@ -97,6 +112,12 @@ class Pairs:
             normal = g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
             length, slope = normal.norm(), N.norm()
             usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
+            if usable and sampled and self.samples.blend(p, self.normals.normal).dot(normal) > ALONG * length:
+                usable = False
+            if ti.static(self.folds):
+                apart = 0.5 * self.folding.apart(host)
+                if usable and sampled and self.samples.body[p] == host:
+                    usable = (X - self.samples.blend(p, s.rest)).norm() > apart  # or it is just where it belongs
             self._walk(p, t, b)
             if usable:
                 b = ti.max(b, 0.0)
@@ -111,10 +132,10 @@ class Pairs:
         s = self.state
         a = s.tets[t]
         host = s.body_of_tet[t]
-        phi, friction, first = distance, s.friction[host], 0
+        phi, friction, first = distance, s.frictions(host), 0
         if p < self.samples.count[None]:
             phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
-            friction *= s.friction[self.samples.body[p]]
+            friction *= s.frictions(self.samples.body[p])
             self.samples.put(p, r, rows)
             first = 3
         else:
@@ -136,7 +157,7 @@ class Pairs:
 
     def destroy(self) -> None:
         self.tree.destroy()
-        for part in (self.grids, self.hosts, self.spots):
+        for part in (self.grids, self.hosts, self.spots, self.normals):
             part.destroy()
 
 

@@ -8,6 +8,9 @@ import taichi as ti
 REST = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY = 0.02  # [s] in which a deeper penetration decays
 RECOVERY_SPEED = 1.0  # [m/s] at most; faster, it would throw what it frees
+# [m/s] at which friction is fully kinetic. Were it so at any speed, a soft block would let go far below mu_s: what
+# slips first, at its edge, would load the next with what it drops (Stribeck's curve has this shape too).
+CREEP = 0.02
 
 
 @ti.func
@@ -23,17 +26,30 @@ def least(phi, dt):
 
 
 @ti.func
+def grip(tangential, normal, friction, way, dt):
+    """The share of a tangential push that friction yields, with friction = (mu_s, mu_k) and pushes in one unit.
+
+    All of it up to mu_s times the normal push; beyond, the contact slides, at the speed that the lacking push, which
+    would move it by `way` [m] a unit, leaves it. From 0 to CREEP the coefficient falls from mu_s to mu_k.
+    """
+    share, lacking = 1.0, tangential - friction[0] * normal
+    if lacking > 0.0:
+        fallen = ti.min(lacking * way / (CREEP * dt), 1.0)
+        share = (friction[0] + fallen * (friction[1] - friction[0])) * normal / tangential
+    return share
+
+
+@ti.func
 def respond(phi, n, y, friction, dt):
     """Correction d [m] of the motion y [m] of one vertex.
 
-    With d_n the normal correction, the tangential part y_t is undone if |y_t| <= friction d_n, else shortened by
-    friction d_n (MATH 8, on increments).
+    With d_n the normal correction, the tangential part y_t is undone if |y_t| <= mu_s d_n, else shortened by mu_k d_n
+    (MATH 8, on increments).
     """
     d = ti.Vector([0.0, 0.0, 0.0])
     y_n = n.dot(y)
     d_n = least(phi, dt) - y_n
     if d_n > 0.0:
         y_t = y - y_n * n
-        slide, hold = y_t.norm(), friction * d_n
-        d = d_n * n - y_t * (1.0 if slide <= hold else hold / slide)
+        d = d_n * n - y_t * grip(y_t.norm(), d_n, friction, 1.0, dt)
     return d

@@ -13,7 +13,7 @@ are integers: their order, and the number of threads, do not matter.
 
 import taichi as ti
 
-from sim.response import least
+from sim.response import grip, least
 from sim.state import State
 
 LENGTH = 2.0**44  # steps of the integer sums in a metre: 6e-14 m, and 5e5 m before overflow
@@ -25,7 +25,8 @@ MOST = 7  # vertices of a row: a triangle's and a tet's
 class Rows:
     """The table of rows, and the sums that they make.
 
-    normal vec3[R], phi f32[R] [m], friction f32[R], pace f32[R] [m/s];   impulse vec3[R] [kg m] of the last sweep
+    normal vec3[R], phi f32[R] [m], friction vec2[R] = (mu_s, mu_k), pace f32[R] [m/s]
+    impulse vec3[R] [kg m] of the last sweep
     wake i32[R]: the substep until which a row is too far from contact to be looked at
     size i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a row;   claimed i32[R]: active in this sweep
     listed i32[R], listed_count: the rows in use
@@ -39,7 +40,8 @@ class Rows:
         self.unrolled = ti.cfg.arch == ti.cuda
         self.builder = ti.FieldsBuilder()
         self.normal, self.impulse, self.last = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.phi, self.friction, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(4))
+        self.phi, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(3))
+        self.friction = ti.Vector.field(2, ti.f32)
         self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.listed_count = (
             ti.field(ti.i32) for _ in range(7)
         )
@@ -112,7 +114,7 @@ class Rows:
 
     @ti.func
     def step(self, r):
-        """Second pass: change the impulse so that lambda_n >= 0 and |lambda_t| <= friction lambda_n."""
+        """Second pass: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `grip`)."""
         if self.claimed[r]:
             mass = 0.0  # inverse
             if ti.static(self.unrolled):
@@ -126,8 +128,7 @@ class Rows:
                 old_n, y_n = n.dot(old), n.dot(y)
                 new_n = ti.max(old_n + (least(self.phi[r], self.state.dt[None]) - y_n) / mass, 0.0)
                 new_t = (old - old_n * n) - (y - y_n * n) / mass
-                slide, hold = new_t.norm(), self.friction[r] * new_n
-                new = new_n * n + new_t * (1.0 if slide <= hold else hold / slide)
+                new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass, self.state.dt[None])
                 self.impulse[r] = new
                 self._push(r, new - old, self.change)
 

@@ -98,8 +98,8 @@ class State:
         triangles             vec3i[S] global vertex indices, outward;              body_of_triangle i32[S]
         vertex_begin, tet_begin, triangle_begin  i32[B+1]
         mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
-        damping, friction, density, body_mass    f32[B];   led f32[B]: of its prescribed vertices
-        reach                 f32[B]   the farthest that a vertex may move in one substep [m]
+        damping, density, body_mass, friction (of what holds), sliding_friction    f32[B]
+        led f32[B]: mass of the prescribed vertices;   reach f32[B]: the farthest a vertex may move in one substep [m]
         dt, detect_dt, gravity, tick, substeps   of this frame
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
@@ -121,7 +121,7 @@ class State:
         self.vertex_begin, self.tet_begin, self.triangle_begin = (self._scalars(B + 1, ti.i32) for _ in range(3))
         self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
         self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
-        self.led, self.reach = self._scalars(B), self._scalars(B)
+        self.sliding_friction, self.led, self.reach = (self._scalars(B) for _ in range(3))
         self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
         self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
         self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (
@@ -158,6 +158,11 @@ class State:
     def at(self, i):
         """Position of vertex i in the substep in progress [m]."""
         return self.x[i] + self.dx[i]
+
+    @ti.func
+    def frictions(self, b):
+        """(mu_s, mu_k) of body b; of two that touch, the geometric mean counts."""
+        return ti.Vector([self.friction[b], self.sliding_friction[b]])
 
     @ti.kernel
     def begin_frame(self, dt: ti.f32, detect_dt: ti.f32, substeps: ti.i32, gravity: ti.types.vector(3, ti.f32)):

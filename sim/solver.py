@@ -33,7 +33,8 @@ class Solver(Editing):
     substep; collision_passes is how often a frame contacts are searched; hands is how many may grip; frame_dt [s] is
     the usual frame. With interaction "transform" gripped bodies follow the hand rigidly and nothing else moves.
     room says how much more than `bodies` there may come to be (see sim/assembly.py, and sim/editing.py for how).
-    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone.
+    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
+    a body passes through itself.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Solver(Editing):
         hands: int = 2,
         interaction: str = "physics",
         contacts: bool = True,
+        self_contact: bool = True,
         frame_dt: float = 1 / 60,
         room: Room | float | None = None,
     ):
@@ -74,7 +76,8 @@ class Solver(Editing):
         )  # fmt: skip
         self._elastic, self._chunks = Elastic(s), Chunks(s)
         self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
-        contact = [Contacts(s, first, list(colliders), self._chunks, hands=hands, room=room)] if contacts else []
+        options = {"hands": hands, "self_contact": self_contact, "room": room}
+        contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
         self._constraints = contact
         self._substeps = jacobi(s, self._elastic, self._constraints, iterations=iterations)
         self._last = (0, 0.0)  # substeps and their length in the last frame
@@ -147,6 +150,13 @@ class Solver(Editing):
             if hasattr(c, "gripped"):
                 held |= set(c.gripped())
         return self._summary.bodies([b in held for b in range(len(self._parts))])
+
+    def contact_forces(self) -> np.ndarray:
+        """Force of all contacts on each body in the last substep [N], (B, 3)."""
+        total = np.zeros((len(self._parts), 3))
+        for c in self._constraints:
+            total += c.forces.per_body(c.rows)
+        return total
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""

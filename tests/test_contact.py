@@ -91,6 +91,8 @@ def test_energy_does_not_grow_at_rest(floor_solver):
     run(floor_solver, 4)
     assert (speed(floor_solver) ** 2).sum() <= max(before, 1e-10)
     assert speed(floor_solver).max() < 5e-6
+    weight = 0.08**3 * 1000 * 9.81
+    assert_allclose(floor_solver.contact_forces(), [[0, weight, 0]], atol=0.02 * weight)
 
 
 def test_a_sliding_cube_slows_down_by_mu_g(floor_solver):

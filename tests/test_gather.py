@@ -64,7 +64,7 @@ def test_the_sums_are_those_of_the_two_loops():
 
 
 def test_the_persistent_kernel_agrees_with_the_loops():
-    """Two blocks on a floor, one on the other, sliding; and three substeps short of nothing to do."""
+    """Two blocks on a floor, one on the other, sliding. Rounding differs, and contact makes more of that in time."""
     if ti.cfg.arch != ti.cuda:
         pytest.skip("the persistent kernel is for CUDA")
     moved = []
@@ -78,8 +78,9 @@ def test_the_persistent_kernel_agrees_with_the_loops():
             solver._substeps = form(solver.state, solver._elastic, solver._constraints, iterations=1)
         solver._substeps.piece = 16  # damping acts between pieces
         for _ in range(3):
-            solver.step(1 / 60)
-        moved.append(solver.snapshot()["x"])
+            solver.step(1 / 180)
+            moved.append(solver.snapshot()["x"])
     start = np.concatenate([lower.start(), upper.start()])
-    assert np.abs(moved[1] - start).max() > 0.01
-    assert_allclose(moved[0], moved[1], rtol=0, atol=1e-5)
+    assert np.abs(moved[2] - start).max() > 0.005
+    assert_allclose(moved[0], moved[3], rtol=0, atol=2e-6)
+    assert_allclose(moved[2], moved[5], rtol=0, atol=5e-5)

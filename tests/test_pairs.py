@@ -86,6 +86,7 @@ def test_a_stack_carries_its_weight(cubes):
     force = (impulse * np.where(body == 1, 1, -1)[:, None]).sum(0) / cubes.state.dt[None] ** 2
     weight = SIDE**3 * 1000 * 9.81
     assert_allclose(force, [0, weight, 0], atol=0.02 * weight)
+    assert_allclose(cubes.contact_forces(), [[0, weight, 0]] * 2, atol=0.02 * weight)
     assert phi.min() > -1e-4
 
 
@@ -128,7 +129,7 @@ def test_distance_and_normal_in_a_deformed_host(cubes):
     A = np.array([[1.1, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.05]])
     rest = cubes.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
     n = cubes.vertex_offset[1]
-    x = np.concatenate([rest[:n] @ A.T, (0.5 * rest[n:] + (0, 0.064, 0)) @ A.T]) + (0, 1, 0)
+    x = np.concatenate([rest[:n] @ A.T, (0.5 * rest[n:] + (0, 0.0615, 0)) @ A.T]) + (0, 1, 0)
     cubes.gravity = (0.0, 0.0, 0.0)
     cubes.restore({"x": x, "v": np.zeros_like(x)})
     cubes.step(1e-6, [])

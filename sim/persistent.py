@@ -133,6 +133,15 @@ class Persistent:
         s.tick[None] -= 1
 
     @ti.func
+    def _scattered(self, thread):
+        """A number for each thread, such that the first ones are on different multiprocessors, then different warps.
+
+        A few hundred rows in neighbouring threads would keep two multiprocessors busy and all others waiting.
+        """
+        block, warp, lane = thread // BLOCK, thread % BLOCK // 32, thread % 32
+        return (lane * (BLOCK // 32) + warp) * self.blocks + block
+
+    @ti.func
     def _paired(self):
         """Whether any row is listed; that changes only in a search."""
         paired = False
@@ -150,13 +159,13 @@ class Persistent:
             for stage in ti.static(range(len(c.stage_sizes))):
                 passed += 1
                 self._meet(thread, passed, False)
-                k, end = thread, c.stage_count(stage)
+                k, end = self._scattered(thread), c.stage_count(stage)
                 while k < end:
                     c.project_stage(stage, k, True)
                     k += self.threads
         passed += 1
         self._meet(thread, passed, False)
-        i = thread
+        i = self._scattered(thread)
         while i < s.vertex_count[None]:
             d = s.dx[i]
             if s.w[i] > 0.0:

@@ -21,7 +21,7 @@ CROWD = 8.0  # a vertex belongs to up to 24 tets, of which a third pull the same
 def stress(F, mu, lam):
     """First Piola-Kirchhoff stress P [Pa], with tr F^T F and J - 1.
 
-    P = mu F + (lam (J - 1) - mu) cof F,   cof F = [f2 x f3, f3 x f1, f1 x f2],   lam = lambda_L + mu
+    P = mu (1 - 2 max(1 - I1, 0)) F + (lam (J - 1) - mu) cof F,   cof F = [f2 x f3, f3 x f1, f1 x f2],   I1 = tr F^T F
     """
     f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
     f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
@@ -29,14 +29,20 @@ def stress(F, mu, lam):
     f23 = f2.cross(f3)
     grow = f1.dot(f23) - 1.0
     cof = ti.Matrix.cols([f23, f3.cross(f1), f1.cross(f2)])
-    return mu * F + (lam * grow - mu) * cof, f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr(), grow
+    I1 = f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr()
+    return mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * F + (lam * grow - mu) * cof, I1, grow
 
 
 @ti.func
 def energy_density(I1, grow, mu, lam):
-    """Psi = mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2 [J/m^3]: zero and stable at rest (Smith et al. 2018
-    without the logarithm), finite and repelling through inversion."""
-    return 0.5 * mu * (I1 - 3.0) - mu * grow + 0.5 * lam * grow * grow
+    """Psi = mu/2 (I1 - 3) - mu (J - 1) + lam/2 (J - 1)^2 + mu/2 max(1 - I1, 0)^2 [J/m^3],   lam = lambda_L + mu.
+
+    Zero and stable at rest (Smith et al. 2018 without the logarithm), finite and repelling through inversion. Without
+    the logarithm F = 0 would be a second stable state, into which a body of nu = 0 falls once it is pressed to half
+    its size. The last term takes that away; it acts on tets only that are crushed in more than one direction.
+    """
+    crushed = ti.max(1.0 - I1, 0.0)
+    return 0.5 * mu * (I1 - 3.0) - mu * grow + 0.5 * lam * grow * grow + 0.5 * mu * crushed * crushed
 
 
 @ti.data_oriented

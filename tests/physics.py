@@ -168,12 +168,13 @@ def spin() -> list[dict]:
 
 
 def recovery() -> list[dict]:
-    """A mirrored, a flattened and a random start: nothing inverted after 3 s, volume within 0.5%."""
-    names = ("mirrored", "flat", "random")
-    bodies = [bar(n, 1e5, 0.3, 10.0, position=(0, 0, 3 * k)) for k, n in enumerate(names)]
+    """A mirrored, a flattened, a random and a shrunken start: nothing inverted after 3 s, volume within 0.5%."""
+    poissons = {"mirrored": 0.3, "flat": 0.3, "random": 0.3, "shrunken": 0.0}
+    names = tuple(poissons)
+    bodies = [bar(n, 1e5, poissons[n], 10.0, position=(0, 0, 3 * k)) for k, n in enumerate(names)]
     solver = Solver(bodies, gravity=(0, 0, 0), contacts=False)
     rng = np.random.default_rng(0)
-    starts = (BAR * [-1, 1, 1], BAR * [1, 0, 1], rng.uniform(BAR.min(0), BAR.max(0), BAR.shape))
+    starts = (BAR * [-1, 1, 1], BAR * [1, 0, 1], rng.uniform(BAR.min(0), BAR.max(0), BAR.shape), 0.2 * BAR)
     x = np.concatenate([s + [0, 0, 3 * k] for k, s in enumerate(starts)])
     solver.restore({"x": x, "v": np.zeros_like(x)})
     for _ in range(60):

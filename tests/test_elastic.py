@@ -18,25 +18,31 @@ MU, LAM = lame(MATERIAL)
 
 def energy(F):
     """Twin of sim.elastic.energy_density: Psi [J/m^3] of F (..., 3, 3)."""
-    J = np.linalg.det(F)
-    return MU / 2 * ((F**2).sum((-2, -1)) - 3) - MU * (J - 1) + LAM / 2 * (J - 1) ** 2
+    J, I1 = np.linalg.det(F), (F**2).sum((-2, -1))
+    return MU / 2 * (I1 - 3) - MU * (J - 1) + LAM / 2 * (J - 1) ** 2 + MU / 2 * np.maximum(1 - I1, 0) ** 2
 
 
 def stress(F):
     """Twin of sim.elastic.stress: P = dPsi/dF [Pa]."""
     f1, f2, f3 = np.moveaxis(F, -1, 0)
     cof = np.stack([np.cross(f2, f3), np.cross(f3, f1), np.cross(f1, f2)], -1)
-    J = np.linalg.det(F)[..., None, None]
-    return MU * F + (LAM * (J - 1) - MU) * cof
+    J, I1 = np.linalg.det(F)[..., None, None], (F**2).sum((-2, -1))[..., None, None]
+    return MU * (1 - 2 * np.maximum(1 - I1, 0)) * F + (LAM * (J - 1) - MU) * cof
 
 
 def deformations() -> np.ndarray:
-    """At rest, rotated, small, large, flat and inverted, (n, 3, 3)."""
+    """At rest, rotated, small, large, flat, inverted and crushed, (n, 3, 3)."""
     rng = np.random.default_rng(1)
     Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     Q *= np.sign(np.linalg.det(Q))
     some = [np.eye(3), Q, np.eye(3) + 1e-3 * rng.normal(size=(3, 3)), Q @ np.diag([2.0, 1.0, 0.6])]
-    some += [np.diag([1.0, 1.0, 0.0]), np.diag([-1.0, 1.0, 1.0]), *rng.normal(size=(6, 3, 3))]
+    some += [
+        np.diag([1.0, 1.0, 0.0]),
+        np.diag([-1.0, 1.0, 1.0]),
+        0.3 * Q,
+        Q @ np.diag([0.8, 0.2, 0.1]),
+        *rng.normal(size=(6, 3, 3)),
+    ]
     return np.array(some)
 
 

@@ -170,15 +170,25 @@ class Contacts:
         if k < self.rows.listed_count[None]:
             r = self.rows.listed[k]
             if ti.static(stage == 0):
-                if self.state.tick[None] >= self.rows.wake[r]:
-                    usable = False
-                    if r < self.samples.capacity:
-                        usable = self._meet(r)
-                    elif ti.static(self.pairs.needed):
-                        usable = self.pairs.meet(r, self.rows)
-                    self.rows.claim(r, usable, first)
+                if self.rows.seen[r] != 0:
+                    self.rows.claim(r, self.rows.seen[r] == 2, first)
             else:
                 self.rows.step(r)
+
+    @ti.func
+    def look(self, k):
+        """Take the listed row k anew, unless it is still too far away."""
+        if k < self.rows.listed_count[None]:
+            r = self.rows.listed[k]
+            seen = 0
+            if self.state.tick[None] >= self.rows.wake[r]:
+                usable = False
+                if r < self.samples.capacity:
+                    usable = self._meet(r)
+                elif ti.static(self.pairs.needed):
+                    usable = self.pairs.meet(r, self.rows)
+                seen = 2 if usable else 1
+            self.rows.seen[r] = seen
 
     @ti.func
     def busy(self):

@@ -106,10 +106,16 @@ class Persistent:
         for thread in range(self.threads):
             lane, parity, rounds = thread % LANES, 0, 0
             paired = self._paired()
-            top = (s.vertex_count[None] + 31) // 32 * 32  # whole warps stay together
+            begin, end = self._chunk(thread)
             for _ in range(substeps):
-                i = thread // LANES
-                while i < top:
+                if paired:
+                    for c in ti.static(self.in_pairs):
+                        k = self._scattered(thread)
+                        while k < c.stage_count(0):
+                            c.look(k)
+                            k += self.threads
+                i = begin + thread % BLOCK // LANES
+                while i < end:
                     total = self._gathered(i, lane, parity)
                     if lane == 0 and i < s.vertex_count[None]:
                         d = s.dx[i]
@@ -124,7 +130,7 @@ class Persistent:
                                 d = c.settle_vertex(i, d)  # forgets what the last rows did
                             commit(s, i, d)
                             g.publish(i, 1 - parity)
-                    i += self.threads // LANES
+                    i += BLOCK // LANES
                 if paired:
                     rounds = self._pairs(thread, rounds, parity)
                 parity = 1 - parity
@@ -139,7 +145,16 @@ class Persistent:
         A few hundred rows in neighbouring threads would keep two multiprocessors busy and all others waiting.
         """
         block, warp, lane = thread // BLOCK, thread % BLOCK // 32, thread % 32
-        return (lane * (BLOCK // 32) + warp) * self.blocks + block
+        last = BLOCK // 32 - 1 - warp  # a block's first warps have the most vertices
+        return (lane * (BLOCK // 32) + last) * self.blocks + block
+
+    @ti.func
+    def _chunk(self, thread):
+        """The vertices of this thread's block: a run, so that its neighbours are mostly its own; of whole warps."""
+        together = ti.static(32 // LANES)
+        length = (self.state.vertex_count[None] + self.blocks * together - 1) // (self.blocks * together) * together
+        begin = thread // BLOCK * length
+        return begin, begin + length
 
     @ti.func
     def _paired(self):
@@ -165,15 +180,16 @@ class Persistent:
                     k += self.threads
         passed += 1
         self._meet(thread, passed, False)
-        i = self._scattered(thread)
-        while i < s.vertex_count[None]:
+        begin, end = self._chunk(thread)
+        i = begin + thread % BLOCK
+        while i < ti.min(end, s.vertex_count[None]):
             d = s.dx[i]
             if s.w[i] > 0.0:
                 for c in ti.static(self.in_pairs):
                     d = c.settle_vertex(i, d)
             commit(s, i, d)
             self.gather.publish(i, 1 - parity)
-            i += self.threads
+            i += BLOCK
         return passed
 
     def destroy(self) -> None:

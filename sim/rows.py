@@ -28,6 +28,7 @@ class Rows:
     normal vec3[R], phi f32[R] [m], friction vec2[R] = (mu_s, mu_k), pace f32[R] [m/s]
     impulse vec3[R] [kg m] of the last sweep
     wake i32[R]: the substep until which a row is too far from contact to be looked at
+    seen i32[R]: in this substep, 0: not looked at, 1: has no distance, 2: has one
     size i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a row;   claimed i32[R]: active in this sweep
     listed i32[R], listed_count: the rows in use
     share i32[V] = B, in 1/SHARE;   start, change i64[V,3], in 1/LENGTH m: what the impulses of the last substep, and
@@ -42,12 +43,12 @@ class Rows:
         self.normal, self.impulse, self.last = (ti.Vector.field(3, ti.f32) for _ in range(3))
         self.phi, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(3))
         self.friction = ti.Vector.field(2, ti.f32)
-        self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.listed_count = (
-            ti.field(ti.i32) for _ in range(7)
+        self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.seen, self.listed_count = (
+            ti.field(ti.i32) for _ in range(8)
         )
         self.start, self.change = ti.Vector.field(3, ti.i64), ti.Vector.field(3, ti.i64)
         self.builder.dense(ti.i, capacity).place(self.normal, self.phi, self.friction, self.pace, self.size)
-        self.builder.dense(ti.i, capacity).place(self.wake, self.claimed)
+        self.builder.dense(ti.i, capacity).place(self.wake, self.claimed, self.seen)
         self.builder.dense(ti.i, capacity).place(self.impulse)
         self.builder.dense(ti.i, capacity).place(self.listed)
         self.builder.dense(ti.i, capacity).dense(ti.j, MOST).place(self.vertex, self.coefficient)

@@ -31,6 +31,8 @@ and handed to the Solver. It provides
                                 element k < stage_sizes[stage] of a stage. All elements of a stage are done before any
                                 of the next. Stages read state.dx and sum corrections (in a fixed order or as
                                 integers: repeated CPU runs must agree bit for bit).
+    @ti.func look(self, k)      what element k of stage 0 needs to know of the committed state alone; before that
+                                stage, in the first sweep
     @ti.func stage_count(self, stage: ti.template()) -> i32,   @ti.func busy(self) -> bool
                                 how many elements of a stage there are now, and whether there are any: at a stage's
                                 begin, and from one search to the next

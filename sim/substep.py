@@ -115,6 +115,8 @@ class Substeps:
                     else:
                         ti.loop_config(block_dim=block)
                     for k in range(c.stage_sizes[stage]):
+                        if ti.static(first and stage == 0):
+                            c.look(k)
                         c.project_stage(stage, k, first)
             if ti.static(len(in_pairs) > 0):
                 if ti.static(s.serial):

@@ -12,6 +12,7 @@ import numpy as np
 from scenes.scene import Hand
 
 GRAVITY = np.array([0.0, -9.81, 0.0])
+STEADY = 0.1  # [s] at the velocity of the throw: the mean of the last moments is what a thing flies on with
 ROUNDING = 1e-6  # [s]; the frame that ends at the release must still swing, whatever its time was summed from
 
 
@@ -31,7 +32,7 @@ class Throw:
     """Take what lies at `grip`, carry it to the run-up, throw it from `release` to `target`.
 
     Times [s]: `reach_time` to reach it, `carry_time` to lift it, `swing_time` of constant acceleration
-    up to the velocity that `flight_time` asks for. `reach` [m] is the grip's radius.
+    up to the velocity that `flight_time` asks for, then STEADY. `reach` [m] is the grip's radius.
     """
 
     grip: tuple[float, float, float]
@@ -46,13 +47,13 @@ class Throw:
     @property
     def released_at(self) -> float:
         """Seconds from the start until the hand opens."""
-        return self.reach_time + self.carry_time + self.swing_time
+        return self.reach_time + self.carry_time + self.swing_time + STEADY
 
     def hand(self, t: float) -> Hand:
         """The hand, `t` seconds after the start of this throw."""
         grip, release = np.array(self.grip), np.array(self.release)
         velocity = throw_velocity(release, self.target, self.flight_time)
-        run_up = release - 0.5 * velocity * self.swing_time
+        run_up = release - velocity * (0.5 * self.swing_time + STEADY)
         above = grip + np.array([0.0, 0.25, 0.1])
         lifted = t - self.reach_time
         swung = lifted - self.carry_time
@@ -61,7 +62,8 @@ class Throw:
         elif swung < 0:
             position = grip + (run_up - grip) * ease(lifted / self.carry_time)
         elif t <= self.released_at + ROUNDING:
-            position = run_up + 0.5 * velocity * swung**2 / self.swing_time
+            fast = max(swung - self.swing_time, 0.0)
+            position = run_up + velocity * (0.5 * (swung - fast) ** 2 / self.swing_time + fast)
         else:  # follow through, slowing down
             after = t - self.released_at
             position = release + velocity * 0.1 * (1.0 - np.exp(-after / 0.1))

@@ -88,10 +88,13 @@ class Contacts:
         self.hands.hold(grips)
 
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
-        self.hands.begin_frame(hands)
+        self.hands.begin_frame(hands, dt, substeps > 0)
 
     def gripped(self) -> list[int]:
         return self.hands.gripped()
+
+    def seen(self) -> list[Hand | None]:
+        return list(self.hands.last)
 
     def hand_forces(self) -> list:
         return self.hands.forces()

@@ -98,16 +98,17 @@ class Editing:
         self._change(parts, self._motions(), self._grips())
 
     def snapshot(self) -> dict:
-        """All that `restore` needs to go on from here: x, v, carry, v_carry (V, 3), bodies, and the hands' grips.
+        """All that `restore` needs to go on from here: x, v, carry, v_carry (V, 3), bodies, grips, what is mending.
 
         Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts find their
         loads anew in the first substeps.
         """
         values = self._read(self.state.sizes.vertices)
         arrays = dict(zip(("x", "carry", "v", "v_carry"), values, strict=True))
-        return {**arrays, "bodies": tuple(self._parts), "grips": tuple(self._grips())}
+        others = {"bodies": tuple(self._parts), "grips": tuple(self._grips()), "mending": self._mending.kept()}
+        return {**arrays, **others}
 
-    def restore(self, snapshot: dict) -> None:
+    def restore(self, snapshot: dict, *, editing: bool = False) -> None:
         """Go on from a snapshot. Only "x" and "v" are needed; without "bodies" these are as now, without "grips" hands
         are open, and what fp32 cannot hold of float64 values goes to the carries."""
         parts = list(snapshot.get("bodies", self._parts))
@@ -120,6 +121,8 @@ class Editing:
             values += [high, snapshot.get(low, value - high)]
         if parts != self._parts:
             self._load(Assembly(parts))
+        if not editing:
+            self._mending.hold(snapshot.get("mending", np.zeros((4, len(parts)))))
         self._write(values)
         for c in self._constraints:
             c.reset()
@@ -130,6 +133,7 @@ class Editing:
     def reset(self) -> None:
         """All bodies back to their starts; grips and contacts are forgotten."""
         self._change(self._parts, [p.start for p in self._parts], [])
+        self._mending.reset()
 
     def _index(self, i: int) -> int:
         if not 0 <= i < len(self._parts):
@@ -147,4 +151,4 @@ class Editing:
     def _change(self, parts: list[Part], motions: list[np.ndarray], grips: list) -> None:
         values = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
         state = dict(zip(("x", "carry", "v", "v_carry"), values, strict=True))
-        self.restore({**state, "bodies": tuple(parts), "grips": tuple(grips)})
+        self.restore({**state, "bodies": tuple(parts), "grips": tuple(grips)}, editing=True)

@@ -120,6 +120,8 @@ class Elastic:
         V = self.volume[t]
         s = -V * dt * dt
         if ti.static(not single) or I1 > FAR_STRETCHED or grow < CRUSHED:
+            if grow < -1.0:
+                s_.inverted[b] = 1
             # q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C
             kappa = self.kappa[t]
             bound = kappa * ti.max(1.0, I1 * I1 / 9.0)

@@ -84,6 +84,8 @@ class Gather:
         if I1 > FAR_STRETCHED or grow < CRUSHED:
             t = self.tet[k]
             a = s.tets[t]
+            if grow < -1.0:
+                s.inverted[s.body_of_tet[t]] = 1
             own = P @ (g1 + g2 + g3)
             W = self._others_weight(k, P @ g1, P @ g2, P @ g3) + s.w[self._own(k, a)] * own.norm_sqr()
             energy = ti.max(2.0 * energy_density(I1, grow, mu, lam), 1e-12 * mu)

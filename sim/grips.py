@@ -9,6 +9,9 @@ import numpy as np
 from assets.gaussians import matrices_of_quats
 from scenes.scene import Hand
 
+FEWEST = 4  # vertices that fix a body's attitude with some to spare
+WIDER = 1.5  # times the reach, where a coarse cage has fewer than FEWEST within reach
+
 
 @dataclass(frozen=True, eq=False)
 class Grip:
@@ -19,12 +22,21 @@ class Grip:
     places: np.ndarray
 
 
+Trail = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses (position, quaternion), the oldest first
+
+
 @dataclass(frozen=True)
 class Grips:
-    """What each hand holds, None for nothing, and how it was last given."""
+    """What each hand holds, None for nothing; how it last was; its poses of the last moments; since when it is lost."""
 
     held: tuple[Grip | None, ...]
     last: tuple[Hand | None, ...]
+    trails: tuple[Trail, ...]
+    lost: tuple[float, ...]
+
+    @classmethod
+    def none(cls, hands: int) -> Grips:
+        return cls((None,) * hands, (None,) * hands, ((),) * hands, (0.0,) * hands)
 
     def moved(self, index: list[int | None]) -> Grips:
         """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grip."""
@@ -50,3 +62,42 @@ def unit(quaternion) -> np.ndarray:
 def pose(hand: Hand) -> np.ndarray:
     """Position and unit quaternion of a hand, (7,)."""
     return np.concatenate([np.asarray(hand.position, np.float64), unit(hand.rotation)])
+
+
+def finite(hand: Hand) -> bool:
+    """Whether a hand has a pose at all."""
+    values = np.array([*hand.position, *hand.rotation], np.float64)
+    return bool(np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-6)
+
+
+def longer(trail: Trail, dt: float, hand: Hand, most: float) -> Trail:
+    """The trail after dt [s], at whose end the hand is here, without poses older than `most` [s]."""
+    aged = ((age + dt, at) for age, at in trail)
+    return (*((age, at) for age, at in aged if age <= most + 1e-6), (0.0, tuple(pose(hand).tolist())))
+
+
+def take(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grip | None:
+    """What a closing hand takes: the vertices within reach of the nearest body that is within reach itself.
+
+    x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
+    the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
+    """
+    if len(x) == 0:
+        return None
+    position = np.asarray(hand.position, np.float64)
+    away = np.linalg.norm(x - position, axis=1)
+    surface = np.linalg.norm((x[ids] * weights[..., None]).sum(1) - position, axis=1)
+    first = int(np.argmin(surface))
+    touched = int(np.argmin(away)) if away.min() <= surface[first] else int(ids[first, 0])
+    if min(away.min(), surface[first]) > hand.reach:
+        return None
+    body = int(np.searchsorted(offsets, touched, side="right")) - 1
+    mine = np.arange(offsets[body], offsets[body + 1])
+    taken = mine[away[mine] <= hand.reach]
+    if len(taken) < FEWEST:
+        nearest = mine[np.argsort(away[mine], kind="stable")][:FEWEST]
+        taken = nearest[away[nearest] <= WIDER * hand.reach]
+    if len(taken) == 0:
+        taken = np.unique(ids[first])
+    places = (x[taken] - position) @ matrices_of_quats(unit(hand.rotation)[None])[0]
+    return Grip(body, taken - int(offsets[body]), places)

@@ -16,18 +16,18 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
-from assets.gaussians import matrices_of_quats
 from scenes.scene import Hand
 from sim.assembly import Assembly, stacked
-from sim.grips import Grip, Grips, pose, unit
+from sim.grips import Grip, Grips, Trail, finite, longer, pose, take
 from sim.samples import Samples
 from sim.state import Download, State
+from sim.throw import AIM, change
 
 FREQUENCY = 20.0  # [Hz] of the whole body on its springs: stiffer than an arm, softer than a pin
 LIGHTEST = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
 FORCE = 80.0  # [N] of one hand at most: a firm pull
-FEWEST = 4  # vertices that fix a body's attitude with some to spare
-WIDER = 1.5  # times the reach, where a coarse cage has fewer than FEWEST within reach
+JUMP = 1.0  # [m] in a frame: no arm is so fast, the tracking was lost
+PATIENCE = 0.25  # [s] that a hand is held where it was lost
 OMEGA = 2.0 * math.pi * FREQUENCY
 
 
@@ -54,7 +54,7 @@ class Hands:
         self.builder.dense(ti.i, H).place(self.kappa, self.gamma, self.mass)
         self.builder.dense(ti.ij, (H, 3)).place(self.total)
         self.tree = self.builder.finalize()
-        self._positions = Download([state.x])
+        self._motion = Download([state.x, state.v])
 
     def load(self, assembly: Assembly) -> None:
         """Other bodies from now on."""
@@ -64,7 +64,7 @@ class Hands:
 
     def reset(self) -> None:
         """Open all hands and forget where they were."""
-        self.hold(Grips((None,) * self.count, (None,) * self.count))
+        self.hold(Grips.none(self.count))
 
     def gripped(self) -> list[int]:
         """The body that each hand holds, -1 for none."""
@@ -72,55 +72,71 @@ class Hands:
 
     def grips(self) -> Grips:
         """What each hand holds, and where it was."""
-        return Grips(tuple(self.held_by), tuple(self.last))
+        return Grips(tuple(self.held_by), tuple(self.last), tuple(self.trails), tuple(self.lost))
 
     def hold(self, grips: Grips) -> None:
         """Hold this and nothing else."""
         self.held_by, self.last = list(grips.held), list(grips.last)
+        self.trails, self.lost = list(grips.trails), list(grips.lost)
         self.held.fill(0)
         for h, grip in enumerate(self.held_by):
             if grip is not None:
                 self._hold(h, grip)
 
-    def begin_frame(self, hands: list[Hand]) -> None:
-        """Take the hands' new poses; grip and release. A hand that is no longer given opens."""
+    def begin_frame(self, hands: list[Hand | None], dt: float, moving: bool) -> None:
+        """Take the hands' poses after dt [s]; grip and release.
+
+        A hand that opens throws what no other hand holds, if things are `moving` (see sim/throw.py). One that is no
+        longer in the list opens and throws nothing. One that is None, or has no finite pose, holds still; so does one
+        that holds something and is suddenly JUMP away, until it is back or, after PATIENCE, opens.
+        """
         poses = np.zeros((max(self.count, 1), 2, 7), np.float32)
         for h in range(self.count):
-            now, before = (hands[h] if h < len(hands) else None), self.last[h]
+            before = self.last[h]
+            now = self._seen(h, hands[h], dt) if h < len(hands) else None
             if self.held_by[h] is not None and (now is None or not now.grip):
+                body, trail = self.held_by[h].body, self.trails[h]
                 self._hold(h, None)
+                if now is not None and moving and len(trail) > 1 and body not in self.gripped():
+                    self._throw(body, trail)
             elif now is not None and now.grip and not (before is not None and before.grip):
-                self._grip(h, now)
+                x = self._motion(int(self.offsets[-1]))[0].astype(np.float64)
+                self._hold(h, take(now, x, self.offsets, self.samples.host_ids, self.samples.host_weights))
                 before = None  # places are measured at the present pose: nothing may jerk them there
             if now is not None:
                 poses[h, 0], poses[h, 1] = pose(now if before is None else before), pose(now)
             self.last[h] = None if now is None else replace(now)
+            self.trails[h] = () if self.held_by[h] is None else longer(self.trails[h], dt, now, AIM)
         if any(grip is not None for grip in self.held_by):
             self._set_poses(poses)
 
-    def _grip(self, h: int, hand: Hand) -> None:
-        """Hold the vertices within reach of the nearest body that has its surface or inside within reach."""
-        count = int(self.offsets[-1])
-        if count == 0:
-            return
-        x = self._positions(count)[0].astype(np.float64)
-        away = np.linalg.norm(x - np.asarray(hand.position), axis=1)
-        ids, weights = self.samples.host_ids, self.samples.host_weights
-        surface = np.linalg.norm((x[ids] * weights[..., None]).sum(1) - np.asarray(hand.position), axis=1)
-        first = int(np.argmin(surface))
-        touched = int(np.argmin(away)) if away.min() <= surface[first] else int(ids[first, 0])
-        if min(away.min(), surface[first]) > hand.reach:
-            return
-        body = int(np.searchsorted(self.offsets, touched, side="right")) - 1
-        mine = np.arange(self.offsets[body], self.offsets[body + 1])
-        taken = mine[away[mine] <= hand.reach]
-        if len(taken) < FEWEST:
-            nearest = mine[np.argsort(away[mine], kind="stable")][:FEWEST]
-            taken = nearest[away[nearest] <= WIDER * hand.reach]
-        if len(taken) == 0:  # a triangle far larger than the hand
-            taken = np.unique(ids[first])
-        places = (x[taken] - np.asarray(hand.position)) @ matrices_of_quats(unit(hand.rotation)[None])[0]
-        self._hold(h, Grip(body, taken - int(self.offsets[body]), places))
+    def _seen(self, h: int, given: Hand | None, dt: float) -> Hand | None:
+        """Where hand h counts as being, if the tracking says `given`."""
+        last = self.last[h]
+        if given is None or not finite(given):
+            return last
+        far = last is not None and math.dist(given.position, last.position) > JUMP
+        if not far or self.held_by[h] is None:
+            self.lost[h] = 0.0
+            return given
+        self.lost[h] += dt
+        if self.lost[h] > PATIENCE:  # and what it drops, it does not throw
+            self._hold(h, None)
+            return given
+        return replace(last, grip=given.grip)
+
+    def _throw(self, body: int, trail: Trail) -> None:
+        """Let a body move on as the hand did that has held it."""
+        part = self.assembly.parts[body]
+        first, last = (int(o) for o in self.offsets[body : body + 2])
+        if (part.w > 0.0).all():
+            x, v = self._motion(last)[:, first:].astype(np.float64)
+            self._add(first, last - first, change(trail, x, v, part.mass, FORCE * AIM).astype(np.float32))
+
+    @ti.kernel
+    def _add(self, first: ti.i32, n: ti.i32, dv: ti.types.ndarray(ti.f32, 2)):
+        for i in range(n):
+            self.state.v[first + i] += ti.Vector([dv[i, c] for c in range(3)])
 
     def _hold(self, h: int, grip: Grip | None) -> None:
         """Let hand h hold exactly this."""
@@ -189,7 +205,7 @@ class Hands:
             if held != 0:
                 for h in range(self.count):
                     if (held >> h) & 1:
-                        a = self._spring(h, i, d)
+                        a = self._spring(h, i, pulled)  # after the last hand's, lest two overshoot
                         self.pulled[h, i] = a
                         pulled += a
         return pulled

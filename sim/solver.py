@@ -14,6 +14,7 @@ from sim.contact import Contacts
 from sim.damping import Chunks, Damping
 from sim.editing import Editing
 from sim.elastic import Elastic
+from sim.mending import Mending
 from sim.parts import Part
 from sim.stability import LIMIT, choose_substep
 from sim.state import State
@@ -76,6 +77,7 @@ class Solver(Editing):
         )  # fmt: skip
         self._elastic, self._chunks = Elastic(s), Chunks(s)
         self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
+        self._mending = Mending(s, self._summary, self._damping)
         options = {"hands": hands, "self_contact": self_contact, "room": room}
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
         self._constraints = contact
@@ -104,7 +106,8 @@ class Solver(Editing):
         self._parts, self._substep = assembly.parts, substep
         self._kappa = float(assembly.kappas.max(initial=0.0))
         self.vertex_offset = assembly.vertex_begin.tolist()
-        for part in (self.state, self._elastic, self._chunks, self._summary, self._substeps, *self._constraints):
+        parts = (self.state, self._elastic, self._chunks, self._summary, self._substeps, self._mending)
+        for part in (*parts, *self._constraints):
             part.load(assembly)
 
     def step(self, dt: float, hands: list[Hand] = ()) -> None:
@@ -122,10 +125,12 @@ class Solver(Editing):
         self.state.begin_frame(dt / n, dt / self.collision_passes, n, ti.Vector(self.gravity))
         for c in self._constraints:
             c.begin_frame(hands, dt, n)
+        self._mending.begin_frame(self._gripped(), dt)
         for p in range(pieces):
             if p == 0 or p * self.collision_passes // pieces != (p - 1) * self.collision_passes // pieces:
                 for c in self._constraints:
                     c.detect()
+            self._mending.run(dt / pieces)
             self._damping.run(dt / pieces)
             self._substeps.run(length)
         self._last = (n, dt / n)
@@ -134,8 +139,8 @@ class Solver(Editing):
         gripped = []
         for c in self._constraints:
             if hasattr(c, "gripped"):
-                c.begin_frame(hands, dt, 1)
-                gripped = c.gripped()
+                c.begin_frame(hands, dt, 0)
+                gripped, hands = c.gripped(), c.seen()
         self._transform.step(hands, gripped)
         self._last = (0, 0.0)
 
@@ -145,10 +150,7 @@ class Solver(Editing):
 
     def bodies(self) -> list[BodyState]:
         """Centroid, velocity, bounds, axis of each body, and whether a hand holds it."""
-        held = set()
-        for c in self._constraints:
-            if hasattr(c, "gripped"):
-                held |= set(c.gripped())
+        held = self._gripped()
         return self._summary.bodies([b in held for b in range(len(self._parts))])
 
     def contact_forces(self) -> np.ndarray:
@@ -157,6 +159,9 @@ class Solver(Editing):
         for c in self._constraints:
             total += c.forces.per_body(c.rows)
         return total
+
+    def _gripped(self) -> set[int]:
+        return {b for c in self._constraints if hasattr(c, "gripped") for b in c.gripped()}
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""

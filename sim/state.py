@@ -52,7 +52,8 @@ the interpolation at (tick + 1) / substeps.
 
 The object that holds the hands' grips also provides `gripped() -> list[int]` (host, small readback): the
 body that each hand holds, -1 for none; it decides that in begin_frame, also if interaction is "transform", when
-the solver moves gripped bodies itself and runs neither detect nor substeps.
+the solver moves gripped bodies itself and runs neither detect nor substeps (which then are 0). Its `seen() -> list`
+are the hands as they counted there: where one is that the tracking has lost.
 
 Loops run over the capacity and test `i < vertex_count[None]`: a range whose end is read from a field costs one
 more launch, and equal capacities let scenes of different sizes share compiled kernels.
@@ -102,6 +103,7 @@ class State:
         mu, lam, kappa        f32[B]   Lame constants of MATH 7 (lam = lambda_L + mu) [Pa]; max kappa [1/s^2]
         damping, density, body_mass, friction (of what holds), sliding_friction    f32[B]
         led f32[B]: mass of the prescribed vertices;   reach f32[B]: the farthest a vertex may move in one substep [m]
+        inverted              i32[B]   set to 1 by elasticity where a tet is inside out
         dt, detect_dt, gravity, tick, substeps   of this frame
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
@@ -124,6 +126,7 @@ class State:
         self.mu, self.lam, self.kappa = (self._scalars(B) for _ in range(3))
         self.damping, self.friction, self.density, self.body_mass = (self._scalars(B) for _ in range(4))
         self.sliding_friction, self.led, self.reach = (self._scalars(B) for _ in range(3))
+        self.inverted = self._scalars(B, ti.i32)
         self.dt, self.detect_dt, self.gravity = self._scalars(), self._scalars(), self._vectors()
         self.tick, self.substeps = self._scalars(dtype=ti.i32), self._scalars(dtype=ti.i32)
         self.vertex_count, self.tet_count, self.triangle_count, self.body_count = (

@@ -47,7 +47,7 @@ class Summary:
 
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
-        self._sum()
+        self.sum_up()
         total = self.total.to_numpy()[: len(self.names)].astype(np.float64)
         states = []
         for name, t, n, holds in zip(self.names, total, self.flattest, held, strict=True):
@@ -57,14 +57,15 @@ class Summary:
 
     def finite(self) -> bool:
         """Whether every position and velocity is finite."""
-        self._sum()
+        self.sum_up()
         return bool(self.total.to_numpy()[: len(self.names), 21].all())
 
     def destroy(self) -> None:
         self.tree.destroy()
 
     @ti.kernel
-    def _sum(self):
+    def sum_up(self):
+        """Fill `total`, (MAX_BODIES, VALUES)."""
         s = self.state
         c = self.chunks
         for j in range(c.size):

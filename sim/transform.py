@@ -24,7 +24,7 @@ class Transform:
         self.tree = self.builder.finalize()
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
 
-    def step(self, hands: list[Hand], gripped: list[int]) -> None:
+    def step(self, hands: list[Hand | None], gripped: list[int]) -> None:
         """Move what the hands hold; gripped[h] is the body in hand h, -1 for none."""
         for h, hand in enumerate(hands):
             body = gripped[h] if h < len(gripped) else -1

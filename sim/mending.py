@@ -1,0 +1,113 @@
+"""Bodies that were turned inside out get their shape back.
+
+Without contact with itself, a body that is squeezed through itself can be left in a kink: all tets upright again, but
+wound around one another, in a true minimum of the energy from where no force leads home. So when a hand lets go of a
+body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is limp, and
+its vertices are led to its rest shape, where the rest shape fits best (Mueller et al. 2005):
+
+    v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME - v_i),
+    R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
+"""
+
+import numpy as np
+import taichi as ti
+
+from sim.assembly import MAX_BODIES, Assembly
+from sim.damping import Damping
+from sim.polar import polar_quaternion
+from sim.stability import lame
+from sim.state import State, Upload
+from sim.summary import Summary
+
+DURATION = 0.4  # [s] from the last inverted tet on
+TIME = 0.04  # [s] in which what is left to go shrinks to a third
+PATIENCE = 0.1  # [s] that tets may stay inverted: an impact is shorter
+LIMP = 200.0  # [Pa] Young's modulus of a limp body: g and kinks must not hold out against 1/TIME^2
+
+
+@ti.data_oriented
+class Mending:
+    """`begin_frame` learns what is tangled, `run` leads it. Both do nothing, and cost nothing, where nothing is."""
+
+    def __init__(self, state: State, summary: Summary, damping: Damping):
+        self.state, self.summary, self.damping = state, summary, damping
+        self.limp = ti.field(ti.i32)
+        self.quaternion = ti.Vector.field(4, ti.f32)
+        self.builder = ti.FieldsBuilder()
+        self.builder.dense(ti.i, MAX_BODIES).place(self.limp, self.quaternion)
+        self.tree = self.builder.finalize()
+        self._set = Upload([self.limp, state.inverted, state.mu, state.lam])
+        self.parts = []
+        self.status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; whether it is tangled and held
+
+    def load(self, assembly: Assembly) -> None:
+        """Other bodies from now on; those that stay go on mending."""
+        known = dict(zip(map(id, self.parts), self.kept().T, strict=True))
+        self.parts = assembly.parts
+        self.hold(np.array([known.get(id(p), np.zeros(4)) for p in self.parts]).reshape(-1, 4).T)
+
+    def reset(self) -> None:
+        """All bodies are sound."""
+        self.hold(np.zeros((4, len(self.parts))))
+
+    def kept(self) -> np.ndarray:
+        """What `hold` needs to go on from here, (4, B)."""
+        return np.vstack([self.status, self._inverted()])
+
+    def hold(self, kept: np.ndarray) -> None:
+        """Go on from what was `kept` of these bodies."""
+        self.status = np.array(kept[:3])
+        self._soften(kept[3])
+
+    def _inverted(self) -> np.ndarray:
+        return self.state.inverted.to_numpy()[: len(self.parts)] != 0
+
+    def begin_frame(self, held: set[int], dt: float) -> None:
+        """Before a frame of dt [s]: which bodies had inverted tets in the last one, and which does a hand hold?"""
+        inverted = self._inverted()
+        if not inverted.any() and not self.status.any():
+            return
+        held_now = np.isin(np.arange(len(self.parts)), list(held))
+        left, since, tangled = self.status
+        since = np.where(inverted, since + dt, 0.0)
+        tangled = (tangled > 0) | (inverted & held_now) | (since > PATIENCE)
+        left = np.where(tangled & ~held_now, DURATION, np.where(held_now, 0.0, np.maximum(left - dt, 0.0)))
+        self.status = np.stack([left, since, tangled & held_now])
+        self._soften(np.zeros(len(self.parts)))
+
+    def _soften(self, inverted: np.ndarray) -> None:
+        limp = self.status[0] > 0.0
+        materials = [p.body.material for p in self.parts]
+        scale = np.array([min(1.0, LIMP / m.young) if soft else 1.0 for m, soft in zip(materials, limp, strict=True)])
+        constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
+        self._set([limp, inverted, constants[:, 0], constants[:, 1]])
+
+    def run(self, t: float) -> None:
+        """Lead the limp bodies for t [s], before the damping."""
+        if self.status[0].any():
+            self.summary.sum_up()
+            self._lead(t)
+
+    @ti.kernel
+    def _lead(self, t: ti.f32):
+        s = self.state
+        total = ti.static(self.summary.total)
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None] and self.limp[b]:
+                A = ti.Matrix([[total[b, 6 + 3 * k + l] for l in range(3)] for k in range(3)])
+                self.quaternion[b] = polar_quaternion(A)
+        for i in range(s.V):
+            if i < s.vertex_count[None]:
+                b = s.body_of_vertex[i]
+                if self.limp[b] and s.w[i] > 0.0:
+                    q = self.quaternion[b]
+                    u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.summary.rest_center[b]
+                    turned = r + 2.0 * (q[0] * u.cross(r) + u.cross(u.cross(r)))
+                    center = ti.Vector([total[b, k] for k in range(3)])
+                    velocity = ti.Vector([total[b, 3 + k] for k in range(3)])
+                    goal = velocity + self.damping.omega[b].cross(s.x[i] - center)
+                    goal += (center + turned - s.x[i]) / TIME
+                    s.v[i] += (1.0 - ti.exp(-t / (0.1 * TIME))) * (goal - s.v[i])
+
+    def destroy(self) -> None:
+        self.tree.destroy()

@@ -1,0 +1,252 @@
+"""Substeps for stiff bodies: vertex block descent (Chen et al. 2024), for any stiffness at any substep.
+
+A substep minimises sum_i m_i/(2 dt^2) |dx_i - target_i|^2 + sum_t V Psi(F), Psi of MATH 7. J = det F is affine in one
+vertex, so for that vertex alone the energy is a quadratic, and its minimum is met exactly:
+
+    f = m/dt^2 (target - dx) - sum_t V P b,    H = m/dt^2 I + sum_t V (mu |b|^2 I + lam c c^T),    dx += H^-1 f
+
+with b the gradient of the vertex's shape function at rest and c = cof(F) b. H is positive definite whatever F is, so
+every update lowers the energy. Vertices of one colour (sim/coloring.py) share no tet and are moved at the same time.
+Before the sweeps of a substep, each body moves along its softest modes (sim/coarse.py).
+
+    begin     dx = dt v + dt^2 a + carry, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
+              what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes
+    sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/response.py)
+    pairs     rows push the target; their push moves dx itself by mobility/w of that, mobility = tr(H^-1)/(3 dt^2)
+    close     commit, as in sim/substep.py
+"""
+
+import numpy as np
+import taichi as ti
+
+from sim.coarse import Coarse
+from sim.coloring import color_ranges, color_vertices
+from sim.damping import Chunks
+from sim.elastic import Elastic, corner_slots, stress
+from sim.modes import softest_modes
+from sim.state import State, Upload, capacity
+from sim.substep import blocks, commit
+
+MOST_COLORS = 64
+
+
+@ti.data_oriented
+class DescentSubsteps:
+    """`length` substeps of `iterations` sweeps each; `run()` replays them with one call from Python.
+
+    order i32[V], color_begin i32[C+1]: vertices by colour;   corner i32[4T]: 4 t + k of each slot (sim/elastic.py)
+    target vec3[V] [m];   external vec3[V] [m] what the rows' impulses add to it;   fall f32[V] = |a| / |g|
+    reaction vec3[V] [N] of static shapes;   hold f32[V] [N/m] local stiffness where something touches, else 0
+    mobility f32[V] [1/kg]: how a vertex answers to an impulse within the substep
+    """
+
+    def __init__(self, state: State, elastic: Elastic, constraints: list, chunks: Chunks, *, iterations: int, length: int):
+        self.state, self.elastic, self.iterations, self.length = state, elastic, iterations, length
+        self.on_vertex = [c for c in constraints if c.has_vertex]
+        self.in_pairs = [c for c in constraints if c.has_pairs]
+        self.builder = ti.FieldsBuilder()
+        self.order, self.corner, self.color_begin = (ti.field(ti.i32) for _ in range(3))
+        self.target, self.external, self.reaction = (ti.Vector.field(3, ti.f32) for _ in range(3))
+        self.fall, self.hold, self.mobility = (ti.field(ti.f32) for _ in range(3))
+        self.builder.dense(ti.i, state.V).place(self.order)
+        self.builder.dense(ti.i, 4 * state.T).place(self.corner)
+        self.builder.dense(ti.i, MOST_COLORS + 1).place(self.color_begin)
+        for f in (self.target, self.external, self.reaction, self.fall, self.hold, self.mobility):
+            self.builder.dense(ti.i, state.V).place(f)
+        self.tree = self.builder.finalize()
+        state.mobility = self.mobility
+        self.coarse = Coarse(state, elastic, chunks, self.target, self.reaction, self.hold)
+        self.fill = Upload([self.order, self.corner, self.color_begin])
+        self.memory = Upload([self.fall, self.reaction, self.hold, self.external])
+        self.widest, self.record = 0, None
+
+    def load(self, bodies: list) -> None:
+        """Take the bodies' colours and modes; again after any of them changed shape, material or number."""
+        offset = np.cumsum([0] + [len(b.vertices) for b in bodies])
+        tets = np.concatenate([np.asarray(b.tets, np.int64) + o for b, o in zip(bodies, offset, strict=False)])
+        movable = np.ones(offset[-1], bool)
+        shapes, squares = [], []
+        for b, o in zip(bodies, offset, strict=False):
+            if b.pinned is not None:
+                movable[np.asarray(b.pinned, np.int64) + o] = False
+            mu, lam = b.lame()
+            free = movable[o : o + len(b.vertices)]
+            U, w = softest_modes(b.vertices, b.tets, b.masses(), free, mu, lam - mu)
+            shapes.append(U)
+            squares.append(w)
+        color = color_vertices(tets, movable)
+        order, begin = color_ranges(color)
+        slot, _ = corner_slots(tets, len(movable))
+        corner = np.empty(slot.size, np.int64)
+        corner[slot.ravel()] = np.arange(slot.size)
+        self.fill([order, corner, np.r_[begin, np.full(MOST_COLORS + 1 - len(begin), begin[-1])]])
+        self.coarse.load(np.concatenate(shapes), np.array(squares))
+        colors, widest = len(begin) - 1, capacity(int(np.diff(begin).max()))
+        if self.record is None or colors > self.colors or widest > self.widest:
+            self.colors, self.widest = colors, widest
+            self._record()
+
+    def _record(self) -> None:
+        c, sweep, graph = self.coarse, self.sweep(), ti.graph.GraphBuilder()
+        indices = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
+        pairs = [self.pairs()] if self.in_pairs else []
+        begin, close = self.begin(), self.close()
+        graph.dispatch(c.rotations)
+        for _ in range(self.length):
+            for kernel in (begin, c.residual, c.project, c.move, c.measure, c.shorten):
+                graph.dispatch(kernel)
+            for _ in range(self.iterations):
+                for index in indices:
+                    graph.dispatch(sweep, index)
+                for kernel in pairs:
+                    graph.dispatch(kernel)
+            graph.dispatch(close)
+        self.record = graph.compile()
+        self.arguments = {f"color{k}": k for k in range(self.colors)}
+
+    def run(self) -> None:
+        self.record.run(self.arguments)
+
+    def reset(self) -> None:
+        """Forget the last substep: its accelerations and contacts."""
+        self.memory([np.zeros(0)] * 4)
+
+    @ti.func
+    def local(self, i):
+        """Force f [N] on vertex i at the increments as they are, and H [N/m]."""
+        s, e = ti.static(self.state, self.elastic)
+        b = s.body_of_vertex[i]
+        mu, lam, stiff = s.mu[b], s.lam[b], s.mass[i] / s.dt[None] ** 2
+        f = stiff * (self.target[i] - s.dx[i])
+        H = ti.Matrix.identity(ti.f32, 3) * stiff
+        for slot in range(e.slot_begin[i], e.slot_begin[i + 1]):
+            t, k = self.corner[slot] // 4, self.corner[slot] % 4
+            a = s.tets[t]
+            x0, d0 = s.x[a[0]], s.dx[a[0]]
+            # differences of positions first, then of increments: what lies under the last bit of x survives
+            e1 = (s.x[a[1]] - x0) + (s.dx[a[1]] - d0)
+            e2 = (s.x[a[2]] - x0) + (s.dx[a[2]] - d0)
+            e3 = (s.x[a[3]] - x0) + (s.dx[a[3]] - d0)
+            B, V = e.rest_inverse[t], e.volume[t]
+            g = -ti.Vector([B[0, 0] + B[1, 0] + B[2, 0], B[0, 1] + B[1, 1] + B[2, 1], B[0, 2] + B[1, 2] + B[2, 2]])
+            if k > 0:
+                g = ti.Vector([B[k - 1, 0], B[k - 1, 1], B[k - 1, 2]])
+            F = ti.Matrix.cols([e1, e2, e3]) @ B
+            f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
+            f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
+            f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
+            c = f2.cross(f3) * g[0] + f3.cross(f1) * g[1] + f1.cross(f2) * g[2]
+            P, _, _ = stress(F, mu, lam)
+            f -= V * (P @ g)
+            H += V * (mu * g.norm_sqr() * ti.Matrix.identity(ti.f32, 3) + lam * c.outer_product(c))
+        return f, H
+
+    @ti.func
+    def descend(self, i):
+        """Move vertex i to the least energy, its static contacts respected."""
+        s = ti.static(self.state)
+        f, H = self.local(i)
+        A = inverse(H)
+        d, reaction, hold = s.dx[i] + A @ f, ti.Vector([0.0, 0.0, 0.0]), 0.0
+        for c in ti.static(self.on_vertex):
+            d, p, h = c.project_vertex_metric(i, d, H, A)
+            reaction += p
+            hold = ti.max(hold, h)
+        s.dx[i] = d
+        self.reaction[i] = reaction
+        self.hold[i] = hold
+        self.mobility[i] = A.trace() / (3.0 * s.dt[None] ** 2)
+
+    def begin(self):
+        s, on_vertex = self.state, self.on_vertex
+
+        @ti.kernel
+        def begin():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i == 0:
+                    s.tick[None] += 1
+                if i < s.vertex_count[None]:
+                    target = s.predicted[i]
+                    if s.w[i] > 0.0:
+                        d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
+                        for c in ti.static(on_vertex):
+                            target += c.push_vertex(i, d)
+                        s.dx[i] = d
+                    self.target[i] = target + self.external[i]
+
+        return begin
+
+    def sweep(self):
+        s, widest = self.state, self.widest
+        block = blocks(widest)
+
+        @ti.kernel
+        def sweep(color: ti.i32):
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            else:
+                ti.loop_config(block_dim=block)
+            for k in range(widest):
+                j = self.color_begin[color] + k
+                if j < self.color_begin[color + 1]:
+                    self.descend(self.order[j])
+
+        return sweep
+
+    def pairs(self):
+        s, in_pairs = self.state, self.in_pairs
+
+        @ti.kernel
+        def pairs():
+            for c in ti.static(in_pairs):
+                for stage in ti.static(range(len(c.stage_sizes))):
+                    if ti.static(s.serial):
+                        ti.loop_config(serialize=True)
+                    else:
+                        ti.loop_config(block_dim=blocks(c.stage_sizes[stage]))
+                    for k in range(c.stage_sizes[stage]):
+                        c.project_stage(stage, k, True)
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                    push = ti.Vector([0.0, 0.0, 0.0])
+                    for c in ti.static(in_pairs):
+                        push = c.settle_vertex(i, push)
+                    change = push - self.external[i]
+                    if push.norm_sqr() + change.norm_sqr() > 0.0:
+                        self.target[i] += change
+                        self.external[i] = push
+                        s.dx[i] += self.mobility[i] / s.w[i] * change
+                        self.hold[i] = ti.max(self.hold[i], 1.0 / (self.mobility[i] * s.dt[None] ** 2))
+
+        return pairs
+
+    def close(self):
+        s = self.state
+
+        @ti.kernel
+        def close():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    dt, g = s.dt[None], s.gravity[None]
+                    a = g + (s.dx[i] - s.predicted[i]) / dt**2
+                    self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
+                    commit(s, i, s.dx[i])
+
+        return close
+
+    def destroy(self) -> None:
+        self.coarse.destroy()
+        self.tree.destroy()
+
+
+@ti.func
+def inverse(H):
+    """H^-1 of a symmetric positive definite matrix of any size: scaled, so that float32 holds its determinant."""
+    scale = 3.0 / H.trace()
+    return (H * scale).inverse() * scale

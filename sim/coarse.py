@@ -14,13 +14,23 @@ hold_i is the stiffness of vertex i where it touches something: the step may not
 import numpy as np
 import taichi as ti
 
+from scenes.scene import Material
+from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
 from sim.elastic import Elastic, stress
-from sim.modes import MODES
+from sim.modes import MODES, softest_modes
+from sim.parts import RestShape
 from sim.polar import polar_quaternion
-from sim.state import MAX_BODIES, State, Upload
+from sim.stability import lame
+from sim.state import State, Upload
 
 TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
+
+
+def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """softest_modes of a body of this shape and material, `pinned` saying of each vertex whether it stays."""
+    mu, lam = lame(material)
+    return softest_modes(shape.vertices, shape.tets, material.density * shape.share, ~np.array(pinned), mu, lam - mu)
 
 
 @ti.func
@@ -40,9 +50,9 @@ def rotation_matrix(q):
 class Coarse:
     """Kernels of the coarse step, to be recorded in this order: `residual`, `project`, `move`, `measure`, `shorten`.
 
-    shape vec3[V,MODES], square f32[B,MODES]: U_k and w_k;   turn mat3[B] = R, by the kernel `rotations`
+    shape vec3[V*MODES], square f32[B*MODES]: U_k and w_k;   turn mat3[B] = R, by the kernel `rotations`
     target vec3[V] where inertia and impulses want dx; reaction vec3[V] [N] of static shapes, hold f32[V] [N/m]
-    force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B,MODES] = q
+    force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B*MODES] = q
     """
 
     def __init__(self, state: State, elastic: Elastic, chunks: Chunks, target, reaction, hold):
@@ -55,26 +65,28 @@ class Coarse:
         self.square, self.part, self.partial, self.amplitude, self.slope, self.sums, self.share = (
             ti.field(ti.f32) for _ in range(7)
         )
-        self.builder.dense(ti.i, V).dense(ti.j, MODES).place(self.shape)
+        self.builder.dense(ti.i, V * MODES).place(self.shape)
         self.builder.dense(ti.i, V).place(self.force)
         self.builder.dense(ti.i, V).place(self.step)
         self.builder.dense(ti.ij, (V, 2)).place(self.part)
-        self.builder.dense(ti.ij, (MAX_BODIES, MODES)).place(self.square, self.amplitude)
+        self.builder.dense(ti.i, MAX_BODIES * MODES).place(self.square, self.amplitude)
         self.builder.dense(ti.i, MAX_BODIES).place(self.turn, self.share)
         self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
         self.builder.dense(ti.ij, (C, 2)).place(self.slope)
         self.builder.dense(ti.ij, (C, TURN)).place(self.sums)
         self.tree = self.builder.finalize()
-        self.fill = Upload([self.shape, self.square])
+        self._upload = Upload([self.shape, self.square])
 
-    def load(self, shapes: np.ndarray, squares: np.ndarray) -> None:
-        """Modes of all bodies: shapes (V, MODES, 3) and squared frequencies (B, MODES)."""
-        self.fill([shapes.reshape(-1, 3), squares.ravel()])
+    def load(self, assembly: Assembly) -> None:
+        """Take the modes of these bodies."""
+        modes = [p.shape.once(modes_of, tuple(p.w == 0.0), p.body.material) for p in assembly.parts]
+        self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     @ti.func
     def _residual(self, t):
         """Elastic forces of tet t, written to its corners' slots: f_k = -V P B^T e_k."""
-        s, e = ti.static(self.state, self.elastic)
+        s = self.state
+        e = self.elastic
         a, b = s.tets[t], s.body_of_tet[t]
         x0, d0 = s.x[a[0]], s.dx[a[0]]
         e1 = (s.x[a[1]] - x0) + (s.dx[a[1]] - d0)
@@ -95,143 +107,168 @@ class Coarse:
     @ti.func
     def _total(self, i):
         """Residual force of vertex i [N]."""
-        s, e = ti.static(self.state, self.elastic)
+        s = self.state
+        e = self.elastic
         f = self.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (self.target[i] - s.dx[i])
         for k in range(e.slot_begin[i], e.slot_begin[i + 1]):
             f += e.correction[k]
         return f
 
-    @ti.kernel
     def rotations(self):
         """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
-        s, c = ti.static(self.state, self.chunks)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for j in range(c.size):
-            span = c.span[j]
-            total = ti.Matrix.zero(ti.f32, 3, 3)
-            p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-            first = s.vertex_begin[span[2]]
-            for i in range(span[0], span[1]):
-                m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
-                total += m * x.outer_product(X)
-                p += m * x
-                q += m * X
-            for k in ti.static(range(3)):
-                for l in ti.static(range(3)):
-                    self.sums[j, 3 * k + l] = total[k, l]
-                self.sums[j, 9 + k] = p[k]
-                self.sums[j, 12 + k] = q[k]
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for b in range(MAX_BODIES):
-            if b < s.body_count[None]:
+        s, c = self.state, self.chunks
+
+        @ti.kernel
+        def rotations():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for j in range(c.size):
+                span = c.span[j]
                 total = ti.Matrix.zero(ti.f32, 3, 3)
                 p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                for j in range(c.of_body[b], c.of_body[b + 1]):
-                    for k in ti.static(range(3)):
-                        for l in ti.static(range(3)):
-                            total[k, l] += self.sums[j, 3 * k + l]
-                        p[k] += self.sums[j, 9 + k]
-                        q[k] += self.sums[j, 12 + k]
-                self.turn[b] = rotation_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
+                first = s.vertex_begin[span[2]]
+                for i in range(span[0], span[1]):
+                    m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
+                    total += m * x.outer_product(X)
+                    p += m * x
+                    q += m * X
+                for k in ti.static(range(3)):
+                    for l in ti.static(range(3)):
+                        self.sums[j, 3 * k + l] = total[k, l]
+                    self.sums[j, 9 + k] = p[k]
+                    self.sums[j, 12 + k] = q[k]
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for b in range(MAX_BODIES):
+                if b < s.body_count[None]:
+                    total = ti.Matrix.zero(ti.f32, 3, 3)
+                    p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+                    for j in range(c.of_body[b], c.of_body[b + 1]):
+                        for k in ti.static(range(3)):
+                            for l in ti.static(range(3)):
+                                total[k, l] += self.sums[j, 3 * k + l]
+                            p[k] += self.sums[j, 9 + k]
+                            q[k] += self.sums[j, 12 + k]
+                    self.turn[b] = rotation_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
 
-    @ti.kernel
+        return rotations
+
     def residual(self):
-        s = ti.static(self.state)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for t in range(s.T):
-            if t < s.tet_count[None]:
-                self._residual(t)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for i in range(s.V):
-            if i < s.vertex_count[None]:
-                f = ti.Vector([0.0, 0.0, 0.0])
-                if s.w[i] > 0.0:
-                    f = self.turn[s.body_of_vertex[i]].transpose() @ self._total(i)
-                self.force[i] = f
+        s = self.state
 
-    @ti.kernel
+        @ti.kernel
+        def residual():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for t in range(s.T):
+                if t < s.tet_count[None]:
+                    self._residual(t)
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    f = ti.Vector([0.0, 0.0, 0.0])
+                    if s.w[i] > 0.0:
+                        f = self.turn[s.body_of_vertex[i]].transpose() @ self._total(i)
+                    self.force[i] = f
+
+        return residual
+
     def project(self):
-        s, c = ti.static(self.state, self.chunks)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for jk in range(c.size * MODES):
-            j, k = jk // MODES, jk % MODES
-            span, total = c.span[j], 0.0
-            for i in range(span[0], span[1]):
-                total += self.shape[i, k].dot(self.force[i])
-            self.partial[j, k] = total
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for bk in range(MAX_BODIES * MODES):
-            b, k = bk // MODES, bk % MODES
-            if b < s.body_count[None]:
-                total = 0.0
-                for j in range(c.of_body[b], c.of_body[b + 1]):
-                    total += self.partial[j, k]
-                self.amplitude[b, k] = total / (1.0 / s.dt[None] ** 2 + self.square[b, k])
+        s, c = self.state, self.chunks
 
-    @ti.kernel
+        @ti.kernel
+        def project():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for jk in range(c.size * MODES):
+                j, k = jk // MODES, jk % MODES
+                span, total = c.span[j], 0.0
+                for i in range(span[0], span[1]):
+                    total += self.shape[i * MODES + k].dot(self.force[i])
+                self.partial[j, k] = total
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for bk in range(MAX_BODIES * MODES):
+                b, k = bk // MODES, bk % MODES
+                if b < s.body_count[None]:
+                    total = 0.0
+                    for j in range(c.of_body[b], c.of_body[b + 1]):
+                        total += self.partial[j, k]
+                    self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.square[bk])
+
+        return project
+
     def move(self):
-        s = ti.static(self.state)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for i in range(s.V):
-            if i < s.vertex_count[None]:
-                b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
-                for k in range(MODES):
-                    d += self.amplitude[b, k] * self.shape[i, k]
-                self.part[i, 0] = d.dot(self.force[i])
-                d = self.turn[b] @ d
-                self.step[i] = d
-                s.dx[i] += d
+        s = self.state
 
-    @ti.kernel
+        @ti.kernel
+        def move():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
+                    for k in range(MODES):
+                        d += self.amplitude[b * MODES + k] * self.shape[i * MODES + k]
+                    self.part[i, 0] = d.dot(self.force[i])
+                    d = self.turn[b] @ d
+                    self.step[i] = d
+                    s.dx[i] += d
+
+        return move
+
     def measure(self):
-        s, c = ti.static(self.state, self.chunks)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for t in range(s.T):
-            if t < s.tet_count[None]:
-                self._residual(t)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for i in range(s.V):
-            if i < s.vertex_count[None]:
-                d = self.step[i]
-                self.part[i, 1] = self.part[i, 0] + self.hold[i] * d.norm_sqr() - d.dot(self._total(i))
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for jk in range(2 * c.size):
-            j, k = jk // 2, jk % 2
-            span, total = c.span[j], 0.0
-            for i in range(span[0], span[1]):
-                total += self.part[i, k]
-            self.slope[j, k] = total
+        s, c = self.state, self.chunks
 
-    @ti.kernel
+        @ti.kernel
+        def measure():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for t in range(s.T):
+                if t < s.tet_count[None]:
+                    self._residual(t)
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    d = self.step[i]
+                    self.part[i, 1] = self.part[i, 0] + self.hold[i] * d.norm_sqr() - d.dot(self._total(i))
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for jk in range(2 * c.size):
+                j, k = jk // 2, jk % 2
+                span, total = c.span[j], 0.0
+                for i in range(span[0], span[1]):
+                    total += self.part[i, k]
+                self.slope[j, k] = total
+
+        return measure
+
     def shorten(self):
-        s, c = ti.static(self.state, self.chunks)
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for b in range(MAX_BODIES):
-            if b < s.body_count[None]:
-                gain, curvature = 0.0, 0.0
-                for j in range(c.of_body[b], c.of_body[b + 1]):
-                    gain += self.slope[j, 0]
-                    curvature += self.slope[j, 1]
-                a = 1.0
-                if curvature > gain:
-                    a = ti.max(gain / curvature, 0.0)
-                self.share[b] = a
-        if ti.static(s.serial):
-            ti.loop_config(serialize=True)
-        for i in range(s.V):
-            if i < s.vertex_count[None]:
-                s.dx[i] += (self.share[s.body_of_vertex[i]] - 1.0) * self.step[i]
+        s, c = self.state, self.chunks
+
+        @ti.kernel
+        def shorten():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for b in range(MAX_BODIES):
+                if b < s.body_count[None]:
+                    gain, curvature = 0.0, 0.0
+                    for j in range(c.of_body[b], c.of_body[b + 1]):
+                        gain += self.slope[j, 0]
+                        curvature += self.slope[j, 1]
+                    a = 1.0
+                    if curvature > gain:
+                        a = ti.max(gain / curvature, 0.0)
+                    self.share[b] = a
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    s.dx[i] += (self.share[s.body_of_vertex[i]] - 1.0) * self.step[i]
+
+        return shorten
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -22,7 +22,7 @@ from sim.foresight import Foresight
 from sim.grids import FAR, corner
 from sim.hands import Grips, Hands
 from sim.pairs import Pairs
-from sim.response import respond
+from sim.response import respond, respond_metric
 from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
@@ -166,6 +166,36 @@ class Contacts:
             self.forces.note(i, push, first)
             self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
         return d
+
+    @ti.func
+    def push_vertex(self, i, dx):
+        """What the hands' springs add to the free motion of vertex i [m]."""
+        return self.hands.pull(i, dx) - dx
+
+    @ti.func
+    def project_vertex_metric(self, i, dx, H, A):
+        """Vertex i out of all shapes near it in the metric of H = A^-1; the force of that [N], and n . H n."""
+        s = self.state
+        d, reaction, hold = dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
+        p = self.samples.of_vertex[i]
+        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + 1 >= self.rows.wake[p]:  # every sweep
+            clear = FAR
+            for k in range(self.near_count[p]):
+                shape = self.near[p, k]
+                phi, n = self.colliders.distance(shape, s.x[i])
+                if phi >= 0.5 * FAR:
+                    clear = 0.0
+                else:
+                    phi += self.samples.skin[p] + n.dot(s.carry[i])
+                    mu = ti.sqrt(s.friction[self.samples.body[p]] * self.colliders.friction[shape])
+                    c, force = respond_metric(phi, n, d - s.carry[i], mu, s.dt[None], H, A)
+                    if force.norm_sqr() > 0.0:
+                        d += c
+                        reaction += force
+                        hold = ti.max(hold, n.dot(H @ n))
+                    clear = ti.min(clear, phi)
+            self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
+        return d, reaction, hold
 
     @ti.func
     def project_stage(self, stage: ti.template(), k, first: ti.template()):

@@ -19,11 +19,13 @@ Before the sweeps of a substep, each body moves along its softest modes (sim/coa
 import numpy as np
 import taichi as ti
 
+from assets.errors import BadInput
+from sim.assembly import Assembly, stacked
 from sim.coarse import Coarse
 from sim.coloring import color_ranges, color_vertices
 from sim.damping import Chunks
-from sim.elastic import Elastic, corner_slots, stress
-from sim.modes import softest_modes
+from sim.elastic import Elastic, slots_of, stress
+from sim.parts import Part, RestShape
 from sim.state import State, Upload, capacity
 from sim.substep import blocks, commit
 
@@ -32,7 +34,7 @@ MOST_COLORS = 64
 
 @ti.data_oriented
 class DescentSubsteps:
-    """`length` substeps of `iterations` sweeps each; `run()` replays them with one call from Python.
+    """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python.
 
     order i32[V], color_begin i32[C+1]: vertices by colour;   corner i32[4T]: 4 t + k of each slot (sim/elastic.py)
     target vec3[V] [m];   external vec3[V] [m] what the rows' impulses add to it;   fall f32[V] = |a| / |g|
@@ -40,8 +42,10 @@ class DescentSubsteps:
     mobility f32[V] [1/kg]: how a vertex answers to an impulse within the substep
     """
 
-    def __init__(self, state: State, elastic: Elastic, constraints: list, chunks: Chunks, *, iterations: int, length: int):
-        self.state, self.elastic, self.iterations, self.length = state, elastic, iterations, length
+    piece = 16  # substeps behind one call from Python, at most
+
+    def __init__(self, state: State, elastic: Elastic, constraints: list, chunks: Chunks, *, iterations: int):
+        self.state, self.elastic, self.iterations = state, elastic, iterations
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.builder = ti.FieldsBuilder()
@@ -54,67 +58,62 @@ class DescentSubsteps:
         for f in (self.target, self.external, self.reaction, self.fall, self.hold, self.mobility):
             self.builder.dense(ti.i, state.V).place(f)
         self.tree = self.builder.finalize()
-        state.mobility = self.mobility
+        self.answers = True
         self.coarse = Coarse(state, elastic, chunks, self.target, self.reaction, self.hold)
-        self.fill = Upload([self.order, self.corner, self.color_begin])
-        self.memory = Upload([self.fall, self.reaction, self.hold, self.external])
-        self.widest, self.record = 0, None
+        self._upload = Upload([self.order, self.corner, self.color_begin])
+        self._memory = Upload([self.fall, self.reaction, self.hold, self.external, self.mobility])
+        self.colors = 0
+        self.kernels: tuple | None = None
+        self.graphs: dict[int, ti.graph.Graph] = {}
 
-    def load(self, bodies: list) -> None:
-        """Take the bodies' colours and modes; again after any of them changed shape, material or number."""
-        offset = np.cumsum([0] + [len(b.vertices) for b in bodies])
-        tets = np.concatenate([np.asarray(b.tets, np.int64) + o for b, o in zip(bodies, offset, strict=False)])
-        movable = np.ones(offset[-1], bool)
-        shapes, squares = [], []
-        for b, o in zip(bodies, offset, strict=False):
-            if b.pinned is not None:
-                movable[np.asarray(b.pinned, np.int64) + o] = False
-            mu, lam = b.lame()
-            free = movable[o : o + len(b.vertices)]
-            U, w = softest_modes(b.vertices, b.tets, b.masses(), free, mu, lam - mu)
-            shapes.append(U)
-            squares.append(w)
-        color = color_vertices(tets, movable)
-        order, begin = color_ranges(color)
-        slot, _ = corner_slots(tets, len(movable))
-        corner = np.empty(slot.size, np.int64)
-        corner[slot.ravel()] = np.arange(slot.size)
-        self.fill([order, corner, np.r_[begin, np.full(MOST_COLORS + 1 - len(begin), begin[-1])]])
-        self.coarse.load(np.concatenate(shapes), np.array(squares))
-        colors, widest = len(begin) - 1, capacity(int(np.diff(begin).max()))
-        if self.record is None or colors > self.colors or widest > self.widest:
-            self.colors, self.widest = colors, widest
-            self._record()
+    def load(self, assembly: Assembly) -> None:
+        """Take the colours and modes of these bodies."""
+        parts = assembly.parts
+        colors = [p.shape.root.once(colors_of, pinned(p)) for p in parts]
+        order, begin = color_ranges(stacked(colors))
+        if len(begin) > MOST_COLORS + 1:
+            raise BadInput(f"a vertex has too many neighbours: {len(begin) - 1} colours, the limit is {MOST_COLORS}")
+        slots = [p.shape.root.once(corners_of) for p in parts]
+        corners = stacked([c + o for c, o in zip(slots, 4 * assembly.tet_begin, strict=False)])
+        self._upload([order, corners, np.r_[begin, np.full(MOST_COLORS + 1 - len(begin), begin[-1])]])
+        self.coarse.load(assembly)
+        if self.colors != len(begin) - 1:
+            self.colors = len(begin) - 1
+            self.graphs.clear()
 
-    def _record(self) -> None:
-        c, sweep, graph = self.coarse, self.sweep(), ti.graph.GraphBuilder()
-        indices = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
-        pairs = [self.pairs()] if self.in_pairs else []
-        begin, close = self.begin(), self.close()
-        graph.dispatch(c.rotations)
-        for _ in range(self.length):
-            for kernel in (begin, c.residual, c.project, c.move, c.measure, c.shorten):
+    def run(self, substeps: int) -> None:
+        """Take so many substeps; each number has a graph of its own, of the same kernels."""
+        if substeps not in self.graphs:
+            self.graphs[substeps] = self._record(substeps)
+        self.graphs[substeps].run({f"color{k}": k for k in range(self.colors)})
+
+    def _record(self, substeps: int):
+        c, graph = self.coarse, ti.graph.GraphBuilder()
+        if self.kernels is None:
+            before = [self.begin(), c.residual(), c.project(), c.move(), c.measure(), c.shorten(), self.close()]
+            self.kernels = [c.rotations()], before, [self.sweep()], [self.pairs()] if self.in_pairs else []
+        (turn,), (*before, close), (sweep,), pairs = self.kernels
+        graph.dispatch(turn)
+        for _ in range(substeps):
+            for kernel in before:
                 graph.dispatch(kernel)
             for _ in range(self.iterations):
-                for index in indices:
-                    graph.dispatch(sweep, index)
+                for k in range(self.colors):
+                    graph.dispatch(sweep, ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32))
                 for kernel in pairs:
                     graph.dispatch(kernel)
             graph.dispatch(close)
-        self.record = graph.compile()
-        self.arguments = {f"color{k}": k for k in range(self.colors)}
-
-    def run(self) -> None:
-        self.record.run(self.arguments)
+        return graph.compile()
 
     def reset(self) -> None:
         """Forget the last substep: its accelerations and contacts."""
-        self.memory([np.zeros(0)] * 4)
+        self._memory([np.zeros(0)] * 5)
 
     @ti.func
     def local(self, i):
         """Force f [N] on vertex i at the increments as they are, and H [N/m]."""
-        s, e = ti.static(self.state, self.elastic)
+        s = self.state
+        e = self.elastic
         b = s.body_of_vertex[i]
         mu, lam, stiff = s.mu[b], s.lam[b], s.mass[i] / s.dt[None] ** 2
         f = stiff * (self.target[i] - s.dx[i])
@@ -144,7 +143,7 @@ class DescentSubsteps:
     @ti.func
     def descend(self, i):
         """Move vertex i to the least energy, its static contacts respected."""
-        s = ti.static(self.state)
+        s = self.state
         f, H = self.local(i)
         A = inverse(H)
         d, reaction, hold = s.dx[i] + A @ f, ti.Vector([0.0, 0.0, 0.0]), 0.0
@@ -179,8 +178,9 @@ class DescentSubsteps:
         return begin
 
     def sweep(self):
-        s, widest = self.state, self.widest
-        block = blocks(widest)
+        s = self.state
+        width = capacity(s.V // 6)  # about what one colour has; longer ones take another turn
+        block = blocks(width)
 
         @ti.kernel
         def sweep(color: ti.i32):
@@ -188,10 +188,11 @@ class DescentSubsteps:
                 ti.loop_config(serialize=True)
             else:
                 ti.loop_config(block_dim=block)
-            for k in range(widest):
+            for k in range(width):
                 j = self.color_begin[color] + k
-                if j < self.color_begin[color + 1]:
+                while j < self.color_begin[color + 1]:
                     self.descend(self.order[j])
+                    j += width
 
         return sweep
 
@@ -202,10 +203,11 @@ class DescentSubsteps:
         def pairs():
             for c in ti.static(in_pairs):
                 for stage in ti.static(range(len(c.stage_sizes))):
+                    block = ti.static(blocks(c.stage_sizes[stage]))
                     if ti.static(s.serial):
                         ti.loop_config(serialize=True)
                     else:
-                        ti.loop_config(block_dim=blocks(c.stage_sizes[stage]))
+                        ti.loop_config(block_dim=block)
                     for k in range(c.stage_sizes[stage]):
                         c.project_stage(stage, k, True)
             if ti.static(s.serial):
@@ -216,7 +218,7 @@ class DescentSubsteps:
                     for c in ti.static(in_pairs):
                         push = c.settle_vertex(i, push)
                     change = push - self.external[i]
-                    if push.norm_sqr() + change.norm_sqr() > 0.0:
+                    if self.mobility[i] > 0.0 and push.norm_sqr() + change.norm_sqr() > 0.0:
                         self.target[i] += change
                         self.external[i] = push
                         s.dx[i] += self.mobility[i] / s.w[i] * change
@@ -243,6 +245,26 @@ class DescentSubsteps:
     def destroy(self) -> None:
         self.coarse.destroy()
         self.tree.destroy()
+
+
+def pinned(part: Part) -> tuple:
+    """The vertices of a part that do not move."""
+    return tuple(np.flatnonzero(part.w == 0.0).tolist())
+
+
+def colors_of(shape: RestShape, pinned: tuple) -> np.ndarray:
+    """Colour of each vertex of a mesh."""
+    movable = np.ones(len(shape.vertices), bool)
+    movable[list(pinned)] = False
+    return color_vertices(shape.tets, movable)
+
+
+def corners_of(shape: RestShape) -> np.ndarray:
+    """The corner 4 t + k that writes each slot, (4T,)."""
+    slot, _ = slots_of(shape)
+    corner = np.empty(slot.size, np.int64)
+    corner[slot.ravel()] = np.arange(slot.size)
+    return corner
 
 
 @ti.func

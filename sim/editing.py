@@ -128,6 +128,7 @@ class Editing:
             c.reset()
         for c, grips in zip(self._constraints, snapshot.get("grips", ()), strict=False):
             c.hold(grips)
+        self._substeps.reset()
         self._transform.reset()
 
     def reset(self) -> None:

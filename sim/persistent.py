@@ -44,6 +44,7 @@ class Persistent:
         self.state, self.gather = state, Gather(state)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
+        self.mobility, self.answers = state.w, False  # see State
         self.blocks = multiprocessors()
         self.threads = self.blocks * BLOCK
         self.builder = ti.FieldsBuilder()
@@ -58,6 +59,9 @@ class Persistent:
 
     def run(self, substeps: int) -> None:
         self._run(substeps)
+
+    def reset(self) -> None:
+        """Nothing outlives a substep but what the state holds."""
 
     @ti.func
     def _meet(self, thread, round_, ends: ti.template()):

@@ -7,6 +7,7 @@ import taichi as ti
 
 REST = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY = 0.02  # [s] in which a deeper penetration decays
+WEDGED = 0.1  # of a contact's give: below, friction and stiffness together would jam it
 RECOVERY_SPEED = 1.0  # [m/s] at most; faster, it would throw what it frees
 # [m/s] at which friction is fully kinetic. Were it so at any speed, a soft block would let go far below mu_s: what
 # slips first, at its edge, would load the next with what it drops (Stribeck's curve has this shape too).
@@ -53,3 +54,27 @@ def respond(phi, n, y, friction, dt):
         y_t = y - y_n * n
         d = d_n * n - y_t * grip(y_t.norm(), d_n, friction, 1.0, dt)
     return d
+
+
+@ti.func
+def respond_metric(phi, n, y, friction, dt, H, A):
+    """Correction A p [m] of the motion y [m] of one vertex, and its force p [N], in the metric H [N/m] = A^-1.
+
+    p = H (y' - y) holds the vertex at y', which is y's normal part raised to the least. If that needs more than
+    friction allows, it slides: p = p_n (n - friction u), u the direction of sliding, p_n from n . (y + A p) = least.
+    """
+    p = ti.Vector([0.0, 0.0, 0.0])
+    y_n = n.dot(y)
+    gap = least(phi, dt) - y_n
+    if gap > 0.0:
+        y_t = y - y_n * n
+        p = H @ (gap * n - y_t)
+        p_n = n.dot(p)
+        if p_n <= 0.0 or (p - p_n * n).norm() > friction * p_n:
+            A_n = A @ n
+            along = n - friction * y_t / ti.max(y_t.norm(), 1e-20)
+            give = A_n.dot(along)
+            if give < WEDGED * n.dot(A_n):  # sliding would lift the vertex more than the contact itself: no friction
+                along, give = n, n.dot(A_n)
+            p = gap / give * along
+    return A @ p, p

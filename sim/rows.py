@@ -162,7 +162,7 @@ class Rows:
         """The share of vertex e in y [m]."""
         i = self.vertex[r, e]
         y = self.state.dx[i] - self.state.carry[i]
-        if ti.static(started):
+        if ti.static(started and not self.state.answers):  # else dx has answered already
             y += ti.cast(self.start[i], ti.f32) * (1.0 / LENGTH)
         return self.coefficient[r, e] * y
 
@@ -193,7 +193,7 @@ class Rows:
     def _split(self, r, e):
         """Inverse of the mass [1/kg] that row r may use of its vertex e."""
         i = self.vertex[r, e]
-        return ti.abs(self.coefficient[r, e]) * self.state.w[i] * ti.cast(self.share[i], ti.f32) / SHARE
+        return ti.abs(self.coefficient[r, e]) * self.state.mobility[i] * ti.cast(self.share[i], ti.f32) / SHARE
 
     @ti.kernel
     def clear(self):

@@ -12,27 +12,28 @@ from sim.body import SoftBody
 from sim.colliders import Shape
 from sim.contact import Contacts
 from sim.damping import Chunks, Damping
+from sim.descent import DescentSubsteps
 from sim.editing import Editing
 from sim.elastic import Elastic
 from sim.mending import Mending
 from sim.parts import Part
-from sim.stability import LIMIT, choose_substep
+from sim.stability import LIMIT, Plan, choose_plan
 from sim.state import State
 from sim.substep import jacobi
 from sim.summary import Summary
 from sim.transform import Transform
 
 LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
-MOST_SUBSTEPS = 5000  # a frame; beyond, the mesh or the material is not meant for this
 INTERACTIONS = ("physics", "transform")
 
 
 class Solver(Editing):
     """Simulates `bodies`.
 
-    substep [s] is forced, or None for the longest that the stability rule allows; iterations are full sweeps a
-    substep; collision_passes is how often a frame contacts are searched; hands is how many may grip; frame_dt [s] is
-    the usual frame. With interaction "transform" gripped bodies follow the hand rigidly and nothing else moves.
+    substep [s] and iterations (full sweeps a substep) are forced, or None for what suits the path: "jacobi", "descent",
+    or by "auto" the cheaper one (sim/stability.py). collision_passes is how often a frame contacts are searched; hands
+    is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the hand
+    rigidly and nothing else moves.
     room says how much more than `bodies` there may come to be (see sim/assembly.py, and sim/editing.py for how).
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
     a body passes through itself.
@@ -45,32 +46,29 @@ class Solver(Editing):
         *,
         gravity=(0.0, -9.81, 0.0),
         substep: float | None = None,
-        iterations: int = 1,
+        iterations: int | None = None,
         collision_passes: int = 1,
         hands: int = 2,
         interaction: str = "physics",
         contacts: bool = True,
         self_contact: bool = True,
         frame_dt: float = 1 / 60,
+        path: str = "auto",
         room: Room | float | None = None,
     ):
         room = Room.of(room)
         if not bodies and not room.grows:
             raise BadInput("nothing to simulate: no body has a cage and a material")
-        if iterations < 1 or collision_passes < 1:
-            raise BadInput(f"iterations and collision_passes must be at least 1, not {iterations}, {collision_passes}")
-        self._forced, self._frame_dt, self.collision_passes, self.interaction = (
-            substep,
-            frame_dt,
-            collision_passes,
-            interaction,
-        )
+        if collision_passes < 1:
+            raise BadInput(f"collision_passes must be at least 1, not {collision_passes}")
+        self._wanted = {"frame_dt": frame_dt, "path": path, "substep": substep, "iterations": iterations}
+        self.collision_passes, self.interaction = collision_passes, interaction
         self.gravity = tuple(float(g) for g in gravity)
         self._parts: list[Part] = []
         for b in bodies:
             self._parts.append(Part.of(b, self._parts))
         first = Assembly(self._parts)
-        self._plan(first)
+        self._choose(first)
         s = self.state = State(first.sizes, room)
         self.x, self.v, self.rest, self.w, self.tets, self.body_of_vertex = (
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
@@ -81,31 +79,41 @@ class Solver(Editing):
         options = {"hands": hands, "self_contact": self_contact, "room": room}
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
         self._constraints = contact
-        self._substeps = jacobi(s, self._elastic, self._constraints, iterations=iterations)
+        self._paths: dict = {}
         self._last = (0, 0.0)  # substeps and their length in the last frame
         self._open()
         self._load(first)
         self.reset()
 
-    def _plan(self, assembly: Assembly) -> float:
-        """The longest substep [s] for these bodies; BadInput if they are too stiff."""
+    def _choose(self, assembly: Assembly) -> Plan:
+        """Path, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
         kappas = assembly.kappas
-        substep = choose_substep(float(kappas.max(initial=0.0)), self._forced)
-        nominal = math.ceil(self._frame_dt / substep)
-        if nominal > MOST_SUBSTEPS:
-            stiffest = assembly.parts[int(np.argmax(kappas))].body.name
-            raise BadInput(f"{stiffest}: {nominal} substeps a frame: too stiff for its finest tetrahedra")
-        return substep
+        stiffest = assembly.parts[int(np.argmax(kappas))].body.name if assembly.parts else "nothing"
+        return choose_plan(float(kappas.max(initial=0.0)), stiffest=stiffest, **self._wanted)
+
+    def _take(self, plan: Plan) -> None:
+        """Step by this plan from now on; a path is compiled when it is first taken."""
+        self._plan = plan
+        if plan.path not in self._paths:
+            parts = self.state, self._elastic, self._constraints
+            if plan.path == "descent":
+                substeps = DescentSubsteps(*parts, self._chunks, iterations=plan.iterations)
+            else:
+                substeps = jacobi(*parts, iterations=plan.iterations)
+            self._paths[plan.path] = substeps
+        self._substeps = self._paths[plan.path]
+        self.state.mobility, self.state.answers = self._substeps.mobility, self._substeps.answers
 
     def _load(self, assembly: Assembly) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
-        substep = self._plan(assembly)
+        plan = self._choose(assembly)
         self.state.check_room(assembly.sizes)
         for c in self._constraints:
             c.check_room(assembly)
-        self._parts, self._substep = assembly.parts, substep
+        self._parts = assembly.parts
         self._kappa = float(assembly.kappas.max(initial=0.0))
         self.vertex_offset = assembly.vertex_begin.tolist()
+        self._take(plan)
         parts = (self.state, self._elastic, self._chunks, self._summary, self._substeps, self._mending)
         for part in (*parts, *self._constraints):
             part.load(assembly)
@@ -118,7 +126,7 @@ class Solver(Editing):
             return
         if dt == 0.0 or not self._parts:
             return
-        n = max(self.collision_passes, math.ceil(dt / self._substep - 1e-6))
+        n = max(self.collision_passes, math.ceil(dt / self._plan.substep - 1e-6))
         pieces = max(self.collision_passes, -(-n // self._substeps.piece))
         length = -(-n // pieces)
         n = pieces * length
@@ -186,7 +194,7 @@ class Solver(Editing):
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back."""
         n, dt = self._last
-        dt_or_planned = float(dt or self._substep)
+        dt_or_planned = float(dt or self._plan.substep)
         return {
             "vertices": self.state.sizes.vertices,
             "tets": self.state.sizes.tets,
@@ -194,6 +202,8 @@ class Solver(Editing):
             "dt": dt_or_planned,
             "stability": dt_or_planned * math.sqrt(self._kappa),
             "stability_limit": LIMIT,
-            "path": "jacobi",
+            "path": self._plan.path,
+            "iterations": self._plan.iterations,
+            "collision_passes": self.collision_passes,
             "finite": self._summary.finite(),
         }

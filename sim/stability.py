@@ -1,6 +1,13 @@
-"""How long a substep may be: dt sqrt(max kappa) <= 0.3 (MATH: above it the Jacobi sum over tets diverges)."""
+"""How long a substep may be, and which path takes it.
+
+The Jacobi path needs dt sqrt(max kappa) <= 0.3 (MATH: above it the sum over tets diverges). What would need
+microscopic substeps then - stiff materials, fine meshes, slivers - goes by descent, which holds at any dt.
+"""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,6 +15,10 @@ from assets.errors import BadInput
 from scenes.scene import Material
 
 LIMIT = 0.3  # measured bound of dt sqrt(max kappa) for unaveraged Jacobi with one sweep
+JACOBI_MOST = 400  # substeps a frame, the paper's number; with more, descent is cheaper
+MOST_SUBSTEPS = 5000  # a frame, if the Jacobi path is forced
+DESCENT_SUBSTEPS, DESCENT_SWEEPS = 64, 2  # a frame, a substep: for one cost, short steps err less than many sweeps
+PATHS = ("auto", "jacobi", "descent")
 
 
 def lame(material: Material) -> tuple[float, float]:
@@ -34,13 +45,45 @@ def largest_substep(kappa: float) -> float:
     return LIMIT / np.sqrt(max(kappa, 1e-12))
 
 
-def choose_substep(kappa: float, forced: float | None) -> float:
-    """The forced substep [s] if it is stable, else BadInput; without one the longest stable one."""
+@dataclass(frozen=True)
+class Plan:
+    """How a solver steps: path "jacobi" or "descent", substep [s], sweeps a substep."""
+
+    path: str
+    substep: float
+    iterations: int
+
+
+def choose_plan(
+    kappa: float,
+    *,
+    frame_dt: float,
+    path: str = "auto",
+    substep: float | None = None,
+    iterations: int | None = None,
+    stiffest: str = "bodies",
+) -> Plan:
+    """The plan for a largest kappa [1/s^2] and frames of frame_dt [s]; `stiffest` names the body in errors.
+
+    Path "auto" is Jacobi where its rule allows the forced substep, or without one if it needs at most JACOBI_MOST
+    substeps a frame, else descent. None: the longest substep of the rule and one sweep, or frame_dt / DESCENT_SUBSTEPS
+    and DESCENT_SWEEPS.
+    """
     longest = largest_substep(kappa)
-    if forced is None:
-        return longest
-    if not 0 < forced <= 1.0001 * longest:
+    if path not in PATHS:
+        raise BadInput(f"path must be one of {', '.join(PATHS)}, not {path!r}")
+    if substep is not None and not 0 < substep <= frame_dt:
+        raise BadInput(f"a substep must be between 0 and the frame of {frame_dt:.3g} s, not {substep:g} s")
+    if iterations is not None and iterations < 1:
+        raise BadInput(f"iterations must be at least 1, not {iterations}")
+    stable = substep is None or substep <= 1.0001 * longest
+    few = math.ceil(frame_dt / longest) <= JACOBI_MOST
+    if path == "descent" or (path == "auto" and not (stable and (few or substep is not None))):
+        return Plan("descent", substep or frame_dt / DESCENT_SUBSTEPS, iterations or DESCENT_SWEEPS)
+    if not stable:
         raise BadInput(
-            f"a substep of {forced:g} s is not stable for these meshes and materials: at most {longest:.3g} s"
+            f"{stiffest}: a substep of {substep:g} s is not stable by the Jacobi path: at most {longest:.3g} s"
         )
-    return forced
+    if math.ceil(frame_dt / longest) > MOST_SUBSTEPS:
+        raise BadInput(f"{stiffest}: too stiff for the Jacobi path: {frame_dt / longest:.3g} substeps a frame")
+    return Plan("jacobi", substep or longest, iterations or 1)

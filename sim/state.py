@@ -26,6 +26,13 @@ and handed to the Solver. It provides
                                 with w[i] > 0. `dx` is vertex i's increment in registers; return the corrected
                                 one; do not read or write state.dx[i]. `first` says, at compile time, whether
                                 this is the substep's first sweep.
+    @ti.func push_vertex(self, i, dx) -> vec3
+                                descent path (sim/descent.py) instead of project_vertex, once at the substep's begin:
+                                displacement that hands give a vertex with increment dx if it moved freely
+    @ti.func project_vertex_metric(self, i, dx, H, A) -> dx, reaction, hold
+                                descent path instead of project_vertex, in each sweep: vertex i against static shapes in
+                                the metric H [N/m] = A^-1; also the force that this took [N], and the stiffness [N/m]
+                                with which the vertex is held where it touches, else 0
     stage_sizes                 ints, fixed at construction: elements of each stage of the pairs
     @ti.func project_stage(self, stage: ti.template(), k, first: ti.template())
                                 element k < stage_sizes[stage] of a stage. All elements of a stage are done before any
@@ -119,6 +126,7 @@ class State:
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
         self.dx, self.predicted, self.rest = (self._vectors(V) for _ in range(3))
         self.w, self.mass = self._scalars(V), self._scalars(V)
+        self.mobility = self.w  # what 1 kg m of impulse moves in a substep [1/kg]; the descent path puts its own here
         self.body_of_vertex = self._scalars(V, ti.i32)
         self.tets, self.body_of_tet = self._vectors(T, 4, ti.i32), self._scalars(T, ti.i32)
         self.triangles, self.body_of_triangle = self._vectors(S, 3, ti.i32), self._scalars(S, ti.i32)

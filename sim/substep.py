@@ -56,6 +56,7 @@ class Substeps:
         self.state, self.elastic = state, elastic
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
+        self.mobility, self.answers = state.w, False  # see State
         if iterations == 1:
             self.kernels = [self.sweep(first=True, fused=True)]
         else:  # two sweeps and the commit are compiled, instead of a third sweep that closes
@@ -74,6 +75,9 @@ class Substeps:
                 graph.dispatch(kernel)
             self.graphs[substeps] = graph.compile()
         self.graphs[substeps].run({})
+
+    def reset(self) -> None:
+        """Nothing outlives a substep but what the state holds."""
 
     def sweep(self, *, first: bool, fused: bool):
         """A sweep as a kernel; `first` starts the multipliers and the substep, `fused` is its only one and commits."""

@@ -103,6 +103,8 @@ class State:
         dx, predicted         vec3[V]  increment of the substep in progress, relative to x, and as it was predicted
         rest                  vec3[V]  rest position in the body frame (scaled)
         w, mass               f32[V]   inverse mass (0 = prescribed), lumped mass [kg]
+        mobility              f32[V]   what 1 kg m of impulse moves in a substep [1/kg]: w, or the descent path's own;
+                                       `answers`: whether dx answers at once to what rows push (there it does)
         body_of_vertex        i32[V]
         tets                  vec4i[T] global vertex indices, positive volume at rest;   body_of_tet i32[T]
         triangles             vec3i[S] global vertex indices, outward;              body_of_triangle i32[S]
@@ -126,7 +128,7 @@ class State:
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
         self.dx, self.predicted, self.rest = (self._vectors(V) for _ in range(3))
         self.w, self.mass = self._scalars(V), self._scalars(V)
-        self.mobility = self.w  # what 1 kg m of impulse moves in a substep [1/kg]; the descent path puts its own here
+        self.mobility, self.answers = self.w, False
         self.body_of_vertex = self._scalars(V, ti.i32)
         self.tets, self.body_of_tet = self._vectors(T, 4, ti.i32), self._scalars(T, ti.i32)
         self.triangles, self.body_of_triangle = self._vectors(S, 3, ti.i32), self._scalars(S, ti.i32)

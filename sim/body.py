@@ -11,6 +11,7 @@ from assets.errors import BadInput
 from assets.gaussians import matrices_of_quats
 from scenes.scene import IDENTITY, Material, Quat, Vec3
 
+STIFFEST = 1e12  # [Pa] diamond
 FLATTEST = 1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32
 
 
@@ -74,6 +75,8 @@ class SoftBody:
             raise BadInput(f"{self.name}: material out of range (young, density > 0; 0 <= poisson < 0.5): {m}")
         if not 0 <= m.sliding_friction <= m.friction:
             raise BadInput(f"{self.name}: kinetic friction must lie between 0 and the static one, {m.friction}: {m}")
+        if m.young > STIFFEST:
+            raise BadInput(f"{self.name}: young = {m.young:.3g} Pa is too stiff: at most {STIFFEST:.0e} Pa")
 
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""

@@ -17,7 +17,7 @@ import taichi as ti
 from scenes.scene import Material
 from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
-from sim.elastic import Elastic, stress
+from sim.elastic import Elastic, fine_stress
 from sim.modes import MODES, softest_modes
 from sim.parts import RestShape
 from sim.polar import polar_quaternion
@@ -48,9 +48,9 @@ def rotation_matrix(q):
 
 @ti.data_oriented
 class Coarse:
-    """Kernels of the coarse step, to be recorded in this order: `residual`, `project`, `move`, `measure`, `shorten`.
+    """The coarse step as `kernels()`, to be launched in their order.
 
-    shape vec3[V*MODES], square f32[B*MODES]: U_k and w_k;   turn mat3[B] = R, by the kernel `rotations`
+    shape vec3[V*MODES], square f32[B*MODES]: U_k and w_k;   turn mat3[B] = R
     target vec3[V] where inertia and impulses want dx; reaction vec3[V] [N] of static shapes, hold f32[V] [N/m]
     force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B*MODES] = q
     """
@@ -82,18 +82,16 @@ class Coarse:
         modes = [p.shape.once(modes_of, tuple(p.w == 0.0), p.body.material) for p in assembly.parts]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
+    def kernels(self) -> list:
+        return [self.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
+
     @ti.func
     def _residual(self, t):
         """Elastic forces of tet t, written to its corners' slots: f_k = -V P B^T e_k."""
         s = self.state
         e = self.elastic
-        a, b = s.tets[t], s.body_of_tet[t]
-        x0, d0 = s.x[a[0]], s.dx[a[0]]
-        e1 = (s.x[a[1]] - x0) + (s.dx[a[1]] - d0)
-        e2 = (s.x[a[2]] - x0) + (s.dx[a[2]] - d0)
-        e3 = (s.x[a[3]] - x0) + (s.dx[a[3]] - d0)
         B = e.rest_inverse[t]
-        P, _, _ = stress(ti.Matrix.cols([e1, e2, e3]) @ B, s.mu[b], s.lam[b])
+        _, P = fine_stress(s, t, B)
         H = -e.volume[t] * (P @ B.transpose())
         h1 = ti.Vector([H[0, 0], H[1, 0], H[2, 0]])
         h2 = ti.Vector([H[0, 1], H[1, 1], H[2, 1]])

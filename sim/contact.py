@@ -187,13 +187,14 @@ class Contacts:
                     clear = 0.0
                 else:
                     phi += self.samples.skin[p] + n.dot(s.carry[i])
-                    mu = ti.sqrt(s.friction[self.samples.body[p]] * self.colliders.friction[shape])
+                    mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
                     c, force = respond_metric(phi, n, d - s.carry[i], mu, s.dt[None], H, A)
                     if force.norm_sqr() > 0.0:
                         d += c
                         reaction += force
                         hold = ti.max(hold, n.dot(H @ n))
                     clear = ti.min(clear, phi)
+            self.forces.note(i, s.dt[None] ** 2 / s.mass[i] * reaction, True)
             self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
         return d, reaction, hold
 

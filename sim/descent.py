@@ -7,12 +7,14 @@ vertex, so for that vertex alone the energy is a quadratic, and its minimum is m
 
 with b the gradient of the vertex's shape function at rest and c = cof(F) b. H is positive definite whatever F is, so
 every update lowers the energy. Vertices of one colour (sim/coloring.py) share no tet and are moved at the same time.
-Before the sweeps of a substep, each body moves along its softest modes (sim/coarse.py).
+After the sweeps of a substep each body moves along its softest modes (sim/coarse.py): few sweeps bring a push only a
+few rings of tets far. The modes come last because they include the rigid ones, so that momentum is kept.
 
     begin     dx = dt v + dt^2 a + carry, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
               what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/response.py)
     pairs     rows push the target; their push moves dx itself by mobility/w of that, mobility = tr(H^-1)/(3 dt^2)
+    coarse    the step along the modes
     close     commit, as in sim/substep.py
 """
 
@@ -24,12 +26,14 @@ from sim.assembly import Assembly, stacked
 from sim.coarse import Coarse
 from sim.coloring import color_ranges, color_vertices
 from sim.damping import Chunks
-from sim.elastic import Elastic, slots_of, stress
+from sim.elastic import Elastic, fine_stress, slots_of
 from sim.parts import Part, RestShape
 from sim.state import State, Upload, capacity
 from sim.substep import blocks, commit
 
 MOST_COLORS = 64
+NEARLY_CRUSHED = 1.5  # tr F^T F; below 1 the energy has a further term, mu/2 (1 - I1)^2 ...
+CRUSHED = 5.0  # ... whose second derivative along b is at most 4 mu |b|^2, which H takes instead: still no overshoot
 
 
 @ti.data_oriented
@@ -88,21 +92,21 @@ class DescentSubsteps:
         self.graphs[substeps].run({f"color{k}": k for k in range(self.colors)})
 
     def _record(self, substeps: int):
-        c, graph = self.coarse, ti.graph.GraphBuilder()
         if self.kernels is None:
-            before = [self.begin(), c.residual(), c.project(), c.move(), c.measure(), c.shorten(), self.close()]
-            self.kernels = [c.rotations()], before, [self.sweep()], [self.pairs()] if self.in_pairs else []
-        (turn,), (*before, close), (sweep,), pairs = self.kernels
-        graph.dispatch(turn)
+            pairs = [self.pairs()] if self.in_pairs else []
+            self.kernels = self.begin(), self.sweep(), pairs, self.coarse.kernels(), self.close()
+        begin, sweep, pairs, coarse, close = self.kernels
+        colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
+        graph = ti.graph.GraphBuilder()
         for _ in range(substeps):
-            for kernel in before:
-                graph.dispatch(kernel)
-            for _ in range(self.iterations):
-                for k in range(self.colors):
-                    graph.dispatch(sweep, ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32))
+            graph.dispatch(begin)
+            for k in range(self.iterations):
+                for color in colors if k % 2 == 0 else reversed(colors):  # there and back: no direction is favoured
+                    graph.dispatch(sweep, color)
                 for kernel in pairs:
                     graph.dispatch(kernel)
-            graph.dispatch(close)
+            for kernel in (*coarse, close):
+                graph.dispatch(kernel)
         return graph.compile()
 
     def reset(self) -> None:
@@ -120,24 +124,18 @@ class DescentSubsteps:
         H = ti.Matrix.identity(ti.f32, 3) * stiff
         for slot in range(e.slot_begin[i], e.slot_begin[i + 1]):
             t, k = self.corner[slot] // 4, self.corner[slot] % 4
-            a = s.tets[t]
-            x0, d0 = s.x[a[0]], s.dx[a[0]]
-            # differences of positions first, then of increments: what lies under the last bit of x survives
-            e1 = (s.x[a[1]] - x0) + (s.dx[a[1]] - d0)
-            e2 = (s.x[a[2]] - x0) + (s.dx[a[2]] - d0)
-            e3 = (s.x[a[3]] - x0) + (s.dx[a[3]] - d0)
             B, V = e.rest_inverse[t], e.volume[t]
             g = -ti.Vector([B[0, 0] + B[1, 0] + B[2, 0], B[0, 1] + B[1, 1] + B[2, 1], B[0, 2] + B[1, 2] + B[2, 2]])
             if k > 0:
                 g = ti.Vector([B[k - 1, 0], B[k - 1, 1], B[k - 1, 2]])
-            F = ti.Matrix.cols([e1, e2, e3]) @ B
+            F, P = fine_stress(s, t, B)
             f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
             f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
             f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
             c = f2.cross(f3) * g[0] + f3.cross(f1) * g[1] + f1.cross(f2) * g[2]
-            P, _, _ = stress(F, mu, lam)
             f -= V * (P @ g)
-            H += V * (mu * g.norm_sqr() * ti.Matrix.identity(ti.f32, 3) + lam * c.outer_product(c))
+            mu_t = mu * (CRUSHED if F.norm_sqr() < NEARLY_CRUSHED else 1.0)
+            H += V * (mu_t * g.norm_sqr() * ti.Matrix.identity(ti.f32, 3) + lam * c.outer_product(c))
         return f, H
 
     @ti.func

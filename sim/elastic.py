@@ -34,6 +34,22 @@ def stress(F, mu, lam):
 
 
 @ti.func
+def fine_stress(s: ti.template(), t, B):
+    """F of tet t in the substep in progress, and its P [Pa], computed in double precision and rounded to single.
+
+    In single precision, J - 1 is off by 1e-7: at 1e8 Pa that alone is a force like a vertex's weight, and it flickers.
+    """
+    a, b = s.tets[t], s.body_of_tet[t]
+    x0, d0 = ti.cast(s.x[a[0]], ti.f64), ti.cast(s.dx[a[0]], ti.f64)
+    e1 = (ti.cast(s.x[a[1]], ti.f64) - x0) + (ti.cast(s.dx[a[1]], ti.f64) - d0)
+    e2 = (ti.cast(s.x[a[2]], ti.f64) - x0) + (ti.cast(s.dx[a[2]], ti.f64) - d0)
+    e3 = (ti.cast(s.x[a[3]], ti.f64) - x0) + (ti.cast(s.dx[a[3]], ti.f64) - d0)
+    F = ti.Matrix.cols([e1, e2, e3]) @ B
+    P, _, _ = stress(F, s.mu[b], s.lam[b])
+    return ti.cast(F, ti.f32), ti.cast(P, ti.f32)
+
+
+@ti.func
 def energy_density(I1, grow, mu, lam):
     """Psi = mu/2 (I1 - 3) - mu (J - 1) + lam/2 (J - 1)^2 + mu/2 max(1 - I1, 0)^2 [J/m^3],   lam = lambda_L + mu.
 

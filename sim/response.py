@@ -61,7 +61,8 @@ def respond_metric(phi, n, y, friction, dt, H, A):
     """Correction A p [m] of the motion y [m] of one vertex, and its force p [N], in the metric H [N/m] = A^-1.
 
     p = H (y' - y) holds the vertex at y', which is y's normal part raised to the least. If that needs more than
-    friction allows, it slides: p = p_n (n - friction u), u the direction of sliding, p_n from n . (y + A p) = least.
+    friction = (mu_s, mu_k) allows, it slides: p = p_n (n - mu u), u the direction of sliding, p_n from
+    n . (y + A p) = least, and mu by the speed that the lacking push leaves it (see `grip`).
     """
     p = ti.Vector([0.0, 0.0, 0.0])
     y_n = n.dot(y)
@@ -70,9 +71,12 @@ def respond_metric(phi, n, y, friction, dt, H, A):
         y_t = y - y_n * n
         p = H @ (gap * n - y_t)
         p_n = n.dot(p)
-        if p_n <= 0.0 or (p - p_n * n).norm() > friction * p_n:
+        lacking = (p - p_n * n).norm() - friction[0] * ti.max(p_n, 0.0)
+        if lacking > 0.0:
+            fallen = ti.min(lacking * A.trace() / (3.0 * CREEP * dt), 1.0)
+            mu = friction[0] + fallen * (friction[1] - friction[0])
             A_n = A @ n
-            along = n - friction * y_t / ti.max(y_t.norm(), 1e-20)
+            along = n - mu * y_t / ti.max(y_t.norm(), 1e-20)
             give = A_n.dot(along)
             if give < WEDGED * n.dot(A_n):  # sliding would lift the vertex more than the contact itself: no friction
                 along, give = n, n.dot(A_n)

@@ -105,7 +105,9 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     def solve():
         for k in range(N):
             up = ti.Vector([0.0, 1.0, 0.0])
-            corrected[k], force[k] = respond_metric(-REST, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k])
+            corrected[k], force[k] = respond_metric(
+                -REST, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k]
+            )
 
     for field, value in ((h, H), (a, np.linalg.inv(H)), (motion, y)):
         field.from_numpy(value.astype(np.float32))
@@ -126,7 +128,6 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
 
 class Twin:
     """Float64 twin of one body's substep problem."""
-
 
     def __init__(self, body: SoftBody, dt: float):
         self.mass, self.dt = body.masses(), dt

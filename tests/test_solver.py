@@ -48,7 +48,7 @@ def solver(two) -> Solver:
         ({"surface": SURFACE[:, :2]}, "surface must be"),
         ({"material": replace(RUBBER, poisson=0.5)}, "poisson"),
         ({"material": replace(RUBBER, young=0.0)}, "young"),
-        ({"material": replace(RUBBER, young=1e13)}, "too stiff"),
+        ({"material": replace(RUBBER, young=1e13)}, "too stiff"),  # than diamond
         ({"material": replace(RUBBER, density=float("nan"))}, "density"),
     ],
 )
@@ -59,7 +59,14 @@ def test_what_cannot_be_simulated_is_refused_by_name(change, says):
 
 
 def test_bad_options_are_refused():
-    for options in ({"iterations": 0}, {"collision_passes": 0}, {"interaction": "magic"}, {"substep": 1.0}):
+    for options in (
+        {"iterations": 0},
+        {"collision_passes": 0},
+        {"interaction": "magic"},
+        {"path": "magic"},
+        {"substep": 1.0},
+        {"substep": 1 / 600, "path": "jacobi"},
+    ):
         with pytest.raises(BadInput):
             Solver([PLATE], contacts=False, **options)
     with pytest.raises(BadInput):
@@ -76,6 +83,27 @@ def test_the_substep_follows_the_rule_and_divides_the_frame(solver):
     before = solver.snapshot()
     solver.step(0.0)
     assert_array_equal(before["x"], solver.snapshot()["x"])
+
+
+def test_what_the_rule_forbids_goes_by_descent_and_is_reported(solver):
+    stats = solver.stats
+    assert (stats["path"], stats["iterations"], stats["collision_passes"]) == ("jacobi", 1, 1)
+    body = replace(PLATE, material=replace(RUBBER, young=1e8))
+    for forced, path in ((None, "descent"), (1 / 600, "descent"), (1e-5, "jacobi")):
+        stiff = Solver([body], contacts=False, substep=forced, collision_passes=2).stats
+        assert (stiff["path"], stiff["collision_passes"]) == (path, 2)
+        assert forced is None or stiff["dt"] == pytest.approx(forced)
+        assert (stiff["stability"] > stiff["stability_limit"]) == (path == "descent")
+
+
+def test_a_material_that_becomes_stiff_changes_the_path(ti_cpu):
+    """And back: each path compiles once, and goes on from the motion as it is."""
+    solver = Solver([PLATE], contacts=False)
+    for young, path in ((5e4, "jacobi"), (1e8, "descent"), (5e4, "jacobi")):
+        solver.set_material(0, replace(RUBBER, young=young))
+        solver.step(1 / 60)
+        assert solver.stats["path"] == path
+    assert_allclose(solver.bodies()[0].velocity, [0, -9.81 / 20, 0], atol=1e-4)
 
 
 def test_bodies_start_where_they_are_put_and_fall_rigidly(solver):

@@ -11,39 +11,16 @@ the secant step to the least energy along d, so the energy does not rise however
 hold_i is the stiffness of vertex i where it touches something: the step may not outrun a contact.
 """
 
-import numpy as np
 import taichi as ti
 
-from scenes.scene import Material
 from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
 from sim.elastic import Elastic, fine_stress
-from sim.modes import MODES, softest_modes
-from sim.parts import RestShape
-from sim.polar import polar_quaternion
-from sim.stability import lame
+from sim.modes import MODES, modes_of
+from sim.polar import polar_quaternion, rotation_matrix
 from sim.state import State, Upload
 
 TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
-
-
-def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
-    """softest_modes of a body of this shape and material, `pinned` saying of each vertex whether it stays."""
-    mu, lam = lame(material)
-    return softest_modes(shape.vertices, shape.tets, material.density * shape.share, ~np.array(pinned), mu, lam - mu)
-
-
-@ti.func
-def rotation_matrix(q):
-    """R of the unit quaternion wxyz."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    return ti.Matrix(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 @ti.data_oriented
@@ -79,7 +56,7 @@ class Coarse:
 
     def load(self, assembly: Assembly) -> None:
         """Take the modes of these bodies."""
-        modes = [p.shape.once(modes_of, tuple(p.w == 0.0), p.body.material) for p in assembly.parts]
+        modes = [p.shape.once(modes_of, tuple((p.w == 0.0).tolist()), p.body.material) for p in assembly.parts]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:

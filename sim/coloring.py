@@ -6,6 +6,8 @@ All vertices of a colour can be moved at the same time, each to the minimum of i
 import numpy as np
 import scipy.sparse as sp
 
+from sim.parts import RestShape
+
 
 def color_vertices(tets: np.ndarray, movable: np.ndarray) -> np.ndarray:
     """Colour of each vertex, (V,); -1 for what does not move (movable (V,) bool).
@@ -37,3 +39,8 @@ def color_ranges(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(color, kind="stable")
     order = order[color[order] >= 0]
     return order, np.concatenate([[0], np.cumsum(np.bincount(color[color >= 0], minlength=1))])
+
+
+def colors_of(shape: RestShape, pinned: tuple) -> np.ndarray:
+    """color_vertices of a shape, `pinned` saying of each vertex whether it stays."""
+    return color_vertices(shape.tets, ~np.array(pinned))

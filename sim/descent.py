@@ -24,10 +24,9 @@ import taichi as ti
 from assets.errors import BadInput
 from sim.assembly import Assembly, stacked
 from sim.coarse import Coarse
-from sim.coloring import color_ranges, color_vertices
+from sim.coloring import color_ranges, colors_of
 from sim.damping import Chunks
-from sim.elastic import Elastic, fine_stress, slots_of
-from sim.parts import Part, RestShape
+from sim.elastic import Elastic, corners_of, fine_stress
 from sim.state import State, Upload, capacity
 from sim.substep import blocks, commit
 
@@ -73,7 +72,7 @@ class DescentSubsteps:
     def load(self, assembly: Assembly) -> None:
         """Take the colours and modes of these bodies."""
         parts = assembly.parts
-        colors = [p.shape.root.once(colors_of, pinned(p)) for p in parts]
+        colors = [p.shape.root.once(colors_of, tuple((p.w == 0.0).tolist())) for p in parts]
         order, begin = color_ranges(stacked(colors))
         if len(begin) > MOST_COLORS + 1:
             raise BadInput(f"a vertex has too many neighbours: {len(begin) - 1} colours, the limit is {MOST_COLORS}")
@@ -243,26 +242,6 @@ class DescentSubsteps:
     def destroy(self) -> None:
         self.coarse.destroy()
         self.tree.destroy()
-
-
-def pinned(part: Part) -> tuple:
-    """The vertices of a part that do not move."""
-    return tuple(np.flatnonzero(part.w == 0.0).tolist())
-
-
-def colors_of(shape: RestShape, pinned: tuple) -> np.ndarray:
-    """Colour of each vertex of a mesh."""
-    movable = np.ones(len(shape.vertices), bool)
-    movable[list(pinned)] = False
-    return color_vertices(shape.tets, movable)
-
-
-def corners_of(shape: RestShape) -> np.ndarray:
-    """The corner 4 t + k that writes each slot, (4T,)."""
-    slot, _ = slots_of(shape)
-    corner = np.empty(slot.size, np.int64)
-    corner[slot.ravel()] = np.arange(slot.size)
-    return corner
 
 
 @ti.func

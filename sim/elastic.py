@@ -181,3 +181,11 @@ def corner_slots(tets: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarra
     slot[order] = np.arange(len(order))
     begin = np.concatenate([[0], np.cumsum(np.bincount(tets.ravel(), minlength=vertices))])
     return slot.reshape(-1, 4), begin
+
+
+def corners_of(shape: RestShape) -> np.ndarray:
+    """The corner 4 t + k that writes each slot, (4T,)."""
+    slot, _ = slots_of(shape)
+    corner = np.empty(slot.size, np.int64)
+    corner[slot.ravel()] = np.arange(slot.size)
+    return corner

@@ -9,6 +9,10 @@ import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
 
+from scenes.scene import Material
+from sim.parts import RestShape
+from sim.stability import lame
+
 MODES = 24  # of a body: six rigid, and a bar's bending, twist and stretch to about the third overtone
 CELLS = 4  # of the lattice along the body's longest side
 NEGLIGIBLE = 1e-8  # of the mean mass of a lattice node: what only touches the body has no say
@@ -29,10 +33,10 @@ def lattice_weights(x: np.ndarray) -> sp.csr_matrix:
     return sp.csr_matrix((weight.ravel(), (rows, node.ravel())), shape=(len(x), int(np.prod(cells + 1))))
 
 
-def softest_modes(x, tets, masses, movable, mu: float, lame: float) -> tuple[np.ndarray, np.ndarray]:
+def softest_modes(x, tets, masses, movable, mu: float, lame_1: float) -> tuple[np.ndarray, np.ndarray]:
     """Shapes U (V, MODES, 3) [kg^-1/2] with sum_i m_i U_ki . U_li = delta_kl, and squared frequencies (MODES,) [1/s^2].
 
-    x rest positions (V, 3) [m]; movable (V,) bool: the others stay in all shapes; mu, lame: Lame constants [Pa].
+    x rest positions (V, 3) [m]; movable (V,) bool: the others stay in all shapes; mu, lame_1: Lame constants [Pa].
     Missing modes of the smallest meshes are zero.
     """
     x, tets = np.asarray(x, np.float64), np.asarray(tets, np.int64)
@@ -52,7 +56,7 @@ def softest_modes(x, tets, masses, movable, mu: float, lame: float) -> tuple[np.
     K = np.empty((3, n, 3, n))
     for k in range(3):
         for l in range(3):
-            K[k, :, l] = lame * products[k][l] + mu * products[l][k] + (mu * laplace if k == l else 0.0)
+            K[k, :, l] = lame_1 * products[k][l] + mu * products[l][k] + (mu * laplace if k == l else 0.0)
     M = (P.T @ sp.diags(np.asarray(masses)) @ P).toarray()
     M += NEGLIGIBLE * np.trace(M) / n * np.eye(n)
     squares, Q = sl.eigh(K.reshape(3 * n, 3 * n), np.kron(np.eye(3), M), subset_by_index=(0, min(MODES, 3 * n) - 1))
@@ -60,3 +64,9 @@ def softest_modes(x, tets, masses, movable, mu: float, lame: float) -> tuple[np.
         U[:, : len(squares), k] = P @ Q[k * n : (k + 1) * n]
     all_squares[: len(squares)] = np.maximum(squares, 0.0)
     return U, all_squares
+
+
+def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """softest_modes of a body of this shape and material, `pinned` saying of each vertex whether it stays."""
+    mu, lam = lame(material)
+    return softest_modes(shape.vertices, shape.tets, material.density * shape.share, ~np.array(pinned), mu, lam - mu)

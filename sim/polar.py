@@ -76,3 +76,16 @@ def _eigenvector(A, root):
     else:  # no single best rotation: two singular values vanish, or F is a reflection of a sphere
         q = ti.Vector([1.0, 0.0, 0.0, 0.0])
     return q
+
+
+@ti.func
+def rotation_matrix(q):
+    """R of the unit quaternion wxyz."""
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    return ti.Matrix(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )

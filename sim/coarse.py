@@ -43,8 +43,7 @@ class Coarse:
             ti.field(ti.f32) for _ in range(7)
         )
         self.builder.dense(ti.i, V * MODES).place(self.shape)
-        self.builder.dense(ti.i, V).place(self.force)
-        self.builder.dense(ti.i, V).place(self.step)
+        self.builder.dense(ti.i, V).place(self.force, self.step)
         self.builder.dense(ti.ij, (V, 2)).place(self.part)
         self.builder.dense(ti.i, MAX_BODIES * MODES).place(self.square, self.amplitude)
         self.builder.dense(ti.i, MAX_BODIES).place(self.turn, self.share)
@@ -68,7 +67,9 @@ class Coarse:
         s = self.state
         e = self.elastic
         B = e.rest_inverse[t]
-        _, P = fine_stress(s, t, B)
+        F, P = fine_stress(s, t, B)
+        if F.determinant() < 0.0:
+            s.inverted[s.body_of_tet[t]] = 1
         H = -e.volume[t] * (P @ B.transpose())
         h1 = ti.Vector([H[0, 0], H[1, 0], H[2, 0]])
         h2 = ti.Vector([H[0, 1], H[1, 1], H[2, 1]])

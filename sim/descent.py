@@ -27,6 +27,7 @@ from sim.coarse import Coarse
 from sim.coloring import color_ranges, colors_of
 from sim.damping import Chunks
 from sim.elastic import Elastic, corners_of, fine_stress
+from sim.response import inverse
 from sim.state import State, Upload, capacity
 from sim.substep import blocks, commit
 
@@ -154,7 +155,7 @@ class DescentSubsteps:
         self.mobility[i] = A.trace() / (3.0 * s.dt[None] ** 2)
 
     def begin(self):
-        s, on_vertex = self.state, self.on_vertex
+        s, on_vertex, in_pairs = self.state, self.on_vertex, self.in_pairs
 
         @ti.kernel
         def begin():
@@ -171,6 +172,14 @@ class DescentSubsteps:
                             target += c.push_vertex(i, d)
                         s.dx[i] = d
                     self.target[i] = target + self.external[i]
+            for c in ti.static(in_pairs):
+                block = ti.static(blocks(c.stage_sizes[0]))
+                if ti.static(s.serial):
+                    ti.loop_config(serialize=True)
+                else:
+                    ti.loop_config(block_dim=block)
+                for k in range(c.stage_sizes[0]):
+                    c.look(k)
 
         return begin
 
@@ -242,10 +251,3 @@ class DescentSubsteps:
     def destroy(self) -> None:
         self.coarse.destroy()
         self.tree.destroy()
-
-
-@ti.func
-def inverse(H):
-    """H^-1 of a symmetric positive definite matrix of any size: scaled, so that float32 holds its determinant."""
-    scale = 3.0 / H.trace()
-    return (H * scale).inverse() * scale

@@ -82,3 +82,10 @@ def respond_metric(phi, n, y, friction, dt, H, A):
                 along, give = n, n.dot(A_n)
             p = gap / give * along
     return A @ p, p
+
+
+@ti.func
+def inverse(H):
+    """H^-1 of a symmetric positive definite matrix of any size: scaled, so that float32 holds its determinant."""
+    scale = 3.0 / H.trace()
+    return (H * scale).inverse() * scale

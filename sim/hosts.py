@@ -204,6 +204,8 @@ class Hosts:
             g = k if k < n else MAX_BODIES + k - n
             if self.overlap[body, g]:
                 part_low, part_high, meets, way = self.sweep(low, high, slow, fast, g)
+                if ti.static(self.folds):
+                    part_low, part_high, way = self._or_around(part_low, part_high, way, low, high, body, g)
                 if meets:
                     box_low, box_high, reach = (
                         ti.min(box_low, part_low),
@@ -230,6 +232,14 @@ class Hosts:
                                 if outside < reach and self.overlap[body, self.group(p)] and self._strange(p, t, body):
                                     key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
                                     ti.atomic_min(self.key[p], key)
+
+    @ti.func
+    def _or_around(self, part_low, part_high, way, low, high, body, g):
+        """If the group is the tet's own body: the part of its box that it can meet, and how far they may approach."""
+        if g == body:
+            way = self.folding.way[body]
+            part_low, part_high = ti.max(low - way, self.bounds.low[body]), ti.min(high + way, self.bounds.high[body])
+        return part_low, part_high, way
 
     @ti.func
     def _strange(self, p, t, body):

@@ -114,10 +114,15 @@ class Pairs:
             usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
             if usable and sampled and self.samples.blend(p, self.normals.normal).dot(normal) > ALONG * length:
                 usable = False
+                rows.rest(r, phi * slope / length, pace)
             if ti.static(self.folds):
                 apart = 0.5 * self.folding.apart(host)
                 if usable and sampled and self.samples.body[p] == host:
-                    usable = (X - self.samples.blend(p, s.rest)).norm() > apart  # or it is just where it belongs
+                    pace = self.folding.pace(host)
+                    away = (X - self.samples.blend(p, s.rest)).norm()
+                    if away < apart:  # it is just where it belongs
+                        usable = False
+                        rows.rest(r, apart - away, pace)
             self._walk(p, t, b)
             if usable:
                 b = ti.max(b, 0.0)

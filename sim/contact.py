@@ -27,7 +27,7 @@ from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
 
-NEAR = 8  # static shapes that one sample can be near at once
+NEAR = 8  # static shapes that one sample can be near at once; of more, the nearest count
 
 
 @ti.data_oriented
@@ -122,9 +122,12 @@ class Contacts:
                 x = self.samples.blend(p, self.state.x)
                 n = 0
                 for k in range(self.colliders.count[None]):
-                    if n < NEAR and self.colliders.within(k, x, margin - self.samples.skin[p]):
-                        self.near[p, n] = k
-                        n += 1
+                    if self.colliders.within(k, x, margin - self.samples.skin[p]):
+                        if n < NEAR:
+                            self.near[p, n] = k
+                            n += 1
+                        else:
+                            self._replace(p, k, x)
                 self.near_count[p] = n
                 if self.samples.single[p]:
                     self.forces.forget(self.samples.ids[p][0])
@@ -135,6 +138,18 @@ class Contacts:
                     self.rows.enlist(p)
                 else:
                     self.rows.forget(p)
+
+    @ti.func
+    def _replace(self, p, k, x):
+        """Of sample p's full list, let shape k take the place of the farthest, if that is farther than k."""
+        most, _ = self.colliders.distance(k, x)
+        place = -1
+        for j in range(NEAR):
+            phi, _ = self.colliders.distance(self.near[p, j], x)
+            if phi > most:
+                most, place = phi, j
+        if place >= 0:
+            self.near[p, place] = k
 
     @ti.func
     def project_vertex(self, i, dx, first: ti.template()):

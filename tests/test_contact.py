@@ -71,6 +71,14 @@ def test_dropped_cubes_come_to_rest_on_every_kind_of_shape(ti_cpu):
     assert speed(solver).max() < 1.5e-2
 
 
+def test_of_too_many_shapes_the_nearest_count(ti_cpu):
+    """Twelve floors, 0.5 mm apart, the uppermost last."""
+    floors = [Plane((0, 5e-4 * (k - 11), 0), (0, 1, 0)) for k in range(12)]
+    solver = Solver([cube(position=(0, 0.0405, 0))], floors, hands=0)
+    run(solver, 0.3)
+    assert solver.bodies()[0].low[1] > -1e-4
+
+
 @pytest.fixture(scope="module")
 def floor_solver(ti_cpu):
     """A stiff cube on a floor, friction 0.4."""

@@ -21,7 +21,7 @@ from sim.summary import Summary
 
 DURATION = 0.4  # [s] from the last inverted tet on
 TIME = 0.04  # [s] in which what is left to go shrinks to a third
-PATIENCE = 0.1  # [s] that tets may stay inverted: an impact is shorter
+PATIENCE = 0.02  # [s] that tets may be inverted: more than a frame of 60 Hz
 LIMP = 200.0  # [Pa] Young's modulus of a limp body: g and kinks must not hold out against 1/TIME^2
 
 
@@ -57,6 +57,7 @@ class Mending:
     def hold(self, kept: np.ndarray) -> None:
         """Go on from what was `kept` of these bodies."""
         self.status = np.array(kept[:3])
+        self.damping.omega.fill(0.0)  # of a time that is over; bodies may be others now
         self._soften(kept[3])
 
     def _inverted(self) -> np.ndarray:

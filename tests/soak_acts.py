@@ -6,18 +6,23 @@ played again by itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import functools
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from assets.asset import DistanceGrid
 from scenes.scene import Hand, Material
 from sim.body import SoftBody
+from sim.parts import scaled_grid
+from sim.rest_distance import rest_grid
 from tests.meshes import box
 from tests.torus import torus
 
 ARENA = 1.0  # [m] from the middle to each wall
 MOST_BODIES = 40
 SIZES = (0.06, 0.2)  # [m], largest extents of new bodies
+NODES = 20  # of a distance grid along its longest side
 EDITS = ("rescale", "duplicate", "remove", "add", "material")
 
 
@@ -65,17 +70,25 @@ def material(rng: np.random.Generator, ranges: Ranges) -> Material:
 
 def body(rng: np.random.Generator, ranges: Ranges, place: np.ndarray) -> SoftBody:
     """A body of any mesh, size, material and attitude, its middle at `place` [m]."""
-    x, tets, faces = MESHES[rng.integers(len(MESHES))]
+    mesh, size = int(rng.integers(len(MESHES))), between(rng, *SIZES)
+    x, tets, faces = MESHES[mesh]
     q = rng.normal(size=4)
     return SoftBody(
         "body",
-        x * between(rng, *SIZES),
+        x * size,
         tets,
         faces,
         material(rng, ranges),
         rotation=tuple((q / np.linalg.norm(q)).tolist()),
         position=tuple(place.tolist()),
+        sdf=scaled_grid(distances(mesh), size),
     )
+
+
+@functools.cache
+def distances(mesh: int) -> DistanceGrid:
+    """Signed distance of a mesh of MESHES, coarse, so that forty of them take little room."""
+    return rest_grid(*MESHES[mesh], nodes=NODES)
 
 
 def population(rng: np.random.Generator, ranges: Ranges) -> list[SoftBody]:
@@ -171,8 +184,8 @@ def edit(rng: np.random.Generator, ranges: Ranges, solver) -> str:
     elif kind == "remove":
         solver.remove(i)
     elif kind == "material":
-        solver.set_material(i, replace(material(rng, ranges)))
+        solver.set_material(i, material(rng, ranges))
     else:
-        extent = float(np.max(bodies[i].high - bodies[i].low))
+        extent = float(np.ptp(solver.snapshot()["bodies"][i].shape.vertices, axis=0).max())
         solver.rescale(i, float(np.clip(between(rng, 0.5, 2.0), SIZES[0] / extent, SIZES[1] / extent)))
     return f"{kind} {i}"

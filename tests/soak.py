@@ -30,7 +30,9 @@ EDITS_PER_SECOND = 0.7
 RECOVERY = (2.0, 12.0)  # [s] at least, at most
 CROSSINGS = 12.0  # of a wave through a body, in which it recovers
 GRAVITY = (0.0, -9.81, 0.0)
-ROOM = Room(vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MOST_BODIES * NODES**3, bodies=MOST_BODIES)
+ROOM = Room(
+    vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MOST_BODIES * NODES**3, bodies=MOST_BODIES
+)
 
 
 def arena() -> list[Plane]:

@@ -43,7 +43,8 @@ class Watch:
         q = self.solver.snapshot()
         if not (np.isfinite(q["x"]).all() and np.isfinite(q["v"]).all()):
             raise Failure(f"not finite; edits so far: {', '.join(self.edited) or 'none'}")
-        out = max(-q["x"][:, 1].min(), np.abs(q["x"][:, [0, 2]]).max() - ARENA)
+        skin = q["x"][surface(self.solver, q)]  # an inner vertex of a body that cannot carry itself may hang lower
+        out = max(-skin[:, 1].min(), np.abs(skin[:, [0, 2]]).max() - ARENA)
         if out > DEEPEST:
             raise Failure(f"{1000 * out:.0f} mm behind floor or wall; edits so far: {', '.join(self.edited) or 'none'}")
         moving, potential, weight = energies(self.solver)
@@ -53,6 +54,13 @@ class Watch:
             raise Failure(f"gained {gained:.3g} J of {moving:.3g} J, {allowed:.3g} J explained; edits: {self.edited}")
         self.moving, self.potential, self.weight = moving, potential, weight
         self.budget = max(self.budget - gained, 0.0)
+
+
+def surface(solver, snapshot: dict) -> np.ndarray:
+    """Indices of all vertices on bodies' surfaces."""
+    return np.concatenate(
+        [np.unique(p.shape.surface) + o for p, o in zip(snapshot["bodies"], solver.vertex_offset, strict=False)]
+    )
 
 
 def energies(solver) -> tuple[float, float, float]:

@@ -17,6 +17,7 @@ from assets.hdf5 import Reader, open_hdf5
 FORMAT = "vrgs-asset"
 VERSION = 1
 MATERIAL_KEYS = ("young", "poisson", "density", "friction")
+KINETIC = "kinetic_friction"  # may be missing: friction is the same at rest and in motion
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,8 @@ class DistanceGrid:
 class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
-    `material` has the keys young [Pa], poisson, density [kg/m^3] and friction; `provenance` is any JSON object.
+    `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
+    is any JSON object.
     """
 
     gaussians: Gaussians
@@ -88,7 +90,7 @@ class Asset:
                 _read_cage(file) if file.has("cage") else None,
                 _read_embedded(file) if file.has("embedding") else None,
                 _read_sdf(file) if file.has("sdf") else None,
-                {k: file.number("material", k) for k in MATERIAL_KEYS} if file.has("material") else None,
+                _read_material(file) if file.has("material") else None,
                 _read_provenance(file),
             )
         check(asset, str(path))
@@ -118,7 +120,7 @@ class Asset:
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
             if self.material is not None:
                 group = file.create_group("material")
-                for key in MATERIAL_KEYS:
+                for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):
                     group.attrs[key] = float(self.material[key])
 
 
@@ -179,6 +181,11 @@ def _read_sdf(file: Reader) -> DistanceGrid:
         with np.errstate(over="ignore"):
             values = values.astype(np.float32)
     return DistanceGrid(values, file.vector("sdf/values", "origin"), file.number("sdf/values", "spacing"))
+
+
+def _read_material(file: Reader) -> dict:
+    keys = (*MATERIAL_KEYS, KINETIC) if file.has_attribute("material", KINETIC) else MATERIAL_KEYS
+    return {key: file.number("material", key) for key in keys}
 
 
 def _read_provenance(file: Reader) -> dict:

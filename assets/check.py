@@ -123,3 +123,5 @@ def check_material(material: dict, where: str) -> None:
         raise BadInput(f"{where}: the material's poisson must lie in 0..0.5 (0.5 excluded)")
     if material["friction"] < 0:
         raise BadInput(f"{where}: the material's friction must not be negative")
+    if not 0 <= material.get("kinetic_friction", 0) <= material["friction"]:
+        raise BadInput(f"{where}: the material's kinetic_friction must lie between 0 and its friction")

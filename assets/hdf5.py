@@ -40,6 +40,11 @@ class Reader:
         """Whether a group or dataset of that name is there."""
         return self._find(name) is not None
 
+    def has_attribute(self, name: str, key: str) -> bool:
+        """Whether the group or dataset `name` has the attribute."""
+        node = self._find(name)
+        return node is not None and key in node.attrs
+
     def _find(self, name: str):
         node = self._file
         for part in name.split("/"):

@@ -6,15 +6,19 @@ from assets.errors import BadInput
 
 DEFAULT = "plush"
 
-# young [Pa], poisson, density [kg/m^3], friction. Densities, Poisson's ratios and friction are the real ones; stiffness
-# is real for foam, plush and jelly. Solid rubber (1e6 to 1e7 Pa) and wood (1e10 Pa) are made as soft as a substep of
-# about 1e-4 s on a hand-sized body asks: the step shrinks with the square root of young / density.
+# young [Pa], poisson, density [kg/m^3], friction that holds and friction that slides on a dry smooth table. The solver
+# takes 1e2 to 1e8 Pa and Poisson's ratios up to 0.49; what is stiffer or less compressible is given the nearest value.
 MATERIALS = {
-    "foam": {"young": 1e4, "poisson": 0.2, "density": 60.0, "friction": 0.6},
-    "rubber": {"young": 5e4, "poisson": 0.45, "density": 1100.0, "friction": 0.8},
-    "plush": {"young": 2e4, "poisson": 0.35, "density": 250.0, "friction": 0.7},
-    "jelly": {"young": 5e3, "poisson": 0.45, "density": 1000.0, "friction": 0.3},
-    "wood": {"young": 5e5, "poisson": 0.3, "density": 600.0, "friction": 0.4},
+    # Flexible polyurethane: Gibson and Ashby, Cellular Solids (1997), E = E_s (rho / rho_s)^2 = 45 MPa (30 / 1200)^2.
+    "foam": {"young": 3e4, "poisson": 0.3, "density": 30.0, "friction": 0.6, "kinetic_friction": 0.5},
+    # Natural rubber: Ashby, Materials Selection in Mechanical Design: 1.5 to 2.5 MPa, 920 to 930 kg/m^3, 0.4999.
+    "rubber": {"young": 2e6, "poisson": 0.48, "density": 930.0, "friction": 1.0, "kinetic_friction": 0.8},
+    # A toy of 0.3 kg in 3 l, fibre fill in cloth; 10 N of a hand on 50 cm^2 press it in by about a fifth (an estimate).
+    "plush": {"young": 1e4, "poisson": 0.2, "density": 100.0, "friction": 0.6, "kinetic_friction": 0.5},
+    # A gelatine dessert of 3 to 5%: shear moduli of 1 to 3 kPa, so E = 3 G of 3 to 9 kPa; it is mostly water, and wet.
+    "jelly": {"young": 5e3, "poisson": 0.48, "density": 1030.0, "friction": 0.2, "kinetic_friction": 0.1},
+    # Pine, Wood Handbook (Forest Products Laboratory, 2010): 510 kg/m^3; 1e10 Pa along the grain, 5e8 to 1e9 Pa across.
+    "wood": {"young": 1e8, "poisson": 0.35, "density": 510.0, "friction": 0.5, "kinetic_friction": 0.3},
 }
 
 
@@ -27,6 +31,7 @@ def material_named(name: str) -> dict[str, float]:
 
 def run(args) -> None:
     """vrgs.py materials: print the table."""
-    print(f"{'':8} {'young [Pa]':>10} {'poisson':>8} {'density [kg/m^3]':>17} {'friction':>9}")
+    print(f"{'':8} {'young [Pa]':>10} {'poisson':>8} {'density [kg/m^3]':>17} {'friction':>9} {'sliding':>8}")
     for name, m in MATERIALS.items():
-        print(f"{name:8} {m['young']:10.0e} {m['poisson']:8} {m['density']:17} {m['friction']:9}")
+        friction = f"{m['friction']:9} {m['kinetic_friction']:8}"
+        print(f"{name:8} {m['young']:10.0e} {m['poisson']:8} {m['density']:17} {friction}")

@@ -6,7 +6,6 @@ from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
 from scenes.scene import Body, BodyState, Hand, Light, Material, Scene
 from scenes.throw import Throw
 
-PLUSH = Material(young=2e4, poisson=0.35, density=250.0, friction=0.7)
 START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 
 
@@ -46,11 +45,11 @@ class Sandbox:
         assert bodies[0].low[1] > -0.01, "the body fell through the floor"
 
 
-def build(body: str = "ring_red", material: str | None = None) -> Scene:
-    """`material` is a name (assets/materials.py)."""
-    made_of = Material.named(material) if material else PLUSH
+def build(body: str = "ring_red", material: str = "plush") -> Scene:
+    """`material` is a name (see assets/materials.py)."""
+    toy = Body(body, Material.named(material), position=START)
     return Scene(
-        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), Body(body, made_of, position=START)],
+        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), toy],
         colliders=room(),
         light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
         background=PLASTER,

@@ -100,6 +100,12 @@ def test_volumes():
     np.testing.assert_allclose(some_asset().cage.volumes(), [1 / 6, 1 / 3])
 
 
+def test_kinetic_friction_is_kept_where_it_is_given(tmp_path):
+    material = {**MATERIAL, "kinetic_friction": 0.3}
+    replace(some_asset(), material=material).save(tmp_path / "a.h5")
+    assert Asset.load(tmp_path / "a.h5").material == material
+
+
 ONE = np.ones(20, np.float32)
 DEFECTS = {
     "not a vrgs-asset": lambda f: f.attrs.update(format="other"),
@@ -153,6 +159,7 @@ DEFECTS = {
     "young and density must be positive": lambda f: f["material"].attrs.update(density=0.0),
     "poisson must lie": lambda f: f["material"].attrs.update(poisson=0.5),
     "friction must not": lambda f: f["material"].attrs.update(friction=-0.1),
+    "kinetic_friction must lie": lambda f: f["material"].attrs.update(kinetic_friction=0.6),
 }
 
 

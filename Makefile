@@ -1,18 +1,22 @@
 # make play   set everything up and play the ring toss (without a display: record it)
 # make test   set everything up and run the tests
+# make soak   30 simulated minutes of random handling (an hour or more; for the night)
 # make build  model the shipped assets anew, from code
 # make lint   check style
 
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 
-.PHONY: play test build lint clean
+.PHONY: play test soak build lint clean
 
 play: $(VENV)/.ready
 	@$(PYTHON) vrgs.py --scene ring_toss
 
 test: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest
+
+soak: $(VENV)/.ready-tests
+	@$(PYTHON) -m tests.soak --minutes 30
 
 build: $(VENV)/.ready
 	$(PYTHON) vrgs.py build

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from datetime import date
 from itertools import pairwise
 from time import perf_counter
 
@@ -145,31 +146,38 @@ def work(before: Hand, now: Hand) -> float:
     return FORCE * (way + SIZES[1] * angle)
 
 
+def soak(seed: int, minutes: float, ranges: Ranges = Ranges(), *, first: int = 0) -> list[str]:
+    """Play episodes from `first` on for so many simulated minutes, a printed line each; what did not hold."""
+    soak, begin, simulated, failures, number = Soak(seed, ranges), perf_counter(), 0.0, [], first
+    while simulated < 60 * minutes:
+        try:
+            seconds, line = soak.episode(number)
+        except Failure as failure:
+            seconds, line = soak.time, f"FAILED: {failure}"
+            failures.append(str(failure))
+        simulated += seconds
+        print(f"episode {number}, {simulated / 60:.1f} min in {perf_counter() - begin:.0f} s: {line}", flush=True)
+        number += 1
+    print(f"seed {seed}: {len(failures)} failures in {simulated / 60:.1f} simulated minutes")
+    return failures
+
+
 def main() -> int:
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--minutes", type=float, default=2.0, help="simulated (default 2)")
-    p.add_argument("--seed", type=int, default=0)
+    p.add_argument("--seed", type=int, help="(default: another one each day)")
     p.add_argument("--episode", type=int, help="play this one only")
     p.add_argument("--stiffest", type=float, default=Ranges.young[1], metavar="E", help="[Pa] (default 1e8)")
     p.add_argument("--arch", choices=("cuda", "cpu"))
     args = p.parse_args()
+    if args.seed is None:
+        args.seed = date.today().toordinal()
     from display.device import start_taichi
 
     start_taichi(args.arch)
-    soak = Soak(args.seed, Ranges(young=(Ranges.young[0], args.stiffest)))
-    begin, simulated, failures, number = perf_counter(), 0.0, 0, args.episode or 0
-    while simulated < 60 * args.minutes:
-        try:
-            seconds, line = soak.episode(number)
-        except Failure as failure:
-            failures, seconds, line = failures + 1, soak.time, f"FAILED: {failure}"
-        simulated += seconds
-        print(f"episode {number}, {simulated / 60:.1f} min in {perf_counter() - begin:.0f} s: {line}", flush=True)
-        number += 1
-        if args.episode is not None:
-            break
-    print(f"seed {args.seed}: {failures} failures in {simulated / 60:.1f} simulated minutes")
-    return 1 if failures else 0
+    ranges = Ranges(young=(Ranges.young[0], args.stiffest))
+    minutes = args.minutes if args.episode is None else 1e-9  # one episode at least
+    return 1 if soak(args.seed, minutes, ranges, first=args.episode or 0) else 0
 
 
 if __name__ == "__main__":

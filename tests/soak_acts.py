@@ -28,11 +28,13 @@ EDITS = ("rescale", "duplicate", "remove", "add", "material")
 
 @dataclass(frozen=True)
 class Ranges:
-    """What materials may be; the interface allows all of the defaults."""
+    """What bodies may be, and how many; the interface allows all of the defaults."""
 
     young: tuple[float, float] = (1e2, 1e8)  # [Pa]
     poisson: tuple[float, float] = (0.0, 0.49)
     density: tuple[float, float] = (10.0, 1e4)  # [kg/m^3]
+    most: int = MOST_BODIES
+    burden: float = np.inf  # at most, density * g * size / young: far above 1 a body is crushed by its own weight
 
 
 def generator(seed: int, episode: int) -> np.random.Generator:
@@ -60,10 +62,11 @@ def between(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def material(rng: np.random.Generator, ranges: Ranges) -> Material:
+    young, density = between(rng, *ranges.young), between(rng, *ranges.density)
     return Material(
-        young=between(rng, *ranges.young),
+        young=max(young, density * 9.81 * SIZES[1] / ranges.burden),
         poisson=float(rng.uniform(*ranges.poisson)),
-        density=between(rng, *ranges.density),
+        density=density,
         friction=float(rng.uniform(0.0, 1.0)),
     )
 
@@ -92,8 +95,8 @@ def distances(mesh: int) -> DistanceGrid:
 
 
 def population(rng: np.random.Generator, ranges: Ranges) -> list[SoftBody]:
-    """1 to MOST_BODIES bodies in layers over the floor, none in another."""
-    count = round(between(rng, 0.6, MOST_BODIES + 0.4))
+    """Bodies in layers over the floor, none in another."""
+    count = round(between(rng, 0.6, ranges.most + 0.4))
     pitch, row = 1.8 * SIZES[1], int(2 * ARENA / (1.8 * SIZES[1])) - 1  # a body may lie along its space diagonal
     cells = [(i, j, k) for j in range(3) for i in range(row) for k in range(row)]
     layer = row * row
@@ -173,7 +176,7 @@ def edit(rng: np.random.Generator, ranges: Ranges, solver) -> str:
     kind = EDITS[rng.integers(len(EDITS))]
     if not bodies or (kind == "remove" and len(bodies) == 1):
         kind = "add"
-    if len(bodies) >= MOST_BODIES and kind in ("add", "duplicate"):
+    if len(bodies) >= ranges.most and kind in ("add", "duplicate"):
         kind = "remove"
     i = int(rng.integers(max(len(bodies), 1)))
     above = np.append(rng.uniform(-0.7, 0.7, 2) * ARENA, 1.5)[[0, 2, 1]]

@@ -173,7 +173,7 @@ class World:
     def stats(self) -> dict:
         """Counts and state for the panel and `--stats`."""
         s = self.solver.stats
-        names = ("vertices", "tets", "substeps", "dt", "finite")
+        names = ("vertices", "tets", "substeps", "dt", "path", "iterations", "collision_passes", "finite")
         return {"gaussians": self.splats.count, **{n: s[n] for n in names}, "score": self.score}
 
 

@@ -152,7 +152,7 @@ class Scene:
     colliders: list[Plane | Capsule | Box] = field(default_factory=list)
     fov_y: float = 0.9  # [rad]
     gravity: Vec3 = (0.0, -9.81, 0.0)
-    iterations: int = 1
+    iterations: int | None = None  # sweeps a substep; None: what suits the path that the solver chooses
     collision_passes: int = 1
     substep: float | None = None  # [s]; None: from the stability rule
     background: Vec3 = (0.0, 0.0, 0.0)

@@ -162,7 +162,8 @@ class Contacts:
         if ti.static(first):
             d = self.hands.pull(i, dx)
         p = self.samples.of_vertex[i]
-        if p >= 0 and self.near_count[p] > 0 and s.tick[None] >= self.rows.wake[p]:
+        later = ti.static(0 if first else 1)  # what the first sweep looked at is put off to the next substep at least
+        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + later >= self.rows.wake[p]:
             y = d - s.carry[i] + self.rows.last[i]
             clear, push = FAR, corner(0.0)
             for k in range(self.near_count[p]):

@@ -2,6 +2,8 @@
 
 The same corrections as those of sim/elastic.py, of one sweep, but in one loop instead of two: no tet writes anything,
 and the four corners of a tet each work it out again. That is more arithmetic and less waiting, which suits a GPU.
+All four do so from the same numbers in the same order, so that what they take for its stress is equal to the bit and
+their corrections cancel: otherwise rounding would push the whole body.
 """
 
 import numpy as np
@@ -11,7 +13,7 @@ from sim.assembly import Assembly, stacked
 from sim.elastic import CROWD, CRUSHED, FAR_STRETCHED, energy_density, slots_of, stress
 from sim.state import State, Upload
 
-OTHERS = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]  # the other corners of each corner, in positive order
+OTHERS = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]  # the other corners of each corner
 
 
 @ti.data_oriented
@@ -19,9 +21,10 @@ class Gather:
     """What a vertex needs of each tet around it, in the slots of sim/elastic.py: those of a vertex lie together.
 
     The fields are one scalar each, because neighbouring threads read neighbouring slots:
-        other 3 x i32[4T]      the tet's other three vertices
-        gradient 9 x f32[4T]   gradients of their shape functions [1/m]; the vertex's own is minus their sum
-        tet i32[4T];           begin i32[V+1] slots of each vertex
+        other 3 x i32[4T]      the tet's other three vertices, in its order
+        gradient 9 x f32[4T]   gradients of the shape functions of its corners 1, 2, 3 [1/m]; of 0, minus their sum
+        corner i32[4T]         4 t + c: the slot's vertex is corner c of tet t
+        begin i32[V+1]         slots of each vertex
         place vec3 f64[2, V]   x + dx at the start of a substep, of even and of odd ones; in double precision, because
                                the difference of two must keep what lies under the last bit of x
     """
@@ -32,15 +35,15 @@ class Gather:
         self.builder = ti.FieldsBuilder()
         self.other = [ti.field(ti.i32) for _ in range(3)]
         self.gradient = [ti.field(ti.f32) for _ in range(9)]
-        self.tet, self.kappa, self.begin = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
-        for f in (*self.other, *self.gradient, self.tet):
+        self.corner, self.kappa, self.begin = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
+        for f in (*self.other, *self.gradient, self.corner):
             self.builder.dense(ti.i, N).place(f)
         self.builder.dense(ti.i, state.T).place(self.kappa)
         self.builder.dense(ti.i, state.V + 1).place(self.begin)
         self.place = ti.Vector.field(3, ti.f64)
         self.builder.dense(ti.ij, (2, state.V)).place(self.place)
         self.tree = self.builder.finalize()
-        self._upload = Upload([*self.other, *self.gradient, self.tet, self.kappa, self.begin])
+        self._upload = Upload([*self.other, *self.gradient, self.corner, self.kappa, self.begin])
 
     def load(self, assembly: Assembly) -> None:
         """Take the rest shapes of these bodies."""
@@ -48,17 +51,15 @@ class Gather:
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
         slot = stacked([slot + 4 * o for (slot, _), o in zip(slots, a.tet_begin, strict=False)], 4)
         begin = [begin[:-1] + 4 * o for (_, begin), o in zip(slots, a.tet_begin, strict=False)]
-        inner = stacked([s.inverse.reshape(-1, 9) for s in shapes], 9).reshape(-1, 3, 3)
-        gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # (T, 4, 3)
+        gradients = stacked([s.inverse.reshape(-1, 9) for s in shapes], 9)  # rows of D_m^-1
         n = len(slot)
         other, gradient = np.empty((4 * n, 3), np.int32), np.empty((4 * n, 9), np.float32)
-        tet = np.empty(4 * n, np.int32)
+        corner = np.empty(4 * n, np.int32)
         for c, others in enumerate(OTHERS):
-            other[slot[:, c]] = a.tets[:, others]
-            gradient[slot[:, c]] = gradients[:, others].reshape(-1, 9)
-            tet[slot[:, c]] = np.arange(n)
+            other[slot[:, c]], gradient[slot[:, c]] = a.tets[:, others], gradients
+            corner[slot[:, c]] = 4 * np.arange(n) + c
         kappa = stacked([p.kappa for p in a.parts])
-        self._upload([*other.T, *gradient.T, tet, kappa, stacked([*begin, [4 * n]])])
+        self._upload([*other.T, *gradient.T, corner, kappa, stacked([*begin, [4 * n]])])
 
     @ti.func
     def publish(self, i, parity):
@@ -70,41 +71,32 @@ class Gather:
     def correction(self, k, parity, here, mu, lam):
         """Correction (without the inverse mass) that the tet of slot k gives to its vertex, which is `here`."""
         s = self.state
-        e1 = ti.cast(self.place[parity, self.other[0][k]] - here, ti.f32)
-        e2 = ti.cast(self.place[parity, self.other[1][k]] - here, ti.f32)
-        e3 = ti.cast(self.place[parity, self.other[2][k]] - here, ti.f32)
-        g = ti.static(self.gradient)
+        o, g = ti.static(self.other, self.gradient)
+        t, c = self.corner[k] >> 2, self.corner[k] & 3
+        p, q, r = self.place[parity, o[0][k]], self.place[parity, o[1][k]], self.place[parity, o[2][k]]
+        x0 = here if c == 0 else p
+        x1 = here if c == 1 else (p if c == 0 else q)
+        x2 = here if c == 2 else (r if c == 3 else q)
+        x3 = here if c == 3 else r
+        e1, e2, e3 = ti.cast(x1 - x0, ti.f32), ti.cast(x2 - x0, ti.f32), ti.cast(x3 - x0, ti.f32)
         g1 = ti.Vector([g[0][k], g[1][k], g[2][k]])
         g2 = ti.Vector([g[3][k], g[4][k], g[5][k]])
         g3 = ti.Vector([g[6][k], g[7][k], g[8][k]])
         V = 1.0 / (6.0 * g1.dot(g2.cross(g3)))
         P, I1, grow = stress(e1.outer_product(g1) + e2.outer_product(g2) + e3.outer_product(g3), mu, lam)
-        dt2 = s.dt[None] * s.dt[None]
-        step = dt2
+        g0 = -(g1 + g2 + g3)
+        step = s.dt[None] * s.dt[None]
         if I1 > FAR_STRETCHED or grow < CRUSHED:
-            t = self.tet[k]
             a = s.tets[t]
             if grow < -1.0:
                 s.inverted[s.body_of_tet[t]] = 1
-            own = P @ (g1 + g2 + g3)
-            W = self._others_weight(k, P @ g1, P @ g2, P @ g3) + s.w[self._own(k, a)] * own.norm_sqr()
+            W = s.w[a[0]] * (P @ g0).norm_sqr() + s.w[a[1]] * (P @ g1).norm_sqr()
+            W += s.w[a[2]] * (P @ g2).norm_sqr() + s.w[a[3]] * (P @ g3).norm_sqr()
             energy = ti.max(2.0 * energy_density(I1, grow, mu, lam), 1e-12 * mu)
-            q = ti.min(V * W / energy, self.kappa[t] * ti.max(1.0, I1 * I1 / 9.0))
-            step = ti.min(dt2, 1.0 / (CROWD * q))
-        return V * step * (P @ (g1 + g2 + g3))
-
-    @ti.func
-    def _others_weight(self, k, h1, h2, h3):
-        """sum w |h|^2 of the other three corners."""
-        s = self.state
-        o = ti.static(self.other)
-        return s.w[o[0][k]] * h1.norm_sqr() + s.w[o[1][k]] * h2.norm_sqr() + s.w[o[2][k]] * h3.norm_sqr()
-
-    @ti.func
-    def _own(self, k, a):
-        """The corner of tet a that is none of slot k's other three."""
-        o = ti.static(self.other)
-        return a[0] + a[1] + a[2] + a[3] - o[0][k] - o[1][k] - o[2][k]
+            bound = self.kappa[t] * ti.max(1.0, I1 * I1 / 9.0)
+            step = ti.min(step, 1.0 / (CROWD * ti.min(V * W / energy, bound)))
+        own = g0 if c == 0 else (g1 if c == 1 else (g2 if c == 2 else g3))
+        return -V * step * (P @ own)
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -89,7 +89,7 @@ def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
         materialize(self, key, args, arg_features)
 
     monkeypatch.setattr(Kernel, "materialize", counted)
-    trees, graphs = impl.get_runtime().prog.get_snode_tree_size(), len(solver._substeps.graphs)
+    trees, graphs = impl.get_runtime().prog.get_snode_tree_size(), len(getattr(solver._substeps, "graphs", ()))
     solver.reset()
     start = motions(solver)
     for k in range(200):
@@ -101,7 +101,7 @@ def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
         assert len(solver._parts) == 2
     assert compiled == []
     assert impl.get_runtime().prog.get_snode_tree_size() == trees
-    assert len(solver._substeps.graphs) <= max(graphs, 16)
+    assert len(getattr(solver._substeps, "graphs", ())) <= max(graphs, 16)
     solver.reset()
     for a, b in zip(start, motions(solver), strict=True):
         equal(a, b)

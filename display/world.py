@@ -23,6 +23,7 @@ from render.splats import Splats
 from scenes.scene import Body, BodyState, Hand, Light, Scene
 from sim.colliders import StaticGrid
 from sim.embedding import EmbeddedPart, Embedding
+from sim.rigid_body import RigidBody
 from sim.solver import SoftBody, Solver
 
 SCRIPT_DT = 1 / 60  # [s]
@@ -179,7 +180,7 @@ class World:
 
 def load_bodies(
     scene: Scene,
-) -> tuple[list[tuple[Gaussians, StaticGrid | None]], list[tuple[SoftBody, EmbeddedPart]]]:
+) -> tuple[list[tuple[Gaussians, StaticGrid | None]], list[tuple[SoftBody | RigidBody, EmbeddedPart]]]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame."""
     library: dict[str, Asset] = {}
     static, moving = [], []
@@ -205,7 +206,7 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, StaticGrid | None
     return gaussians, grid
 
 
-def place_soft(asset: Asset, body: Body) -> tuple[SoftBody, EmbeddedPart]:
+def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedPart]:
     """The simulated body and its Gaussians, both at rest in the body's frame."""
     if asset.cage is None or asset.embedded is None:
         raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
@@ -236,4 +237,8 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody, EmbeddedPart]:
         rest=vertices,
         tets=asset.cage.tets,
     )
-    return soft, part
+    if body.kind == "soft":
+        return soft, part
+    if body.kind not in ("rigid", "kinematic"):
+        raise BadInput(f"{body.asset}: kind must be soft, rigid or kinematic, not {body.kind!r}")
+    return RigidBody.from_soft(soft, kinematic=body.kind == "kinematic"), part

@@ -43,7 +43,8 @@ class Body:
     """An asset placed in the world: x_world = scale * R(rotation) x_asset + position.
 
     `asset` is a name under assets/ or a path. With a material it is simulated; without one it
-    is static and its signed distance grid collides. `velocity` [m/s] is the initial one.
+    is static and its signed distance grid collides. `velocity` [m/s] is the initial one. `kind` is "soft", "rigid", or
+    "kinematic": rigid, and moved by nothing but the program.
     """
 
     asset: str
@@ -52,6 +53,7 @@ class Body:
     rotation: Quat = IDENTITY
     scale: float = 1.0
     velocity: Vec3 = (0.0, 0.0, 0.0)
+    kind: str = "soft"
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ class Room:
     """How much the solver's fields hold, which cannot grow: the first bodies `factor` times, and at least these totals.
 
     samples: points of contact; nodes: of the bodies' distance grids, each different one counted once. Kernels are
-    compiled once, for what there is room for: contact among bodies, if for more than one.
+    compiled once, for what there is room for: contact among bodies, if for more than one; rigid bodies, if `rigid` or
+    if there is one at first.
     """
 
     vertices: int = 0
@@ -40,6 +41,7 @@ class Room:
     nodes: int = 0
     bodies: int = 0
     factor: float = 1.0
+    rigid: bool = False
 
     @classmethod
     def of(cls, room: Room | float | None) -> Room:
@@ -77,6 +79,16 @@ class Assembly:
         self.sizes = Sizes(*counts, bodies=len(parts))
 
     @property
+    def rigid(self) -> bool:
+        """Whether any body is rigid."""
+        return any(s.rigid for s in self.shapes)
+
+    @property
+    def soft(self) -> bool:
+        """Whether any body deforms."""
+        return not all(s.rigid for s in self.shapes)
+
+    @property
     def shapes(self):
         return [p.shape for p in self.parts]
 
@@ -87,7 +99,7 @@ class Assembly:
     @cached_property
     def kappas(self) -> np.ndarray:
         """The largest kappa of each body [1/s^2], (B,)."""
-        return np.array([p.kappa.max() for p in self.parts])
+        return np.array([p.kappa.max(initial=0.0) for p in self.parts])
 
     def columns(self) -> dict[str, np.ndarray]:
         """The values of State's fields of these names."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,6 +37,17 @@ class SoftBody:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
     pinned: np.ndarray | None = None
+    rigid: ClassVar[bool] = False
+
+    def of_material(self, material: Material) -> SoftBody:
+        """The same body of another material; BadInput if no body can be of it."""
+        body = replace(self, material=material)
+        body.check_material()
+        return body
+
+    def start_velocities(self) -> np.ndarray:
+        """Initial velocities [m/s], (V, 3) float64."""
+        return np.tile(np.asarray(self.velocity, np.float64), (len(self.vertices), 1))
 
     def start(self) -> np.ndarray:
         """Initial positions in the world [m], (V, 3) float64."""

@@ -101,6 +101,15 @@ class Colliders:
         return near
 
     @ti.func
+    def gap(self, k, p):
+        """Distance [m] from p to shape k, or to the box of its grid, if p is outside; FAR where that says nothing."""
+        phi, _ = self.distance(k, p)
+        if self.kind[k] == GRID and phi >= 0.5 * FAR:
+            outside = self.grids.box_distance(self.grid[k], self._to_grid(k, p)) * self.scale[k]
+            phi = outside if outside > 0.0 else phi
+        return phi
+
+    @ti.func
     def distance(self, k, p):
         """Signed distance [m] from p to shape k and the outward unit normal; (FAR, 0) where a grid says nothing."""
         phi, normal = FAR, corner(0.0)

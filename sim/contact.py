@@ -23,6 +23,9 @@ from sim.grids import FAR, corner
 from sim.hands import Grips, Hands
 from sim.pairs import Pairs
 from sim.response import respond, respond_metric
+from sim.rigid import Movers
+from sim.rigid_contact import GROUPS, RigidContacts
+from sim.rigid_shapes import RigidShapes
 from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
@@ -32,7 +35,10 @@ NEAR = 8  # static shapes that one sample can be near at once; of more, the near
 
 @ti.data_oriented
 class Contacts:
-    """near i32[P,8]: shapes near sample p, near_count i32[P]. Rows 0..P-1 belong to the samples, the rest to pairs."""
+    """near i32[P,8]: shapes near sample p, near_count i32[P].
+
+    Rows 0..P-1 belong to the samples, the next to pairs, the rest to contact with rigid bodies, if there are any.
+    """
 
     has_vertex = True
 
@@ -47,6 +53,7 @@ class Contacts:
         self_contact: bool = True,
         spacing: float | None = None,
         room: Room = Room(),
+        movers: Movers | None = None,
     ):
         self.state = state
         self.samples = Samples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
@@ -60,9 +67,21 @@ class Contacts:
         self.anything = bool(shapes) or self.pairs.needed
         points = room.grows or self.samples.triangle_points(first) > 0
         self.has_pairs = self.pairs.needed or (bool(shapes) and points)
-        self.rows = Rows(state, self.samples.capacity + self.pairs.size)
-        self.forces = Forces(state)
-        self.stage_sizes = (self.rows.capacity, self.rows.capacity)
+        self.coupled, self.soft = movers is not None, first.soft or room.grows
+        size = self.samples.capacity + self.pairs.size
+        self.begin_rigid, later, self.rigid = size, 0, None
+        if self.coupled:
+            shapes_of = RigidShapes(movers, self.samples, self.pairs.grids)
+            self.rigid = RigidContacts(state, movers, self.samples, self.colliders, shapes_of, self.bounds, size)
+            size, later = size + self.rigid.size_of_rows, GROUPS
+            self.anything = self.has_pairs = True
+        self.rows = Rows(state, size, movers)
+        if self.coupled:
+            self.rigid.rows = self.rows
+            movers.grip.follow(self.hands)
+        self.movers, self.forces = movers, Forces(state)
+        later += self.rows.capacity if self.soft else 0  # rows between rigid bodies alone are in groups
+        self.stage_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
         self.builder = ti.FieldsBuilder()
         self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)
         self.builder.dense(ti.i, self.samples.capacity).dense(ti.j, NEAR).place(self.near)
@@ -78,6 +97,8 @@ class Contacts:
     def load(self, assembly: Assembly) -> None:
         self.samples.load(assembly)
         self.pairs.load(assembly)
+        if self.coupled:
+            self.rigid.load(assembly)
         self.hands.load(assembly)
         self.reset()
 
@@ -97,12 +118,18 @@ class Contacts:
         return list(self.hands.last)
 
     def hand_forces(self) -> list:
-        return self.hands.forces()
+        """Force of each hand [N], (3,)."""
+        forces = self.hands.forces()
+        if self.coupled:
+            forces = [f + g for f, g in zip(forces, self.movers.grip.forces(), strict=True)]
+        return forces
 
     def reset(self) -> None:
         self.hands.reset()
         self.rows.clear()
         self.near_count.fill(0)
+        if self.coupled:
+            self.rigid.reset()
 
     def detect(self) -> None:
         if self.anything:
@@ -112,6 +139,8 @@ class Contacts:
                 self.folding.update()
             self._find()
             self.pairs.detect(self.rows)
+            if self.coupled:
+                self.rigid.detect()
 
     @ti.kernel
     def _find(self):
@@ -120,8 +149,11 @@ class Contacts:
             if p < self.samples.count[None]:
                 margin = self.bounds.pace[self.samples.body[p]] * self.state.detect_dt[None]
                 x = self.samples.blend(p, self.state.x)
-                n = 0
-                for k in range(self.colliders.count[None]):
+                n, shapes = 0, self.colliders.count[None]
+                if ti.static(self.coupled):
+                    rigid = self.movers.kind[self.samples.body[p]] != 0
+                    shapes = 0 if rigid else shapes  # sim/rigid_contact.py looks for these
+                for k in range(shapes):
                     if self.colliders.within(k, x, margin - self.samples.skin[p]):
                         if n < NEAR:
                             self.near[p, n] = k
@@ -216,14 +248,33 @@ class Contacts:
 
     @ti.func
     def project_stage(self, stage: ti.template(), k, first: ti.template()):
-        """Two passes over the listed rows: what is active claims its share of the masses, then takes its step."""
-        if k < self.rows.listed_count[None]:
-            r = self.rows.listed[k]
+        """What is active of the listed rows claims its share of the masses; then, pass by pass, all take steps.
+
+        In later passes the rows of rigid bodies alone: what soft bodies do to one another waits for the next substep.
+        """
+        groups = ti.static(GROUPS if self.coupled and stage > 0 else 0)
+        if k < groups:
+            if ti.static(groups > 0):
+                self.rigid.solve(k, stage)
+        elif k - groups < self.rows.listed_count[None]:
+            r = self.rows.listed[k - groups]
             if ti.static(stage == 0):
                 if self.rows.seen[r] != 0:
-                    self.rows.claim(r, self.rows.seen[r] == 2, first)
-            else:
-                self.rows.step(r)
+                    self._claim(r, self.rows.seen[r] == 2, first)
+            elif ti.static(self.soft):
+                alone = False
+                if ti.static(self.coupled):
+                    alone = self.rows.size[r] == 0 or (stage > 1 and self.rows.ends[r] == 0)
+                if not alone:
+                    self.rows.step(r, stage)
+
+    @ti.func
+    def _claim(self, r, usable, first: ti.template()):
+        if r >= self.begin_rigid and self.rows.size[r] == 0:
+            if ti.static(self.coupled):
+                self.rigid.claim(r, usable, first)
+        elif ti.static(self.soft):
+            self.rows.claim(r, usable, first)
 
     @ti.func
     def look(self, k):
@@ -233,10 +284,14 @@ class Contacts:
             seen = 0
             if self.state.tick[None] >= self.rows.wake[r]:
                 usable = False
-                if r < self.samples.capacity:
-                    usable = self._meet(r)
-                elif ti.static(self.pairs.needed):
-                    usable = self.pairs.meet(r, self.rows)
+                if r >= self.begin_rigid:
+                    if ti.static(self.coupled):
+                        usable = self.rigid.meet(r)
+                elif ti.static(self.soft):
+                    if r < self.samples.capacity:
+                        usable = self._meet(r)
+                    elif ti.static(self.pairs.needed):
+                        usable = self.pairs.meet(r, self.rows)
                 seen = 2 if usable else 1
             self.rows.seen[r] = seen
 
@@ -248,7 +303,8 @@ class Contacts:
     @ti.func
     def stage_count(self, stage: ti.template()):
         """How many of a stage's elements there are at present."""
-        return self.rows.listed_count[None]
+        groups = ti.static(GROUPS if self.coupled and stage > 0 else 0)
+        return groups + (self.rows.listed_count[None] if ti.static(stage == 0 or self.soft) else 0)
 
     @ti.func
     def settle_vertex(self, i, dx):
@@ -275,5 +331,5 @@ class Contacts:
     def destroy(self) -> None:
         self.tree.destroy()
         parts = (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs)
-        for part in (*parts, self.foresight, self.forces, *([self.folding] if self.folding else [])):
+        for part in (*parts, self.foresight, self.forces, *filter(None, (self.folding, self.rigid))):
             part.destroy()

@@ -13,7 +13,9 @@ from assets.gaussians import matrices_of_quats, quat_of_matrix
 from scenes.scene import Material
 from sim.assembly import Assembly
 from sim.body import SoftBody
+from sim.driven import Driven
 from sim.parts import Part, motion
+from sim.rigid import Movers
 from sim.state import Download, Upload
 from sim.summary import best_rotation
 
@@ -27,6 +29,8 @@ class Editing:
     """
 
     _parts: list[Part]
+    _movers: Movers | None
+    _driven: Driven
 
     @property
     def _bodies(self) -> list[SoftBody]:
@@ -124,6 +128,9 @@ class Editing:
         if not editing:
             self._mending.hold(snapshot.get("mending", np.zeros((4, len(parts)))))
         self._write(values)
+        self._driven.reset()
+        if self._movers is not None:
+            self._fit()
         for c in self._constraints:
             c.reset()
         for c, grips in zip(self._constraints, snapshot.get("grips", ()), strict=False):
@@ -135,6 +142,11 @@ class Editing:
         """All bodies back to their starts; grips and contacts are forgotten."""
         self._change(self._parts, [p.start for p in self._parts], [])
         self._mending.reset()
+
+    def _fit(self) -> None:
+        """Let the rigid bodies be where their vertices are."""
+        x, carry, v, v_carry = self._read(self.state.sizes.vertices).astype(np.float64)
+        self._movers.fit(x + carry, v + v_carry)
 
     def _index(self, i: int) -> int:
         if not 0 <= i < len(self._parts):

@@ -30,6 +30,7 @@ FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
 # Of the surfaces' normals, the cosine above which two surfaces do not face each other: a point that was forced right
 # through a body is let back in. Were it held on the far side, what is entangled would stay so.
 ALONG = 0.3
+NOTHING = DistanceGrid(np.full((2, 2, 2), FAR, np.float32), np.zeros(3), 1e-3)  # of what needs no grid
 OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next tet
 
 
@@ -50,7 +51,9 @@ class Pairs:
         self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
+        self.rigid = first.rigid or room.rigid
         self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
+        self.needed = self.needed and (first.soft or room.grows)  # rigid bodies alone have no tets to be in
         self.grids = Grids(self._grids(first), room)
         self.hosts = Hosts(state, samples, self.spots, bounds, folding)
         self.normals = Normals(state)
@@ -61,16 +64,20 @@ class Pairs:
         self._upload = Upload([self.rim])
 
     def _grids(self, assembly: Assembly) -> list[DistanceGrid]:
-        return [s.once(grid_of) for s in assembly.shapes] if self.needed else []
+        return [s.once(grid_of) for s in assembly.shapes] if self.needed or self.rigid else []
 
     def check_room(self, assembly: Assembly) -> None:
-        fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
+        if assembly.soft:
+            fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
+        if assembly.rigid:
+            fit("rigid bodies", 1, int(self.rigid))
         self.grids.check_room(self._grids(assembly))
 
     def load(self, assembly: Assembly) -> None:
         """Take the grids and tets of these bodies."""
-        if self.needed:
+        if self.needed or self.rigid:
             self.grids.load(self._grids(assembly))
+        if self.needed:
             self.hosts.load(assembly)
             self._upload([[s.once(rim_of) for s in assembly.shapes]])
 
@@ -143,6 +150,12 @@ class Pairs:
             friction *= s.frictions(self.samples.body[p])
             self.samples.put(p, r, rows)
             first = 3
+            if ti.static(rows.coupled):
+                body = self.samples.body[p]
+                rows.ends[r] = 0
+                if rows.movers.kind[body] != 0:
+                    rows.set_end(r, 0, body, self.samples.blend(p, s.x), 1.0)
+                    rows.ends[r], first = 1, 0
         else:
             phi -= ti.min(self.hosts.reach(p), self.rim[host])
             friction *= self.spots.friction[p - self.samples.count[None]]
@@ -168,11 +181,13 @@ class Pairs:
 
 def grid_of(shape: RestShape) -> DistanceGrid:
     """The distance grid of a rest shape: its body's own, else one made of the mesh."""
+    if shape.boxed:  # its distance has a formula
+        return NOTHING
     if shape.sdf is not None:
         return shape.sdf
     if shape.root is not shape:
         return scaled_grid(shape.root.once(grid_of), shape.factor)
-    return rest_grid(shape.vertices, shape.tets, shape.surface)
+    return rest_grid(shape.vertices, shape.solid, shape.surface)
 
 
 def rim_of(shape: RestShape) -> float:

@@ -10,7 +10,8 @@ import numpy as np
 
 from assets.asset import DistanceGrid
 from scenes.scene import Material
-from sim.body import SoftBody
+from sim.body import SoftBody, rest_volumes
+from sim.rigid_body import RigidBody
 from sim.stability import stiffness_bounds
 
 
@@ -18,21 +19,39 @@ class RestShape:
     """A mesh at rest in its body's frame [m], and everything that follows from the mesh alone.
 
     Bodies of the same mesh share one. `root` is the shape that this one is `factor` times as large as.
+    `solid` are the tets that carry mass, and `tets` those of them that deform: none of a rigid body's. `boxed`: the
+    shape is exactly the box that its vertices span, about the frame's origin.
     """
 
-    def __init__(self, vertices, tets, surface, sdf: DistanceGrid | None, *, root: RestShape | None = None, factor=1.0):
+    def __init__(
+        self,
+        vertices,
+        tets,
+        surface,
+        sdf: DistanceGrid | None,
+        *,
+        rigid: bool = False,
+        boxed: bool = False,
+        root: RestShape | None = None,
+        factor: float = 1.0,
+    ):
         self.vertices = np.asarray(vertices, np.float64)
-        self.tets, self.surface, self.sdf = np.asarray(tets, np.int64), np.asarray(surface, np.int64), sdf
+        self.solid, self.surface, self.sdf = np.asarray(tets, np.int64), np.asarray(surface, np.int64), sdf
+        self.rigid, self.boxed = rigid, boxed
+        self.tets = self.solid[:0] if rigid else self.solid
         self.root, self.factor = self if root is None else root, factor
         self._kept: dict = {}
 
     @classmethod
-    def of(cls, body: SoftBody) -> RestShape:
-        return cls(body.vertices, body.tets, body.surface, body.sdf)
+    def of(cls, body: SoftBody | RigidBody) -> RestShape:
+        boxed = body.rigid and body.boxed
+        return cls(body.vertices, body.tets, body.surface, body.sdf, rigid=body.rigid, boxed=boxed)
 
-    def fits(self, body: SoftBody) -> bool:
+    def fits(self, body: SoftBody | RigidBody) -> bool:
         """Whether the body has this mesh."""
-        pairs = [(self.vertices, body.vertices), (self.tets, body.tets), (self.surface, body.surface)]
+        if (self.rigid, self.boxed) != (body.rigid, body.rigid and body.boxed):
+            return False
+        pairs = [(self.vertices, body.vertices), (self.solid, body.tets), (self.surface, body.surface)]
         return all(np.array_equal(a, b) for a, b in pairs) and same_grid(self.sdf, body.sdf)
 
     def once(self, derive: Callable, *arguments):
@@ -48,7 +67,8 @@ class RestShape:
         if abs(factor - 1.0) < 1e-12:
             return root
         sdf = None if root.sdf is None else scaled_grid(root.sdf, factor)
-        return RestShape(root.vertices * factor, root.tets, root.surface, sdf, root=root, factor=factor)
+        kind = {"rigid": root.rigid, "boxed": root.boxed}
+        return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
 
     @cached_property
     def inverse(self) -> np.ndarray:
@@ -59,18 +79,18 @@ class RestShape:
     @cached_property
     def volumes(self) -> np.ndarray:
         """[m^3], (T,)"""
-        x = self.vertices[self.tets]
-        return np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+        return rest_volumes(self.vertices, self.tets)
 
     @cached_property
     def share(self) -> np.ndarray:
         """Volume that each vertex stands for [m^3], (V,)."""
-        return np.bincount(self.tets.ravel(), np.repeat(self.volumes / 4, 4), minlength=len(self.vertices))
+        volumes = rest_volumes(self.vertices, self.solid)
+        return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
 
     @cached_property
     def edge(self) -> float:
         """Median edge length of the tets [m]."""
-        x = self.vertices[self.tets]
+        x = self.vertices[self.solid]
         return float(np.median(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1)))
 
     @cached_property
@@ -89,11 +109,11 @@ class RestShape:
 class Part:
     """A body of the solver, its shape, and what both give with its material."""
 
-    def __init__(self, body: SoftBody, shape: RestShape):
+    def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
         self.body, self.shape = body, shape
 
     @classmethod
-    def of(cls, body: SoftBody, others: list[Part]) -> Part:
+    def of(cls, body: SoftBody | RigidBody, others: list[Part]) -> Part:
         """A checked body; it shares the shape of another one with the same mesh."""
         shape = next((p.shape for p in others if p.shape.fits(body)), None)
         body.check()
@@ -106,8 +126,8 @@ class Part:
 
     @cached_property
     def w(self) -> np.ndarray:
-        """Inverse mass [1/kg], 0 where pinned, (V,)."""
-        w = 1 / self.mass
+        """Inverse mass [1/kg], 0 where pinned, and of a rigid body, whose vertices follow it, (V,)."""
+        w = np.zeros_like(self.mass) if self.body.rigid else 1 / self.mass
         if self.body.pinned is not None:
             w[np.asarray(self.body.pinned, np.int64)] = 0.0
         return w
@@ -120,13 +140,11 @@ class Part:
     @cached_property
     def start(self) -> np.ndarray:
         """x, carry, v, v_carry at the beginning, (4, V, 3) float32; pinned vertices stand still."""
-        v = np.where(self.w[:, None] > 0.0, np.asarray(self.body.velocity, np.float64), 0.0)
-        return motion(self.body.start(), v)
+        v = self.body.start_velocities()
+        return motion(self.body.start(), v if self.body.rigid else np.where(self.w[:, None] > 0.0, v, 0.0))
 
     def with_material(self, material: Material) -> Part:
-        body = replace(self.body, material=material)
-        body.check_material()
-        return Part(body, self.shape)
+        return Part(self.body.of_material(material), self.shape)
 
     def placed(self, rotation, position) -> Part:
         """The same body with another start."""

@@ -7,6 +7,9 @@ B_e is the sum of all active rows' |c| on that vertex (mass splitting, Tonge et 
 
     lambda += (wanted change of y) / sum_e |c_e| w_e B_e
 
+A row may also end on rigid bodies (sim/rigid.py): there y_e = dx + turn x r at the arm r, and w is the inverse of what
+a push meets there. Rows between rigid bodies alone are solved in groups (sim/rigid_contact.py).
+
 So impulses stay equal and opposite, rows that agree are solved in one step, others never overshoot. The sums over rows
 are integers: their order, and the number of threads, do not matter.
 """
@@ -31,12 +34,15 @@ class Rows:
     seen i32[R]: in this substep, 0: not looked at, 1: has no distance, 2: has one
     size i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a row;   claimed i32[R]: active in this sweep
     listed i32[R], listed_count: the rows in use
-    share i32[V] = B, in 1/SHARE;   start, change i64[V,3], in 1/LENGTH m: what the impulses of the last substep, and
-    their changes, move a vertex;   last vec3[V] [m]: both, in the last sweep
+    share i32[V] = B, in 1/SHARE;   last vec3[V] [m]: what the rows moved a vertex by, in the last sweep
+    sums i64[V,1+passes,3], in 1/LENGTH m: what the impulses of the last substep move it by, and their changes in each
+    pass over the rows, of which there is one without rigid bodies
+    ends i32[R], end i32[R,2], arm vec3[R,2] [m], side f32[R,2]: rigid bodies of a row, and +1 or -1 for its coefficient
     """
 
-    def __init__(self, state: State, capacity: int):
-        self.state, self.capacity = state, capacity
+    def __init__(self, state: State, capacity: int, movers=None):
+        self.state, self.capacity, self.movers, self.coupled = state, capacity, movers, movers is not None
+        self.passes = movers.passes if self.coupled else 1
         # side by side, the vertices' loads wait for memory once instead of one after the other; a CPU gains nothing
         self.unrolled = ti.cfg.arch == ti.cuda
         self.builder = ti.FieldsBuilder()
@@ -46,7 +52,7 @@ class Rows:
         self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.seen, self.listed_count = (
             ti.field(ti.i32) for _ in range(8)
         )
-        self.start, self.change = ti.Vector.field(3, ti.i64), ti.Vector.field(3, ti.i64)
+        self.sums = ti.Vector.field(3, ti.i64)
         self.builder.dense(ti.i, capacity).place(self.normal, self.phi, self.friction, self.pace, self.size)
         self.builder.dense(ti.i, capacity).place(self.wake, self.claimed, self.seen)
         self.builder.dense(ti.i, capacity).place(self.impulse)
@@ -54,7 +60,12 @@ class Rows:
         self.builder.dense(ti.i, capacity).dense(ti.j, MOST).place(self.vertex, self.coefficient)
         self.builder.dense(ti.i, state.V).place(self.share)
         self.builder.dense(ti.i, state.V).place(self.last)
-        self.builder.dense(ti.i, state.V).place(self.start, self.change)
+        self.builder.dense(ti.ij, (state.V, 1 + self.passes)).place(self.sums)
+        if self.coupled:
+            self.ends, self.end = ti.field(ti.i32), ti.field(ti.i32)
+            self.side, self.arm = ti.field(ti.f32), ti.Vector.field(3, ti.f32)
+            self.builder.dense(ti.i, capacity).place(self.ends)
+            self.builder.dense(ti.i, capacity).dense(ti.j, 2).place(self.end, self.side, self.arm)
         self.builder.place(self.listed_count)
         self.tree = self.builder.finalize()
 
@@ -92,12 +103,17 @@ class Rows:
                     self.vertex[r, e], self.coefficient[r, e] = self.vertex[r, 0], 0.0
 
     @ti.func
+    def set_end(self, r, e, b, x, side):
+        """Make rigid body b, touched at x, end e of row r, with coefficient `side`."""
+        self.end[r, e], self.side[r, e], self.arm[r, e] = b, side, x - self.movers.x[b]
+
+    @ti.func
     def claim(self, r, usable, first: ti.template()):
         """First pass: if the row carries a load or is about to, claim masses and push as in the last substep."""
         self.claimed[r] = 0
         if usable and (
             self.impulse[r].norm_sqr() > 0.0
-            or self.normal[r].dot(self._motion(r, False)) < least(self.phi[r], self.state.dt[None])
+            or self.normal[r].dot(self.motion(r, 0)) < least(self.phi[r], self.state.dt[None])
         ):
             self.claimed[r] = 1
             if ti.static(self.unrolled):
@@ -106,16 +122,19 @@ class Rows:
             else:
                 for e in range(self.size[r]):
                     self._claim(r, e)
+            if ti.static(self.coupled):
+                for e in range(self.ends[r]):
+                    self.movers.claim(self.end[r, e], 1.0)
             if ti.static(first):
-                self._push(r, self.impulse[r], self.start)
+                self.push(r, self.impulse[r], 0)
         else:
             self.forget(r)
             if usable:
                 self.rest(r, self.phi[r], self.pace[r])
 
     @ti.func
-    def step(self, r):
-        """Second pass: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `grip`)."""
+    def step(self, r, j: ti.template()):
+        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `grip`)."""
         if self.claimed[r]:
             mass = 0.0  # inverse
             if ti.static(self.unrolled):
@@ -124,64 +143,86 @@ class Rows:
             else:
                 for e in range(self.size[r]):
                     mass += self._split(r, e)
+            n, old, y = self.normal[r], self.impulse[r], self.motion(r, j)
+            old_n, y_n = n.dot(old), n.dot(y)
+            y_t, mass_t = y - y_n * n, mass
+            if ti.static(self.coupled):
+                along = y_t / ti.max(y_t.norm(), 1e-20)
+                for e in range(self.ends[r]):
+                    b, arm = self.end[r, e], self.arm[r, e]
+                    mass += self.movers.claims(b) * self.movers.inverse(b, arm, n)
+                    mass_t += self.movers.claims(b) * self.movers.inverse(b, arm, along)
             if mass > 0.0:
-                n, old, y = self.normal[r], self.impulse[r], self._motion(r, True)
-                old_n, y_n = n.dot(old), n.dot(y)
                 new_n = ti.max(old_n + (least(self.phi[r], self.state.dt[None]) - y_n) / mass, 0.0)
-                new_t = (old - old_n * n) - (y - y_n * n) / mass
-                new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass, self.state.dt[None])
+                new_t = (old - old_n * n) - y_t / ti.max(mass_t, 1e-20)
+                new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass_t, self.state.dt[None])
                 self.impulse[r] = new
-                self._push(r, new - old, self.change)
+                self.push(r, new - old, j)
 
     @ti.func
     def settle(self, i):
         """All pushes [m] on vertex i, whose sums are thereby cleared."""
         d = ti.Vector([0.0, 0.0, 0.0])
         if self.share[i] != 0:
-            d = ti.cast(self.start[i] + self.change[i], ti.f32) * (1.0 / LENGTH)
-            self.start[i] = ti.Vector([0, 0, 0], ti.i64)
-            self.change[i] = ti.Vector([0, 0, 0], ti.i64)
+            total = ti.Vector([0, 0, 0], ti.i64)
+            for j in ti.static(range(1 + self.passes)):
+                total += self.sums[i, j]
+                self.sums[i, j] = ti.Vector([0, 0, 0], ti.i64)
+            d = ti.cast(total, ti.f32) * (1.0 / LENGTH)
             self.share[i] = 0
         self.last[i] = d
         return d
 
     @ti.func
-    def _motion(self, r, started: ti.template()):
-        """y [m] in this substep so far; in the second pass (`started`) with what the first one pushed."""
+    def motion(self, r, passed: ti.template()):
+        """y [m] in this substep so far, with what the first `passed` passes pushed."""
         y = ti.Vector([0.0, 0.0, 0.0])
         if ti.static(self.unrolled):
             for e in ti.static(range(MOST)):
-                y += self._moved(r, e, started)
+                y += self._moved(r, e, passed)
         else:
             for e in range(self.size[r]):
-                y += self._moved(r, e, started)
+                y += self._moved(r, e, passed)
+        if ti.static(self.coupled):
+            for e in range(self.ends[r]):
+                d, t = self.movers.moved(self.end[r, e], passed)
+                y += self.side[r, e] * (d + t.cross(self.arm[r, e]))
         return y
 
     @ti.func
-    def _moved(self, r, e, started: ti.template()):
+    def _moved(self, r, e, passed: ti.template()):
         """The share of vertex e in y [m]."""
         i = self.vertex[r, e]
         y = self.state.dx[i] - self.state.carry[i]
-        if ti.static(started and not self.state.answers):  # else dx has answered already
-            y += ti.cast(self.start[i], ti.f32) * (1.0 / LENGTH)
+        answers = ti.static(self.state.answers)
+        for j in ti.static(range(1 if answers else 0, passed)):  # dx has answered already to the first sums
+            moved = ti.cast(self.sums[i, j], ti.f32) * (1.0 / LENGTH)
+            if ti.static(answers):
+                moved *= self.state.mobility[i] / ti.max(self.state.w[i], 1e-20)
+            y += moved
         return self.coefficient[r, e] * y
 
     @ti.func
-    def _push(self, r, impulse, sums: ti.template()):
+    def push(self, r, impulse, j: ti.template()):
+        """Let row r act with an impulse [kg m], in the sums of pass j."""
         if ti.static(self.unrolled):
             for e in ti.static(range(MOST)):
-                self._push_one(r, e, impulse, sums)
+                self._push_one(r, e, impulse, j)
         else:
             for e in range(self.size[r]):
-                self._push_one(r, e, impulse, sums)
+                self._push_one(r, e, impulse, j)
+        if ti.static(self.coupled):
+            for e in range(self.ends[r]):
+                p = self.side[r, e] * impulse
+                self.movers.push(self.end[r, e], p, self.arm[r, e].cross(p), j)
 
     @ti.func
-    def _push_one(self, r, e, impulse, sums: ti.template()):
+    def _push_one(self, r, e, impulse, j: ti.template()):
         i = self.vertex[r, e]
         push = self.state.w[i] * self.coefficient[r, e] * LENGTH * impulse
         if push.norm_sqr() > 0.0:
             for axis in ti.static(range(3)):
-                ti.atomic_add(sums[i][axis], ti.cast(push[axis], ti.i64))
+                ti.atomic_add(self.sums[i, j][axis], ti.cast(push[axis], ti.i64))
 
     @ti.func
     def _claim(self, r, e):
@@ -204,8 +245,11 @@ class Rows:
         for i in self.share:
             self.share[i] = 0
             self.last[i] = ti.Vector([0.0, 0.0, 0.0])
-            self.start[i] = ti.Vector([0, 0, 0], ti.i64)
-            self.change[i] = ti.Vector([0, 0, 0], ti.i64)
+            for j in range(1 + self.passes):
+                self.sums[i, j] = ti.Vector([0, 0, 0], ti.i64)
+        if ti.static(self.coupled):
+            for r in self.size:
+                self.ends[r] = 0
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -15,6 +15,7 @@ from sim.state import State, Upload, capacity
 
 FINEST, COARSEST = 0.004, 0.02  # [m] spacing that is worth its cost; spacing that still finds a finger
 CLOSE = 0.75  # [spacings] between points that are thinned out: so far apart at least, one spacing at most on average
+RIGID = 0.1  # of the size of a rigid body, the finest spacing of its samples
 MOST = 6000  # samples a body; a longer list is thinned by a larger spacing
 
 
@@ -98,6 +99,8 @@ def skin(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) 
 
 
 def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
+    if shape.rigid:  # it bends nowhere: between its corners and edges few points will do
+        spacing = max(spacing, RIGID * float(np.ptp(shape.vertices, axis=0).max()))
     return surface_points(shape.vertices, shape.surface, spacing)
 
 

@@ -1,6 +1,7 @@
 """The solver: all elastic bodies of a scene, stepped a frame at a time (VR-GS, Sec. 4.1)."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import taichi as ti
@@ -9,14 +10,18 @@ from assets.errors import BadInput
 from scenes.scene import BodyState, Hand
 from sim.assembly import Assembly, Room
 from sim.body import SoftBody
+from sim.boundaries import Boundaries
 from sim.colliders import Shape
 from sim.contact import Contacts
 from sim.damping import Chunks, Damping
 from sim.descent import DescentSubsteps
+from sim.driven import Driven
 from sim.editing import Editing
 from sim.elastic import Elastic
 from sim.mending import Mending
 from sim.parts import Part
+from sim.rigid import LONGEST_SUBSTEP, MOST_PASSES, PASS, Movers
+from sim.rigid_body import RigidBody
 from sim.stability import LIMIT, Plan, choose_plan
 from sim.state import State
 from sim.substep import jacobi
@@ -27,7 +32,7 @@ LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than t
 INTERACTIONS = ("physics", "transform")
 
 
-class Solver(Editing):
+class Solver(Editing, Boundaries):
     """Simulates `bodies`.
 
     substep [s] and iterations (full sweeps a substep) are forced, or None for what suits the path: "jacobi", "descent",
@@ -41,7 +46,7 @@ class Solver(Editing):
 
     def __init__(
         self,
-        bodies: list[SoftBody],
+        bodies: list[SoftBody | RigidBody],
         colliders: list[Shape] = (),
         *,
         gravity=(0.0, -9.81, 0.0),
@@ -68,17 +73,23 @@ class Solver(Editing):
         for b in bodies:
             self._parts.append(Part.of(b, self._parts))
         first = Assembly(self._parts)
-        self._choose(first)
+        self._movers: Movers | None = None
+        self._with_rigid = first.rigid or room.rigid
+        plan = self._choose(first)
         s = self.state = State(first.sizes, room)
         self.x, self.v, self.rest, self.w, self.tets, self.body_of_vertex = (
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
         )  # fmt: skip
         self._elastic, self._chunks = Elastic(s), Chunks(s)
         self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
-        self._mending = Mending(s, self._summary, self._damping)
-        options = {"hands": hands, "self_contact": self_contact, "room": room}
+        self._mending, self._driven = Mending(s, self._summary, self._damping), Driven(s)
+        if self._with_rigid:
+            passes = min(max(math.ceil(plan.substep / PASS), 1), MOST_PASSES)
+            self._movers = Movers(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
+            s.coupled, s.movers = True, self._movers
+        options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
-        self._constraints = contact
+        self._constraints = [*contact, *([self._movers] if self._with_rigid else [])]
         self._paths: dict = {}
         self._last = (0, 0.0)  # substeps and their length in the last frame
         self._open()
@@ -89,7 +100,8 @@ class Solver(Editing):
         """Path, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
         kappas = assembly.kappas
         stiffest = assembly.parts[int(np.argmax(kappas))].body.name if assembly.parts else "nothing"
-        return choose_plan(float(kappas.max(initial=0.0)), stiffest=stiffest, **self._wanted)
+        plan = choose_plan(float(kappas.max(initial=0.0)), stiffest=stiffest, **self._wanted)
+        return replace(plan, substep=min(plan.substep, LONGEST_SUBSTEP)) if self._with_rigid else plan
 
     def _take(self, plan: Plan) -> None:
         """Step by this plan from now on; a path is compiled when it is first taken."""
@@ -103,6 +115,8 @@ class Solver(Editing):
             self._paths[plan.path] = substeps
         self._substeps = self._paths[plan.path]
         self.state.mobility, self.state.answers = self._substeps.mobility, self._substeps.answers
+        if self._movers is not None:
+            self._movers.iterations = plan.iterations
 
     def _load(self, assembly: Assembly) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
@@ -131,6 +145,7 @@ class Solver(Editing):
         length = -(-n // pieces)
         n = pieces * length
         self.state.begin_frame(dt / n, dt / self.collision_passes, n, ti.Vector(self.gravity))
+        self._driven.begin_frame(dt)
         for c in self._constraints:
             c.begin_frame(hands, dt, n)
         self._mending.begin_frame(self._gripped(), dt)
@@ -141,6 +156,7 @@ class Solver(Editing):
             self._mending.run(dt / pieces)
             self._damping.run(dt / pieces)
             self._substeps.run(length)
+        self._driven.end_frame()
         self._last = (n, dt / n)
 
     def _step_transform(self, dt: float, hands: list[Hand]) -> None:
@@ -150,6 +166,8 @@ class Solver(Editing):
                 c.begin_frame(hands, dt, 0)
                 gripped, hands = c.gripped(), c.seen()
         self._transform.step(hands, gripped)
+        if any(b >= 0 and self._parts[b].body.rigid for b in gripped):
+            self._fit()
         self._last = (0, 0.0)
 
     def hand_forces(self) -> list[np.ndarray]:

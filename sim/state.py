@@ -123,6 +123,7 @@ class State:
         self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and tets < SERIAL_BELOW
         self.V, self.T, self.S = capacity(vertices), capacity(tets), capacity(triangles)
         self.sizes = Sizes(0, 0, 0, 0)
+        self.coupled, self.movers = False, None  # sim/rigid.py Movers comes before any kernel is compiled, if ever
         self.builder = ti.FieldsBuilder()
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))

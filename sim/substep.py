@@ -21,6 +21,17 @@ def predict(s: ti.template(), i):
 @ti.func
 def commit(s: ti.template(), i, d):
     """Turn the final increment d of vertex i into its new velocity and position, and predict the next one."""
+    rigid = False
+    if ti.static(s.coupled):
+        rigid = s.movers.kind[s.body_of_vertex[i]] != 0
+        if rigid:
+            s.movers.place(i)
+    if not rigid:
+        _commit(s, i, d)
+
+
+@ti.func
+def _commit(s: ti.template(), i, d):
     dt = s.dt[None]
     v, v_carry = s.v[i], s.v_carry[i]
     if s.w[i] > 0.0:
@@ -36,7 +47,7 @@ def commit(s: ti.template(), i, d):
 
 def jacobi(state: State, elastic: Elastic, constraints: list, *, iterations: int):
     """Substeps in the form that suits the device: one kernel that stays on CUDA, where launches cost most."""
-    if ti.cfg.arch == ti.cuda and iterations == 1:
+    if ti.cfg.arch == ti.cuda and iterations == 1 and not state.coupled:
         from sim.persistent import Persistent
 
         return Persistent(state, constraints)
@@ -57,11 +68,12 @@ class Substeps:
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.mobility, self.answers = state.w, False  # see State
+        sweep = self.sweeps if state.coupled else lambda **when: [self.sweep(**when)]
         if iterations == 1:
-            self.kernels = [self.sweep(first=True, fused=True)]
+            self.kernels = sweep(first=True, fused=True)
         else:  # two sweeps and the commit are compiled, instead of a third sweep that closes
-            self.kernels = [self.sweep(first=True, fused=False), self.closing()]
-            self.kernels[1:1] = [self.sweep(first=False, fused=False)] * (iterations - 1)
+            self.kernels = sweep(first=True, fused=False) + sweep(first=False, fused=False) * (iterations - 1)
+            self.kernels.append(self.closing())
         self.graphs: dict[int, ti.graph.Graph] = {}
 
     def load(self, assembly: Assembly) -> None:
@@ -139,6 +151,69 @@ class Substeps:
                             s.dx[i] = d
 
         return sweep
+
+    def sweeps(self, *, first: bool, fused: bool):
+        """A sweep as several kernels: with rigid bodies, a single one would take minutes to compile."""
+        s, e, on_vertex, in_pairs = self.state, self.elastic, self.on_vertex, self.in_pairs
+        V, T = s.V, s.T
+
+        @ti.kernel
+        def begin():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for t in range(T):
+                if t < s.tet_count[None]:
+                    e.project_tet(t, first, fused)
+                if ti.static(first) and t == 0:
+                    s.tick[None] += 1
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(V):
+                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                    d = s.dx[i] + e.summed(i)
+                    for c in ti.static(on_vertex):
+                        d = c.project_vertex(i, d, first)
+                    s.dx[i] = d
+
+        @ti.kernel
+        def end():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(V):
+                if i < s.vertex_count[None]:
+                    d = s.dx[i]
+                    if s.w[i] > 0.0:
+                        for c in ti.static(in_pairs):
+                            d = c.settle_vertex(i, d)
+                    if ti.static(fused):
+                        commit(s, i, d)
+                    else:
+                        s.dx[i] = d
+
+        return [begin, *(k for c in in_pairs for k in self.stages(c, first)), end]
+
+    def stages(self, c, first: bool) -> list:
+        """What a constraint looks at, and its stages, as kernels."""
+        s = self.state
+
+        @ti.kernel
+        def look():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for k in range(c.stage_sizes[0]):
+                c.look(k)
+
+        def kernel(stage: int):
+            @ti.kernel
+            def run():
+                if ti.static(s.serial):
+                    ti.loop_config(serialize=True)
+                for k in range(c.stage_sizes[stage]):
+                    c.project_stage(stage, k, first)
+
+            return run
+
+        return [look] * first + [kernel(stage) for stage in range(len(c.stage_sizes))]
 
     def closing(self):
         """The commit as a kernel of its own, after the last of several sweeps."""

@@ -38,7 +38,7 @@ def multiprocessors() -> int:
 class Persistent:
     """`run(n)` makes n substeps of one sweep each."""
 
-    piece = 64  # substeps behind one call, at most: damping acts between calls
+    piece = 128  # substeps behind one call, at most: damping acts between calls
 
     def __init__(self, state: State, constraints: list):
         self.state, self.gather = state, Gather(state)

@@ -1,7 +1,7 @@
 """`vrgs.py check`: the physics table, every row with its reference, what was measured, the tolerance and a verdict.
 
-Each measurement is a function beside this file that goes through the public Solver. The tests run the quick form
-(test_physics.py), a measurement a test; the full form runs the same ones longer.
+Each measurement is a function beside this file that goes through the public Solver. The tests run the quick form,
+a measurement a test; the full form runs the same ones longer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from time import perf_counter
 
 from display.stats import write_stats
 from display.video import claim
-from tests import devices, physics
+from tests import contact_rows, devices, physics
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
 KEYS = (*HEAD[:4], "pass")  # what the JSON holds
@@ -27,18 +27,19 @@ class Measurement:
     quick: Callable[[], list[dict]]
     full: Callable[[], list[dict]]
     name: str
+    tested: str = "test_physics"  # the module of tests that runs the quick form
 
 
-def both(function: Callable[[], list[dict]], quick: dict | None = None, full: dict | None = None) -> Measurement:
-    """A measurement whose two forms differ by the arguments only."""
-    return Measurement(
-        functools.partial(function, **quick or {}), functools.partial(function, **full or {}), function.__name__
-    )
+def both(function: Callable[[], list[dict]], quick: dict | None = None, tested: str = "test_physics") -> Measurement:
+    """A measurement whose quick form differs by arguments only; by itself it takes those of the full one."""
+    return Measurement(functools.partial(function, **quick or {}), function, function.__name__, tested)
 
 
 MEASUREMENTS = (
     *map(both, physics.ALL),
-    both(physics.long_run, quick={"substeps": 100_000}, full={"substeps": 1_000_000}),
+    both(physics.long_run, quick={"substeps": 100_000}),
+    both(contact_rows.ring_throws, quick={"count": 8, "around": 16, "seconds": 0.5}, tested="test_thin"),
+    both(contact_rows.pile_at_rest, quick={"seconds": 5.0}, tested="test_piles"),
     both(devices.cuda_and_cpu),
 )
 

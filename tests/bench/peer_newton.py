@@ -12,7 +12,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -26,9 +26,9 @@ from tests.meshes import boundary
 
 ROOT = Path(__file__).resolve().parents[2]
 BUNNY = ROOT.parent / "shared" / "data" / "tets" / "bunny_gaia.npz"
-SOFT = Material(1e6, 0.3, 1000.0, damping=12.0)
-FRAME = 1 / 60  # [s]
-LINEAR = 0.02  # largest displacement / size where linear elements are a reference
+SOFT = Material(1e6, 0.3, 1000.0, damping=0.0)
+FRAME = 1 / 240  # [s] after each of which a body whose kinetic energy falls is stopped, in both solvers
+LINEAR = 0.02  # displacement of the tip / size up to which linear elements are a reference
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,14 @@ def cases(mesh: Path) -> list[Case]:
     turned = np.stack([physics.BAR[:, 1], -physics.BAR[:, 0], physics.BAR[:, 2]], 1)  # +x becomes -y
     bar = {"tets": physics.TETS, "pinned": physics.LEFT, "tip": physics.RIGHT}
     x, tets, top, low = hanging(mesh)
-    body = {"vertices": x, "tets": tets, "pinned": top, "tip": low, "duration": 1.0}
+    body = {"vertices": x, "tets": tets, "pinned": top, "tip": low, "duration": 0.6}
+    body |= {"newton_dt": 1 / 1200, "newton_iterations": 12}  # many sweeps of long steps do not converge on it
     name = mesh.stem.split("_")[0]
     return [
-        Case("hanging bar", turned, material=replace(SOFT, damping=60.0), duration=0.6, **bar),
+        Case("hanging bar", turned, material=SOFT, duration=0.6, **bar),
         Case("cantilever", physics.BAR, material=SOFT, gravity=physics.G / 10, duration=2.0, **bar),
-        Case(f"{name}, E = 1e5", material=Material(1e5, 0.4, 1000.0, damping=100.0), **body),
-        Case(f"{name}, E = 1e4", material=Material(1e4, 0.4, 1000.0, damping=40.0), **body),
+        Case(f"{name}, E = 1e5", material=Material(1e5, 0.4, 1000.0, damping=0.0), **body),
+        Case(f"{name}, E = 1e4", material=Material(1e4, 0.4, 1000.0, damping=0.0), **body),
     ]
 
 
@@ -109,10 +110,16 @@ def by_us(c: Case) -> dict:
     solver = Solver([body], contacts=False, gravity=(0.0, -c.gravity, 0.0))
     solver.step(FRAME)  # compiles
     solver.reset()
-    begin = perf_counter()
+    masses, before, begin = body.masses(), 0.0, perf_counter()
     for _ in range(round(c.duration / FRAME)):
         solver.step(FRAME)
-    speed = np.linalg.norm(solver.snapshot()["v"], axis=1).max()
+        velocities = solver.snapshot()["v"].astype(np.float64)
+        energy = masses @ (velocities**2).sum(1)
+        if energy < before:
+            solver.restore({"x": physics.positions(solver)[0], "v": np.zeros_like(velocities)})
+            energy = 0.0
+        before = energy
+    speed = np.linalg.norm(velocities, axis=1).max()
     seconds = perf_counter() - begin
     return {"positions": physics.positions(solver)[0], "speed": speed, "seconds": seconds, "stats": solver.stats}
 
@@ -129,7 +136,7 @@ def compare(c: Case, python: Path) -> None:
 
     def line(name: str, measure) -> None:
         a, b, e = (measure(x) for x in (ours["positions"], theirs["positions"].astype(np.float64), linear))
-        applies = np.abs(linear - c.vertices).max() < LINEAR * np.ptp(c.vertices, axis=0).max()
+        applies = np.linalg.norm((linear - c.vertices)[c.tip].mean(0)) < LINEAR * np.ptp(c.vertices, axis=0).max()
         print(f"{name:28}{f'{e:.6g}' if applies else '-':>12}{b:12.6g}{a:12.6g}{a / b - 1:20.3%}")
 
     line("tip displacement [m]", lambda x: np.linalg.norm((x - c.vertices)[c.tip].mean(0)))

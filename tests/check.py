@@ -38,6 +38,7 @@ def both(function: Callable[[], list[dict]], quick: dict | None = None, tested: 
 MEASUREMENTS = (
     *map(both, physics.ALL),
     both(physics.long_run, quick={"substeps": 100_000}),
+    both(contact_rows.rigid_bodies, tested="test_rigid"),
     both(contact_rows.ring_throws, quick={"count": 8, "around": 16, "seconds": 0.5}, tested="test_thin"),
     both(contact_rows.pile_at_rest, quick={"seconds": 5.0}, tested="test_piles"),
     both(devices.cuda_and_cpu),

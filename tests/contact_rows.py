@@ -1,7 +1,9 @@
-"""The rows of the physics table for soft bodies in contact, in the form of tests/physics.py."""
+"""The rows of the physics table for bodies in contact, in the form of tests/physics.py."""
 
 from tests.physics import row
+from tests.physics_contact import rigid_bounce, rigid_stack, slope
 from tests.piles import resting_pile
+from tests.playground import playground
 from tests.throws import linked_throws
 
 GAIN = 1e-5  # [J]; it lifts a cube of the pile by 2 um
@@ -16,3 +18,9 @@ def pile_at_rest(seconds: float = 60.0) -> list[dict]:
     """A pile that has settled gains no energy."""
     gained = resting_pile(seconds)["gained"]
     return [row(f"pile at rest, energy gained in {seconds:g} s [J]", 0.0, gained, GAIN, error=gained)]
+
+
+def rigid_bodies() -> list[dict]:
+    """Rebounds, a stack of five and a slope, all in one solver."""
+    place = playground()
+    return [*rigid_bounce(place), *rigid_stack(place), *slope(place)]

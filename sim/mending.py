@@ -87,6 +87,7 @@ class Mending:
         """Lead the limp bodies for t [s], before the damping."""
         if self.status[0].any():
             self.summary.sum_up()
+            self.damping.run(0.0)  # omega of now: the last one would spin a body that has grown since
             self._lead(t)
 
     @ti.kernel

@@ -8,9 +8,12 @@ import pytest
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def ti_cpu():
-    """Taichi on the CPU, initialised once: fields of earlier tests stay valid. VRGS_TEST_ARCH=cuda: on the GPU."""
+    """Taichi on the CPU, initialised once a test file: it holds 512 field trees at most, and a solver has thirty.
+
+    VRGS_TEST_ARCH=cuda: on the GPU.
+    """
     import taichi as ti
 
     from display.device import quicken
@@ -18,7 +21,8 @@ def ti_cpu():
     arch = {"cpu": ti.cpu, "cuda": ti.cuda}[os.environ.get("VRGS_TEST_ARCH", "cpu")]
     ti.init(arch=arch, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
     quicken()
-    return ti
+    yield ti
+    ti.reset()
 
 
 @pytest.fixture(scope="session")

@@ -24,7 +24,8 @@ from sim.hands import Grips, Hands
 from sim.pairs import Pairs
 from sim.response import respond, respond_metric
 from sim.rigid import Movers
-from sim.rigid_contact import GROUPS, RigidContacts
+from sim.rigid_contact import RigidContacts
+from sim.rigid_search import GROUPS
 from sim.rigid_shapes import RigidShapes
 from sim.rows import Rows
 from sim.samples import Samples, spacing_for

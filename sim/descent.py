@@ -29,7 +29,7 @@ from sim.damping import Chunks
 from sim.elastic import Elastic, corners_of, fine_stress
 from sim.response import inverse
 from sim.state import State, Upload, capacity
-from sim.substep import blocks, commit
+from sim.substep import blocks, commit, stages
 
 MOST_COLORS = 64
 NEARLY_CRUSHED = 1.5  # tr F^T F; below 1 the energy has a further term, mu/2 (1 - I1)^2 ...
@@ -94,6 +94,8 @@ class DescentSubsteps:
     def _record(self, substeps: int):
         if self.kernels is None:
             pairs = [self.pairs()] if self.in_pairs else []
+            if self.state.coupled:  # in pieces, as in sim/substep.py
+                pairs[:0] = [k for c in self.in_pairs for k in stages(self.state, c, first=True, look=False)]
             self.kernels = self.begin(), self.sweep(), pairs, self.coarse.kernels(), self.close()
         begin, sweep, pairs, coarse, close = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
@@ -207,7 +209,7 @@ class DescentSubsteps:
 
         @ti.kernel
         def pairs():
-            for c in ti.static(in_pairs):
+            for c in ti.static([] if s.coupled else in_pairs):
                 for stage in ti.static(range(len(c.stage_sizes))):
                     block = ti.static(blocks(c.stage_sizes[stage]))
                     if ti.static(s.serial):

@@ -53,6 +53,9 @@ class Forces:
                 r = rows.listed[k]
                 for e in range(rows.size[r]):
                     self._add(s.body_of_vertex[rows.vertex[r, e]], rows.coefficient[r, e] * rows.impulse[r])
+                if ti.static(rows.coupled):
+                    for e in range(rows.ends[r]):
+                        self._add(rows.end[r, e], rows.side[r, e] * rows.impulse[r])
 
     @ti.func
     def _add(self, b, impulse):

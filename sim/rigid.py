@@ -21,15 +21,14 @@ from sim.grips import Grips
 from sim.parts import Part
 from sim.rigid_body import RigidBody
 from sim.rigid_grip import RigidGrip
+from sim.rigid_motion import DRIVEN, FREE, SOFT, follow, move, place, predict, refresh
 from sim.rows import LENGTH, SHARE
-from sim.state import State, Upload, two_sum
+from sim.state import State, Upload
 from sim.summary import best_rotation
 
-SOFT, FREE, DRIVEN = range(3)
 PASS = 1.25e-4  # [s] of a substep for each pass over the rows
 MOST_PASSES = 4
 LONGEST_SUBSTEP = 5e-4  # [s] with rigid bodies: the rows of a stack converge over substeps
-FASTEST = 0.5  # [rad] a substep; beyond, the attitude's increments mean nothing
 MOTION = ("x", "carry", "v", "v_carry", "q", "q_carry", "spin")
 
 
@@ -161,7 +160,7 @@ class Movers:
             for j, c in ti.ndrange(1 + self.passes, 6):
                 self.sums[b, j, c] = 0
             if self.kind[b] != SOFT:
-                self._refresh(b)
+                refresh(self, b)
 
     @ti.kernel
     def _begin(self, table: ti.types.ndarray(ti.f32, 2)):
@@ -178,45 +177,11 @@ class Movers:
                     whole = s.dt[None] * ti.cast(s.substeps[None], ti.f32)
                     self.v[b], self.omega[b] = self.way[b] / whole, self.swing[b] / whole
                     self.v_carry[b], self.carry[b] = 0.0, 0.0
-                self._predict(b)
+                predict(self, b)
                 self.swept_at[b] = -2
         for i in range(s.V):
             if i < s.vertex_count[None] and self.kind[s.body_of_vertex[i]] != SOFT:
-                self.place(i)
-
-    @ti.func
-    def _refresh(self, b):
-        """What follows from attitude and momentum."""
-        R = quaternion.matrix(self.q[b].normalized())
-        self.R[b] = R
-        self.world[b] = R @ self.inverse_inertia[b] @ R.transpose()
-        if self.kind[b] == FREE:
-            self.omega[b] = self.world[b] @ self.spin[b]
-
-    @ti.func
-    def _predict(self, b):
-        """The increments of the next substep without contacts, and then what the hands add."""
-        s = self.state
-        dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
-        if self.kind[b] == FREE:
-            d = dt * (self.v[b] + (self.v_carry[b] + dt * s.gravity[None])) + self.carry[b]
-            half = (self.q[b] + quaternion.gain(0.5 * dt * self.omega[b], self.q[b])).normalized()
-            R = quaternion.matrix(half)
-            turn = dt * (R @ (self.inverse_inertia[b] @ (R.transpose() @ self.spin[b])))
-            self.predicted[b], self.turned[b] = d, turn
-            self.dx[b], self.turn[b] = d, turn
-            self.grip.pull(b)
-        else:
-            self.dx[b], self.turn[b] = self.way[b] / n + self.carry[b], self.swing[b] / n
-
-    @ti.func
-    def place(self, i):
-        """Put vertex i of a rigid body where its body has it."""
-        s = self.state
-        b = s.body_of_vertex[i]
-        r = self.R[b] @ (s.rest[i] - self.center[b])
-        s.x[i], s.v[i] = self.x[b] + (r + self.carry[b]), self.v[b] + self.omega[b].cross(r)
-        s.carry[i], s.v_carry[i], s.dx[i] = 0.0, 0.0, 0.0
+                place(self, i)
 
     @ti.func
     def moved(self, b, upto):
@@ -271,43 +236,10 @@ class Movers:
                     self.dx[b], self.turn[b] = d, t
             else:
                 if self.kind[b] == FREE:
-                    self._move(b, d, t)
+                    move(self, b, d, t)
                 else:
-                    self._follow(b)
-                self._predict(b)
-
-    @ti.func
-    def _move(self, b, d, t):
-        """Commit the increments d and t of a free body."""
-        s = self.state
-        dt = s.dt[None]
-        change = dt * s.gravity[None] + (d - self.predicted[b]) / dt
-        v, v_carry = two_sum(self.v[b], self.v_carry[b] + change)
-        speed, limit = v.norm(), self.reach[b] / dt
-        if speed > limit:
-            v, v_carry = v * (limit / speed), 0.0 * v
-        self.v[b], self.v_carry[b] = v, v_carry
-        self.x[b], self.carry[b] = two_sum(self.x[b], dt * (v + v_carry) + self.carry[b])
-        R = self.R[b]
-        self.spin[b] += R @ (self.inertia[b] @ (R.transpose() @ ((t - self.turned[b]) / dt)))
-        q = ti.cast(self.q[b], ti.f64)
-        stretch = ti.cast(q.norm_sqr() - 1.0, ti.f32)
-        turned = quaternion.gain(t, self.q[b]) - 0.5 * stretch * self.q[b]
-        self.q[b], self.q_carry[b] = two_sum(self.q[b], turned + self.q_carry[b])
-        self._refresh(b)
-        spinning = self.omega[b].norm() * dt
-        if spinning > FASTEST:
-            self.spin[b] *= FASTEST / spinning
-            self.omega[b] *= FASTEST / spinning
-
-    @ti.func
-    def _follow(self, b):
-        """Put a driven body where it is at the end of this substep."""
-        s = self.state
-        f = ti.cast(s.tick[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
-        self.x[b], self.carry[b] = two_sum(self.origin[b], f * self.way[b])
-        self.q[b] = (self.origin_q[b] + quaternion.gain(f * self.swing[b], self.origin_q[b])).normalized()
-        self._refresh(b)
+                    follow(self, b)
+                predict(self, b)
 
     @ti.func
     def look(self, b):

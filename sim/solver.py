@@ -89,7 +89,7 @@ class Solver(Editing, Boundaries):
             s.coupled, s.movers = True, self._movers
         options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
-        self._constraints = [*contact, *([self._movers] if self._with_rigid else [])]
+        self._contacts, self._constraints = contact, [*contact, *([self._movers] if self._with_rigid else [])]
         self._paths: dict = {}
         self._last = (0, 0.0)  # substeps and their length in the last frame
         self._open()
@@ -182,7 +182,7 @@ class Solver(Editing, Boundaries):
     def contact_forces(self) -> np.ndarray:
         """Force of all contacts on each body in the last substep [N], (B, 3)."""
         total = np.zeros((len(self._parts), 3))
-        for c in self._constraints:
+        for c in self._contacts:
             total += c.forces.per_body(c.rows)
         return total
 

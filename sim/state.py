@@ -52,6 +52,9 @@ and handed to the Solver. It provides
     grips() -> value, hold(value)
                                 host; what hands hold, as an immutable value, and to hold that again
 
+If bodies may be rigid, `state.coupled` is true and `state.movers` (sim/rigid.py) moves them in its stage, after all
+others; their vertices, with w = 0, follow at the commit. `state.w` and `dx` say nothing of them.
+
 Without has_pairs a substep is two loops (tets; vertices), with it three and one for each stage. Python
 attributes are compile-time constants in both functions. `state.tick[None]` is the index of the current substep
 in the frame, 0 .. substeps[None]-1, constant throughout both functions: a hand's pose in a substep is

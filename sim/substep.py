@@ -4,6 +4,7 @@ import taichi as ti
 
 from sim.assembly import Assembly
 from sim.elastic import Elastic
+from sim.rigid_motion import place
 from sim.state import State, two_sum
 
 
@@ -25,7 +26,7 @@ def commit(s: ti.template(), i, d):
     if ti.static(s.coupled):
         rigid = s.movers.kind[s.body_of_vertex[i]] != 0
         if rigid:
-            s.movers.place(i)
+            place(s.movers, i)
     if not rigid:
         _commit(s, i, d)
 
@@ -190,30 +191,7 @@ class Substeps:
                     else:
                         s.dx[i] = d
 
-        return [begin, *(k for c in in_pairs for k in self.stages(c, first)), end]
-
-    def stages(self, c, first: bool) -> list:
-        """What a constraint looks at, and its stages, as kernels."""
-        s = self.state
-
-        @ti.kernel
-        def look():
-            if ti.static(s.serial):
-                ti.loop_config(serialize=True)
-            for k in range(c.stage_sizes[0]):
-                c.look(k)
-
-        def kernel(stage: int):
-            @ti.kernel
-            def run():
-                if ti.static(s.serial):
-                    ti.loop_config(serialize=True)
-                for k in range(c.stage_sizes[stage]):
-                    c.project_stage(stage, k, first)
-
-            return run
-
-        return [look] * first + [kernel(stage) for stage in range(len(c.stage_sizes))]
+        return [begin, *(k for c in in_pairs for k in stages(s, c, first=first, look=first)), end]
 
     def closing(self):
         """The commit as a kernel of its own, after the last of several sweeps."""
@@ -228,6 +206,29 @@ class Substeps:
                     commit(s, i, s.dx[i])
 
         return close
+
+
+def stages(s: State, c, *, first: bool, look: bool) -> list:
+    """What constraint c looks at, if it does so now, and each of its stages, as kernels of their own."""
+
+    @ti.kernel
+    def see():
+        if ti.static(s.serial):
+            ti.loop_config(serialize=True)
+        for k in range(c.stage_sizes[0]):
+            c.look(k)
+
+    def kernel(stage: int):
+        @ti.kernel
+        def run():
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for k in range(c.stage_sizes[stage]):
+                c.project_stage(stage, k, first)
+
+        return run
+
+    return [see] * look + [kernel(stage) for stage in range(len(c.stage_sizes))]
 
 
 def blocks(n: int) -> int:

@@ -132,6 +132,28 @@ def test_transform_mode_moves_a_box(place):
     assert_allclose(solver.bodies()[top].centroid, moved, atol=2e-3)  # it begins to fall from there
 
 
+def test_contact_forces_carry_the_weights(place):
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 1.0)
+    forces = solver.contact_forces()[where["stack"]]
+    assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.02)  # 1 kg each, whatever stands on it
+
+
+def test_a_snapshot_is_gone_on_from(place):
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 0.25)
+    kept, ends = solver.snapshot(), []
+    for _ in range(2):
+        solver.restore(kept)
+        physics_contact.run(solver, 0.25)
+        ends.append(solver.x.to_numpy())
+    assert np.array_equal(*ends)
+    physics_contact.started(place)
+    physics_contact.run(solver, 0.5)
+    bounced = where["bouncing"].stop - 2  # the liveliest box has met the floor in between
+    assert_allclose(solver.bodies()[bounced].centroid, ends[0][solver.vertex_offset[bounced] :][:8].mean(0), atol=1e-3)
+
+
 def test_runs_repeat_bit_for_bit(place):
     solver, _ = place
     ends = []

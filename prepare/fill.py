@@ -24,6 +24,7 @@ class OpacityGrid:
     """Summed opacity on a sparse tree, pointer -> bitmasked. Made once and used again: its memory stays taken."""
 
     def __init__(self) -> None:
+        self.runtime = ti.lang.impl.get_runtime()
         self.density = ti.field(ti.f32)
         builder = ti.FieldsBuilder()
         self.block = builder.pointer(ti.ijk, BLOCKS)
@@ -90,7 +91,7 @@ _grid: OpacityGrid | None = None
 def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
     """Summed opacity (X, Y, Z) float32 at the nodes origin + spacing (i, j, k) [m]. Taichi must be running."""
     global _grid
-    if _grid is None:
+    if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or it went with ti.reset
         _grid = OpacityGrid()
     axes = matrices_of_quats(gaussians.quats) * (np.exp(gaussians.log_scales.astype(np.float64)) / spacing)[:, None]
     covariances = axes @ np.swapaxes(axes, 1, 2) + max(BLUR**2, EIGENVALUE_MIN) * np.eye(3)

@@ -42,7 +42,7 @@ def energy(solver) -> tuple[float, float]:
     return kinetic, kinetic + m @ x[:, 1] * G + volume @ density
 
 
-def resting_pile(seconds: float = 60.0, settle: float = 2.0, *, verbose: bool = False) -> dict:
+def resting_pile(seconds: float = 60.0, settle: float = 1.0, *, verbose: bool = False) -> dict:
     """What a pile does after it has settled for `settle` [s] of `seconds`.
 
     gained [J]: the largest growth of the whole energy over its least value so far; kinetic_start, kinetic_end [J]: the

@@ -19,10 +19,9 @@ from sim.damping import Chunks
 from sim.folding import Folding, foldable
 from sim.forces import Forces
 from sim.foresight import Foresight
-from sim.grids import FAR, corner
 from sim.hands import Grips, Hands
+from sim.nearby import Nearby
 from sim.pairs import Pairs
-from sim.response import respond, respond_metric
 from sim.rigid import Movers
 from sim.rigid_contact import RigidContacts
 from sim.rigid_search import GROUPS
@@ -31,15 +30,10 @@ from sim.rows import Rows
 from sim.samples import Samples, spacing_for
 from sim.state import State
 
-NEAR = 8  # static shapes that one sample can be near at once; of more, the nearest count
-
 
 @ti.data_oriented
 class Contacts:
-    """near i32[P,8]: shapes near sample p, near_count i32[P].
-
-    Rows 0..P-1 belong to the samples, the next to pairs, the rest to contact with rigid bodies, if there are any.
-    """
+    """Rows 0..P-1 belong to the samples, the next to pairs, the rest to contact with rigid bodies, if there are any."""
 
     has_vertex = True
 
@@ -83,11 +77,7 @@ class Contacts:
         self.movers, self.forces = movers, Forces(state)
         later += self.rows.capacity if self.soft else 0  # rows between rigid bodies alone are in groups
         self.stage_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
-        self.builder = ti.FieldsBuilder()
-        self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)
-        self.builder.dense(ti.i, self.samples.capacity).dense(ti.j, NEAR).place(self.near)
-        self.builder.dense(ti.i, self.samples.capacity).place(self.near_count)
-        self.tree = self.builder.finalize()
+        self.nearby = Nearby(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
 
     def check_room(self, assembly: Assembly) -> None:
         self.pairs.check_room(assembly)
@@ -128,7 +118,7 @@ class Contacts:
     def reset(self) -> None:
         self.hands.reset()
         self.rows.clear()
-        self.near_count.fill(0)
+        self.nearby.clear()
         if self.coupled:
             self.rigid.reset()
 
@@ -148,20 +138,11 @@ class Contacts:
         self.rows.listed_count[None] = 0
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
-                margin = self.bounds.pace[self.samples.body[p]] * self.state.detect_dt[None]
-                x = self.samples.blend(p, self.state.x)
-                n, shapes = 0, self.colliders.count[None]
+                shapes = self.colliders.count[None]
                 if ti.static(self.coupled):
                     rigid = self.movers.kind[self.samples.body[p]] != 0
                     shapes = 0 if rigid else shapes  # sim/rigid_contact.py looks for these
-                for k in range(shapes):
-                    if self.colliders.within(k, x, margin - self.samples.skin[p]):
-                        if n < NEAR:
-                            self.near[p, n] = k
-                            n += 1
-                        else:
-                            self._replace(p, k, x)
-                self.near_count[p] = n
+                n = self.nearby.find(p, shapes)
                 if self.samples.single[p]:
                     self.forces.forget(self.samples.ids[p][0])
                 self.rows.wake[p] = 0
@@ -173,48 +154,12 @@ class Contacts:
                     self.rows.forget(p)
 
     @ti.func
-    def _replace(self, p, k, x):
-        """Of sample p's full list, let shape k take the place of the farthest, if that is farther than k."""
-        most, _ = self.colliders.distance(k, x)
-        place = -1
-        for j in range(NEAR):
-            phi, _ = self.colliders.distance(self.near[p, j], x)
-            if phi > most:
-                most, place = phi, j
-        if place >= 0:
-            self.near[p, place] = k
-
-    @ti.func
     def project_vertex(self, i, dx, first: ti.template()):
-        """The hands' springs, then vertex i itself out of all shapes near it, one after the other.
-
-        The rows' pushes come after; they are expected to be those of the last sweep.
-        """
-        s = self.state
+        """The hands' springs, then vertex i itself out of all shapes near it; the rows' pushes come after."""
         d = dx
         if ti.static(first):
             d = self.hands.pull(i, dx)
-        p = self.samples.of_vertex[i]
-        later = ti.static(0 if first else 1)  # what the first sweep looked at is put off to the next substep at least
-        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + later >= self.rows.wake[p]:
-            y = d - s.carry[i] + self.rows.last[i]
-            clear, push = FAR, corner(0.0)
-            for k in range(self.near_count[p]):
-                shape = self.near[p, k]
-                phi, n = self.colliders.distance(shape, s.x[i])
-                if phi >= 0.5 * FAR:
-                    clear = 0.0  # a grid that says nothing here may say something in a moment
-                else:
-                    phi += self.samples.skin[p] + n.dot(s.carry[i])
-                    mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
-                    c = respond(phi, n, y, mu, s.dt[None])
-                    y += c
-                    push += c
-                    clear = ti.min(clear, phi)
-            d += push
-            self.forces.note(i, push, first)
-            self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
-        return d
+        return self.nearby.push_out(i, d, first)
 
     @ti.func
     def push_vertex(self, i, dx):
@@ -223,29 +168,7 @@ class Contacts:
 
     @ti.func
     def project_vertex_metric(self, i, dx, H, A):
-        """Vertex i out of all shapes near it in the metric of H = A^-1; the force of that [N], and n . H n."""
-        s = self.state
-        d, reaction, hold = dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
-        p = self.samples.of_vertex[i]
-        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + 1 >= self.rows.wake[p]:  # every sweep
-            clear = FAR
-            for k in range(self.near_count[p]):
-                shape = self.near[p, k]
-                phi, n = self.colliders.distance(shape, s.x[i])
-                if phi >= 0.5 * FAR:
-                    clear = 0.0
-                else:
-                    phi += self.samples.skin[p] + n.dot(s.carry[i])
-                    mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
-                    c, force = respond_metric(phi, n, d - s.carry[i], mu, s.dt[None], H, A)
-                    if force.norm_sqr() > 0.0:
-                        d += c
-                        reaction += force
-                        hold = ti.max(hold, n.dot(H @ n))
-                    clear = ti.min(clear, phi)
-            self.forces.note(i, s.dt[None] ** 2 / s.mass[i] * reaction, True)
-            self.rows.rest(p, clear, self.bounds.pace[self.samples.body[p]])
-        return d, reaction, hold
+        return self.nearby.push_out_metric(i, dx, H, A)
 
     @ti.func
     def project_stage(self, stage: ti.template(), k, first: ti.template()):
@@ -290,7 +213,7 @@ class Contacts:
                         usable = self.rigid.meet(r)
                 elif ti.static(self.soft):
                     if r < self.samples.capacity:
-                        usable = self._meet(r)
+                        usable = self.nearby.meet(r)
                     elif ti.static(self.pairs.needed):
                         usable = self.pairs.meet(r, self.rows)
                 seen = 2 if usable else 1
@@ -311,26 +234,7 @@ class Contacts:
     def settle_vertex(self, i, dx):
         return dx + self.rows.settle(i)
 
-    @ti.func
-    def _meet(self, p):
-        """Take the row of a point on a triangle anew, against the nearest of the shapes near it."""
-        s = self.state
-        x = self.samples.blend(p, s.x)
-        phi, normal, friction = FAR, corner(0.0), 0.0
-        for k in range(self.near_count[p]):
-            shape = self.near[p, k]
-            d, n = self.colliders.distance(shape, x)
-            if d < phi:
-                phi, normal, friction = d, n, self.colliders.friction[shape]
-        usable = phi < 0.5 * FAR
-        if usable:
-            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
-            body = self.samples.body[p]
-            self.rows.set(p, phi, normal, ti.sqrt(friction * s.frictions(body)), self.bounds.pace[body])
-        return usable
-
     def destroy(self) -> None:
-        self.tree.destroy()
-        parts = (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs)
+        parts = (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs, self.nearby)
         for part in (*parts, self.foresight, self.forces, *filter(None, (self.folding, self.rigid))):
             part.destroy()

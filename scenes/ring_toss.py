@@ -27,7 +27,12 @@ class RingToss:
         above = (BOTTLE[0], TABLE_TOP + BOTTLE_HEIGHT + 0.03, BOTTLE[2])
         self.throws = [
             Throw(
-                grip=(x, TABLE_TOP + 0.02, z), release=(0.4 * x, 1.10, 0.37), target=above, reach=0.11, flight_time=0.5
+                grip=(x, TABLE_TOP + 0.02, z),
+                release=(0.4 * x, 1.16, 0.42),  # far and high enough for the swing to stay clear of the table
+                target=above,
+                reach=0.11,
+                swing_time=0.15,
+                flight_time=0.42,
             )
             for x, z in STARTS
         ]

@@ -26,8 +26,8 @@ class Sandbox:
             body = bodies[0]
             grip = 0.5 * (body.low + body.high)
             grip[1] += 0.3 * (body.high[1] - body.low[1])
-            up = grip + [0.0, 0.35, 0.0]
-            self.throw = Throw(tuple(grip), tuple(up), (0.0, TABLE_TOP + 0.2, 0.0), reach=0.06, flight_time=0.5)
+            up, onto = grip + [0.0, 0.45, 0.0], (0.0, TABLE_TOP + 0.2, 0.0)
+            self.throw = Throw(tuple(grip), tuple(up), onto, reach=0.06, swing_time=0.12, flight_time=0.4)
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         return [self.throw.hand(time - self.wait)] if self.throw else []

@@ -3,11 +3,11 @@
 Contacts are looked for as far away as bodies can come, so a bound that is too low lets a thin plate slip through. Of
 body b, whose vertices move at speed_b, with t the time until the next search,
 
-    extra_b = |g| t + sqrt(2 max Psi / rho) + max |target - x| / t
+    extra_b = |g| t + sqrt(2 max Psi / rho) + max min(|target - x| / t, a t)
 
 because energy Psi [J/m^3] that springs back moves matter at sqrt(2 Psi / rho), and a hand's spring is damped
-critically: its vertices go to their target, and not beyond. What a body c on its way may hit moves on at
-2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on); so may what that hits.
+critically: its vertices go to their target and not beyond, with the acceleration a at most. What a body c on its way
+may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on); so may what that hits.
 """
 
 import taichi as ti
@@ -23,13 +23,13 @@ ROUNDS = 3  # of passing a push on before the next search: a, b, c, d in a row
 
 @ti.data_oriented
 class Foresight:
-    """spring f32[B] [m/s], lag f32[B] [m]: the two maxima above;   hit f32[2,B] [m/s]: speeds passed on."""
+    """spring, haste f32[B] [m/s]: the two maxima above;   hit f32[2,B] [m/s]: speeds passed on."""
 
     def __init__(self, state: State, hands: Hands, bounds: Bounds):
         self.state, self.hands, self.bounds = state, hands, bounds
         self.builder = ti.FieldsBuilder()
-        self.spring, self.lag, self.hit = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.spring, self.lag)
+        self.spring, self.haste, self.hit = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.spring, self.haste)
         self.builder.dense(ti.ij, (2, MAX_BODIES)).place(self.hit)
         self.tree = self.builder.finalize()
 
@@ -39,18 +39,18 @@ class Foresight:
         s = self.state
         for b in range(MAX_BODIES):
             self.spring[b] = 0.0
-            self.lag[b] = 0.0
+            self.haste[b] = 0.0
         for t in range(s.T):
             if t < s.tet_count[None]:
                 self._spring_back(t)
         if ti.static(self.hands.count > 0):
             for i in range(s.V):
                 if i < s.vertex_count[None] and self.hands.held[i] != 0:
-                    ti.atomic_max(self.lag[s.body_of_vertex[i]], self.hands.lag(i))
+                    ti.atomic_max(self.haste[s.body_of_vertex[i]], self.hands.haste(i))
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
                 t = s.detect_dt[None]
-                extra = s.gravity[None].norm() * t + self.spring[b] + self.lag[b] / t
+                extra = s.gravity[None].norm() * t + self.spring[b] + self.haste[b]
                 self.hit[0, b] = self.bounds.speed[b] + extra
         for turn in ti.static(range(ROUNDS)):
             for b in range(MAX_BODIES):

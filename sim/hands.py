@@ -211,12 +211,14 @@ class Hands:
         return pulled
 
     @ti.func
-    def lag(self, i):
-        """How far vertex i is from where hands want it at the end of the frame [m]."""
-        most = 0.0
+    def haste(self, i):
+        """What hands may add to the speed of vertex i until the next search [m/s]: what takes it to where they want it
+        at the end of the frame, or what their greatest force yields."""
+        t, most = self.state.detect_dt[None], 0.0
         for h in range(self.count):
             if (self.held[i] >> h) & 1:
-                most = ti.max(most, (self._target(h, i, 1.0) - self.state.x[i]).norm())
+                way = (self._target(h, i, 1.0) - self.state.x[i]).norm()
+                most = ti.max(most, ti.min(way / t, FORCE / self.mass[h] * t))
         return most
 
     def forces(self) -> list[np.ndarray]:

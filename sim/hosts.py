@@ -8,63 +8,29 @@ and of its own body where that may be folded on itself (sim/folding.py).
 import numpy as np
 import taichi as ti
 
-from scenes.scene import Capsule
 from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.broad import MARGIN, Bounds, PointHash
 from sim.folding import Folding
 from sim.grids import FAR, corner
-from sim.parts import RestShape
 from sim.samples import Samples
-from sim.state import State, Upload, capacity
+from sim.spots import MAX_CAPSULES, Spots
+from sim.state import State, Upload
+from sim.tetrahedra import beyond, neighbors_of, outward
 
-MAX_CAPSULES = 32
 GROUPS = MAX_BODIES + MAX_CAPSULES
 NONE = 2**62  # a key above all others
-
-
-@ti.data_oriented
-class Spots:
-    """Points on the axes of thin static capsules: place vec3, radius f32 [m], friction f32, group i32.
-
-    Per capsule: low, high vec3 the box of its axis, thickness f32 its radius [m].
-    """
-
-    def __init__(self, capsules: list[Capsule], spacing: float):
-        thin = [c for c in capsules if c.radius < 2 * spacing][:MAX_CAPSULES]  # thicker ones cannot slip through
-        rows, low, high = [], np.zeros((MAX_CAPSULES, 3)), np.zeros((MAX_CAPSULES, 3))
-        for k, c in enumerate(thin):
-            a, b = np.asarray(c.a, np.float64), np.asarray(c.b, np.float64)
-            n = int(np.clip(np.ceil(np.linalg.norm(b - a) / (0.5 * spacing)), 1, 256))
-            rows += [(*(a + (b - a) * i / n), c.radius, c.friction, MAX_BODIES + k) for i in range(n + 1)]
-            low[k], high[k] = np.minimum(a, b), np.maximum(a, b)
-        table = np.array(rows).reshape(-1, 6)
-        self.size, self.groups = len(table), len(thin)
-        n = capacity(max(self.size, 1))
-        self.place, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.radius, self.friction, self.thickness = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
-        self.group = ti.field(ti.i32)
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, n).place(self.place, self.radius, self.friction, self.group)
-        self.builder.dense(ti.i, MAX_CAPSULES).place(self.low, self.high, self.thickness)
-        self.count, self.group_count = ti.field(ti.i32), ti.field(ti.i32)
-        self.builder.place(self.count, self.group_count)
-        self.tree = self.builder.finalize()
-        columns = [(self.place, table[:, :3]), (self.radius, table[:, 3]), (self.friction, table[:, 4])]
-        columns += [(self.group, table[:, 5]), (self.low, low), (self.high, high)]
-        columns += [
-            (self.thickness, [c.radius for c in thin]),
-            (self.count, self.size),
-            (self.group_count, self.groups),
-        ]
-        Upload([f for f, _ in columns])([v for _, v in columns])
-
-    def destroy(self) -> None:
-        self.tree.destroy()
+SEEDS = 64  # tets of a body at which the search for what is far away begins
 
 
 @ti.data_oriented
 class Hosts:
-    """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face."""
+    """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face.
+
+    Within a cell's size that is exact. For what may come from farther away until the next search, it begins at the
+    nearest of a body's SEEDS tets, and goes from neighbor to neighbor while that is nearer: a fast body comes near all.
+
+    overlap f32[B,G] [m]: how far body b and group g may approach until the next search, 0 if they cannot meet
+    """
 
     def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds, folding: Folding | None):
         self.folding, self.folds = folding, folding is not None
@@ -75,7 +41,7 @@ class Hosts:
         self.key, self.host = ti.field(ti.i64), ti.field(ti.i32)
         self.builder.dense(ti.i, N).place(self.key)
         self.builder.dense(ti.i, N).place(self.host)
-        self.overlap, self.wanted = ti.field(ti.i32), ti.field(ti.i32)
+        self.overlap, self.wanted = ti.field(ti.f32), ti.field(ti.i32)
         self.builder.dense(ti.ij, (MAX_BODIES, GROUPS)).place(self.overlap)
         self.builder.dense(ti.i, GROUPS).place(self.wanted)
         self.neighbor = ti.Vector.field(4, ti.i32)
@@ -144,7 +110,7 @@ class Hosts:
             self.wanted[g] = 0
         for b, g in self.overlap:  # which bodies come near which groups
             n = s.body_count[None]
-            meets = False
+            meets, way = False, 0.0
             alone = True
             if ti.static(self.folds):
                 alone = b == g and self.folding.folded[b] == 0
@@ -152,8 +118,8 @@ class Hosts:
                 alone = b == g
             if b < n and not alone and (g < n or MAX_BODIES <= g < groups):
                 box = self.bounds
-                _, _, meets, _ = self.sweep(box.low[b], box.high[b], box.slow[b], box.fast[b], g)
-            self.overlap[b, g] = meets
+                _, _, meets, way = self.sweep(box.low[b], box.high[b], box.slow[b], box.fast[b], g)
+            self.overlap[b, g] = way if meets else 0.0
             if meets:
                 self.wanted[g] = 1
                 self.busy[None] = 1
@@ -172,8 +138,13 @@ class Hosts:
             if self.busy[None] and t < s.tet_count[None]:
                 self._visit(t)
         for p in range(h.points):
+            host = -1
             if self.key[p] != ti.i64(NONE):
-                self.host[p] = ti.cast(self.key[p] & ti.i64(0x7FFFFFFF), ti.i32)
+                host = ti.cast(self.key[p] & ti.i64(0x7FFFFFFF), ti.i32)
+            elif self._searches(p):
+                host = self._from_afar(p)
+            if host >= 0:
+                self.host[p] = host
                 rows.wake[begin + p] = 0
                 rows.enlist(begin + p)
             else:
@@ -189,21 +160,20 @@ class Hosts:
 
     @ti.func
     def _visit(self, t):
-        """Offer tet t to the points that it can meet until the next search; the lowest (distance, t) wins a point."""
+        """Offer tet t to the points near it that it can meet until the next search; the lowest (distance, t) wins."""
         s = self.state
         h = self.hash
         body = s.body_of_tet[t]
-        a = s.tets[t]
-        x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
-        v0, v1, v2, v3 = s.v[a[0]], s.v[a[1]], s.v[a[2]], s.v[a[3]]
-        slow, fast = ti.min(v0, v1, v2, v3) - self.bounds.extra[body], ti.max(v0, v1, v2, v3) + self.bounds.extra[body]
-        low, high = ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3)
+        low, high, slow, fast = self._box(t)
         box_low, box_high, reach = corner(FAR), corner(-FAR), 0.0
         n = s.body_count[None]
         for k in range(n + self.spots.group_count[None]):
             g = k if k < n else MAX_BODIES + k - n
-            if self.overlap[body, g]:
+            if self.overlap[body, g] > 0.0:
                 part_low, part_high, meets, way = self.sweep(low, high, slow, fast, g)
+                near = self._near(g)
+                part_low, part_high = ti.max(part_low, low - near), ti.min(part_high, high + near)
+                way = ti.min(way, near)
                 if ti.static(self.folds):
                     part_low, part_high, way = self._or_around(part_low, part_high, way, low, high, body, g)
                 if meets:
@@ -212,11 +182,9 @@ class Hosts:
                         ti.max(box_high, part_high),
                         ti.max(reach, way),
                     )
-        e1, e2, e3 = x1 - x0, x2 - x0, x3 - x0
+        x0, e1, e2, e3 = self._edges(t)
         if reach > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
-            # the faces' planes: outward unit normals; all but the first pass through x0
-            n1, n2, n3 = -e2.cross(e3).normalized(), -e3.cross(e1).normalized(), -e1.cross(e2).normalized()
-            n0 = (e2 - e1).cross(e3 - e1).normalized()
+            n0, n1, n2, n3 = outward(e1, e2, e3)
             first, last = h.range_of(box_low, box_high)
             for i in range(first[0], last[0]):
                 for j in range(first[1], last[1]):
@@ -225,13 +193,82 @@ class Hosts:
                         for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
                             x = h.at[e]
                             if (box_low - x).max() <= 0.0 and (x - box_high).max() <= 0.0:
-                                # beyond the worst face: 0 inside, at most the distance outside
-                                r = x - x0
-                                outside = ti.max(n0.dot(r - e1), n1.dot(r), n2.dot(r), n3.dot(r), 0.0)
+                                outside = beyond(x - x0, e1, n0, n1, n2, n3)
                                 p = h.entry[e]
-                                if outside < reach and self.overlap[body, self.group(p)] and self._strange(p, t, body):
+                                if outside < reach and self._strange(p, t, body):
                                     key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
                                     ti.atomic_min(self.key[p], key)
+
+    @ti.func
+    def _near(self, g):
+        """How far from a point of group g all tets are searched [m]."""
+        near = self.hash.cell[None]
+        if g >= MAX_BODIES:
+            near += self.spots.thickness[g - MAX_BODIES]
+        return near
+
+    @ti.func
+    def _from_afar(self, p):
+        """The tet that may come to point p, which has none near: a seed, and on to neighbors that are nearer; or -1."""
+        s, x, g = self.state, self.place(p), self.group(p)
+        box = self.bounds
+        best, now = FAR, -1
+        for b in range(s.body_count[None]):
+            if b != g and self.overlap[b, g] > self._near(g):
+                low, high, _, _ = self.sweep(box.low[b], box.high[b], box.slow[b], box.fast[b], g)
+                if (low - x).max() <= 0.0 and (x - high).max() <= 0.0:
+                    first, n = s.tet_begin[b], s.tet_begin[b + 1] - s.tet_begin[b]
+                    count = ti.min(n, SEEDS)  # none of a rigid body
+                    for k in range(count):
+                        t = first + k * n // ti.max(count, 1)  # lest the division be hoisted out of a loop over none
+                        d = (x - s.x[s.tets[t][0]]).norm_sqr()
+                        if d < best:
+                            best, now = d, t
+        going = now >= 0
+        if going:
+            best = self._outside(now, x)
+        while going:
+            here = now
+            for j in range(4):
+                t = self.neighbor[here][j]
+                if t >= 0:
+                    d = self._outside(t, x)
+                    if d < best:
+                        best, now = d, t
+            going = now != here
+        if now >= 0:
+            low, high, slow, fast = self._box(now)
+            _, _, meets, way = self.sweep(low, high, slow, fast, g)
+            if not meets or best >= way:
+                now = -1
+        return now
+
+    @ti.func
+    def _box(self, t):
+        """Of tet t: the box of its positions, low and high, and of its velocities with what may come, slow and fast."""
+        s, a = self.state, self.state.tets[t]
+        x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
+        v0, v1, v2, v3 = s.v[a[0]], s.v[a[1]], s.v[a[2]], s.v[a[3]]
+        extra = self.bounds.extra[s.body_of_tet[t]]
+        slow, fast = ti.min(v0, v1, v2, v3) - extra, ti.max(v0, v1, v2, v3) + extra
+        return ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3), slow, fast
+
+    @ti.func
+    def _edges(self, t):
+        """Corner 0 of tet t, and the edges from it."""
+        s, a = self.state, self.state.tets[t]
+        x0 = s.x[a[0]]
+        return x0, s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+
+    @ti.func
+    def _outside(self, t, x):
+        """How far x is beyond the worst face of tet t [m], 0 inside; FAR if the tet is inverted."""
+        x0, e1, e2, e3 = self._edges(t)
+        result = FAR
+        if e1.dot(e2.cross(e3)) > 0.0:
+            n0, n1, n2, n3 = outward(e1, e2, e3)
+            result = beyond(x - x0, e1, n0, n1, n2, n3)
+        return result
 
     @ti.func
     def _or_around(self, part_low, part_high, way, low, high, body, g):
@@ -243,15 +280,15 @@ class Hosts:
 
     @ti.func
     def _strange(self, p, t, body):
-        """Whether tet t of a body is foreign to point p: of another, or far away at rest."""
-        result = True
+        """Whether tet t of a body may meet point p: of another body that comes near, or far away at rest."""
+        result = self.overlap[body, self.group(p)] > 0.0
         if ti.static(self.folds):
             s = self.state
             a = s.tets[t]
             if self.group(p) == body:
                 X = self.samples.blend(p, s.rest)
                 away = 0.25 * (s.rest[a[0]] + s.rest[a[1]] + s.rest[a[2]] + s.rest[a[3]]) - X
-                result = away.norm() > self.folding.apart(body)
+                result = result and away.norm() > self.folding.apart(body)
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]
@@ -260,18 +297,3 @@ class Hosts:
     def destroy(self) -> None:
         self.tree.destroy()
         self.hash.destroy()
-
-
-def neighbors_of(shape: RestShape) -> np.ndarray:
-    return neighbors(shape.tets)
-
-
-def neighbors(tets: np.ndarray) -> np.ndarray:
-    """Tet across the face opposite each corner, -1 at the surface, (T, 4) int32."""
-    faces = np.sort(tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(1)
-    result = np.full(4 * len(tets), -1, np.int32)
-    a, b = order[:-1][same], order[1:][same]
-    result[a], result[b] = b // 4, a // 4
-    return result.reshape(-1, 4)

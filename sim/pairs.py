@@ -18,12 +18,13 @@ from sim.broad import Bounds
 from sim.colliders import Shape
 from sim.folding import Folding
 from sim.grids import FAR, Grids
-from sim.hosts import Hosts, Spots
+from sim.hosts import Hosts
 from sim.normals import Normals
 from sim.parts import RestShape, scaled_grid
 from sim.rest_distance import rest_grid
 from sim.rows import Rows
 from sim.samples import Samples
+from sim.spots import Spots
 from sim.state import State, Upload
 
 FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal

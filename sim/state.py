@@ -74,7 +74,7 @@ import taichi as ti
 
 from sim.assembly import MAX_BODIES, Assembly, Room, Sizes, fit
 
-SERIAL_BELOW = 1500  # tets: under this, waking the CPU's worker threads costs more than they save
+SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
 
 
 def capacity(n: int) -> int:

@@ -324,8 +324,8 @@ def test_a_mirrored_and_a_random_start_recover(bars):
 
 
 def test_runs_on_several_threads_repeat_bit_for_bit(ti_cpu):
-    x, tets, surface = box((0.3, 0.2, 0.2), (9, 6, 6))
-    big = SoftBody("big", x, tets, surface, Material(1e7, 0.3, 1000.0), pinned=np.arange(49))
+    x, tets, surface = box((0.3, 0.2, 0.2), (12, 8, 8))
+    big = SoftBody("big", x, tets, surface, Material(1e7, 0.3, 1000.0), pinned=np.arange(81))
     solver = Solver([big], contacts=False, path="descent")
     assert not solver.state.serial
     ends = []

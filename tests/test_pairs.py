@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose
 
 from scenes.scene import Capsule, Material, Plane
 from sim.body import SoftBody
-from sim.hosts import neighbors
 from sim.solver import Solver
+from sim.tetrahedra import neighbors
 from tests.meshes import box
 from tests.torus import torus
 

@@ -150,7 +150,7 @@ def test_a_run_repeats_bit_for_bit_and_resumes_from_a_snapshot(solver):
 
 
 def test_a_run_on_several_threads_repeats_bit_for_bit():
-    x, tets, surface = box((0.3, 0.2, 0.2), (9, 6, 6))
+    x, tets, surface = box((0.3, 0.2, 0.2), (12, 8, 8))
     big = SoftBody("big", x, tets, surface, RUBBER)
     solver = Solver([big], contacts=False)
     assert not solver.state.serial

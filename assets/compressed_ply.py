@@ -122,10 +122,9 @@ def _unpack_quats(words: np.ndarray) -> np.ndarray:
 def chunk_order(means: np.ndarray) -> np.ndarray:
     """The order (N,) in which `write_compressed` stores Gaussians: neighbours share a chunk, so its range is small.
 
-    Ranks instead of coordinates go through the Z-order curve: a few far Gaussians then cost the others nothing.
+    The most bits that there are: a few far Gaussians then do not put all others in one cell.
     """
-    ranks = [np.unique(column, return_inverse=True)[1] for column in means.T]
-    return morton_order(np.stack(ranks, axis=1).astype(np.float64))
+    return morton_order(means.astype(np.float64), bits=21)
 
 
 def write_compressed(path: str | Path, g: Gaussians) -> None:

@@ -3,25 +3,41 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 
+from assets.border import file_size
+from assets.compressed_ply import chunk_order
 from assets.errors import BadInput
-from assets.files import WRITERS, read_gaussians, write_gaussians
-from assets.gaussians import Gaussians
+from assets.files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
+from assets.gaussians import SH_COUNTS, Gaussians
+from assets.sh import C0
+
+LONG = 20 << 20  # [bytes] of input from which on progress is shown; less takes about a second
 
 
 def run(args: argparse.Namespace) -> None:
     """Convert `args.input` to `args.output` and say in a line what was written and what was lost. Raises BadInput."""
     source, target = Path(args.input), Path(args.output)
-    if target.suffix.lower() not in WRITERS:
-        raise BadInput(f"{target}: cannot write {target.suffix!r}; written are {', '.join(WRITERS)}")
+    kind = kind_to_write(target)
     if target.exists() and source.exists() and source.samefile(target):
         raise BadInput(f"{target}: is the input itself; choose another name")
+    long = file_size(source) >= LONG
+
+    def progress(stage: str) -> None:
+        if long:
+            print(f"  {stage}", file=sys.stderr, flush=True)
+
+    progress(f"1/3 reading {source.name}")
     before = read_gaussians(source)
+    progress(f"2/3 writing {len(before)} Gaussians to {target.name}")
     write_gaussians(target, before)
+    progress("3/3 comparing")
     after = read_gaussians(target)
+    if kind == COMPRESSED:
+        before = before.select(chunk_order(before.means))
     lost = losses(before, after)
     if source.suffix.lower() == ".h5":
         lost.append("all of the asset but its Gaussians")
@@ -32,13 +48,18 @@ def run(args: argparse.Namespace) -> None:
 
 def losses(before: Gaussians, after: Gaussians) -> list[str]:
     """What a reader of the new file no longer finds, measured: the largest errors in words, [] if none."""
+    if len(before) != len(after):
+        return [f"{len(before) - len(after)} Gaussians"]
     lost = []
+    if after.sh_degree < before.sh_degree:
+        lost.append(f"SH of degree {', '.join(map(str, range(after.sh_degree + 1, before.sh_degree + 1)))}")
+    shared = SH_COUNTS[min(before.sh_degree, after.sh_degree)]
     for name, values, unit in (
         ("positions", (before.means, after.means), "m"),
         ("log-scales", (before.log_scales, after.log_scales), ""),
         ("opacities", (before.opacities, after.opacities), ""),
-        ("colours", (before.sh[:, 0] * 0.2821, after.sh[:, 0] * 0.2821), ""),
-        ("SH coefficients", (before.sh[:, 1:], after.sh[:, 1:]), ""),
+        ("colours", (before.sh[:, 0] * C0, after.sh[:, 0] * C0), ""),
+        ("SH coefficients", (before.sh[:, 1:shared], after.sh[:, 1:shared]), ""),
     ):
         error = float(np.abs(values[0] - values[1]).max(initial=0.0))
         if error > 0:

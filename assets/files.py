@@ -6,10 +6,13 @@ from pathlib import Path
 
 from assets.asset import Asset
 from assets.border import Report, reading
+from assets.compressed_ply import write_compressed
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
+from assets.ksplat import read_ksplat
 from assets.ply import read_ply, write_ply
-from assets.splat import read_splat
+from assets.sog import read_sog
+from assets.splat import read_splat, write_splat
 from assets.spz import read_spz, write_spz
 
 
@@ -17,21 +20,31 @@ def _read_asset(path: Path, report: Report) -> Gaussians:
     return Asset.load(path).gaussians
 
 
-READERS = {".ply": read_ply, ".splat": read_splat, ".spz": read_spz, ".h5": _read_asset}
-WRITERS = {".ply": write_ply, ".spz": write_spz}
+READERS = {
+    ".ply": read_ply,
+    ".splat": read_splat,
+    ".ksplat": read_ksplat,
+    ".spz": read_spz,
+    ".sog": read_sog,
+    ".json": read_sog,
+    ".h5": _read_asset,
+}
+COMPRESSED = ".compressed.ply"  # the two suffixes by which PlayCanvas's tools know it; read by its content
+WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
     b"\x1f\x8b": ".spz",  # gzip
     b"NGSP": ".spz",
     b"\x89HDF\r\n\x1a\n": ".h5",
-    b"PK\x03\x04": ".zip (.sog?)",
+    b"PK\x03\x04": ".sog",  # ZIP
 }
 
 
 def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
-    """Gaussians of a .ply, .splat, .spz or of an asset (.h5). `report` takes one line if some were dropped.
+    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5).
 
+    A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped.
     Raises BadInput.
     """
     path = Path(path)
@@ -46,9 +59,15 @@ def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     return READERS[suffix](path, report)
 
 
-def write_gaussians(path: str | Path, g: Gaussians) -> None:
-    """Write a .ply or .spz, in one step: either the whole file or none. Raises BadInput."""
-    suffix = Path(path).suffix.lower()
+def kind_to_write(path: str | Path) -> str:
+    """The key of WRITERS that a name stands for. Raises BadInput."""
+    path = Path(path)
+    suffix = path.suffix.lower()
     if suffix not in WRITERS:
         raise BadInput(f"{path}: cannot write {suffix!r}; written are {', '.join(WRITERS)}")
-    WRITERS[suffix](path, g)
+    return COMPRESSED if path.name.lower().endswith(COMPRESSED) else suffix
+
+
+def write_gaussians(path: str | Path, g: Gaussians) -> None:
+    """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput."""
+    WRITERS[kind_to_write(path)](path, g)

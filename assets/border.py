@@ -100,7 +100,8 @@ def usable_gaussians(path: Path, means, quats, log_scales, logit_opacities, sh, 
     n = len(means)
     if n == 0:
         raise BadInput(f"{path}: holds no Gaussians")
-    quats = np.asarray(quats, np.float64)  # the norm of 1e30 overflows in float32
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        quats = np.asarray(quats, np.float64)  # the norm of 1e30 overflows in float32
     keep = usable(means, quats, log_scales, logit_opacities, sh)
     dropped = n - int(keep.sum())
     if dropped == n:

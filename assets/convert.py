@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.border import file_size
 from assets.compressed_ply import chunk_order
 from assets.errors import BadInput
 from assets.files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
@@ -24,7 +23,7 @@ def run(args: argparse.Namespace) -> None:
     kind = kind_to_write(target)
     if target.exists() and source.exists() and source.samefile(target):
         raise BadInput(f"{target}: is the input itself; choose another name")
-    long = file_size(source) >= LONG
+    long = source.exists() and source.stat().st_size >= LONG
 
     def progress(stage: str) -> None:
         if long:

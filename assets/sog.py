@@ -73,7 +73,7 @@ class Images:
         if not isinstance(files, list) or len(files) <= which or not isinstance(files[which], str):
             raise BadInput(f"{self.path}: meta.json names no image {which + 1} of {name}")
         file = files[which]
-        if not file or file in (".", "..") or set(file) & set("/\\:\0"):
+        if file in ("", ".", "..") or set(file) & set("/\\:") or not file.isprintable():
             raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is no file beside it")
         return read_webp(self._load(file), f"{self.path}: {file}", most=self._most)
 
@@ -127,7 +127,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     path, meta = images.path, images.meta
     version = meta.get("version", 1)
     if version not in (1, 2):
-        raise BadInput(f"{path}: version {str(version)[:20]!r} of SOG, read are 1 and 2")
+        raise BadInput(f"{path}: version {json.dumps(version)[:20]} of SOG, read are 1 and 2")
     shape = images.section("means").get("shape")
     count = meta.get("count") if version == 2 else shape[0] if isinstance(shape, list) and shape else None
     if not isinstance(count, int) or not 0 <= count <= COUNT_MAX:
@@ -189,7 +189,7 @@ def _palette(images: Images, count: int, version: int) -> np.ndarray:
     if entry + 1 not in SH_COUNTS[1:] or centroids.shape[1] % PALETTE_WIDTH:
         raise BadInput(f"{images.path}: its SH palette is {centroids.shape[1]} pixels wide, which fits no degree")
     if bands is not None and bands != SH_COUNTS.index(entry + 1):
-        raise BadInput(f"{images.path}: its SH palette is not of the {str(bands)[:20]} bands that meta.json names")
+        raise BadInput(f"{images.path}: its SH palette has not the {json.dumps(bands)[:20]} bands that meta.json names")
     palette = centroids[..., :3].reshape(-1, entry, 3)
     size = images.section("shN").get("count", len(palette)) if version == 2 else len(palette)
     labels = images.rows("shN", count, 1).astype(np.int64)

@@ -1,5 +1,6 @@
 """`vrgs.py convert`: what it writes, what it says was lost, and what it refuses."""
 
+import re
 from argparse import Namespace
 
 import numpy as np
@@ -11,6 +12,8 @@ from assets.errors import BadInput
 from assets.files import read_gaussians, write_gaussians
 from assets.gaussians import Gaussians
 from tests.samples import FIELDS, some_gaussians
+from tests.test_ksplat import ksplat_bytes
+from tests.test_sog import sog_files, zipped
 
 
 def convert(source, target, capsys) -> str:
@@ -46,6 +49,44 @@ def test_asset_to_ply(tmp_path, capsys):
     np.testing.assert_array_equal(read_gaussians(tmp_path / "a.ply").means, g.means)
 
 
+def test_ply_to_compressed_ply_and_splat(tmp_path, capsys):
+    g = some_gaussians(600, 2)
+    write_gaussians(tmp_path / "a.ply", g)
+    said = convert(tmp_path / "a.ply", tmp_path / "a.compressed.ply", capsys)
+    assert "600 Gaussians of SH degree 2" in said and said.count("\n") == 1
+    lost = float(re.search(r"positions up to (\S+) m", said)[1])
+    extent = np.ptp(g.means, axis=0).max()
+    assert 0 < lost < extent / 1023  # half a step of the largest chunk at most: compared in one order
+    said = convert(tmp_path / "a.ply", tmp_path / "a.splat", capsys)
+    assert "SH of degree 1, 2" in said and "positions" not in said and "opacities up to 0.00" in said
+    said = convert(tmp_path / "a.compressed.ply", tmp_path / "b.compressed.ply", capsys)
+    assert "positions" not in said  # the ranges are the extremes of what they hold: nothing more is lost
+
+
+@pytest.mark.parametrize("kind", ["ply", "compressed.ply", "spz", "splat"])
+def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind):
+    g = some_gaussians(40, 1)
+    (tmp_path / "a.sog").write_bytes(zipped(sog_files(g)))
+    (tmp_path / "a.ksplat").write_bytes(ksplat_bytes([g], 2))
+    write_gaussians(tmp_path / "a.ply", g)
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    write_gaussians(tmp_path / "a.spz", g)
+    for source in ("a.sog", "a.ksplat", "a.ply", "a.compressed.ply", "a.spz"):
+        out = tmp_path / f"{source}.{kind}"
+        assert "40 Gaussians" in convert(tmp_path / source, out, capsys)
+        read = read_gaussians(out)
+        order = np.argsort(read.means[:, 0]), np.argsort(g.means[:, 0])
+        np.testing.assert_allclose(read.means[order[0]], g.means[order[1]], atol=0.01)
+
+
+def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("assets.convert.LONG", 1)
+    write_gaussians(tmp_path / "a.ply", some_gaussians(5))
+    run(Namespace(input=str(tmp_path / "a.ply"), output=str(tmp_path / "a.spz")))
+    out, err = capsys.readouterr()
+    assert out.count("\n") == 1 and all(word in err for word in ("1/3 reading", "2/3 writing 5", "3/3"))
+
+
 def test_dropped_gaussians_are_said(tmp_path, capsys):
     rows = np.zeros((3, 32), np.uint8)  # a .splat whose scales are 0, but for the first
     rows[0, 12:24] = np.full(3, 0.1, "<f4").view(np.uint8)
@@ -63,8 +104,10 @@ def test_refusals_leave_everything_as_it_was(tmp_path, capsys):
     for source, target, reason in (
         ("a.ply", "a.ply", "is the input itself"),
         ("a.ply", "link.ply", "is the input itself"),
-        ("a.ply", "a.splat", "cannot write"),
+        ("a.ply", "a.ksplat", "cannot write"),
+        ("a.ply", "a.sog", "cannot write"),
         ("a.ply", "a.h5", "cannot write"),
+        ("a.ply", "noname", "cannot write"),
         ("a.obj", "b.ply", "unknown kind"),
         ("none.ply", "old.spz", "no such file"),
         ("bad.ply", "old.spz", "understand"),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.border import Report, reading, replacing, usable_gaussians
+from assets.border import ALPHA_EPSILON, Report, reading, replacing, usable_gaussians
 from assets.compressed_ply import read_compressed
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
@@ -22,6 +22,7 @@ from assets.ply_header import Element, binary_rows, read_header
 MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
 SCALES, ROTATION = ["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]
 REQUIRED = [*MEANS, *DC, "opacity", *SCALES, *ROTATION]
+LOGIT_MOST = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for +-inf, which tools write for opacities of just 1 and 0
 REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
 
 
@@ -52,6 +53,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         channels = columns([f"f_rest_{i}" for i in range(rest)]).reshape(n, 3, rest // 3)
         sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
     opacity = columns(["opacity"])[:, 0]
+    opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MOST, opacity), opacity)
     return usable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
 
 

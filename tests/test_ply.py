@@ -121,7 +121,7 @@ def test_unusable_gaussians_are_dropped_and_counted_in_one_line(tmp_path):
     columns["x"][1] = np.nan
     columns["scale_1"][2] = -np.inf
     columns["scale_1"][3] = np.inf
-    columns["opacity"][4] = np.inf
+    columns["opacity"][4] = np.nan
     columns["f_rest_40"][5] = np.nan
     columns["rot_2"][6] = np.nan
     columns["scale_0"][7] = 200.0  # exp(200) is no float32
@@ -134,6 +134,16 @@ def test_unusable_gaussians_are_dropped_and_counted_in_one_line(tmp_path):
     np.testing.assert_array_equal(read.means, g.means[keep])
     np.testing.assert_array_equal(read.sh, g.sh[keep])
     assert len(lines) == 1 and "dropped 8 of 20" in lines[0] and "a.ply" in lines[0]
+
+
+def test_infinite_logits_are_opaque_or_transparent(tmp_path):
+    g = some_gaussians(4, 0)
+    logits = np.array([np.inf, -np.inf, 3.0, 90.0], np.float32)
+    (tmp_path / "a.ply").write_bytes(ply_bytes(properties(g) | {"opacity": logits}))
+    lines = []
+    read = read_ply(tmp_path / "a.ply", report=lines.append)
+    assert lines == [] and np.isfinite(read.logit_opacities).all()
+    np.testing.assert_allclose(read.opacities, [1, 0, 1 / (1 + np.exp(-3)), 1], atol=2e-6)
 
 
 def test_a_clean_file_reports_nothing(tmp_path):

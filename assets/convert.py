@@ -40,7 +40,9 @@ def run(args: argparse.Namespace) -> None:
     lost = losses(before, after)
     if source.suffix.lower() == ".h5":
         lost.append("all of the asset but its Gaussians")
-    size = f"{target.stat().st_size / 1e6:.2f} MB, was {source.stat().st_size / 1e6:.2f} MB"
+    size = f"{target.stat().st_size / 1e6:.2f} MB"
+    if source.suffix.lower() != ".json":  # most of an unzipped SOG stands in its images
+        size += f", was {source.stat().st_size / 1e6:.2f} MB"
     what = f"{len(after)} Gaussians of SH degree {after.sh_degree} ({size})"
     print(f"{target}: {what}; lost: {', '.join(lost) or 'nothing'}")
 

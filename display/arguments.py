@@ -11,6 +11,7 @@ from assets.library import SHIPPED
 from display.device import start_taichi
 
 ROOT = Path(__file__).resolve().parents[1]
+SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
 EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
   python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
@@ -18,7 +19,7 @@ EXAMPLES = """examples:
   python vrgs.py scenes                                 list the demos
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
-  python vrgs.py convert cat.ply cat.spz
+  python vrgs.py convert cat.sog cat.compressed.ply     between splat formats, and what was lost
   python vrgs.py tune cat.h5                            how stiff should it be?
   python vrgs.py check --quick
 """
@@ -127,7 +128,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "draw a splat file",
         "render cat.ply --camera cam.json --out cat.png",
     )
-    c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat, .spz or .h5")
+    c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS} or .h5")
     c.add_argument("--camera", type=Path, required=True, metavar="CAM.json", help="one camera or a list")
     c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
@@ -138,7 +139,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "make a splat simulatable",
         "prepare cat.ply --out cat.h5 --vertices 2000",
     )
-    c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat or .spz")
+    c.add_argument("splats", type=Path, metavar="SPLATS", help=SPLATS)
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
     add_preparation(c)
     c.add_argument(
@@ -149,9 +150,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     )
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
-    c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.ply cat.spz")
-    c.add_argument("input", type=Path, metavar="IN", help=".ply, .splat, .spz or .h5")
-    c.add_argument("output", type=Path, metavar="OUT", help=".ply or .spz")
+    c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.sog cat.spz")
+    c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
+    c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
     c.add_argument("subject", choices=("sim",), help="sim: the solver, 400 substeps a frame")
     sizes = ("1.7k", "9.3k", "24k", "46k")

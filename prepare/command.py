@@ -53,7 +53,7 @@ def prepare_file(
     """
     path, out = Path(path), Path(out)
     if path.suffix.lower() == ".h5":
-        raise BadInput(f"{path}: is an asset already; a splat file (.ply, .splat, .spz) is needed")
+        raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
     gaussians = read_gaussians(path, report)
     progress = progress or ProgressLines()
     try:

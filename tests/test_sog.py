@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from assets.errors import BadInput
 from assets.files import read_gaussians
 from assets.gaussians import Gaussians
 from assets.sh import C0
@@ -143,7 +144,7 @@ def test_deflated_in_a_folder_of_the_archive_and_unzipped(tmp_path):
         (tmp_path / name).write_bytes(data)
     assert_within_its_steps(read_gaussians(tmp_path / "meta.json"), g, 2)
     (tmp_path / "quats.webp").unlink()
-    with pytest.raises(Exception, match="no such file"):
+    with pytest.raises(BadInput, match="no such file"):
         read_gaussians(tmp_path / "meta.json")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 
@@ -21,9 +22,10 @@ def run(args: argparse.Namespace) -> None:
     """Convert `args.input` to `args.output` and say in a line what was written and what was lost. Raises BadInput."""
     source, target = Path(args.input), Path(args.output)
     kind = kind_to_write(target)
-    if target.exists() and source.exists() and source.samefile(target):
+    exist = [os.path.isfile(path) for path in (source, target)]  # False where Path.exists may raise
+    if all(exist) and source.samefile(target):
         raise BadInput(f"{target}: is the input itself; choose another name")
-    long = source.exists() and source.stat().st_size >= LONG
+    long = exist[0] and source.stat().st_size >= LONG
 
     def progress(stage: str) -> None:
         if long:

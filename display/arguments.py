@@ -11,11 +11,14 @@ from assets.library import SHIPPED
 from display.device import start_taichi
 
 ROOT = Path(__file__).resolve().parents[1]
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
   python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
   python vrgs.py scenes                                 list the demos
+  python vrgs.py view cat.ply                           look at a splat from all sides
+  python vrgs.py render cat.ply --turntable --out cat.mp4
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
   python vrgs.py convert cat.ply cat.spz
@@ -77,11 +80,21 @@ def positive(kind):
     return parse
 
 
+def elevation(text: str) -> float:
+    """Degrees above the horizon."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 90.0
+    if not -89.0 <= value <= 89.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -89 and 89 degrees")
+    return value
+
+
 def add_preparation(p: argparse.ArgumentParser, what: str = "") -> None:
     """The options of making a splat simulatable."""
     suppress = {} if what else {"default": argparse.SUPPRESS}  # those of a command must not undo those before it
-    axes = ("+x", "-x", "+y", "-y", "+z", "-z")
-    p.add_argument("--up", choices=axes, help=f"{what}the file's up axis (default: guessed)", **suppress)
+    p.add_argument("--up", choices=AXES, help=f"{what}the file's up axis (default: guessed)", **suppress)
     metres = f"{what}largest extent in metres (default: guessed)"
     p.add_argument("--scale", type=positive(float), metavar="M", help=metres, **suppress)
     vertices = f"{what}cage vertices (default 2000)"
@@ -121,15 +134,28 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         return sub
 
     add("scenes", list_scenes, "list the demos", "scenes")
+    c = add("view", command("display.viewing"), "look at a splat file in a window", "view cat.ply")
+    c.add_argument("file", type=Path, metavar="FILE", help=".ply, .splat, .spz or .h5")
+    c.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
+    c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="of the window (default 960x540)")
+    c.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
+    c.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
+    c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add(
         "render",
         command("render.command", taichi=True),
-        "draw a splat file",
-        "render cat.ply --camera cam.json --out cat.png",
+        "draw a splat file, or film a turn around it",
+        "render cat.ply --camera cam.json --out cat.png\n  python vrgs.py render cat.ply --turntable --out cat.mp4",
     )
     c.add_argument("splats", type=Path, metavar="SPLATS", help=".ply, .splat, .spz or .h5")
-    c.add_argument("--camera", type=Path, required=True, metavar="CAM.json", help="one camera or a list")
-    c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz")
+    where = c.add_mutually_exclusive_group()
+    where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
+    where.add_argument("--turntable", action="store_true", help="film it from all sides")
+    c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4")
+    c.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
+    c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="turntable: (default 960x540)")
+    c.add_argument("--frames", type=positive(int), default=180, metavar="N", help="turntable: pictures (default 180)")
+    c.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help="turntable: seen from (default 15)")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from display import theme
-from display.controls import HELP
+from display.controls import CAMERA_HELP, HELP
 from scenes.scene import Light, Scene
 
 MARGIN = 12.0  # [px] from the window's edge
@@ -54,8 +54,8 @@ class Panel:
         fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
         imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
         self._title(imgui)
-        commands = self._buttons(imgui, world)
-        if imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
+        commands = self._buttons(imgui, world) if self.scene.bodies else {}
+        if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
             commands |= self._light(imgui, world.light)
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
         if self.details:
@@ -150,9 +150,10 @@ class Panel:
             for name, median, worst in self._stages:
                 self._row(imgui, name, f"{median:.2f}", f"{worst:.2f}")
             imgui.end_table()
-        counts = [f"{self._stats[name]:,} {name}" for name in ("gaussians", "vertices", "tets", "substeps")]
-        imgui.text_colored(theme.QUIET, f"{counts[0]}, {counts[1]}")
-        imgui.text_colored(theme.QUIET, f"{counts[2]}, {counts[3]}")
+        names = [name for name in ("gaussians", "vertices", "tets", "substeps") if name in self._stats]
+        counts = [f"{self._stats[name]:,} {name}" for name in names]
+        for first in range(0, len(counts), 2):
+            imgui.text_colored(theme.QUIET, ", ".join(counts[first : first + 2]))
 
     @staticmethod
     def _row(imgui, name: str, *values: str) -> None:
@@ -170,7 +171,7 @@ class Panel:
 
     def _help(self, imgui) -> None:
         if imgui.begin_table("help", 2, imgui.TableFlags_.sizing_fixed_fit):
-            for keys, meaning in HELP:
+            for keys, meaning in HELP if self.scene.bodies else CAMERA_HELP:
                 imgui.table_next_row()
                 imgui.table_next_column()
                 imgui.text(keys)

@@ -83,7 +83,7 @@ class Viewing:
         from render.splats import Splats
 
         self.scene, self.light, self.timings = scene, scene.light, Timings()
-        self.paused = self.demo = False
+        self.paused = self.demo = self.moving = False
         self.interaction, self.score, self.message = "physics", 0, ""
         self.splats = Splats(gaussians)
         self.renderer = Renderer(self.splats, width, height, background=scene.background)

@@ -156,6 +156,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="turntable: (default 960x540)")
     c.add_argument("--frames", type=positive(int), default=180, metavar="N", help="turntable: pictures (default 180)")
     c.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help="turntable: seen from (default 15)")
+    c.add_argument("--sort", choices=("z", "radial"), default="z", help="by depth, or by distance (default z)")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(

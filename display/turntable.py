@@ -28,7 +28,8 @@ def run(args) -> None:
         from render.renderer import Renderer
         from render.splats import Splats
 
-        renderer = Renderer(Splats(gaussians), width, height, antialias=args.antialias, background=BACKDROP)
+        how = {"antialias": args.antialias, "sort": args.sort, "background": BACKDROP}
+        renderer = Renderer(Splats(gaussians), width, height, **how)
         progress = Progress(args.frames)
         for k in range(args.frames):
             camera = camera_around(

@@ -180,7 +180,10 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("input", type=Path, metavar="IN", help=".ply, .splat, .spz or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply or .spz")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
-    c.add_argument("subject", choices=("sim",), help="sim: the solver, 400 substeps a frame")
+    what = "sim: the solver, 400 substeps a frame; popping: what flickers when the head turns, by ways to sort"
+    c.add_argument("subject", choices=("sim", "popping"), help=what)
+    room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
+    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
     sizes = ("1.7k", "9.3k", "24k", "46k")
     c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
     c.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")

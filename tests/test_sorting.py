@@ -80,3 +80,23 @@ def test_what_it_does_not_know_is_refused(ti_cpu):
 
 def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
     np.testing.assert_allclose(turned(30.0).position, CAMERA.position, atol=1e-12)
+
+
+def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
+    """Large translucent Gaussians of many colours, where the order matters."""
+    from assets.gaussians import Gaussians
+    from display.viewing import camera_around
+    from tests.bench import popping
+
+    rng = np.random.default_rng(5)
+    n = 300
+    means, sh = rng.uniform(-0.5, 0.5, (n, 3)), rng.choice([-1.5, 1.5], (n, 1, 3))
+    g = Gaussians.of(means, rng.normal(size=(n, 4)), np.full((n, 3), np.log(0.1)), np.zeros(n), sh)
+    camera = camera_around(g, popping.SHARPER * 120, popping.SHARPER * 90, 0.4)
+    size, popping.SIZE = popping.SIZE, (120, 90)
+    try:
+        by = {sort: popping.measure(g, camera, sort)["mean"] for sort in ("z", "radial")}
+    finally:
+        popping.SIZE = size
+    assert by["radial"] < 0.75 * by["z"], by
+    assert by["z"] > 0.01, by

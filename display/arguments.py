@@ -12,11 +12,14 @@ from display.device import start_taichi
 
 ROOT = Path(__file__).resolve().parents[1]
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
   python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
   python vrgs.py scenes                                 list the demos
+  python vrgs.py view cat.ply                           look at a splat from all sides
+  python vrgs.py render cat.ply --turntable --out cat.mp4
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
   python vrgs.py convert cat.sog cat.compressed.ply     between splat formats, and what was lost
@@ -78,11 +81,21 @@ def positive(kind):
     return parse
 
 
+def elevation(text: str) -> float:
+    """Degrees above the horizon."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 90.0
+    if not -89.0 <= value <= 89.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -89 and 89 degrees")
+    return value
+
+
 def add_preparation(p: argparse.ArgumentParser, what: str = "") -> None:
     """The options of making a splat simulatable."""
     suppress = {} if what else {"default": argparse.SUPPRESS}  # those of a command must not undo those before it
-    axes = ("+x", "-x", "+y", "-y", "+z", "-z")
-    p.add_argument("--up", choices=axes, help=f"{what}the file's up axis (default: guessed)", **suppress)
+    p.add_argument("--up", choices=AXES, help=f"{what}the file's up axis (default: guessed)", **suppress)
     metres = f"{what}largest extent in metres (default: guessed)"
     p.add_argument("--scale", type=positive(float), metavar="M", help=metres, **suppress)
     vertices = f"{what}cage vertices (default 2000)"
@@ -122,15 +135,29 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         return sub
 
     add("scenes", list_scenes, "list the demos", "scenes")
+    c = add("view", command("display.viewing"), "look at a splat file in a window", "view cat.ply")
+    c.add_argument("file", type=Path, metavar="FILE", help=f"{SPLATS} or .h5")
+    c.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
+    c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="of the window (default 960x540)")
+    c.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
+    c.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
+    c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add(
         "render",
         command("render.command", taichi=True),
-        "draw a splat file",
-        "render cat.ply --camera cam.json --out cat.png",
+        "draw a splat file, or film a turn around it",
+        "render cat.ply --camera cam.json --out cat.png\n  python vrgs.py render cat.ply --turntable --out cat.mp4",
     )
     c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS} or .h5")
-    c.add_argument("--camera", type=Path, required=True, metavar="CAM.json", help="one camera or a list")
-    c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz")
+    where = c.add_mutually_exclusive_group()
+    where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
+    where.add_argument("--turntable", action="store_true", help="film it from all sides")
+    c.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4")
+    c.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
+    c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="turntable: (default 960x540)")
+    c.add_argument("--frames", type=positive(int), default=180, metavar="N", help="turntable: pictures (default 180)")
+    c.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help="turntable: seen from (default 15)")
+    c.add_argument("--sort", choices=("z", "radial"), default="z", help="by depth, or by distance (default z)")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(
@@ -154,7 +181,10 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
-    c.add_argument("subject", choices=("sim",), help="sim: the solver, 400 substeps a frame")
+    what = "sim: the solver, 400 substeps a frame; popping: what flickers when the head turns, by ways to sort"
+    c.add_argument("subject", choices=("sim", "popping"), help=what)
+    room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
+    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
     sizes = ("1.7k", "9.3k", "24k", "46k")
     c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
     c.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")

@@ -34,6 +34,7 @@ HELP = [
     ("P", "watch a demonstration"),
     ("F1  /  Esc", "hide this  /  quit"),
 ]
+CAMERA_HELP = [("Drag", "turn around it"), *HELP[3:8], HELP[12]]  # where there is nothing but to look
 
 
 class Controls:

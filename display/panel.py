@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from display import theme
-from display.controls import HELP
+from display.controls import CAMERA_HELP, HELP
 from scenes.scene import Light, Scene
 
 MARGIN = 12.0  # [px] from the window's edge
@@ -20,7 +20,7 @@ INTERACTIONS = {
     "Physics": "Bodies deform, collide and fall.",
     "Transform": "A body that you hold moves as it is; nothing deforms.",
 }
-RESOLUTIONS = {"Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # share of the window's pixels a side
+RESOLUTIONS = {"Auto": None, "Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # share of the window's pixels a side
 
 
 class Panel:
@@ -28,7 +28,7 @@ class Panel:
 
     def __init__(self, scene: Scene, title: str, scale: float):
         self.scene, self.title, self.scale = scene, title, scale
-        self.resolution = 1.0
+        self.resolution: float | None = None  # None: what display/quality.py finds
         self.details = False  # is the list of stages on view
         self._read = -REFRESH
         self._fps, self._stages, self._stats = 0.0, [], {}
@@ -54,8 +54,8 @@ class Panel:
         fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
         imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
         self._title(imgui)
-        commands = self._buttons(imgui, world)
-        if imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
+        commands = self._buttons(imgui, world) if world.light is not None else {}
+        if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
             commands |= self._light(imgui, world.light)
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
         if self.details:
@@ -142,7 +142,7 @@ class Panel:
         current = next(name for name, share in RESOLUTIONS.items() if share == self.resolution)
         tips = dict.fromkeys(
             RESOLUTIONS, "Share of the window's pixels, on each side, that are drawn: fewer are faster."
-        )
+        ) | {"Auto": "Fewer pixels while things move, if that is slow; all of them once they are still."}
         self.resolution = RESOLUTIONS[self._choice(imgui, list(RESOLUTIONS), current, tips)]
         stretch = imgui.TableFlags_.sizing_stretch_prop | imgui.TableFlags_.no_host_extend_x
         if imgui.begin_table("stages", 3, stretch, (WIDTH * self.scale, 0)):
@@ -150,9 +150,10 @@ class Panel:
             for name, median, worst in self._stages:
                 self._row(imgui, name, f"{median:.2f}", f"{worst:.2f}")
             imgui.end_table()
-        counts = [f"{self._stats[name]:,} {name}" for name in ("gaussians", "vertices", "tets", "substeps")]
-        imgui.text_colored(theme.QUIET, f"{counts[0]}, {counts[1]}")
-        imgui.text_colored(theme.QUIET, f"{counts[2]}, {counts[3]}")
+        names = [name for name in ("gaussians", "vertices", "tets", "substeps") if name in self._stats]
+        counts = [f"{self._stats[name]:,} {name}" for name in names]
+        for first in range(0, len(counts), 2):
+            imgui.text_colored(theme.QUIET, ", ".join(counts[first : first + 2]))
 
     @staticmethod
     def _row(imgui, name: str, *values: str) -> None:
@@ -170,7 +171,7 @@ class Panel:
 
     def _help(self, imgui) -> None:
         if imgui.begin_table("help", 2, imgui.TableFlags_.sizing_fixed_fit):
-            for keys, meaning in HELP:
+            for keys, meaning in CAMERA_HELP if self.scene.light is None else HELP:
                 imgui.table_next_row()
                 imgui.table_next_column()
                 imgui.text(keys)

@@ -13,6 +13,7 @@ from display.mouse_hand import MouseHand
 from display.orbit import Orbit
 from display.panel import Panel
 from display.picture import PictureTexture, fit
+from display.quality import Quality
 from display.surface import Surface
 from scenes.scene import Scene
 
@@ -32,12 +33,14 @@ class Window:
         self._surface = Surface(title, width, height, vsync=vsync)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(scene, title, self._surface.scale)
+        self._quality = Quality()
         self._controls = Controls(Orbit(scene.eye, scene.target, scene.fov_y), MouseHand())
-        self._camera = self._controls.orbit.camera(*self.size)
+        self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
+        self._seen = None  # where the camera was in the last frame
         self._cursor = (0.0, 0.0)
         self._commands: dict = {}  # from the panel, for the next frame
         self._world = None  # as of the last `present`
-        self._settling: tuple[tuple[int, int], float] = (self.size, 0.0)
+        self._settling: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)
         self.loading(f"Loading {title}")
 
     def __enter__(self) -> Window:
@@ -53,7 +56,8 @@ class Window:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that fits the window now."""
-        return tuple(max(SMALLEST, round(side * self._panel.resolution)) for side in self._surface.frame_size)
+        share = self._quality.share if self._panel.resolution is None else self._panel.resolution
+        return tuple(max(SMALLEST, round(side * share)) for side in self._surface.frame_size)
 
     def loading(self, text: str) -> None:
         """Show a line of text in an otherwise empty window, while something takes its time."""
@@ -80,14 +84,18 @@ class Window:
                 continue
             events = self._surface.begin()
             now = perf_counter()
-            dt, last = min(now - last, LONGEST_STEP), now
+            seconds, last = now - last, now
+            dt = min(seconds, LONGEST_STEP)
+            self._quality.note(now, seconds, moving=self._moving())
             self._resize(now)
             commands = self._handle(events)
             running = commands.get("step") or not commands.get("pause", self._world is not None and self._world.paused)
             hands = self._controls.advance(self._camera, dt, running=running)
             time += dt
-            self._camera = self._controls.orbit.camera(self._camera.width, self._camera.height)
-            yield Frame(dt, time, [self._camera], hands, commands)
+            orbit = self._controls.orbit
+            self._camera = orbit.camera(self._camera.width, self._camera.height)
+            size = self.size if self._world is None else self._world.renderer_size
+            yield Frame(dt, time, [orbit.camera(*size)], hands, commands)
 
     def present(self, world) -> None:
         """Show the world's picture, and the panel over it."""
@@ -107,15 +115,24 @@ class Window:
         if self._world is not None:
             self._world.timings.rest()
 
+    def _moving(self) -> bool:
+        """Whether the last frame's picture differed from the one before it."""
+        matrix = self._camera.world_to_camera.tobytes()
+        turned, self._seen = matrix != self._seen, matrix
+        return turned or (self._world is not None and self._world.moving)
+
     def _resize(self, now: float) -> None:
-        """Let the world draw in the window's size, once that has settled; until then pictures are stretched."""
+        """Let the world draw in the size that is wanted; a window's new size must have settled, until then pictures
+        are stretched."""
         if self._world is None:
             return
-        if self._settling[0] != self.size:
-            self._settling = (self.size, now)
+        window = self._surface.frame_size
+        if self._settling[0] != window:
+            self._settling = (window, now)
         elif now - self._settling[1] > SETTLE and self._world.renderer_size != self.size:
             self._world.resize(*self.size)
-        self._camera = self._controls.orbit.camera(*self._world.renderer_size)
+        _, _, width, height = fit(self._world.renderer_size, window)
+        self._camera = self._controls.orbit.camera(max(SMALLEST, round(width)), max(SMALLEST, round(height)))
 
     def _handle(self, events: list[tuple]) -> dict:
         """Hand the events to the controls, but not those that belong to the panel."""

@@ -45,6 +45,8 @@ class World:
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
+        self.moving = False  # did anything move in the last frame
+        self._drawn: tuple | None = None  # cameras of the picture; None if it is no longer what is there
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
         self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
@@ -83,7 +85,7 @@ class World:
             self.renderer = Renderer(self.splats, width, height, views=self.views, background=self.scene.background)
         else:
             self.renderer.resize(width, height)
-        self.renderer_size = (width, height)
+        self.renderer_size, self._drawn = (width, height), None
 
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
@@ -92,13 +94,19 @@ class World:
         if advance:
             with self.timings.stage("simulate"):
                 self._simulate(frame)
-            if self.solver.moved():
+            self.moving = self.solver.moved()
+            if self.moving:
                 self._deform()
             self._bodies = self.solver.bodies()
             if self.scene.game is not None:
                 self.scene.game.update(self.time, self._bodies)
-        with self.timings.stage("render"):
-            self.renderer.render(frame.cameras)
+        else:
+            self.moving = False
+        cameras = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in frame.cameras)
+        if cameras != self._drawn:
+            with self.timings.stage("render"):
+                self.renderer.render(frame.cameras)
+            self._drawn = cameras
 
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
@@ -113,6 +121,7 @@ class World:
             self.solver.step(SCRIPT_DT, self.scripted_hands(self.time))
 
     def _deform(self) -> None:
+        self._drawn = None
         if self.embedding is None:
             return
         with self.timings.stage("embed"):
@@ -134,6 +143,7 @@ class World:
         if isinstance(commands.get("light"), Light):
             self.light = commands["light"]
             self.shadow.set_light(self.light)
+            self._drawn = None
             with self.timings.stage("shadow"):
                 self.shadow.cast()
         if "interaction" in commands:

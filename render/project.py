@@ -17,6 +17,10 @@ HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
+# What orders Gaussians: camera z, as they were trained, or the distance from the eye, which turning the head does not
+# change, so that none change places (Radl et al. 2024 show what that looks like).
+SORTS = ("z", "radial")
+
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
 
@@ -35,8 +39,21 @@ class Projection:
            for tile (column, row) from there; or, if it spans more than 6 x 5 tiles, minus their number
     """
 
-    def __init__(self, splats: Splats, width: int, height: int, views: int, *, tile: int, antialias: bool, color: bool):
-        self.splats = splats
+    def __init__(
+        self,
+        splats: Splats,
+        width: int,
+        height: int,
+        views: int,
+        *,
+        tile: int,
+        antialias: bool,
+        color: bool,
+        sort: str = "z",
+    ):
+        if sort not in SORTS:
+            raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
+        self.splats, self.radial = splats, sort == "radial"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.camera = ti.Vector.field(4, ti.f32)
         self.near = ti.field(ti.f32)
@@ -93,7 +110,7 @@ class Projection:
             seen = 0
             for v in range(self.views):
                 p = self._to_camera(v, mean)
-                depth += p.z
+                depth += p.norm() if ti.static(self.radial) else p.z
                 window = ti.Vector([0, 0])
                 if p.z >= self.near[v] and opacity >= 1 / 255:
                     window = self._project_to(v, g, p, opacity)

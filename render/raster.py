@@ -20,11 +20,23 @@ class Raster:
     """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see Blend.draw)."""
 
     def __init__(
-        self, splats: Splats, width: int, height: int, *, views: int, sink, antialias=False, color=True, depth=True
+        self,
+        splats: Splats,
+        width: int,
+        height: int,
+        *,
+        views: int,
+        sink,
+        antialias=False,
+        color=True,
+        depth=True,
+        sort: str = "z",
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else CPU_TILE
         self.splats, self.sink, self.wants = splats, sink, {"with_color": color, "with_depth": depth}
-        self.projection = Projection(splats, width, height, views, tile=tile, antialias=antialias, color=color)
+        self.projection = Projection(
+            splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
+        )
         self.order = DepthOrder(self.projection)
         self.stage = None
         self._cameras = {}  # numbers on the device, by view

@@ -55,6 +55,7 @@ class FloatImages:
 class Renderer:
     """Renders `splats` at width x height [px] from `views` cameras.
 
+    `sort`: by camera "z", or "radial", by the distance from the eye (render/project.py).
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
@@ -72,6 +73,7 @@ class Renderer:
         antialias: bool = False,
         background=(0.0, 0.0, 0.0),
         outputs: str = "rgba8",
+        sort: str = "z",
     ):
         if outputs not in ("rgba8", "float"):
             raise ValueError(f"outputs must be 'rgba8' or 'float', not {outputs!r}")
@@ -83,7 +85,9 @@ class Renderer:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
         depth = outputs == "float"
-        self.raster = Raster(splats, width, height, views=views, sink=self.sink, antialias=antialias, depth=depth)
+        self.raster = Raster(
+            splats, width, height, views=views, sink=self.sink, antialias=antialias, depth=depth, sort=sort
+        )
 
     def resize(self, width: int, height: int) -> None:
         """Draw another size [px] from now on; for outputs="rgba8". `picture` is a new array."""

@@ -148,7 +148,7 @@ class Scene:
     """A demo: what is there, how it is lit and seen, how exactly it is simulated."""
 
     bodies: list[Body]
-    light: Light
+    light: Light | None  # None: nothing casts a shadow, nothing can be lit
     eye: Vec3
     target: Vec3
     colliders: list[Plane | Capsule | Box] = field(default_factory=list)

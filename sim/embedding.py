@@ -13,6 +13,7 @@ from sim.polar import polar_quaternion
 LANES = 32  # Gaussians side by side in a slice: one warp reads 128 contiguous bytes at a time
 WINDOW = 4096  # Gaussians sorted by their number of vertices within this many: full warps, writes stay close
 CHUNK = 1 << 16  # Gaussians prepared at once: bounds the float64 intermediates to about 200 MB
+MOST_STRETCH = 4.0  # of a Gaussian, root mean square over its axes: so far its neighbours hide the gaps
 FLATTEST = 1e-9  # 6 volumes over the longest edge cubed; below this float32 weights do not span space
 
 
@@ -85,7 +86,8 @@ class Embedding:
 
     @ti.kernel
     def _deform(self, x: ti.template(), mean: ti.template(), cov: ti.template(), rotation: ti.template()):
-        """F = sum_v (x_v - x_a) g_v^T,  mu = x_a + sum_v m_v (x_v - x_a),  Sigma = F Sigma_0 F^T.
+        """F = sum_v (x_v - x_a) g_v^T,  mu = x_a + sum_v m_v (x_v - x_a),  Sigma = s F Sigma_0 F^T,
+        s <= 1 such that tr Sigma <= MOST_STRETCH^2 tr Sigma_0.
 
         Bytes a Gaussian: 20 for each of about 9 vertices, 8 + 24 of constants, 52 written: 0.26 GB a million,
         0.07 ms at 4 TB/s. The gathers of x (12 bytes each) hit the L1 cache: a cage is some 100 kB.
@@ -108,6 +110,8 @@ class Embedding:
                 xx, xy, xz = self.rest_cov[r], self.rest_cov[r + LANES], self.rest_cov[r + 2 * LANES]
                 yy, yz, zz = self.rest_cov[r + 3 * LANES], self.rest_cov[r + 4 * LANES], self.rest_cov[r + 5 * LANES]
                 S = F @ ti.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ F.transpose()
+                # an extreme stretch, of a body torn at or blown up, must not throw spikes across the view
+                S *= ti.min(1.0, MOST_STRETCH**2 * (xx + yy + zz) / ti.max(S.trace(), 1e-30))
                 mean[g] = mu
                 cov[g] = ti.Vector([S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]])
                 if ti.static(self.with_rotation):

@@ -83,7 +83,7 @@ class FakeWorld:
 
     def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
         self.scene, self.light, self.views = scene, scene.light, views
-        self.timings, self.paused, self.interaction = Timings(), False, "physics"
+        self.timings, self.paused, self.interaction, self.moving = Timings(), False, "physics", False
         self.steps = 0
         self.resize(width, height)
         self._reset()
@@ -130,6 +130,7 @@ class FakeWorld:
             self.ball = goal
         else:
             self.ball = self.ball + self.velocity * frame.dt
+        self.moving = bool(np.any(self.velocity))
         self.scene.game.update(frame.time, self.bodies())
 
     def pick(self, origin, direction):

@@ -73,6 +73,20 @@ def test_affine_motion_is_reproduced_exactly(ti_cpu, gaussians, scheme):
     assert (np.linalg.norm(cov - want, axis=(1, 2)) < 2e-5 * np.linalg.norm(want, axis=(1, 2))).all()
 
 
+@pytest.mark.parametrize("stretch", [2.0, 3.9, 40.0, 1e4])
+def test_an_extreme_stretch_throws_no_spikes(ti_cpu, gaussians, stretch):
+    """Up to four times as long nothing is bounded; beyond, a Gaussian keeps its shape and is no longer than that."""
+    A = np.diag([stretch, 1.0, 1.0 / stretch])
+    _, cov, _ = Carried(ti_cpu, gaussians).to(BAR[0] @ A.T)
+    rest = covariances(gaussians)
+    want = A @ rest @ A.T
+    bound = 16.0 * np.trace(rest, axis1=1, axis2=2) / np.trace(want, axis1=1, axis2=2)
+    assert (bound < 1.0).all() if stretch > 10 else (bound >= 1.0).all()
+    want *= np.minimum(bound, 1.0)[:, None, None]
+    assert (np.linalg.norm(cov - want, axis=(1, 2)) < 1e-4 * np.linalg.norm(want, axis=(1, 2))).all()
+    assert (np.sqrt(np.linalg.eigvalsh(cov)[:, 2]) <= 4.001 * np.sqrt(np.trace(rest, axis1=1, axis2=2))).all()
+
+
 def test_a_rigid_turn_gives_its_quaternion(ti_cpu, gaussians):
     carried = Carried(ti_cpu, gaussians)
     for q in ([0.5, -0.5, 0.5, 0.5], [0.0, 0.6, 0.8, 0.0], [0.1, 0.2, -0.3, 0.9]):

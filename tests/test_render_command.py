@@ -22,7 +22,8 @@ def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
     (tmp_path / "two.json").write_text(json.dumps([view, view]))
 
     def command(camera, out):
-        run(Namespace(splats=tmp_path / "g.ply", camera=tmp_path / camera, out=tmp_path / out, antialias=False))
+        given = {"splats": tmp_path / "g.ply", "camera": tmp_path / camera, "out": tmp_path / out}
+        run(Namespace(**given, antialias=False, sort="z", turntable=False))
 
     command("two.json", "a.npz")
     arrays = np.load(tmp_path / "a.npz")

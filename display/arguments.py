@@ -50,6 +50,11 @@ def bench(args) -> None:
     command(f"tests.bench.{args.subject}", taichi=True)(args)
 
 
+def render(args) -> None:
+    """Draw pictures, or film."""
+    command("display.turntable" if args.turntable else "render.command", taichi=True)(args)
+
+
 def list_scenes(args) -> None:
     """Print each scene's name and what it is."""
     from scenes import registry
@@ -144,7 +149,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add(
         "render",
-        command("render.command", taichi=True),
+        render,
         "draw a splat file, or film a turn around it",
         "render cat.ply --camera cam.json --out cat.png\n  python vrgs.py render cat.ply --turntable --out cat.mp4",
     )

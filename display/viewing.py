@@ -32,7 +32,7 @@ BACKDROP = (0.12, 0.13, 0.14)
 
 def upright(path, up: str | None) -> tuple[Gaussians, str]:
     """The file's Gaussians turned so that `up` is +y, and that axis; None guesses it, but for a prepared asset."""
-    from prepare.orient import guess_up, rotation_to_up
+    from assets.orient import guess_up, rotation_to_up
 
     gaussians = read_gaussians(path)
     if up is None:

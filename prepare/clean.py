@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
+from assets.orient import extent
 
 OPACITY_MIN = 0.01  # at most 2.5 of 255 grey levels
 SIGMA_MAX = 0.12  # of the longest extent: a Gaussian whose 2 sigma span half the object is a smear, not surface
@@ -16,12 +17,6 @@ REACH = 2  # cells; pieces that come closer than 4 % of the extent count as one
 SAMPLE = 5000  # points whose neighbours tell how densely the others lie
 FEWEST = 30  # Gaussians; fewer have no inside
 FLATTEST = 0.02  # thickness over width of a plane that cannot be told from noise
-
-
-def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
-    low, high = np.percentile(points, [0.5, 99.5], axis=0)
-    return low, high
 
 
 def largest_piece(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -11,12 +11,12 @@ from assets.asset import Asset, Cage
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
+from assets.orient import guess_up, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, TOLERANCE, cage_of, check_count, share_inside
 from prepare.clean import FEWEST, clean
 from prepare.embed import embed
 from prepare.fill import density_of, solid_cells
 from prepare.levelset import contact_grid, level_set
-from prepare.orient import guess_up, metres, rotation_to_up
 from prepare.quality import dihedral_angles, volumes
 
 VERSION = 1  # of what this pipeline makes; raise it when the same splat would give another asset

@@ -18,14 +18,8 @@ def run(args: argparse.Namespace) -> None:
     """Draw `args.splats` through `args.camera` into `args.out`: .png, 8 bits on black, or .npz, float32.
 
     Several cameras give OUT_000.png, OUT_001.png, ... or one NPZ with rgb (V, H, W, 3), alpha and
-    depth [m] (V, H, W), unclamped and without a background. With `args.turntable` a film (display/turntable.py).
-    Raises BadInput.
+    depth [m] (V, H, W), unclamped and without a background. Raises BadInput.
     """
-    if args.turntable:
-        from display.turntable import run as film
-
-        film(args)
-        return
     if args.camera is None:
         raise BadInput("from where? --camera CAM.json, or --turntable for a film from all sides")
     out = Path(args.out)

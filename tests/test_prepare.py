@@ -13,9 +13,9 @@ from assets.files import read_gaussians, write_gaussians
 from assets.gaussians import Gaussians, concatenate
 from assets.locate import Locator
 from assets.materials import MATERIALS
+from assets.orient import AXES, guess_up, metres, rotation_to_up
 from prepare.clean import clean
 from prepare.command import prepare_file, run
-from prepare.orient import AXES, guess_up, metres, rotation_to_up
 from prepare.pipeline import STAGES, prepare
 from prepare.quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
 from tests.shells import ball, ring, shell, toy

@@ -23,7 +23,7 @@ def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
 
     def command(camera, out):
         given = {"splats": tmp_path / "g.ply", "camera": tmp_path / camera, "out": tmp_path / out}
-        run(Namespace(**given, antialias=False, sort="z", turntable=False))
+        run(Namespace(**given, antialias=False, sort="z"))
 
     command("two.json", "a.npz")
     arrays = np.load(tmp_path / "a.npz")

@@ -13,7 +13,6 @@ from scipy.spatial import ConvexHull, QhullError
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.sh import C0
-from prepare.clean import extent
 
 AXES = {f"{sign}{'xyz'[axis]}": (axis, 1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
 COLUMNS = 64  # pixels on the longest side of the six views
@@ -28,6 +27,12 @@ USUAL = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05
 PLAUSIBLE = (0.05, 0.6)  # [m] largest extent of what a hand can hold; files outside have arbitrary units
 USUAL_SIZE = 0.25  # [m]
 SIZES = (0.01, 10.0)  # [m] what may be asked for
+
+
+def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    return low, high
 
 
 def first_hits(points: np.ndarray, axis: int, low: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:

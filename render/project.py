@@ -12,6 +12,7 @@ NEAR = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
 EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
 STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
+BRIGHTEST, LARGEST = 1e6, 1e30  # a colour, a determinant [px^4] beyond is broken, and is not drawn
 MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
@@ -113,16 +114,19 @@ class Projection:
                 depth += p.norm() if ti.static(self.radial) else p.z
                 window = ti.Vector([0, 0])
                 if p.z >= self.near[v] and opacity >= 1 / 255:
-                    window = self._project_to(v, g, p, opacity)
+                    window = self._project_to(v, g, p, ti.min(opacity, 1.0))
                 self.window[v, g] = window
                 seen |= window[1]
             key = ti.u32(DROPPED)
-            if seen != 0:
-                if ti.static(self.with_color):
+            if ti.static(self.with_color):  # noqa: SIM102, one is for the compiler
+                if seen != 0:
                     c = color_of(self.splats, g, mean - self._eye())
+                    if not (c.sum() < BRIGHTEST):  # nor if it is no number
+                        seen = 0
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
+            if seen != 0:
                 key = ordered_bits(depth / self.views)
             sorter.items[g - begin] = ti.Vector([ti.cast(key, ti.i32), g])
         sorter.count[None] = ti.max(end - begin, 0)
@@ -169,7 +173,7 @@ class Projection:
             det = xx * yy - sharp_xy * sharp_xy
             if ti.static(self.antialias):
                 opacity *= ti.sqrt(ti.max(0.0, (sharp_xx * sharp_yy - sharp_xy * sharp_xy) / det))
-            if det > 0 and opacity >= 1 / 255:
+            if xx > 0 and det > 0 and det < LARGEST and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
                 reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
                 half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)

@@ -96,14 +96,19 @@ class Stage:
         """rgb, alpha, depth of one view."""
         from render.splats import covariances
 
-        def padded(values):
-            return np.concatenate([values, np.zeros((self.splats.capacity - len(g), *values.shape[1:]), np.float32)])
+        return self.draw_fields(g.means, covariances(g), g.opacities.astype(np.float32), g.sh, camera)
 
-        self.splats.count = len(g)
-        self.splats.mean.from_numpy(padded(g.means))
-        self.splats.cov.from_numpy(padded(covariances(g)))
-        self.splats.opacity.from_numpy(padded(g.opacities.astype(np.float32)))
-        self.splats.sh.from_numpy(padded(g.sh))
+    def draw_fields(self, mean, cov, opacity, sh, camera: Camera | None = None):
+        """The same of what the device's fields are to hold."""
+
+        def padded(values):
+            return np.concatenate([values, np.zeros((self.splats.capacity - len(mean), *values.shape[1:]), np.float32)])
+
+        self.splats.count = len(mean)
+        self.splats.mean.from_numpy(padded(mean))
+        self.splats.cov.from_numpy(padded(cov))
+        self.splats.opacity.from_numpy(padded(opacity))
+        self.splats.sh.from_numpy(padded(sh))
         self.renderer.render([camera or self.camera])
         return [f.to_numpy()[0] for f in (self.renderer.rgb, self.renderer.alpha, self.renderer.depth)]
 
@@ -167,6 +172,28 @@ def test_a_broken_gaussian_is_left_out(stage):
     expected = stage.draw(g.select(np.array([0, 3])))
     np.testing.assert_array_equal(rgb, expected[0])
     np.testing.assert_array_equal(alpha, expected[1])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_broken_numbers_anywhere_leave_the_rest_as_it_is(stage, seed):
+    """NaN, infinities, denormals and huge values in any field of some Gaussians: the picture stays finite."""
+    from render.splats import covariances
+
+    rng = np.random.default_rng(seed)
+    g = cloud(rng, 300)
+    g = g.transformed(np.eye(3), (0.0, 0.0, 2.0))
+    fields = [g.means, covariances(g), g.opacities.astype(np.float32)[:, None], g.sh[:, :1].reshape(len(g), 3)]
+    fields = [f.astype(np.float32).copy() for f in fields]
+    bad = [np.nan, np.inf, -np.inf, 1e38, -1e38, 1e-42, -1e-42]
+    broken = rng.choice(len(g), 60, replace=False)
+    for k in broken:
+        f = fields[rng.integers(4)]
+        f[k, rng.integers(f.shape[1])] = rng.choice(bad)
+    mean, cov, opacity, sh = fields
+    rgb, alpha, depth = stage.draw_fields(mean, cov, opacity[:, 0], sh[:, None])
+    for image in (rgb, alpha, depth):
+        assert np.isfinite(image).all()
+    assert alpha.min() >= 0.0 and alpha.max() <= 1.0
 
 
 def test_the_shift_of_the_lens_shifts_the_picture(stage):

@@ -186,12 +186,16 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
-    what = "sim: the solver, 400 substeps a frame; popping: what flickers when the head turns, by ways to sort"
-    c.add_argument("subject", choices=("sim", "popping"), help=what)
+    what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
+    what += "popping: what flickers when the head turns, by ways to sort"
+    c.add_argument("subject", choices=("sim", "render", "popping"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
     c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
     sizes = ("1.7k", "9.3k", "24k", "46k")
     c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
+    rooms = ("0.305M", "1.313M", "2.526M")
+    c.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help="render: rooms (default: all)")
+    c.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help="render: an eye (default 1800x1920)")
     c.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     c.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)

@@ -92,15 +92,13 @@ def main() -> int:
     args = p.parse_args()
     start_taichi("cuda")
     rows = []
-    print(
-        f"{'Gaussians':>10} {'ours ms':>9} {'gsplat ms':>9} {'ratio':>6} {'pairs':>11} {'theirs':>11} {'difference':>10}"
-    )
+    print(f"{'Gaussians':>10} {'ours ms':>9} {'gsplat ms':>9} {'ratio':>6} {'pairs':>11} {'theirs':>11} {'differ':>8}")
     for name in args.gaussians:
         row = compare(SIZES[name], args.rounds)
         rows.append(row)
         figures = f"{row['ours_ms']:9.3f} {row['gsplat_ms']:9.3f} {row['ratio']:6.2f}"
         print(
-            f"{name:>10} {figures} {row['ours_pairs']:11,} {row['gsplat_pairs']:11,} {row['difference']:10.5f}",
+            f"{name:>10} {figures} {row['ours_pairs']:11,} {row['gsplat_pairs']:11,} {row['difference']:8.5f}",
             flush=True,
         )
     if args.json:

@@ -4,7 +4,7 @@ import taichi as ti
 
 from render.project import WINDOW_COLUMNS, Projection
 from render.scan import Scan
-from render.sort import RadixSort
+from render.sort import RadixSort, item_of, key_of, value_of
 
 # [bits] of a tile's number, at least: pictures of common sizes share the room and the kernels. By backend, on_gpu:
 FIRST_TILE_BITS = {False: 12, True: 16}  # what the sort does in one pass (640 x 360 in tiles of 8), in two passes
@@ -20,7 +20,7 @@ class DepthOrder:
     def __init__(self, projection: Projection):
         self.projection = projection
         capacity = projection.splats.capacity
-        self.sorter = RadixSort(capacity, drop=True, keep_keys=False)
+        self.sorter = RadixSort(capacity, drop=True)
         self.scan = Scan(capacity)
         self.pairs = self.scan.total
         self.first_pair = ti.field(ti.i32)
@@ -39,7 +39,7 @@ class DepthOrder:
         """Sort by depth and count pairs; outermost level of a kernel."""
         self.sorter.sort()
         for k in range(self.sorter.kept[None]):
-            g = self.sorter.sorted_items[k][1]
+            g = value_of(self.sorter.sorted_items[k])
             touched = 0
             for v in range(self.projection.views):
                 touched += self.projection.touched(v, g)
@@ -51,7 +51,7 @@ class DepthOrder:
 class Bins:
     """Room for `capacity` pairs, sorted by tile; within a tile they stay in depth order.
 
-    `begin[t]..end[t]` of `members`, vec2 i32 = (t, Gaussian), belong to tile t; tiles of all views are numbered
+    `begin[t]..end[t]` of `members`, i64 of (t, Gaussian), belong to tile t; tiles of all views are numbered
     row by row, view by view. With more pairs than room nothing is binned: the owner must look at
     `order.pairs` and come back with larger bins.
     """
@@ -96,21 +96,21 @@ class Bins:
             self.sorter.count[None] = self.order.pairs[None]
         for k in range(self.order.sorter.kept[None]):
             if self.sorter.count[None] > 0:
-                larger = self._emit(self.order.sorter.sorted_items[k][1], self.order.first_pair[k])
+                larger = self._emit(value_of(self.order.sorter.sorted_items[k]), self.order.first_pair[k])
                 if larger:
                     self.large[ti.atomic_add(self.large_count[None], 1)] = k
         for i in range(self.large_count[None] * self.crew):
             k = self.large[i // self.crew]
-            self._emit_large(self.order.sorter.sorted_items[k][1], self.order.first_pair[k], i % self.crew)
+            self._emit_large(value_of(self.order.sorter.sorted_items[k]), self.order.first_pair[k], i % self.crew)
         self.sorter.sort()
         for t in range(self.projection.views * self.tiles_per_view()):
             self.begin[t] = 0
             self.end[t] = 0
         for i in range(self.sorter.kept[None]):
-            t = self.members[i][0]
-            if i == 0 or self.members[i - 1][0] != t:
+            t, last = key_of(self.members[i]), self.sorter.kept[None] - 1
+            if i == 0 or key_of(self.members[ti.max(i - 1, 0)]) != t:
                 self.begin[t] = i
-            if i == self.sorter.kept[None] - 1 or self.members[i + 1][0] != t:
+            if i == last or key_of(self.members[ti.min(i + 1, last)]) != t:
                 self.end[t] = i + 1
 
     @ti.func
@@ -125,7 +125,7 @@ class Bins:
             while bits > 0:
                 place = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)  # of the lowest bit
                 tile = corner + place // WINDOW_COLUMNS * columns + place % WINDOW_COLUMNS
-                self.sorter.items[slot] = ti.Vector([tile, g])
+                self.sorter.items[slot] = item_of(tile, g)
                 slot += 1
                 bits &= bits - 1
             if bits < 0:
@@ -148,5 +148,5 @@ class Bins:
                     if (row - top) % self.crew == member:
                         tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
                         for column in range(first, last):
-                            self.sorter.items[slot + column - first] = ti.Vector([tile + column, g])
+                            self.sorter.items[slot + column - first] = item_of(tile + column, g)
                     slot += last - first

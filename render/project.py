@@ -5,7 +5,7 @@ import math
 import taichi as ti
 
 from render.color import color_of
-from render.sort import DROPPED
+from render.sort import DROPPED, item_of
 from render.splats import Splats
 
 NEAR = 0.01  # [m] of camera z
@@ -29,6 +29,7 @@ vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 class Projection:
     """Splats of all `views` in pixels, and the depth by which they are sorted.
 
+    `tile`, (width, height) of a tile [px].
     `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy); `near`, the
     least camera z [m] that is drawn; `grid`, (width, height [px], columns, rows of tiles): on the device, so that
     a picture of another size needs no other kernels. Out:
@@ -47,7 +48,7 @@ class Projection:
         height: int,
         views: int,
         *,
-        tile: int,
+        tile: tuple[int, int],
         antialias: bool,
         color: bool,
         sort: str = "z",
@@ -70,14 +71,14 @@ class Projection:
         builder.dense(ti.ij, (views, 4)).place(self.camera)
         builder.dense(ti.i, views).place(self.near)
         builder.place(self.grid)
-        builder.dense(ti.ij, (views, splats.capacity)).place(self.window)
+        builder.dense(ti.j, splats.capacity).dense(ti.i, views).place(self.window)  # both eyes' side by side
         self.tree = builder.finalize()
         self.near.fill(NEAR)
         self.set_size(width, height)
 
     def set_size(self, width: int, height: int) -> None:
         """Pictures are width x height [px] from now on."""
-        self.tiles = (-(-width // self.tile), -(-height // self.tile))  # columns, rows
+        self.tiles = (-(-width // self.tile[0]), -(-height // self.tile[1]))  # columns, rows
         self.grid[None] = [width, height, *self.tiles]
 
     def destroy(self) -> None:
@@ -128,7 +129,7 @@ class Projection:
                             self.color[v, g][k] = c[k]
             if seen != 0:
                 key = ordered_bits(depth / self.views)
-            sorter.items[g - begin] = ti.Vector([ti.cast(key, ti.i32), g])
+            sorter.items[g - begin] = item_of(key, g)
         sorter.count[None] = ti.max(end - begin, 0)
 
     @ti.func
@@ -215,34 +216,45 @@ class Projection:
     @ti.func
     def tile_box(self, place: vec4, box: vec4):
         """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
-        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.grid[None][2])
-        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.grid[None][3])
+        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.grid[None][2], self.tile[0])
+        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.grid[None][3], self.tile[1])
         return left, right, top, bottom
 
     @ti.func
     def tile_columns(self, row: ti.i32, left: ti.i32, right: ti.i32, place: vec4, conic: vec4, box: vec4):
         """Columns of tiles [first, last) of a row that hold a pixel centre column of the ellipse's part in it.
 
-        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
-        rightmost point, clamped to the strip; likewise the left end, by symmetry. left and right
-        are those of the splat's box.
+        left and right are those of the splat's box.
         """
         first, last = left, right
-        A, B, C, det = conic[0], conic[1], conic[2], conic[3]
-        if right - left > 1 and det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
-            low = ti.max(row * self.tile + 0.5 - place.y, -box[1])
-            high = ti.min(row * self.tile + self.tile - 0.5 - place.y, box[1])
-            d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
-            root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
-            middle = place.x - B / A * d
-            first, last = self._tiles_between(middle[1] - root[1] / A, middle[0] + root[0] / A, left, right)
+        if right - left > 1:
+            top = row * self.tile[1] + 0.5
+            low, high = self.ends(top, top + (self.tile[1] - 1), place, conic, box)
+            first, last = self._tiles_between(low, high, left, right, self.tile[0])
         return first, last
 
     @ti.func
-    def _tiles_between(self, low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32):
-        """Tiles [first, last) within [left, right) along a side with a pixel centre in [low, high]."""
-        first = ti.cast(ti.floor(clamp((low + 0.5) / self.tile, float(left), float(right))), ti.i32)
-        last = ti.cast(ti.floor(clamp((high + (self.tile - 0.5)) / self.tile, float(left), float(right))), ti.i32)
+    def ends(self, top: ti.f32, bottom: ti.f32, place: vec4, conic: vec4, box: vec4):
+        """Left and right end [px] of the ellipse's part between two heights [px], where its box has a part.
+
+        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
+        rightmost point, clamped to the strip; likewise the left end, by symmetry.
+        """
+        left, right = place.x - box[0], place.x + box[0]
+        A, B, C, det = conic[0], conic[1], conic[2], conic[3]
+        if det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
+            low, high = ti.max(top - place.y, -box[1]), ti.min(bottom - place.y, box[1])
+            d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
+            root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
+            middle = place.x - B / A * d
+            left, right = middle[1] - root[1] / A, middle[0] + root[0] / A
+        return left, right
+
+    @ti.func
+    def _tiles_between(self, low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32, tile: ti.template()):
+        """Tiles [first, last) of `tile` pixels, within [left, right), with a pixel centre in [low, high]."""
+        first = ti.cast(ti.floor(clamp((low + 0.5) / tile, float(left), float(right))), ti.i32)
+        last = ti.cast(ti.floor(clamp((high + (tile - 0.5)) / tile, float(left), float(right))), ti.i32)
         return first, ti.max(first, last)
 
 

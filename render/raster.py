@@ -32,7 +32,7 @@ class Raster:
         depth=True,
         sort: str = "z",
     ):
-        tile = GPU_TILE if ti.cfg.arch == ti.cuda else CPU_TILE
+        tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink, self.wants = splats, sink, {"with_color": color, "with_depth": depth}
         self.projection = Projection(
             splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
@@ -93,17 +93,20 @@ class DrawStage:
         self.bins, self.blend, self.sink = blend.bins, blend, sink
 
     def draw(self, out) -> None:
+        self._fill()
         if isinstance(out, ti.Ndarray):
             self._draw_ndarray(out)
         else:
             self._draw_number(out)
 
     @ti.kernel
-    def _draw_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
+    def _fill(self):
         self.bins.fill()
+
+    @ti.kernel
+    def _draw_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
         self.blend.draw(self.sink, out)
 
     @ti.kernel
     def _draw_number(self, out: ti.i32):
-        self.bins.fill()
         self.blend.draw(self.sink, out)

@@ -17,12 +17,11 @@ def saturating_add(a: ti.i32, b: ti.i32) -> ti.i32:
 
 
 @ti.func
-def block_exclusive(value: ti.i32, lane: ti.i32):
+def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
     """Sum of `value` over the threads of a block of BLOCK before this one, CUDA only.
 
-    Every thread of the block must call it. Hillis and Steele's scan in shared memory.
+    Every thread of the block must call it. Hillis and Steele's scan in the first 2 BLOCK words of `shared`.
     """
-    shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
     ti.simt.block.sync()
     shared[lane] = value
     side = 0
@@ -109,7 +108,8 @@ class Scan:
                 own = 0
                 for i in range(first, ti.min(first + ITEMS, count[None])):
                     own = saturating_add(own, values[i])
-                before = block_exclusive(own, lane)
+                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                before = block_exclusive(shared, own, lane)
                 if lane == BLOCK - 1:
                     self.sums[c] = saturating_add(before, own)
             elif lane == 0:
@@ -120,7 +120,8 @@ class Scan:
             own = 0
             for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
                 own = saturating_add(own, self.sums[c])
-            before = block_exclusive(own, lane)
+            shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+            before = block_exclusive(shared, own, lane)
             for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
                 value = self.sums[c]
                 self.sums[c] = before
@@ -135,7 +136,8 @@ class Scan:
                 own = 0
                 for i in range(first, ti.min(first + ITEMS, count[None])):
                     own = saturating_add(own, values[i])
-                before = saturating_add(self.sums[c], block_exclusive(own, lane))
+                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                before = saturating_add(self.sums[c], block_exclusive(shared, own, lane))
                 for i in range(first, ti.min(first + ITEMS, count[None])):
                     value = values[i]
                     offsets[i] = before

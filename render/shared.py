@@ -5,4 +5,4 @@ and links all loops of a kernel together: two arrays that draw the same number b
 and writes beyond it fault (CUDA_ERROR_ILLEGAL_ADDRESS, or silent damage). With one size there is nothing to confuse.
 """
 
-WORDS = 3072  # 12 KiB: 256 splats of 12 floats, the largest user; 16 such blocks still fit on a multiprocessor
+WORDS = 8704  # 34 KiB: counts, and ranks, keys and values of 2048 items to sort; 6 such blocks fit on a multiprocessor

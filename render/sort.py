@@ -12,30 +12,54 @@ BLOCK = 256
 WARPS = BLOCK // 32
 ITEMS = 8  # per thread of a block
 TILE = BLOCK * ITEMS  # items per block
+RANK_BITS = TILE.bit_length() - 1
+# Places in a block's shared memory. The first 2 BLOCK words are block_exclusive's until offsets take them.
+OFFSETS, KEPT = 0, BLOCK
+COUNTS = 2 * BLOCK
+KEYS = COUNTS + WARPS * BLOCK
+VALUES = KEYS + TILE
+RANKS = VALUES + TILE  # of an item in its warp, and its digit above RANK_BITS
+
+
+@ti.func
+def item_of(key: ti.u32, value: ti.i32) -> ti.i64:
+    """What is sorted, in one word."""
+    return ti.cast(key, ti.i64) | (ti.cast(value, ti.i64) << 32)
+
+
+@ti.func
+def key_of(item: ti.i64) -> ti.u32:
+    """The lower half."""
+    return ti.cast(item, ti.u32)
+
+
+@ti.func
+def value_of(item: ti.i64) -> ti.i32:
+    """The upper half."""
+    return ti.cast(item >> 32, ti.i32)
 
 
 @ti.data_oriented
 class RadixSort:
     """Least-significant-digit radix sort of up to `capacity` pairs by the low `bits` of their keys.
 
-    Fill `items`, vec2 i32 = (key's bits, value), and `count`; call `sort()` at the outermost level
-    of a kernel; read the first `kept[None]` of `sorted_items` (their keys with keep_keys only).
+    Fill `items`, i64 of `item_of(key, value)`, and `count`; call `sort()` at the outermost level of a kernel;
+    read the first `kept[None]` of `sorted_items` with `key_of` and `value_of`.
     With `drop`, items whose key is DROPPED vanish in the first pass, so sorting compacts too.
     Every pass counts digits per block, turns the counts into write positions, and moves the items
     in order: equal keys keep their order on every backend.
     """
 
-    def __init__(self, capacity: int, *, bits: int = 32, drop: bool = False, keep_keys: bool = True):
+    def __init__(self, capacity: int, *, bits: int = 32, drop: bool = False):
         self.capacity = capacity
         self.drop = drop
-        self.keep_keys = keep_keys
         self.on_gpu = ti.cfg.arch == ti.cuda
         widest = GPU_DIGIT if self.on_gpu else CPU_DIGIT
         self.passes = -(-bits // widest)
         self.digit = GPU_DIGIT if self.on_gpu else -(-bits // self.passes)
         self.buckets = 1 << self.digit
         self.blocks = -(-capacity // TILE) if self.on_gpu else CPU_CHUNKS
-        self.item = [ti.Vector.field(2, ti.i32) for _ in range(2)]
+        self.item = [ti.field(ti.i64) for _ in range(2)]  # one word: half the accesses of two
         self.count = ti.field(ti.i32)
         self.kept = ti.field(ti.i32)
         self.position = ti.field(ti.i32)  # counts, then write positions; CPU: block-major, GPU: digit-major
@@ -74,14 +98,7 @@ class RadixSort:
 
     @ti.func
     def _key(self, p: ti.template(), i: ti.i32) -> ti.u32:
-        return ti.cast(self.item[p % 2][i][0], ti.u32)
-
-    @ti.func
-    def _move(self, p: ti.template(), i: ti.i32, to: ti.i32):
-        """Carry item `i` over to place `to` of the other buffer."""
-        if ti.static(self.keep_keys or p < self.passes - 1):
-            self.item[1 - p % 2][to][0] = self.item[p % 2][i][0]
-        self.item[1 - p % 2][to][1] = self.item[p % 2][i][1]
+        return key_of(self.item[p % 2][i])
 
     @ti.func
     def _bucket(self, key: ti.u32, p: ti.template()) -> ti.i32:
@@ -125,12 +142,12 @@ class RadixSort:
         for b in range(self.blocks):
             run = (self._length(p) + self.blocks - 1) // self.blocks
             for i in range(b * run, ti.min((b + 1) * run, self._length(p))):
-                key = self._key(p, i)
-                if self._is_kept(key, p):
-                    slot = b * self.buckets + self._bucket(key, p)
+                item = self.item[p % 2][i]
+                if self._is_kept(key_of(item), p):
+                    slot = b * self.buckets + self._bucket(key_of(item), p)
                     to = self.position[slot]
                     self.position[slot] = to + 1
-                    self._move(p, i, to)
+                    self.item[1 - p % 2][to] = item
 
     # ---- CUDA: a block of threads holds TILE items; a warp goes through 32 at a time
 
@@ -167,7 +184,8 @@ class RadixSort:
             own = 0
             for b in range(lane * run, ti.min((lane + 1) * run, used)):
                 own += self.position[d * self.blocks + b]
-            before = block_exclusive(own, lane)
+            shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+            before = block_exclusive(shared, own, lane)
             for b in range(lane * run, ti.min((lane + 1) * run, used)):
                 count = self.position[d * self.blocks + b]
                 self.position[d * self.blocks + b] = before
@@ -177,7 +195,10 @@ class RadixSort:
 
     @ti.func
     def _move_gpu(self, p: ti.template()):
-        """Rank of an item = items of its digit before it: in earlier blocks, warps, rounds, lanes."""
+        """Rank of an item = items of its digit before it: in earlier blocks, warps, rounds, lanes.
+
+        A block first brings its items in order in shared memory: then runs of a digit go out side by side.
+        """
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.blocks * BLOCK):
             b, lane = thread // BLOCK, thread % BLOCK
@@ -185,16 +206,15 @@ class RadixSort:
                 everyone = ti.u32(0xFFFFFFFF)
                 warp, warp_lane = lane // 32, lane % 32
                 below_me = (ti.u32(1) << ti.cast(warp_lane, ti.u32)) - ti.u32(1)
-                counts = ti.simt.block.SharedArray((WORDS,), ti.i32)
-                ti.simt.block.sync()
-                for w in range(WARPS):
-                    counts[w * BLOCK + lane] = 0
-                start = block_exclusive(self.bucket_total[lane], lane)  # of the digit `lane`; synchronises
+                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                start = block_exclusive(shared, self.bucket_total[lane], lane)  # of the digit `lane`; synchronises
                 if b == 0 and lane == BLOCK - 1:  # later passes write the same number again
                     self.kept[None] = start + self.bucket_total[lane]
-                rank = ti.Vector([0] * ITEMS)
+                for w in range(WARPS):
+                    shared[COUNTS + w * BLOCK + lane] = 0
+                ti.simt.block.sync()
                 first = b * TILE + warp * 32 * ITEMS + warp_lane
-                for j in ti.static(range(ITEMS)):
+                for j in range(ITEMS):
                     digit = BLOCK  # an item that does not exist matches no bucket
                     if first + j * 32 < self._length(p):
                         key = self._key(p, first + j * 32)
@@ -203,22 +223,39 @@ class RadixSort:
                     peers = ti.cast(ti.simt.warp.match_any(everyone, digit), ti.u32)
                     before = 0
                     if digit < BLOCK:
-                        before = counts[warp * BLOCK + digit]
+                        before = shared[COUNTS + warp * BLOCK + digit]
                     ti.simt.warp.sync(everyone)
-                    rank[j] = before + ti.cast(ti.math.popcnt(peers & below_me), ti.i32)
+                    rank = before + ti.cast(ti.math.popcnt(peers & below_me), ti.i32)
+                    shared[RANKS + j * BLOCK + lane] = rank | digit << RANK_BITS
                     if digit < BLOCK and (peers & below_me) == ti.u32(0):
-                        counts[warp * BLOCK + digit] = before + ti.cast(ti.math.popcnt(peers), ti.i32)
+                        shared[COUNTS + warp * BLOCK + digit] = before + ti.cast(ti.math.popcnt(peers), ti.i32)
                     ti.simt.warp.sync(everyone)
                 ti.simt.block.sync()
-                at = start + self.position[lane * self.blocks + b]
+                own = 0
                 for w in range(WARPS):
-                    own = counts[w * BLOCK + lane]
-                    counts[w * BLOCK + lane] = at
-                    at += own
+                    own += shared[COUNTS + w * BLOCK + lane]
+                at = block_exclusive(shared, own, lane)  # where the digit `lane` begins in the block
                 ti.simt.block.sync()
-                for j in ti.static(range(ITEMS)):
-                    if first + j * 32 < self._length(p):
-                        key = self._key(p, first + j * 32)
-                        if self._is_kept(key, p):
-                            to = counts[warp * BLOCK + self._bucket(key, p)] + rank[j]
-                            self._move(p, first + j * 32, to)
+                shared[OFFSETS + lane] = start + self.position[lane * self.blocks + b] - at
+                if lane == BLOCK - 1:
+                    shared[KEPT] = at + own
+                for w in range(WARPS):
+                    of_warp = shared[COUNTS + w * BLOCK + lane]
+                    shared[COUNTS + w * BLOCK + lane] = at
+                    at += of_warp
+                ti.simt.block.sync()
+                for j in range(ITEMS):
+                    rank = shared[RANKS + j * BLOCK + lane]
+                    digit = rank >> RANK_BITS
+                    if digit < BLOCK:
+                        to = shared[COUNTS + warp * BLOCK + digit] + (rank & (TILE - 1))
+                        item = self.item[p % 2][first + j * 32]
+                        shared[KEYS + to] = ti.cast(key_of(item), ti.i32)
+                        shared[VALUES + to] = value_of(item)
+                ti.simt.block.sync()
+                for j in range(ITEMS):
+                    i = j * BLOCK + lane
+                    if i < shared[KEPT]:
+                        key = ti.cast(shared[KEYS + i], ti.u32)
+                        to = shared[OFFSETS + self._bucket(key, p)] + i
+                        self.item[1 - p % 2][to] = item_of(key, shared[VALUES + i])

@@ -40,7 +40,10 @@ class Splats:
         builder = ti.FieldsBuilder()
         for f in (self.mean, self.cov, self.opacity, self.rotation, self.light):
             builder.dense(ti.i, self.capacity).place(f)
-        builder.dense(ti.ij, (self.capacity, self.coefficients)).place(self.sh)
+        if ti.cfg.arch == ti.cuda:  # neighbouring threads read neighbouring words
+            builder.dense(ti.j, self.coefficients).dense(ti.i, self.capacity).place(self.sh)
+        else:
+            builder.dense(ti.ij, (self.capacity, self.coefficients)).place(self.sh)
         self.tree = builder.finalize()
         self.mean.from_numpy(self._padded(gaussians.means))
         self.cov.from_numpy(self._padded(covariances(gaussians)))

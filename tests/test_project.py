@@ -34,19 +34,20 @@ def project(g: Gaussians, *, antialias=False, crew=None):
     raster.stage.bins.crew = crew or raster.stage.bins.crew
     raster.draw(0)
     bins = raster.stage.bins
-    members, begin, end = bins.members.to_numpy(), *(f.to_numpy()[: bins.tiles] for f in (bins.begin, bins.end))
-    return raster, [members[b:e, 1] for b, e in zip(begin, end, strict=True)]
+    members, begin, end = bins.members.to_numpy() >> 32, *(f.to_numpy()[: bins.tiles] for f in (bins.begin, bins.end))
+    return raster, [members[b:e] for b, e in zip(begin, end, strict=True)]
 
 
-def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: int, shape: tuple[int, int]) -> np.ndarray:
+def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
     """Which tiles (rows, columns) hold a pixel where alpha reaches 1/255."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
     a, b, c = np.linalg.inv(sigma)[[0, 0, 1], [0, 1, 1]]
     dx, dy = u - uv[0], v - uv[1]
-    seen = np.zeros((shape[0] * tile, shape[1] * tile), bool)
+    width, height = tile
+    seen = np.zeros((shape[0] * height, shape[1] * width), bool)
     alpha = opacity * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy))
     seen[: CAMERA.height, : CAMERA.width] = alpha >= 1 / 255 * (1 + 1e-5)  # a hair more: not a matter of rounding
-    return seen.reshape(shape[0], tile, shape[1], tile).any(axis=(1, 3))
+    return seen.reshape(shape[0], height, shape[1], width).any(axis=(1, 3))
 
 
 @pytest.mark.parametrize("antialias", [False, True])

@@ -30,7 +30,7 @@ def machines(ti_cpu):
             self.numbers, self.offsets = ti.field(ti.i32, CAPACITY), ti.field(ti.i32, CAPACITY)
             self.count = ti.field(ti.i32, ())
             self.full = RadixSort(CAPACITY)
-            self.dropping = RadixSort(CAPACITY, drop=True, keep_keys=False)
+            self.dropping = RadixSort(CAPACITY, drop=True)
             self.narrow = RadixSort(CAPACITY, bits=14)
 
         @ti.kernel
@@ -57,10 +57,10 @@ def sort(sorter, run, keys):
     items = np.full((sorter.capacity, 2), 3, np.int32)  # what lies beyond the count must not matter
     items[: len(keys), 0] = keys.view(np.int32)
     items[:, 1] = np.arange(sorter.capacity)
-    sorter.items.from_numpy(items)
+    sorter.items.from_numpy(items.view(np.int64)[:, 0])  # the key is the lower half
     sorter.count[None] = len(keys)
     run()
-    keys, values = sorter.sorted_items.to_numpy()[: sorter.kept[None]].T
+    keys, values = sorter.sorted_items.to_numpy()[: sorter.kept[None], None].view(np.int32).T
     return values, keys.astype(np.uint32)
 
 

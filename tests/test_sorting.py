@@ -21,7 +21,7 @@ def order(raster, camera) -> np.ndarray:
     """Gaussians front to back."""
     raster.set_camera(0, camera)
     raster.draw(0)
-    return raster.order.sorter.sorted_items.to_numpy()[: raster.order.sorter.kept[None], 1]
+    return raster.order.sorter.sorted_items.to_numpy()[: raster.order.sorter.kept[None]] >> 32
 
 
 def turned(degrees: float) -> Camera:

@@ -107,11 +107,15 @@ class Bins:
             self.begin[t] = 0
             self.end[t] = 0
         for i in range(self.sorter.kept[None]):
-            t, last = key_of(self.members[i]), self.sorter.kept[None] - 1
-            if i == 0 or key_of(self.members[ti.max(i - 1, 0)]) != t:
+            t, last = self._tile_of(i), self.sorter.kept[None] - 1
+            if i == 0 or self._tile_of(ti.max(i - 1, 0)) != t:
                 self.begin[t] = i
-            if i == last or key_of(self.members[ti.min(i + 1, last)]) != t:
+            if i == last or self._tile_of(ti.min(i + 1, last)) != t:
                 self.end[t] = i + 1
+
+    @ti.func
+    def _tile_of(self, i: ti.i32) -> ti.i32:
+        return ti.cast(key_of(self.members[i]), ti.i32)
 
     @ti.func
     def _emit(self, g: ti.i32, slot: ti.i32):

@@ -19,7 +19,7 @@ ROWS = 32 // CELL  # [px] between a thread's pixels
 ACROSS, DOWN = 4, 2  # cells of a tile, which is one block of threads; larger ones make fewer pairs to sort
 GPU_TILE = (ACROSS * CELL, DOWN * CELL)  # [px]
 THREADS = 32 * ACROSS * DOWN
-BATCH = 256  # splats that are in shared memory at a time; a power of two
+BATCH = 512  # splats that are in shared memory at a time; a power of two
 QUAD = 4 * BATCH  # words of shared memory between quads of a splat: x, y, log2 opacity, z | A, 2 B, C, r | g, b, bits
 CELL_BITS = 2 * QUAD + 2  # which of 32 splats touch a cell
 

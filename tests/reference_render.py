@@ -51,10 +51,15 @@ def colors_towards(g: Gaussians, d: np.ndarray, rotations=None) -> np.ndarray:
     return np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(d, g.sh.shape[1]), g.sh))
 
 
-def render_stereo(g: Gaussians, eyes: list[Camera], *, antialias=False):
-    """rgb (V, H, W, 3), alpha, depth, doubts (V, H, W): one order for both eyes, the mean depth's, and one colour."""
+def render_stereo(g: Gaussians, eyes: list[Camera], *, antialias=False, radial=False):
+    """rgb (V, H, W, 3), alpha, depth, doubts (V, H, W): one order for all eyes, the mean depth's, and one colour.
+
+    `radial`: the mean distance's order.
+    """
     cov = covariances(g)
-    depths = [project(g.means.astype(np.float64), cov, g.opacities, eye)[3] for eye in eyes]
+    depths = [g.means @ eye.world_to_camera[2, :3] + eye.world_to_camera[2, 3] for eye in eyes]
+    if radial:
+        depths = [np.linalg.norm(g.means.astype(np.float64) - eye.position, axis=1) for eye in eyes]
     d = g.means.astype(np.float64) - np.mean([eye.position for eye in eyes], axis=0)
     shared = {"cov": cov, "order_by": np.mean(depths, axis=0), "rgb": colors_towards(g, d), "antialias": antialias}
     doubts = [np.zeros((eye.height, eye.width), bool) for eye in eyes]

@@ -61,6 +61,12 @@ def test_antialiased_pictures_of_two_eyes_equal_their_twins(drawings, name):
     assert_equals_twin(drawings(2, antialias=True).draw(g, eyes), twin)
 
 
+@pytest.mark.parametrize("name", ["a cloud", "behind and across the near plane", "one eye before, one behind"])
+def test_pictures_by_distance_equal_their_twins(drawings, name):
+    g, eyes = PICTURES[name]
+    assert_equals_twin(drawings(2, sort="radial").draw(g, eyes), reference.render_stereo(g, eyes, radial=True))
+
+
 def test_the_pictures_are_as_hard_as_they_say():
     """Or else the tests above would prove nothing."""
 

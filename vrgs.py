@@ -11,7 +11,7 @@ from pathlib import Path
 
 from assets.errors import BadInput
 from display.arguments import parser
-from display.device import start_taichi
+from display.device import is_out_of_memory, start_taichi
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -25,6 +25,11 @@ def main(argv: list[str] | None = None) -> int:
         return args.run(args) or 0
     except BadInput as e:
         print(f"vrgs: {' '.join(str(e).split())}", file=sys.stderr)
+        return 2
+    except (MemoryError, RuntimeError) as e:
+        if not is_out_of_memory(e):
+            raise
+        print("vrgs: not enough memory; a smaller picture, or fewer Gaussians, need less", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("vrgs: interrupted", file=sys.stderr)

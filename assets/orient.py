@@ -8,7 +8,6 @@ since no picture split or thinned them, they are dark, or they are missing. And 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
@@ -45,17 +44,38 @@ def first_hits(points: np.ndarray, axis: int, low: np.ndarray, longest: float) -
     return order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
 
 
+def hull(points: np.ndarray) -> np.ndarray:
+    """Corners (C, 2) of the convex hull of points (N, 2), counterclockwise (Andrew 1979); fewer than three of a line.
+
+    By hand, because SciPy takes a quarter of a second to import.
+    """
+    corners = []
+    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    for way in (ordered, ordered[::-1]):  # the lower half, then the upper
+        half = []
+        for x, y in way:
+            while len(half) > 1:
+                (x0, y0), (x1, y1) = half[-2:]
+                if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                    break
+                half.pop()
+            half.append((x, y))
+        corners += half[:-1]
+    return np.array(corners).reshape(-1, 2)
+
+
 def tipping(points: np.ndarray, axis: int, sign: int, longest: float) -> float:
     """Slope (-0.5 to 0.5) that tips a body off its lowest slab; negative if it falls on its own."""
     h = sign * points[:, axis]
     foot = points[h < np.percentile(h, 0.3) + SLAB * longest][:, [i for i in range(3) if i != axis]]
     cells = np.unique(np.floor(points / longest * COLUMNS), axis=0) * longest / COLUMNS  # the surface, evenly
     centre = cells.mean(0)
-    try:
-        sides = ConvexHull(foot).equations  # outward normals and offsets
-    except (QhullError, ValueError):  # a point or a line, or fewer than three points
+    sides = hull(foot) - np.delete(centre, axis)
+    along = np.roll(sides, -1, axis=0) - sides
+    length = np.hypot(*along.T)
+    if len(sides) < 3 or length.min() == 0.0:  # a point or a line
         return -0.5
-    inside = -(sides[:, :2] @ np.delete(centre, axis) + sides[:, 2]).max()
+    inside = ((sides[:, 0] * along[:, 1] - sides[:, 1] * along[:, 0]) / length).min()  # distance to the nearest side
     return float(np.clip(inside / max(sign * centre[axis] - np.percentile(h, 0.3), 1e-12), -0.5, 0.5))
 
 

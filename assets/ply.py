@@ -43,7 +43,11 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         else:
             rows = binary_rows(path, file, file.tell(), elements, vertex, order)
 
+    plain = rows.dtype == np.dtype([(name, np.float32) for name in vertex.names])  # as most are: a matrix
+
     def columns(names: list[str]) -> np.ndarray:
+        if plain:
+            return rows.view(np.float32).reshape(len(rows), -1)[:, [vertex.names.index(name) for name in names]]
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped below
             return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
 

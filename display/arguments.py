@@ -47,7 +47,7 @@ def command(module: str, *, taichi: bool = False):
 
 def bench(args) -> None:
     """Measure what was asked for."""
-    command(f"tests.bench.{args.subject}", taichi=True)(args)
+    command(f"tests.bench.{args.subject}", taichi=not args.earlier)(args)
 
 
 def render(args) -> None:
@@ -187,8 +187,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
     what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
+    what += "scaling: a picture's time against Gaussians and against pixels; "
     what += "popping: what flickers when the head turns, by ways to sort"
-    c.add_argument("subject", choices=("sim", "render", "popping"), help=what)
+    c.add_argument("subject", choices=("sim", "render", "scaling", "popping"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
     c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
     sizes = ("1.7k", "9.3k", "24k", "46k")
@@ -198,6 +199,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help="render: an eye (default 1800x1920)")
     c.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     c.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
+    c.add_argument("--plot", type=Path, metavar="OUT.svg", help="scaling: draw the curves")
+    earlier = {"type": Path, "nargs": "+", "metavar": "ROWS.json", "default": []}
+    c.add_argument("--from", dest="earlier", **earlier, help="scaling: of what --json wrote, instead of measuring")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add("build", command("prepare.model.command"), "build the shipped assets anew from code", "build ring_red")
     c.add_argument("names", nargs="*", metavar="NAME", help="which ones (default: all)")

@@ -42,3 +42,9 @@ def quicken() -> None:
         return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
 
     ASTTransformerContext.get_pos_info = place
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether the host or the GPU had no room; Taichi raises a RuntimeError that says so in words."""
+    words = ("memory allocation", "out of memory", "out_of_memory", "failed to allocate")
+    return isinstance(error, MemoryError) or any(word in str(error).lower() for word in words)

@@ -6,6 +6,8 @@ from assets.camera import Camera
 from assets.gaussians import Gaussians, matrices_of_quats
 from assets.sh import sh_basis
 
+DOUBT = 1e-3  # relative error of an alpha in float32, at most
+
 
 def covariances(g: Gaussians) -> np.ndarray:
     """World covariances [m^2], (N, 3, 3)."""
@@ -38,15 +40,38 @@ def project(means, cov, opacity, camera: Camera, *, antialias=False):
 
 def colors(g: Gaussians, camera: Camera, rotations=None) -> np.ndarray:
     """max(0, 0.5 + SH(R^T d)), (N, 3)."""
-    d = g.means.astype(np.float64) - camera.position
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return colors_towards(g, g.means.astype(np.float64) - camera.position, rotations)
+
+
+def colors_towards(g: Gaussians, d: np.ndarray, rotations=None) -> np.ndarray:
+    """The same along directions `d` (N, 3) of any length."""
+    d = d / np.linalg.norm(d, axis=1, keepdims=True)
     if rotations is not None:
         d = np.einsum("nij,ni->nj", rotations, d)
     return np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", sh_basis(d, g.sh.shape[1]), g.sh))
 
 
-def render(g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None, order_by=None):
-    """rgb (H, W, 3), alpha (H, W), depth (H, W)."""
+def render_stereo(g: Gaussians, eyes: list[Camera], *, antialias=False, radial=False):
+    """rgb (V, H, W, 3), alpha, depth, doubts (V, H, W): one order for all eyes, the mean depth's, and one colour.
+
+    `radial`: the mean distance's order.
+    """
+    cov = covariances(g)
+    depths = [g.means @ eye.world_to_camera[2, :3] + eye.world_to_camera[2, 3] for eye in eyes]
+    if radial:
+        depths = [np.linalg.norm(g.means.astype(np.float64) - eye.position, axis=1) for eye in eyes]
+    d = g.means.astype(np.float64) - np.mean([eye.position for eye in eyes], axis=0)
+    shared = {"cov": cov, "order_by": np.mean(depths, axis=0), "rgb": colors_towards(g, d), "antialias": antialias}
+    doubts = [np.zeros((eye.height, eye.width), bool) for eye in eyes]
+    pictures = [render(g, eye, doubts=out, **shared) for eye, out in zip(eyes, doubts, strict=True)]
+    return [np.stack(images) for images in zip(*pictures, strict=True)] + [np.stack(doubts)]
+
+
+def render(g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None, order_by=None, doubts=None):
+    """rgb (H, W, 3), alpha (H, W), depth (H, W).
+
+    Out: `doubts`, bool (H, W), where rounding to float32 may fall on the other side of a threshold, 1/255 or 1e-4.
+    """
     cov = covariances(g) if cov is None else cov
     rgb = colors(g, camera) if rgb is None else rgb
     uv, sigma, opacity, z, kept = project(g.means.astype(np.float64), cov, g.opacities, camera, antialias=antialias)
@@ -58,6 +83,9 @@ def render(g: Gaussians, camera: Camera, *, antialias=False, cov=None, rgb=None,
         a, b, c = np.linalg.inv(sigma[i])[[0, 0, 1], [0, 1, 1]]
         dx, dy = u - uv[i, 0], v - uv[i, 1]
         alpha = np.minimum(0.999, opacity[i] * np.exp(-0.5 * (a * dx * dx + 2 * b * dx * dy + c * dy * dy)))
+        if doubts is not None:
+            doubts |= ~done & (np.abs(255 * alpha - 1) < DOUBT)
+            doubts |= ~done & (alpha >= 1 / 255) & (np.abs(1e4 * T * (1 - alpha) - 1) < 10 * DOUBT)  # a product of many
         alpha[(alpha < 1 / 255) | done] = 0
         done |= (alpha > 0) & (T * (1 - alpha) <= 1e-4)
         weight = np.where(done, 0, alpha * T)

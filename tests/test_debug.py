@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 from test_project import CAMERA, gaussians
 
+from tests.drawing import Drawing
+from tests.hard_pictures import DEGREE, SIDE, hard_pictures
+
 
 @pytest.fixture(scope="module")
 def checked():
@@ -35,6 +38,32 @@ def test_every_index_is_within_its_field(checked, views):
     if views == 2:
         assert (pixels[0] != pixels[1]).any()
     renderer.destroy()
+
+
+def test_every_index_is_within_its_field_in_hard_pictures(checked):
+    """Odd sizes, nothing at all, the whole sky, thousands in a pixel; two eyes."""
+    drawing = Drawing(4100, 2, SIDE, degree=DEGREE)
+    for g, eyes in hard_pictures().values():
+        images = drawing.draw(g, eyes)
+        assert all(np.isfinite(image).all() for image in images)
+        assert images[1].max() > 0.5 or len(g) == 0
+
+
+def test_every_index_of_a_shadow_is_within_its_field(checked):
+    """A light that looks at all of it, then one that most of it lies behind."""
+    from render.shadow import Shadow
+    from render.splats import Splats
+    from scenes.scene import Light
+
+    g = gaussians(400, 0)
+    splats = Splats(g)
+    shadow = Shadow(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
+    shadow.cast()
+    light = splats.light.to_numpy()[: len(g)]
+    assert light.min() < 0.8 and light.max() > 0.9
+    shadow.set_light(Light((0.1, 0.2, 0.0), (3.0, 0.2, 0.0)))
+    shadow.cast()
+    assert np.isfinite(splats.light.to_numpy()).all()
 
 
 def test_the_checks_are_on(checked):

@@ -11,6 +11,7 @@ from assets.order import morton_order
 ROOM = (6.0, 3.0, 5.0)  # [m]
 EYES_APART = 0.064  # [m]
 SIGMA = 0.0085  # [m] median of the two long axes: about 6 tiles of 16 px a Gaussian in stereo, as in captured rooms
+PIECE = 1 << 18  # Gaussians whose harmonics are made at a time: ten millions in float64 at once would take 4 GB
 SIZES = {"0.305M": 305_000, "1.313M": 1_313_000, "2.526M": 2_526_000}  # the paper's fox, animal crossing and bear
 
 
@@ -30,10 +31,12 @@ def room(count: int, degree: int = 3, seed: int = 1) -> Gaussians:
     quats = times(to, np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], 1))
     opaque = rng.random(count) < 0.6
     logits = np.where(opaque, rng.normal(3.0, 1.5, count), rng.normal(-1.5, 1.2, count))
-    sh = rng.normal(0, 0.06, (count, (degree + 1) ** 2, 3))
+    sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
+    for begin in range(0, count, PIECE):
+        sh[begin : begin + PIECE] = rng.normal(0, 0.06, sh[begin : begin + PIECE].shape)
     sh[:, 0] = patterns(points) + rng.normal(0, 0.25, (count, 3))
     order = morton_order(points)
-    return Gaussians.of(*(a[order] for a in (points, quats, log_scales, logits, sh)))
+    return Gaussians.of(*(np.asarray(a, np.float32)[order] for a in (points, quats, log_scales, logits, sh)))
 
 
 def surfaces(count: int, rng) -> tuple[np.ndarray, np.ndarray]:

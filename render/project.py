@@ -108,14 +108,14 @@ class Projection:
         """
         for g in range(begin, end):
             mean, opacity = self.splats.mean[g], self.splats.opacity[g]
-            depth = 0.0
+            depth = ti.f64(0.0)
             seen = 0
             for v in range(self.views):
                 p = self._to_camera(v, mean)
                 depth += p.norm() if ti.static(self.radial) else p.z
                 window = ti.Vector([0, 0])
                 if p.z >= self.near[v] and opacity >= 1 / 255:
-                    window = self._project_to(v, g, p, ti.min(opacity, 1.0))
+                    window = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
                 self.window[v, g] = window
                 seen |= window[1]
             key = ti.u32(DROPPED)
@@ -128,16 +128,17 @@ class Projection:
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
             if seen != 0:
-                key = ordered_bits(depth / self.views)
+                key = ordered_bits(ti.cast(depth / self.views, ti.f32))
             sorter.items[g - begin] = item_of(key, g)
         sorter.count[None] = ti.max(end - begin, 0)
 
     @ti.func
-    def _to_camera(self, v: ti.i32, x: vec3) -> vec3:
-        p = vec3(0.0)
+    def _to_camera(self, v: ti.i32, x: vec3):
+        """In float64, so that the order of what is nearly as far is the same on every device."""
+        p = ti.Vector([0.0, 0.0, 0.0], dt=ti.f64)
         for k in ti.static(range(3)):
-            row = self.camera[v, k]
-            p[k] = row.xyz.dot(x) + row.w
+            row = ti.cast(self.camera[v, k], ti.f64)
+            p[k] = row.xyz.dot(ti.cast(x, ti.f64)) + row.w
         return p
 
     @ti.func
@@ -168,20 +169,24 @@ class Projection:
             along = self.camera[v, 2].xyz
             jx = fx * (self.camera[v, 0].xyz - x * along)  # the rows of J W
             jy = fy * (self.camera[v, 1].xyz - y * along)
-            sx = times(s, jx)
-            sharp_xx, sharp_xy, sharp_yy = jx.dot(sx), jy.dot(sx), jy.dot(times(s, jy))
-            xx, yy = sharp_xx + DILATION, sharp_yy + DILATION
-            det = xx * yy - sharp_xy * sharp_xy
+            # In float64: a needle's determinant is the small difference of large numbers.
+            wide, ax, ay = ti.cast(s, ti.f64), ti.cast(jx, ti.f64), ti.cast(jy, ti.f64)
+            sx = times(wide, ax)
+            sharp_xx, sharp_xy, sharp_yy = ax.dot(sx), ay.dot(sx), ay.dot(times(wide, ay))
+            sharp = sharp_xx * sharp_yy - sharp_xy * sharp_xy
+            exact = sharp + DILATION * (sharp_xx + sharp_yy) + DILATION * DILATION
             if ti.static(self.antialias):
-                opacity *= ti.sqrt(ti.max(0.0, (sharp_xx * sharp_yy - sharp_xy * sharp_xy) / det))
-            if xx > 0 and det > 0 and det < LARGEST and opacity >= 1 / 255:
+                opacity *= ti.cast(ti.sqrt(ti.max(0.0, sharp / exact)), ti.f32)
+            xx, yy = ti.cast(sharp_xx + DILATION, ti.f32), ti.cast(sharp_yy + DILATION, ti.f32)
+            xy, det = ti.cast(sharp_xy, ti.f32), ti.cast(exact, ti.f32)
+            if xx > 0 and exact > 0 and exact < LARGEST and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
                 reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
                 half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
                 if self._meets_picture(mx, my, half_width, half_height):
-                    A, B, C = yy * HALF_LOG2_E / det, -sharp_xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
+                    A, B, C = yy * HALF_LOG2_E / det, -xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
                     place = vec4(mx, my, log_opacity, p.z)
-                    conic = vec4(A, B, C, A * C - B * B)
+                    conic = vec4(A, B, C, HALF_LOG2_E * HALF_LOG2_E / det)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
                     self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
                     window = self._window(place, conic, box)
@@ -264,12 +269,14 @@ def clamp(x, low, high):
 
 
 @ti.func
-def times(s: ti.template(), x: vec3) -> vec3:
+def times(s: ti.template(), x: ti.template()):
     """Symmetric matrix (xx, xy, xz, yy, yz, zz) times x."""
-    return vec3(
-        s[0] * x[0] + s[1] * x[1] + s[2] * x[2],
-        s[1] * x[0] + s[3] * x[1] + s[4] * x[2],
-        s[2] * x[0] + s[4] * x[1] + s[5] * x[2],
+    return ti.Vector(
+        [
+            s[0] * x[0] + s[1] * x[1] + s[2] * x[2],
+            s[1] * x[0] + s[3] * x[1] + s[4] * x[2],
+            s[2] * x[0] + s[4] * x[1] + s[5] * x[2],
+        ]
     )
 
 

@@ -68,7 +68,7 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
     np.testing.assert_allclose(2 ** place[drawn][:, 2], opacity[drawn], rtol=2e-3)
     inverse = np.linalg.inv(sigma)[drawn][:, [0, 0, 1], [0, 1, 1]]
     size = np.linalg.norm(inverse, axis=1, keepdims=True)
-    np.testing.assert_allclose(conic[drawn][:, :3] / (0.5 * np.log2(np.e)) / size, inverse / size, atol=3e-3)
+    np.testing.assert_allclose(conic[drawn][:, :3] / (0.5 * np.log2(np.e)) / size, inverse / size, atol=1e-4)
 
     shape = p.tiles[::-1]
     binned = np.zeros((len(g), len(lists)), bool)

@@ -5,6 +5,7 @@ import math
 import taichi as ti
 
 from render.color import color_of
+from render.ray_depth import plane
 from render.sort import DROPPED
 from render.splats import Splats
 
@@ -18,9 +19,9 @@ HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
-# What orders Gaussians: camera z, as they were trained, or the distance from the eye, which turning the head does not
-# change, so that none change places (Radl et al. 2024 show what that looks like).
-SORTS = ("z", "radial")
+# What orders Gaussians: camera z, as they were trained; the distance from the eye, which turning the head does not
+# change, so that none change places; or in each pixel the distance along its ray (Radl et al. 2024).
+SORTS = ("z", "radial", "pixel")
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
@@ -34,8 +35,9 @@ class Projection:
     a picture of another size needs no other kernels. Out:
     place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
     conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color  (r, g, b, unused)
-    box    (half width, half height, dy of the rightmost point [px], unused) of the visible ellipse
+    color  (r, g, b, change of 1/z per row)
+    box    (half width, half height, dy of the rightmost point [px], change of 1/z per column) of the visible ellipse;
+           changes only for sort="pixel" [1/(m px)], see render/ray_depth.py
     window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 6 row + column
            for tile (column, row) from there; or, if it spans more than 6 x 5 tiles, minus their number
     """
@@ -54,7 +56,7 @@ class Projection:
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
-        self.splats, self.radial = splats, sort == "radial"
+        self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.camera = ti.Vector.field(4, ti.f32)
         self.near = ti.field(ti.f32)
@@ -140,6 +142,14 @@ class Projection:
         return p
 
     @ti.func
+    def _to_world(self, v: ti.i32, p: vec3) -> vec3:
+        """A direction."""
+        x = vec3(0.0)
+        for k in ti.static(range(3)):
+            x += p[k] * self.camera[v, k].xyz
+        return x
+
+    @ti.func
     def _eye(self) -> vec3:
         """The mean of the cameras' centres [m]."""
         eye = vec3(0.0)
@@ -182,6 +192,11 @@ class Projection:
                     place = vec4(mx, my, log_opacity, p.z)
                     conic = vec4(A, B, C, A * C - B * B)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
+                    if ti.static(self.with_slope):
+                        thickness = DILATION * p.dot(p) / (lens[0] * lens[1])
+                        a = plane(self._to_world(v, p), s, thickness, MOST_REACH)
+                        box[3] = a.dot(self.camera[v, 0].xyz) / lens[0]
+                        self.color[v, g][3] = a.dot(self.camera[v, 1].xyz) / lens[1]
                     self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
                     window = self._window(place, conic, box)
         return window

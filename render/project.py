@@ -5,8 +5,9 @@ import math
 import taichi as ti
 
 from render.color import color_of
-from render.ray_depth import plane
+from render.ray_depth import slope
 from render.sort import DROPPED
+from render.sorts import SORTS
 from render.splats import Splats
 
 NEAR = 0.01  # [m] of camera z
@@ -18,10 +19,6 @@ MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat e
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
 SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
-
-# What orders Gaussians: camera z, as they were trained; the distance from the eye, which turning the head does not
-# change, so that none change places; or in each pixel the distance along its ray (Radl et al. 2024).
-SORTS = ("z", "radial", "pixel")
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
@@ -142,14 +139,6 @@ class Projection:
         return p
 
     @ti.func
-    def _to_world(self, v: ti.i32, p: vec3) -> vec3:
-        """A direction."""
-        x = vec3(0.0)
-        for k in ti.static(range(3)):
-            x += p[k] * self.camera[v, k].xyz
-        return x
-
-    @ti.func
     def _eye(self) -> vec3:
         """The mean of the cameras' centres [m]."""
         eye = vec3(0.0)
@@ -193,10 +182,8 @@ class Projection:
                     conic = vec4(A, B, C, A * C - B * B)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
                     if ti.static(self.with_slope):
-                        thickness = DILATION * p.dot(p) / (lens[0] * lens[1])
-                        a = plane(self._to_world(v, p), s, thickness, MOST_REACH)
-                        box[3] = a.dot(self.camera[v, 0].xyz) / lens[0]
-                        self.color[v, g][3] = a.dot(self.camera[v, 1].xyz) / lens[1]
+                        change = slope(self.camera, v, p, s, DILATION, MOST_REACH)
+                        box[3], self.color[v, g][3] = change.x, change.y
                     self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
                     window = self._window(place, conic, box)
         return window

@@ -25,6 +25,20 @@ vec2, vec3 = ti.math.vec2, ti.math.vec3
 
 
 @ti.func
+def slope(camera: ti.template(), v: ti.i32, p: vec3, s: ti.template(), blur: ti.f32, reach: ti.f32) -> vec2:
+    """(gx, gy) [1/(m px)] of a Gaussian with mean p [m] in the frame of view `v` and covariance s in the world.
+
+    camera: as Projection.camera; blur: the variance of a pixel's filter [px^2]; reach: where a splat ends [sigma^2].
+    """
+    from_eye = vec3(0.0)  # p, along the world's axes
+    for k in ti.static(range(3)):
+        from_eye += p[k] * camera[v, k].xyz
+    lens = camera[v, 3]  # fx, fy, cx, cy
+    a = plane(from_eye, s, blur * p.dot(p) / (lens.x * lens.y), reach)
+    return vec2(a.dot(camera[v, 0].xyz) / lens.x, a.dot(camera[v, 1].xyz) / lens.y)
+
+
+@ti.func
 def plane(p: vec3, s: ti.template(), thickness: ti.f32, reach: ti.f32) -> vec3:
     """a [1/m], of the plane {x: a . x = 1} that stands for a Gaussian, seen from the eye.
 

@@ -56,8 +56,7 @@ class FloatImages:
 class Renderer:
     """Renders `splats` at width x height [px] from `views` cameras.
 
-    `sort`: by camera "z"; "radial", by the distance from the eye; or "pixel", along each pixel's ray, which puts
-    right what is out of order by fewer places than `window` (render/project.py, render/resort.py).
+    `sort`: what puts Gaussians in order (render/sorts.py); for "pixel", `window` is how many splats of a pixel are.
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 

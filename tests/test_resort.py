@@ -53,7 +53,7 @@ def sorted_by_pixel(g: Gaussians, camera: Camera):
 
 
 def slab(mean, along, across, thin, colour, *, opacity=0.95) -> Gaussians:
-    """One Gaussian: sigma [m] `along` x, `across` y and `thin` z of its own axes, turned about +y by `mean[3]` [rad]."""
+    """One Gaussian: sigma [m] `along` x, `across` y, `thin` z of its own axes, turned by mean[3] [rad] about +y."""
     half = 0.5 * mean[3]
     sh = (np.asarray(colour, float) - 0.5) / 0.28209479177387814
     logit = np.log(opacity / (1 - opacity))

@@ -12,7 +12,7 @@ from render.blend import ALPHA_MAX, BLOCK, CHECK, CPU_TILE, GPU_TILE, OPAQUE, SH
 from render.project import STEPS
 from render.shared import WORDS
 
-WINDOW = 16  # splats; half as many leave twice the error, twice as many take half as long again
+WINDOW = 16  # splats; 8 leave twice the error in four fifths of the time (tests/bench/NOTES.md)
 CLEARLY = 1.0 + 1e-4  # times as near overtakes: what lies in one plane keeps its order, else rounding would shuffle it
 NEAREST = 1e30  # [1/m] of places in the window that hold nothing: they leave first
 

@@ -1,7 +1,7 @@
 """How far along each pixel's ray a Gaussian lies: two numbers per splat, whichever way the head is turned.
 
 Along a ray from the eye with unit direction d, a Gaussian with mean p (seen from the eye) and covariance Sigma is
-densest at distance t = d^T Sigma^-1 p / d^T Sigma^-1 d.                          Radl 2024 (StopThePop), Sec. 4.1
+densest at distance t = d^T Sigma^-1 p / d^T Sigma^-1 d.                Radl 2024 (StopThePop), per-pixel depth
 To first order about the mean this is where the ray meets a plane through the mean,
 
     1/t = a . d,   a = Sigma^-1 p / p^T Sigma^-1 p = (p/r - h) / r,   r = |p|,   h . p = 0.

@@ -2,7 +2,7 @@
 
 Splats come to a tile sorted by distance. Each pixel keeps the next few in a window sorted by where its own ray meets
 them (render/ray_depth.py); when one more comes, the nearest is blended. What is out of order by fewer places than
-the window has is put right.                                              Radl 2024 (StopThePop), Sec. 4.2
+the window has is put right.                                      Radl 2024 (StopThePop), local resorting
 """
 
 import taichi as ti

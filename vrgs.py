@@ -51,7 +51,7 @@ def play(args) -> None:
 
         width, height = display.size
         views = 2 if args.stereo else 1
-        how = {"interaction": args.interaction, "embedding": args.embedding}
+        how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
         world = World(scene, width=width, height=height, views=views, **how)
         if args.headless:
             display.hands = world.scripted_hands

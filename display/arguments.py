@@ -9,6 +9,7 @@ from pathlib import Path
 from assets.errors import BadInput
 from assets.library import SHIPPED
 from display.device import start_taichi
+from render.sorts import MOVING_SORT, SORTS
 
 ROOT = Path(__file__).resolve().parents[1]
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
@@ -120,6 +121,8 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--arch", **arch)
     p.add_argument("--interaction", choices=("physics", "transform"), default="physics", help="what a grip does")
     p.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help="how Gaussians follow")
+    order = "in front is what is nearest by depth, by distance, or by distance along each pixel's ray"
+    p.add_argument("--sort", choices=SORTS, default=MOVING_SORT, help=f"{order} (default {MOVING_SORT})")
     p.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     p.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="picture size (default 960x540)")
     p.add_argument("--stereo", action="store_true", help="headless: draw two eyes, 64 mm apart")
@@ -145,6 +148,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
     c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="of the window (default 960x540)")
     c.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
+    c.add_argument("--sort", choices=SORTS, default=argparse.SUPPRESS, help=f"{order} (default {MOVING_SORT})")
     c.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
     c = add(
@@ -162,7 +166,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="turntable: (default 960x540)")
     c.add_argument("--frames", type=positive(int), default=180, metavar="N", help="turntable: pictures (default 180)")
     c.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help="turntable: seen from (default 15)")
-    c.add_argument("--sort", choices=("z", "radial"), default="z", help="by depth, or by distance (default z)")
+    c.add_argument("--sort", choices=SORTS, default="z", help=f"{order} (default z)")
     c.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(

@@ -20,6 +20,7 @@ from display.device import start_taichi
 from display.frame import Frame
 from display.headless import Headless
 from display.timing import Timings
+from render.sorts import MOVING_SORT
 from scenes.scene import Scene
 
 FOV_Y = 0.9  # [rad]
@@ -78,7 +79,7 @@ def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
 class Viewing:
     """What a display needs of a world. Draws only when the camera or the picture's size has changed."""
 
-    def __init__(self, gaussians: Gaussians, scene: Scene, *, width: int, height: int):
+    def __init__(self, gaussians: Gaussians, scene: Scene, *, width: int, height: int, sort: str = MOVING_SORT):
         from render.renderer import Renderer
         from render.splats import Splats
 
@@ -86,7 +87,7 @@ class Viewing:
         self.paused = self.demo = self.moving = False
         self.interaction, self.score, self.message = "physics", 0, ""
         self.splats = Splats(gaussians)
-        self.renderer = Renderer(self.splats, width, height, background=scene.background)
+        self.renderer = Renderer(self.splats, width, height, background=scene.background, sort=sort)
         self.renderer_size = (width, height)
         self._shown: tuple | None = None
 
@@ -139,7 +140,7 @@ def run(args) -> None:
         display = Window(scene, title=Path(args.file).name, width=width, height=height)
     with display:
         start_taichi(args.arch)
-        world = Viewing(gaussians, scene, width=display.size[0], height=display.size[1])
+        world = Viewing(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)
         for frame in itertools.islice(display.frames(), args.frames):
             world.step(frame)
             display.present(world)

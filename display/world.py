@@ -19,6 +19,7 @@ from display.frame import Frame
 from display.timing import Timings
 from render.renderer import Renderer
 from render.shadow import Shadow
+from render.sorts import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import Body, BodyState, Hand, Light, Scene
 from sim.colliders import StaticGrid
@@ -42,6 +43,7 @@ class World:
         views: int = 1,
         interaction: str = "physics",
         embedding: str = "two-level",
+        sort: str = MOVING_SORT,
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -73,7 +75,7 @@ class World:
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
         self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
-        self.views = views
+        self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
         self.resize(width, height)
         self._bodies: list[BodyState] = self.solver.bodies()
@@ -82,7 +84,8 @@ class World:
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
         if self.renderer is None:
-            self.renderer = Renderer(self.splats, width, height, views=self.views, background=self.scene.background)
+            how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
+            self.renderer = Renderer(self.splats, width, height, **how)
         else:
             self.renderer.resize(width, height)
         self.renderer_size, self._drawn = (width, height), None

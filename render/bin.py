@@ -2,7 +2,8 @@
 
 import taichi as ti
 
-from render.project import WINDOW_COLUMNS, Projection
+from render.footprint import WINDOW_COLUMNS
+from render.project import Projection
 from render.scan import Scan
 from render.sort import RadixSort, item_of, key_of, value_of
 

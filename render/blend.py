@@ -7,7 +7,7 @@ alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 
 import taichi as ti
 
 from render.bin import Bins
-from render.project import STEPS
+from render.footprint import STEPS
 from render.sort import value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
@@ -20,8 +20,8 @@ ACROSS, DOWN = 4, 2  # cells of a tile, which is one block of threads; larger on
 GPU_TILE = (ACROSS * CELL, DOWN * CELL)  # [px]
 THREADS = 32 * ACROSS * DOWN
 BATCH = 512  # splats that are in shared memory at a time; a power of two
-QUAD = 4 * BATCH  # words of shared memory between quads of a splat: x, y, log2 opacity, z | A, 2 B, C, r | g, b, bits
-CELL_BITS = 2 * QUAD + 2  # which of 32 splats touch a cell
+QUAD = 4 * BATCH  # words of shared memory between quads of a splat: its first four numbers, the next, the last two
+CELL_BITS = 2 * QUAD + 2  # and then which of 32 splats touch a cell
 
 
 @ti.func
@@ -188,23 +188,25 @@ class Blend:
                     sink.write(out, v, y + p * ROWS, x, rgb, depth[p], 1.0 - T[p])
 
     @ti.func
+    def _words(self, v, g, place, conic):
+        """What shared memory holds of a splat: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
+        color = ti.math.vec4(0.0)
+        if ti.static(self.with_color):
+            color = self.color[v, g]
+        x, y, log_opacity, z = place[0], place[1], place[2], place[3]
+        A, B2, C = conic[0], 2 * conic[1], conic[2]
+        return ti.Vector([x, y, log_opacity, z, A, B2, C, color[0], color[1], color[2]])
+
+    @ti.func
     def _load(self, shared: ti.template(), v, i, j, exists, x0, y0):
         """Put member `i` of the bins in place `j` of the batch, and a bit for it with every cell that it touches."""
         touches = 0  # a bit for each cell
         if exists != 0:
             g = value_of(self.bins.members[i])
             place, conic, box = self.place[v, g], self.conic[v, g], self.box[v, g]
-            color = ti.math.vec4(0.0)
-            if ti.static(self.with_color):
-                color = self.color[v, g]
-            at = 4 * (j & (BATCH - 1))
-            ellipse = ti.math.vec4(conic[0], 2 * conic[1], conic[2], color[0])
-            for k in ti.static(range(4)):
-                shared[at + k] = place[k]
-            for k in ti.static(range(4)):
-                shared[QUAD + at + k] = ellipse[k]
-            for k in ti.static(range(2)):
-                shared[2 * QUAD + at + k] = color[1 + k]
+            at, words = 4 * (j & (BATCH - 1)), self._words(v, g, place, conic)
+            for k in ti.static(range(10)):
+                shared[QUAD * (k // 4) + at + k % 4] = words[k]
             for row in ti.static(range(DOWN)):
                 top = y0 + row * CELL + 0.5
                 if place.y - box[1] <= top + (CELL - 1) and place.y + box[1] >= top:

@@ -5,28 +5,24 @@ import math
 import taichi as ti
 
 from render.color import color_of
+from render.footprint import SLACK, STEPS, Footprint, clamp
+from render.ray_depth import slope
 from render.sort import DROPPED, item_of
+from render.sorts import SORTS
 from render.splats import Splats
 
 NEAR = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
 EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
-STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
 BRIGHTEST, LARGEST = 1e6, 1e30  # a colour, a determinant [px^4] beyond is broken, and is not drawn
 MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
-WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
-SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
 
-# What orders Gaussians: camera z, as they were trained, or the distance from the eye, which turning the head does not
-# change, so that none change places (Radl et al. 2024 show what that looks like).
-SORTS = ("z", "radial")
-
-vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
+vec3, vec4 = ti.math.vec3, ti.math.vec4
 
 
 @ti.data_oriented
-class Projection:
+class Projection(Footprint):
     """Splats of all `views` in pixels, and the depth by which they are sorted.
 
     `tile`, (width, height) of a tile [px].
@@ -35,8 +31,9 @@ class Projection:
     a picture of another size needs no other kernels. Out:
     place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
     conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color  (r, g, b, unused)
-    box    (half width, half height, dy of the rightmost point [px], unused) of the visible ellipse
+    color  (r, g, b, change of 1/z per row)
+    box    (half width, half height, dy of the rightmost point [px], change of 1/z per column) of the visible ellipse;
+           changes only for sort="pixel" [1/(m px)], see render/ray_depth.py
     window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 6 row + column
            for tile (column, row) from there; or, if it spans more than 6 x 5 tiles, minus their number
     """
@@ -55,7 +52,7 @@ class Projection:
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
-        self.splats, self.radial = splats, sort == "radial"
+        self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.camera = ti.Vector.field(4, ti.f32)
         self.near = ti.field(ti.f32)
@@ -188,84 +185,12 @@ class Projection:
                     place = vec4(mx, my, log_opacity, p.z)
                     conic = vec4(A, B, C, HALF_LOG2_E * HALF_LOG2_E / det)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
+                    if ti.static(self.with_slope):
+                        change = slope(self.camera, v, p, s, DILATION, MOST_REACH)
+                        box[3], self.color[v, g][3] = change.x, change.y
                     self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
                     window = self._window(place, conic, box)
         return window
-
-    @ti.func
-    def _window(self, place: vec4, conic: vec4, box: vec4):
-        left, right, top, bottom = self.tile_box(place, box)
-        fits = right - left <= WINDOW_COLUMNS and bottom - top <= WINDOW_ROWS
-        touched, bits = 0, 0
-        for row in range(top, bottom):
-            first, last = self.tile_columns(row, left, right, place, conic, box)
-            touched += last - first
-            if fits:
-                bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW_COLUMNS + first - left)
-        if not fits:
-            bits = -touched
-        return ti.Vector([left | top << 16, bits])
-
-    @ti.func
-    def touched(self, v: ti.i32, g: ti.i32) -> ti.i32:
-        """How many tiles of view `v` splat `g` touches."""
-        bits = self.window[v, g][1]
-        return -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
-
-    @ti.func
-    def _meets_picture(self, x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32):
-        """Whether a box around pixel position (x, y) and the picture overlap."""
-        middle_x, middle_y = 0.5 * self.grid[None][0], 0.5 * self.grid[None][1]
-        return ti.abs(x - middle_x) < half_width + middle_x and ti.abs(y - middle_y) < half_height + middle_y
-
-    @ti.func
-    def tile_box(self, place: vec4, box: vec4):
-        """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
-        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.grid[None][2], self.tile[0])
-        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.grid[None][3], self.tile[1])
-        return left, right, top, bottom
-
-    @ti.func
-    def tile_columns(self, row: ti.i32, left: ti.i32, right: ti.i32, place: vec4, conic: vec4, box: vec4):
-        """Columns of tiles [first, last) of a row that hold a pixel centre column of the ellipse's part in it.
-
-        left and right are those of the splat's box.
-        """
-        first, last = left, right
-        if right - left > 1:
-            top = row * self.tile[1] + 0.5
-            low, high = self.ends(top, top + (self.tile[1] - 1), place, conic, box)
-            first, last = self._tiles_between(low, high, left, right, self.tile[0])
-        return first, last
-
-    @ti.func
-    def ends(self, top: ti.f32, bottom: ti.f32, place: vec4, conic: vec4, box: vec4):
-        """Left and right end [px] of the ellipse's part between two heights [px], where its box has a part.
-
-        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
-        rightmost point, clamped to the strip; likewise the left end, by symmetry.
-        """
-        left, right = place.x - box[0], place.x + box[0]
-        A, B, C, det = conic[0], conic[1], conic[2], conic[3]
-        if det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
-            low, high = ti.max(top - place.y, -box[1]), ti.min(bottom - place.y, box[1])
-            d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
-            root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
-            middle = place.x - B / A * d
-            left, right = middle[1] - root[1] / A, middle[0] + root[0] / A
-        return left, right
-
-    @ti.func
-    def _tiles_between(self, low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32, tile: ti.template()):
-        """Tiles [first, last) of `tile` pixels, within [left, right), with a pixel centre in [low, high]."""
-        first = ti.cast(ti.floor(clamp((low + 0.5) / tile, float(left), float(right))), ti.i32)
-        last = ti.cast(ti.floor(clamp((high + (tile - 0.5)) / tile, float(left), float(right))), ti.i32)
-        return first, ti.max(first, last)
-
-
-@ti.func
-def clamp(x, low, high):
-    return ti.min(ti.max(x, low), high)
 
 
 @ti.func

@@ -8,6 +8,7 @@ from assets.errors import BadInput
 from render.bin import Bins, DepthOrder
 from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.project import Projection
+from render.resort import WINDOW, Resort
 from render.splats import Splats
 
 PAIRS_PER_SPLAT = 8  # room at the start; scenes were seen to need 3 to 6
@@ -31,9 +32,13 @@ class Raster:
         color=True,
         depth=True,
         sort: str = "z",
+        window: int = WINDOW,
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
-        self.splats, self.sink, self.wants = splats, sink, {"with_color": color, "with_depth": depth}
+        self.splats, self.sink = splats, sink
+        self.blend, self.wants = Blend, {"with_color": color, "with_depth": depth}
+        if sort == "pixel":
+            self.blend, self.wants = Resort, {**self.wants, "window": window}
         self.projection = Projection(
             splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
         )
@@ -48,7 +53,7 @@ class Raster:
         if self.stage is not None:
             self.stage.bins.destroy()
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
-        self.stage = DrawStage(Blend(Bins(self.order, capacity), **self.wants), self.sink)
+        self.stage = DrawStage(self.blend(Bins(self.order, capacity), **self.wants), self.sink)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""

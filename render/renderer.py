@@ -5,6 +5,7 @@ import taichi as ti
 
 from assets.camera import Camera
 from render.raster import Raster
+from render.resort import WINDOW
 from render.splats import Splats
 
 
@@ -55,7 +56,7 @@ class FloatImages:
 class Renderer:
     """Renders `splats` at width x height [px] from `views` cameras.
 
-    `sort`: by camera "z", or "radial", by the distance from the eye (render/project.py).
+    `sort`: what puts Gaussians in order (render/sorts.py); for "pixel", `window` is how many splats of a pixel are.
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
@@ -74,6 +75,7 @@ class Renderer:
         background=(0.0, 0.0, 0.0),
         outputs: str = "rgba8",
         sort: str = "z",
+        window: int = WINDOW,
     ):
         if outputs not in ("rgba8", "float"):
             raise ValueError(f"outputs must be 'rgba8' or 'float', not {outputs!r}")
@@ -84,10 +86,8 @@ class Renderer:
         else:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
-        depth = outputs == "float"
-        self.raster = Raster(
-            splats, width, height, views=views, sink=self.sink, antialias=antialias, depth=depth, sort=sort
-        )
+        how = {"antialias": antialias, "depth": outputs == "float", "sort": sort, "window": window}
+        self.raster = Raster(splats, width, height, views=views, sink=self.sink, **how)
 
     def resize(self, width: int, height: int) -> None:
         """Draw another size [px] from now on; for outputs="rgba8". `picture` is a new array."""

@@ -7,7 +7,8 @@ import numpy as np
 import taichi as ti
 
 from assets.camera import look_at
-from render.project import NEAR, clamp, vec3, vec4
+from render.footprint import clamp
+from render.project import NEAR, vec3, vec4
 from render.raster import Raster
 from render.splats import Splats
 from scenes.scene import Light

@@ -18,8 +18,8 @@ def checked():
     ti.reset()
 
 
-@pytest.mark.parametrize("views", [1, 2])
-def test_every_index_is_within_its_field(checked, views):
+@pytest.mark.parametrize(("views", "sort"), [(1, "z"), (2, "z"), (2, "pixel")])
+def test_every_index_is_within_its_field(checked, views, sort):
     from dataclasses import replace
 
     from render.renderer import Renderer
@@ -31,7 +31,7 @@ def test_every_index_is_within_its_field(checked, views):
         matrix = CAMERA.world_to_camera.copy()
         matrix[0, 3] -= 0.064
         eyes.append(replace(CAMERA, world_to_camera=matrix))
-    renderer = Renderer(Splats(g), CAMERA.width, CAMERA.height, views=views)
+    renderer = Renderer(Splats(g), CAMERA.width, CAMERA.height, views=views, sort=sort)
     renderer.render(eyes)
     pixels = renderer.pixels()[..., :3]
     assert pixels.shape == (views, CAMERA.height, CAMERA.width, 3) and np.ptp(pixels) > 100

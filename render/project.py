@@ -14,7 +14,7 @@ from render.splats import Splats
 NEAR = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
 EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
-BRIGHTEST, LARGEST = 1e6, 1e30  # a colour, a determinant [px^4] beyond is broken, and is not drawn
+BRIGHTEST, WIDEST = 1e6, 1e15  # a colour, a variance [px^2] beyond is broken, and is not drawn
 MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 
@@ -176,7 +176,7 @@ class Projection(Footprint):
                 opacity *= ti.cast(ti.sqrt(ti.max(0.0, sharp / exact)), ti.f32)
             xx, yy = ti.cast(sharp_xx + DILATION, ti.f32), ti.cast(sharp_yy + DILATION, ti.f32)
             xy, det = ti.cast(sharp_xy, ti.f32), ti.cast(exact, ti.f32)
-            if xx > 0 and exact > 0 and exact < LARGEST and opacity >= 1 / 255:
+            if xx < WIDEST and yy < WIDEST and exact > 0 and is_covariance(wide) and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
                 reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
                 half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
@@ -203,6 +203,13 @@ def times(s: ti.template(), x: ti.template()):
             s[2] * x[0] + s[4] * x[1] + s[5] * x[2],
         ]
     )
+
+
+@ti.func
+def is_covariance(s: ti.template()):
+    """Whether (xx, xy, xz, yy, yz, zz) can be one, but for rounding: no axis explains less than nothing."""
+    xy, xz, yz = 1.001 * s[0] * s[3] - s[1] ** 2, 1.001 * s[0] * s[5] - s[2] ** 2, 1.001 * s[3] * s[5] - s[4] ** 2
+    return s[0] >= 0 and s[3] >= 0 and s[5] >= 0 and xy >= 0 and xz >= 0 and yz >= 0
 
 
 @ti.func

@@ -9,13 +9,13 @@ vec3, vec4 = ti.math.vec3, ti.math.vec4
 
 @ti.func
 def color_of(splats: ti.template(), g: ti.i32, ray: vec3) -> vec3:
-    """light * max(0, 0.5 + SH(R^T d)), d = the direction of `ray`, from the eye to the Gaussian's mean."""
+    """0.5 + SH(R^T d), d = the direction of `ray`, from the eye to the Gaussian's mean; negative is black."""
     value = harmonics.C0 * splats.sh[g, 0]
     if ti.static(splats.coefficients > 1):
         depends_on_view = g >= splats.banded[0] and g < splats.banded[1]
         if depends_on_view:
             value += bands(splats, g, rotate_back(splats.rotation[g], ray.normalized(1e-12)))
-    return ti.max(0.0, 0.5 + value) * splats.light[g]
+    return 0.5 + value
 
 
 @ti.func

@@ -119,8 +119,9 @@ class Projection(Footprint):
             if ti.static(self.with_color):  # noqa: SIM102, one is for the compiler
                 if seen != 0:
                     c = color_of(self.splats, g, mean - self._eye())
-                    if not (c.sum() < BRIGHTEST):  # nor if it is no number
+                    if not (ti.abs(c).sum() < BRIGHTEST):  # nor if it is no number
                         seen = 0
+                    c = ti.max(0.0, c) * self.splats.light[g]
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]

@@ -174,6 +174,16 @@ def test_a_broken_gaussian_is_left_out(stage):
     np.testing.assert_array_equal(alpha, expected[1])
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e9])
+def test_a_gaussian_of_no_colour_is_left_out(stage, value):
+    g = single(count=4)
+    broken = g.sh.copy()
+    broken[1:3, 0, 1] = value
+    pictures = stage.draw(Gaussians(g.means, g.quats, g.log_scales, g.logit_opacities, broken, g.object_id))
+    for found, expected in zip(pictures, stage.draw(g.select(np.array([0, 3]))), strict=True):
+        np.testing.assert_array_equal(found, expected)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_broken_numbers_anywhere_leave_the_rest_as_it_is(stage, seed):
     """NaN, infinities, denormals and huge values in any field of some Gaussians: the picture stays finite."""

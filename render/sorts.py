@@ -7,4 +7,4 @@ pixel   in each pixel by the distance along its ray (render/resort.py): right al
 
 SORTS = ("z", "radial", "pixel")
 MOVING_SORT = "radial"  # of the window and the headset: the least change in a turn, for the time of z; pixel, the
-# least popping and error, takes about three times as long on a CPU (tests/bench/NOTES.md)
+# least popping and error, takes three times as long on a CPU and 1.8 times on a GPU (tests/bench/NOTES.md)

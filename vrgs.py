@@ -38,7 +38,7 @@ def play(args) -> None:
     """Play a scene: in a window, or headless with its scripted hand."""
     from scenes import registry
 
-    scene = registry.load(args.scene, body=prepared_body(args), material=args.material)
+    scene = registry.load(args.scene, body=prepared_body(args), material=args.material, stage=args.stage)
     with open_display(args, scene) as display, open_recorder(args, display) as recorder:
         start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats

@@ -11,6 +11,7 @@ from prepare.sight import Cells
 ROOM_ABOVE = (0.035, 0.35)  # [m] over a plane that must be empty where a body is dropped
 BODY = (0.15, 0.035, 1.75)  # [m] radius of a user's body, and the heights over the floor that it fills
 LEAST = 0.10  # [m] radius of a free disc on a table for that table to be used
+AMPLE = 0.25  # [m]; of tables with as much, the largest is taken
 ENOUGH = 0.5  # [m] of free floor; more is no better
 EYE = 1.5  # [m] above the floor, a little bent over
 ARM = 0.75  # [m] from the user to the drop; less is too near, and what is on a table is as far as its rim asks
@@ -47,7 +48,7 @@ def drop_place(supports: list[Support], points: np.ndarray) -> tuple[Support, np
             radius = clearance(plane, points, ROOM_ABOVE)
             tables.append((float(radius.max()), plane, radius))
     if tables:
-        most, plane, radius = max(tables, key=lambda t: t[0])
+        most, plane, radius = max(tables, key=lambda t: min(t[0], AMPLE) + 0.02 * min(t[1].area, 2.0))
         if most >= LEAST:
             x, z = centres(plane)[np.unravel_index(radius.argmax(), radius.shape)]
             return plane, np.array([x, plane.height, z]), most

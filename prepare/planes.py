@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_closing, binary_fill_holes, label
+from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
 from assets.errors import BadInput
 from assets.orient import AXES, USUAL, rotation_to_up
@@ -13,14 +13,15 @@ from assets.orient import AXES, USUAL, rotation_to_up
 NARROWING = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # how far normals may lean from an axis, ever less
 LEVEL = np.cos(np.radians(25.0))  # a Gaussian's normal may lean so far and still belong to a level plane
 BINS = 300  # of the scene's height, for the search of the floor
-LOWEST = 0.3  # a level peak counts as the floor if it has this share of the largest one's area
+LOWER = 0.45  # of the scene's height, in which the floor is: above are tables and the ceiling
 BELOW = 2.0  # weight of what lies under a floor: nothing should
 CELL = 0.04  # [m] of the map of a plane
 STEP = 0.01  # [m] of the histogram of heights
 THICK = 0.025  # [m]; Gaussians this far from a plane belong to it
 SMALLEST = 0.06  # [m^2] of a plane that can carry something
-HEIGHTS = (0.12, 2.2)  # [m] above the floor, of tables and shelves
+HEIGHTS = (0.08, 2.2)  # [m] above the floor, of tables and shelves
 BOARD = 0.09  # [m]; thicker is no board: what lies so little under a plane is its underside
+GROUND = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
 TABLE = ((0.3, 1.2), 0.25)  # heights [m] and least area [m^2] of a table; other planes are shelves
 
 
@@ -70,7 +71,7 @@ def refine(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarr
 
 
 def floor_of(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple[float, float, float]:
-    """Height of the lowest level plane of some size, its share of all area, and the share below it.
+    """Height of the largest level plane in the lower half, its share of all area, and the share below it.
 
     heights (N,), level (N,) bool: whether the normal is about vertical, areas (N,).
     """
@@ -79,8 +80,7 @@ def floor_of(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple
     bins = np.floor((heights - low) / step).clip(-1, BINS).astype(int) + 1
     weight = np.bincount(bins[level], areas[level], BINS + 2)
     smooth = np.convolve(weight, np.ones(5), "same")
-    peaks = (smooth >= np.roll(smooth, 1)) & (smooth >= np.roll(smooth, -1)) & (smooth >= LOWEST * smooth.max())
-    first = int(np.flatnonzero(peaks)[0])
+    first = int(smooth[: round(LOWER * BINS)].argmax())
     near = level & (np.abs(bins - first) <= 4)
     if not areas[near].sum():
         return float(low), 0.0, 0.0
@@ -191,6 +191,26 @@ def supports(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> lis
     return [max(found[0], key=lambda s: s.area), *sorted(filter(free_above(planes), planes), key=lambda s: -s.area)]
 
 
+def floor_under(planes: list[Support], table: Support) -> Support:
+    """The plane that a table stands on: beside the floor that was found there may be another, as of a garden."""
+    cells = table.corner + CELL * (np.argwhere(binary_dilation(table.mask, iterations=8)) + 0.5)
+    below = [p for p in planes if p.area >= GROUND[0] and p.height < table.height - GROUND[1]]
+    below = [p for p in below if p.over(cells).mean() > 0.3]
+    return max(below, key=lambda p: p.height, default=planes[0])
+
+
+def on_floor(planes: list[Support], floor: Support) -> list[Support]:
+    """The planes as seen from another floor, that one first; what does not lie above it is left out."""
+    others = [replace(p, kind=kind_of(p.height - floor.height, p.area)) for p in planes if p is not floor]
+    others = [p for p in others if HEIGHTS[0] < p.height - floor.height < HEIGHTS[1]]
+    return [replace(floor, kind="floor"), *others]
+
+
+def kind_of(height: float, area: float) -> str:
+    """ "table" or "shelf", by the height over the floor [m] and the area [m^2]."""
+    return "table" if TABLE[0][0] <= height <= TABLE[0][1] and area >= TABLE[1] else "shelf"
+
+
 def free_above(planes: list[Support]):
     """Whether a plane is not just the underside of another's board."""
 
@@ -215,9 +235,7 @@ def planes_at(points: np.ndarray, height: float, kind: str) -> list[Support]:
         filled = binary_fill_holes(pieces == k)  # under what stands on it nothing was seen
         mine = filled[tuple(cell.T)]
         exact = float(np.median(points[mine, 1])) if mine.any() else height
-        name = kind
-        if kind != "floor" and TABLE[0][0] <= exact <= TABLE[0][1] and filled.sum() * CELL**2 >= TABLE[1]:
-            name = "table"
+        name = kind if kind == "floor" else kind_of(exact, filled.sum() * CELL**2)
         if filled.sum() * CELL**2 >= SMALLEST:
             found.append(Support(name, exact, corner, filled))
     return found

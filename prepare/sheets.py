@@ -13,7 +13,7 @@ from assets.gaussians import Gaussians, matrices_of_quats
 OPAQUE = 0.3  # fainter Gaussians are haze
 ROUND = 1.5  # standard deviations of a disc that are covered with points
 FINEST = 7  # points across a disc at most: a huge Gaussian must not cost more than 49 others
-LONE = 0.4  # [m]; what touches nothing and is smaller floats
+LONE = 0.4, 0.12  # [m], [m^2]; what touches nothing and is shorter or smaller floats
 
 
 @dataclass(frozen=True)
@@ -103,9 +103,11 @@ def surfels(g: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, 
 
 
 def without_floaters(s: Surfels, shape: tuple[int, int, int], spacing: float) -> Surfels:
-    """The surfels of pieces, joined over corners, that are at least LONE [m] long."""
+    """The surfels of pieces, joined over corners, that are at least LONE long and large."""
     grid = np.zeros(shape, bool)
     grid[tuple(s.cells.T)] = True
     pieces, _ = label(grid, np.ones((3, 3, 3)))
-    long = [max(c.stop - c.start for c in box) * spacing >= LONE for box in find_objects(pieces)]
-    return s.select(np.array([False, *long])[pieces[tuple(s.cells.T)]])
+    of = pieces[tuple(s.cells.T)]
+    long = [0, *(max(c.stop - c.start for c in box) for box in find_objects(pieces))]
+    keep = (spacing * np.array(long) >= LONE[0]) & (spacing**2 * np.bincount(of, minlength=len(long)) >= LONE[1])
+    return s.select(keep[of])

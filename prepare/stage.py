@@ -18,7 +18,7 @@ from assets.orient import extent
 from assets.stage import Stage
 from prepare.clean import FEWEST, largest_piece
 from prepare.places import drop_place, stand_place
-from prepare.planes import Support, gravity, supports
+from prepare.planes import LEVEL, Support, floor_under, gravity, on_floor, supports
 from prepare.sheets import OPAQUE, Surfels, normals_and_areas, surfels, without_floaters
 from prepare.sight import Cells, cells_of, oriented, viewers_in
 from prepare.winding import COARSENING, signed_distance, winding
@@ -29,11 +29,13 @@ MOST_CELLS = 16_000_000  # of the whole grid: 64 MB on the device, and some 2 GB
 USUAL_CELLS = 2_500_000  # as many are made unless --cell says otherwise
 FINE_CELLS = 1_000_000  # of each finer grid
 MOST_FINE = 6
+BOARD_CELL = 0.025  # [m] in which planes are looked for: the boards of tables are 2 to 4 cm thick
 FINEST = 0.01  # [m] below that, the noise of a capture is all that is added
 MARGIN = 4  # voxels round the scene
 PLAUSIBLE = (1.5, 60.0)  # [m] largest extent of a room or garden; files outside have arbitrary units
 USUAL_SIZE = 6.0  # [m]
 SIZES = (0.5, 500.0)  # [m] that may be asked for
+THICK, ROUND = 0.35, 0.3  # least thickness of haze in voxels, and in its width
 TALLEST = 4.0  # [m] over the floor that the grids reach
 AROUND = (0.10, 0.12, 0.40)  # [m] of a finer grid beside, below and above its plane
 Progress = Callable[[str, float], None]
@@ -91,7 +93,7 @@ def prepare_static(
     report("surface", 0.0)
     h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * FINEST)
     origin, shape = box_of(low, high, h)
-    solid = g.select(g.opacities > OPAQUE)
+    solid = g.select((g.opacities > OPAQUE) & ~haze(g, h))
     near = without_floaters(surfels(solid, origin, h, shape), shape, h)
     room = cells_of(near, origin, h, shape)
     rng = np.random.default_rng(0)
@@ -99,8 +101,9 @@ def prepare_static(
     near = oriented(near, viewers, room, room)
 
     report("planes", 0.0)
-    planes = supports(near.points, near.normals)
+    planes = supports(*level_surface(solid, low, high, h, viewers, room))
     on, drop, clear = drop_place(planes, near.points)
+    planes = on_floor(planes, floor_under(planes, on)) if on.kind == "table" else planes
     eye = stand_place(planes[0], drop, on, near.points, room)
 
     report("distance", 0.0)
@@ -150,6 +153,13 @@ def prepare_static(
     return Asset(g, sdf=grid, provenance=provenance, stage=stage), moved
 
 
+def haze(g: Gaussians, h: float) -> np.ndarray:
+    """Mask (N,) of Gaussians that are round and thick for voxels of h [m]: they float; a surface is covered by flat or
+    by small ones."""
+    s = np.sort(np.exp(g.log_scales.astype(np.float64)), 1)
+    return (s[:, 0] > max(THICK * h, 0.012)) & (s[:, 0] > ROUND * s[:, 1])
+
+
 def cap(areas: np.ndarray) -> float:
     """The largest area that a Gaussian counts for: a smear must not outweigh a floor."""
     return float(np.percentile(areas, 99))
@@ -191,15 +201,29 @@ def box_round(plane: Support) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+def level_surface(solid: Gaussians, low, high, h: float, viewers, room: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of what is level, in voxels that tell the top of a board from its underside."""
+    step = min(h, BOARD_CELL * max(1.0, float((high - low).prod() / (BOARD_CELL**3 * 0.7 * MOST_CELLS)) ** (1 / 3)))
+    origin, shape = box_of(low, high, step)
+    found = seen_by(room, surfels(solid, origin, step, shape))
+    occupied = cells_of(found, origin, step, shape)
+    found = oriented(found.select(np.abs(found.normals[:, 1]) > LEVEL), viewers, occupied, room)
+    return found.points, found.normals
+
+
+def seen_by(room: Cells, s: Surfels) -> Surfels:
+    """The surfels in voxels that are occupied in the whole grid: no floaters."""
+    i = np.floor((s.points - room.origin) / room.spacing).astype(int).clip(0, np.array(room.occupied.shape) - 1)
+    return s.select(room.occupied[tuple(i.T)])
+
+
 def fine_grid(solid: Gaussians, low, high, step, w, planes, viewers, room: Cells) -> DistanceGrid:
     """The distance grid of a box, from the Gaussians in and round it."""
     origin, shape = low - 0.0, tuple(map(int, np.ceil((high - low) / step) + 1))
     pad = 3 * step
     mine = ((solid.means > low - 0.1) & (solid.means < high + 0.1)).all(1)
     corner, many = origin - pad, tuple(n + 6 for n in shape)
-    found: Surfels = surfels(solid.select(mine), corner, step, many)
-    where = np.floor((found.points - room.origin) / room.spacing).astype(int).clip(0, np.array(room.occupied.shape) - 1)
-    found = found.select(room.occupied[tuple(where.T)])  # no floaters
+    found = seen_by(room, surfels(solid.select(mine), corner, step, many))
     found = oriented(found, viewers, cells_of(found, corner, step, many), room)
     phi = flattened(signed_distance(found, w, origin, step, shape), origin, step, planes)
     return DistanceGrid(phi.astype(np.float16), origin, float(step))

@@ -45,26 +45,31 @@ def winding(s: Surfels, origin: np.ndarray, spacing: float, shape: tuple[int, in
     return irfftn(total, size, workers=-1)[tuple(slice(n) for n in shape)].astype(np.float32)
 
 
-def planes_nearby(s: Surfels, origin: np.ndarray, spacing: float, shape) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean of the distances [voxels] to the planes of the surfels round a node, and the weights' sum.
+def planes_nearby(s: Surfels, means: np.ndarray, origin: np.ndarray, spacing: float, shape):
+    """Weighted means of the distances [voxels] to the planes of the surfels round a node and of a value `means` (N,)
+    of each of them, and the weights' sum, (X, Y, Z) each.
 
     phi(q) = sum w n . (q - p) / sum w, w = exp(-|q - p|^2 / 2 SIGMA^2): smooth, and signed.
     """
-    value, weight = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    value, middle, weight = (np.zeros(shape, np.float32) for _ in range(3))
     if len(s.points):
         local = (s.points - origin) / spacing
-        _gather(*(np.ascontiguousarray(a, np.float32) for a in (local, s.normals)), value, weight)
-    return np.where(weight > FAINT, value / np.maximum(weight, 1e-30), 0.0), weight
+        _gather(*(np.ascontiguousarray(a, np.float32) for a in (local, s.normals, means)), value, middle, weight)
+    held = weight > FAINT
+    value, middle = (np.where(held, a / np.maximum(weight, 1e-30), 0.0) for a in (value, middle))
+    return value, middle, weight
 
 
 @ti.kernel
 def _gather(
     points: ti.types.ndarray(ti.f32, 2),
     normals: ti.types.ndarray(ti.f32, 2),
+    means: ti.types.ndarray(ti.f32, 1),
     value: ti.types.ndarray(ti.f32, 3),
+    middle: ti.types.ndarray(ti.f32, 3),
     weight: ti.types.ndarray(ti.f32, 3),
 ):
-    """Out: the two sums of `planes_nearby`; all in voxels."""
+    """Out: the three sums of `planes_nearby`; all in voxels."""
     for s in range(points.shape[0]):
         p = ti.Vector([points[s, 0], points[s, 1], points[s, 2]])
         n = ti.Vector([normals[s, 0], normals[s, 1], normals[s, 2]])
@@ -75,6 +80,7 @@ def _gather(
                 r = ti.cast(q, ti.f32) - p
                 w = ti.exp(-0.5 * r.norm_sqr() / SIGMA**2)
                 value[q[0], q[1], q[2]] += w * n.dot(r)
+                middle[q[0], q[1], q[2]] += w * means[s]
                 weight[q[0], q[1], q[2]] += w
 
 
@@ -84,25 +90,16 @@ def signed_distance(s: Surfels, w: tuple, origin: np.ndarray, spacing: float, sh
     w = (winding number, its origin, its spacing), on a coarser grid that covers this one. Near the surface the distance
     is that of the planes nearby; farther off, that to the next node with one, on the winding number's side.
     """
-    phi, weight = planes_nearby(s, origin, spacing, shape)
+    values, corner, step = w
+    on_surface = map_coordinates(values, ((s.points - corner) / step).T, order=1, mode="nearest")
+    phi, mean, weight = planes_nearby(s, on_surface, origin, spacing, shape)
     held = weight > FAINT
     if not held.any():
         return np.full(shape, spacing * max(shape), np.float32)
-    phi[~held] = 0
     away, nearest = distance_transform_edt(~held, return_indices=True)
-    values, corner, step = w
     nodes = np.indices(shape, np.float32)
-    spots = [origin[k] + spacing * nodes[k] for k in range(3)]
-    here = map_coordinates(values, [(spots[k] - corner[k]) / step for k in range(3)], order=1, mode="nearest")
-    # the surface next to each node: from the node with planes, back by its own distance
-    gradient = np.stack(np.gradient(phi), 0)
-    foot = []
-    length = np.maximum(np.sqrt((gradient**2).sum(0)), 0.5)
-    for k in range(3):
-        own = origin[k] + spacing * (nodes[k] - phi * gradient[k] / length)
-        foot.append((own[tuple(nearest)] - corner[k]) / step)
-    mean = map_coordinates(values, foot, order=1, mode="nearest")
-    solid = here > mean + SURE
+    spots = [(origin[k] + spacing * nodes[k] - corner[k]) / step for k in range(3)]
+    solid = map_coordinates(values, spots, order=1, mode="nearest") > mean[tuple(nearest)] + SURE
     # where a node is off the band, it lies `away` voxels from one that is itself |phi| off the surface
     beyond = away + np.abs(phi[tuple(nearest)])
     far = np.where(solid, -beyond, beyond)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.gaussians import Gaussians, concatenate, quat_of_matrix
+from assets.gaussians import Gaussians, concatenate, multiply_quats
 
 TABLE = ((-0.7, 0.70, -0.4), (0.7, 0.74, 0.4))  # low and high corner [m]
+JUG = ((0.3, 0.74, 0.1), (0.4, 0.94, 0.2))
 SHELF = ((-0.9, 1.27, -1.98), (0.1, 1.30, -1.70))
 CHEST = ((1.5, 0.0, -1.9), (2.2, 0.45, -1.3))
 ROOM = ((-2.5, 0.0, -2.0), (2.5, 2.6, 2.0))
@@ -32,9 +33,11 @@ def flat(rng, points, normals, step: float, noise: float) -> Gaussians:
     k = len(points)
     z = normals + rng.normal(0, 0.08, (k, 3))
     z /= np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.cross(z, rng.normal(size=(k, 3)))
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    quats = [quat_of_matrix(m) for m in np.stack([x, np.cross(z, x), z], 2)]
+    to = np.stack([1 + z[:, 2], -z[:, 1], z[:, 0], np.zeros(k)], 1)  # the turn of +z to the normal
+    to[z[:, 2] < -0.999] = [0, 1, 0, 0]
+    half = rng.uniform(0, np.pi, k)
+    to /= np.linalg.norm(to, axis=1, keepdims=True)
+    quats = multiply_quats(to, np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], 1))
     scales = step * np.stack([rng.uniform(0.4, 0.9, k), rng.uniform(0.4, 0.9, k), rng.uniform(0.03, 0.2, k)], 1)
     logits = np.where(rng.random(k) < 0.8, rng.normal(3.0, 1.0, k), rng.normal(0.0, 1.0, k))
     colours = 0.3 * np.sin(3 * points)[:, None]
@@ -68,23 +71,43 @@ def tagged(g: Gaussians, object_id: int) -> Gaussians:
 
 
 def legs(rng, top, step: float, noise: float) -> Gaussians:
+    return concatenate([brick(rng, *box, step, noise, "xXzZ") for box in leg_boxes(top)])
+
+
+def leg_boxes(top) -> list:
+    """Low and high corners of a table's legs."""
     (x0, y0, z0), (x1, _, z1) = top
     corners = [(x, z) for x in (x0 + 0.04, x1 - 0.1) for z in (z0 + 0.04, z1 - 0.1)]
-    return concatenate([brick(rng, (x, 0, z), (x + 0.06, y0, z + 0.06), step, noise, "xXzZ") for x, z in corners])
+    return [((x, 0, z), (x + 0.06, y0, z + 0.06)) for x, z in corners]
 
 
 def room(seed: int = 0, *, noise: float = 0.004, ceiling: bool = True) -> Gaussians:
     """A closed room seen from inside, with a table, a shelf on the wall, a chest, and a jug (object 7) on the table."""
     rng = np.random.default_rng(seed)
-    jug = brick(rng, (0.3, 0.74, 0.1), (0.4, 0.94, 0.2), 0.012, noise / 2, "xXYzZ")
     return concatenate([
         brick(rng, *ROOM, 0.035, noise, "xXyYzZ" if ceiling else "xXyzZ"),
         brick(rng, *TABLE, 0.015, noise),
         legs(rng, TABLE, 0.02, noise),
         brick(rng, *SHELF, 0.015, noise, "xXyYZ"),
         brick(rng, *CHEST, 0.03, noise, "xXYzZ"),
-        tagged(jug, 7),
-        floaters(rng, 800, *ROOM),
+        jug(rng, noise),
+        floaters(rng, 400, *ROOM),
+    ])  # fmt: skip
+
+
+def jug(rng, noise: float) -> Gaussians:
+    """Object 7."""
+    return tagged(brick(rng, *JUG, 0.012, noise / 2, "xXYzZ"), 7)
+
+
+def table_and_jug(seed: int = 2) -> Gaussians:
+    """A little of a room."""
+    rng = np.random.default_rng(seed)
+    return concatenate([
+        sheet(rng, (-1.3, 0, 1.1), (2.6, 0, 0), (0, 0, -2.2), 0.03, 0.003),
+        brick(rng, *TABLE, 0.015, 0.003),
+        legs(rng, TABLE, 0.02, 0.003),
+        jug(rng, 0.003),
     ])  # fmt: skip
 
 
@@ -102,7 +125,7 @@ def garden(seed: int = 1, *, noise: float = 0.008) -> Gaussians:
         legs(rng, GARDEN_TABLE, 0.02, noise / 2),
         brick(rng, (1.6, 0, 1.6), (1.75, 1.8, 1.75), 0.03, noise, "xXYzZ"),
         flat(rng, 30 * d, -d, 1.5, 0.3),
-        floaters(rng, 1200, (-4, 0, -4), (4, 3, 4)),
+        floaters(rng, 800, (-4, 0, -4), (4, 3, 4)),
     ])  # fmt: skip
 
 
@@ -114,10 +137,12 @@ def box_distance(points, box) -> np.ndarray:
 
 
 def room_distance(points) -> np.ndarray:
-    """Signed distance [m] of points to what is solid in the room, its walls and all beyond them included (no legs)."""
-    return np.min([-box_distance(points, ROOM), *(box_distance(points, b) for b in (TABLE, SHELF, CHEST))], axis=0)
+    """Signed distance [m] of points to what is solid in the room, its walls and all beyond them included."""
+    solids = (TABLE, SHELF, CHEST, JUG, *leg_boxes(TABLE))
+    return np.min([-box_distance(points, ROOM), *(box_distance(points, b) for b in solids)], axis=0)
 
 
 def garden_distance(points) -> np.ndarray:
-    """The same of the garden, without its legs and post."""
-    return np.minimum(points[:, 1], box_distance(points, GARDEN_TABLE))
+    """The same of the garden, without its post."""
+    solids = (GARDEN_TABLE, *leg_boxes(GARDEN_TABLE))
+    return np.min([points[:, 1], *(box_distance(points, b) for b in solids)], axis=0)

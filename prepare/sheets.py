@@ -11,8 +11,9 @@ from scipy.ndimage import find_objects, label
 from assets.gaussians import Gaussians, matrices_of_quats
 
 OPAQUE = 0.3  # fainter Gaussians are haze
-ROUND = 1.5  # standard deviations of a disc that are covered with points
+COVERED = 1.5  # standard deviations of a disc that are covered with points
 FINEST = 7  # points across a disc at most: a huge Gaussian must not cost more than 49 others
+THICK, ROUND = 0.35, 0.3  # least thickness of haze in voxels, and in its width
 LONE = 0.4, 0.12  # [m], [m^2]; what touches nothing and is shorter or smaller floats
 
 
@@ -45,14 +46,14 @@ def covered(g: Gaussians, spacing: float) -> tuple[np.ndarray, np.ndarray, np.nd
     order = np.argsort(scales, 1)
     axes = np.take_along_axis(matrices_of_quats(g.quats), order[:, None, :], 2)  # columns, shortest first
     s = np.take_along_axis(scales, order, 1)
-    across = np.ceil(2 * ROUND * s[:, 1:] / spacing).clip(1, FINEST).astype(int)
+    across = np.ceil(2 * COVERED * s[:, 1:] / spacing).clip(1, FINEST).astype(int)
     points, weights, owner = [], [], []
     means, opacities = g.means.astype(np.float64), g.opacities
     for a, b in np.unique(across, axis=0):
         mine = np.flatnonzero((across == (a, b)).all(1))
         for i, j in product(range(a), range(b)):
-            u, v = (ROUND * ((2 * k + 1) / n - 1) for k, n in ((i, a), (j, b)))
-            if u * u + v * v <= ROUND**2 * 1.02:
+            u, v = (COVERED * ((2 * k + 1) / n - 1) for k, n in ((i, a), (j, b)))
+            if u * u + v * v <= COVERED**2 * 1.02:
                 offset = u * s[mine, 1, None] * axes[mine, :, 1] + v * s[mine, 2, None] * axes[mine, :, 2]
                 points.append(means[mine] + offset)
                 weights.append(opacities[mine] * np.exp(-0.5 * (u * u + v * v)))
@@ -100,6 +101,13 @@ def surfels(g: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, 
     normals = np.linalg.eigh(spread[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))[1][:, :, 0]
     areas = spacing**2 / np.abs(normals).max(1)
     return Surfels(origin + spacing * mean, normals, areas, cells)
+
+
+def haze(g: Gaussians, h: float) -> np.ndarray:
+    """Mask (N,) of Gaussians that are round and thick for voxels of h [m]: they float; a surface is covered by flat or
+    by small ones."""
+    s = np.sort(np.exp(g.log_scales.astype(np.float64)), 1)
+    return (s[:, 0] > max(THICK * h, 0.012)) & (s[:, 0] > ROUND * s[:, 1])
 
 
 def without_floaters(s: Surfels, shape: tuple[int, int, int], spacing: float) -> Surfels:

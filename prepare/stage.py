@@ -16,10 +16,10 @@ from assets.gaussians import Gaussians
 from assets.grid import DistanceGrid
 from assets.orient import extent
 from assets.stage import Stage
-from prepare.clean import FEWEST, largest_piece
+from prepare.clean import FEWEST, cut_out, largest_piece
 from prepare.places import drop_place, stand_place
 from prepare.planes import LEVEL, Support, floor_under, gravity, on_floor, supports
-from prepare.sheets import OPAQUE, Surfels, normals_and_areas, surfels, without_floaters
+from prepare.sheets import OPAQUE, Surfels, haze, normals_and_areas, surfels, without_floaters
 from prepare.sight import Cells, cells_of, oriented, viewers_in
 from prepare.winding import COARSENING, signed_distance, winding
 
@@ -35,9 +35,9 @@ MARGIN = 4  # voxels round the scene
 PLAUSIBLE = (1.5, 60.0)  # [m] largest extent of a room or garden; files outside have arbitrary units
 USUAL_SIZE = 6.0  # [m]
 SIZES = (0.5, 500.0)  # [m] that may be asked for
-THICK, ROUND = 0.35, 0.3  # least thickness of haze in voxels, and in its width
 TALLEST = 4.0  # [m] over the floor that the grids reach
 AROUND = (0.10, 0.12, 0.40)  # [m] of a finer grid beside, below and above its plane
+MISSED = (4, 5, 0)  # and at least so many coarse cells: boards thinner than these are solid too far down there
 Progress = Callable[[str, float], None]
 
 
@@ -112,7 +112,7 @@ def prepare_static(
     w = winding(near, origin, coarse, nodes), origin, coarse
     phi = flattened(signed_distance(near, w, origin, h, shape), origin, h, planes)
     fine = []
-    boxes = [box_round(p) for p in planes[1 : 1 + MOST_FINE]]
+    boxes = [box_round(p, h) for p in planes[1 : 1 + MOST_FINE]]
     if on.kind == "floor":
         boxes = [(drop - [1.0, AROUND[1], 1.0], drop + [1.0, AROUND[2], 1.0]), *boxes[: MOST_FINE - 1]]
     for k, (a, b) in enumerate(boxes):
@@ -153,13 +153,6 @@ def prepare_static(
     return Asset(g, sdf=grid, provenance=provenance, stage=stage), moved
 
 
-def haze(g: Gaussians, h: float) -> np.ndarray:
-    """Mask (N,) of Gaussians that are round and thick for voxels of h [m]: they float; a surface is covered by flat or
-    by small ones."""
-    s = np.sort(np.exp(g.log_scales.astype(np.float64)), 1)
-    return (s[:, 0] > max(THICK * h, 0.012)) & (s[:, 0] > ROUND * s[:, 1])
-
-
 def cap(areas: np.ndarray) -> float:
     """The largest area that a Gaussian counts for: a smear must not outweigh a floor."""
     return float(np.percentile(areas, 99))
@@ -168,16 +161,6 @@ def cap(areas: np.ndarray) -> float:
 def axis_of(name: str) -> np.ndarray:
     """Unit vector of an axis by its name."""
     return np.eye(3)["xyz".index(name[1])] * (1 if name[0] == "+" else -1)
-
-
-def cut_out(g: Gaussians, ids: tuple[int, ...]) -> tuple[dict[int, Gaussians], Gaussians]:
-    """The Gaussians of each object id, and the rest. Raises BadInput for an id that is not there."""
-    there = np.unique(g.object_id)
-    for k in ids:
-        if k not in there:
-            found = ", ".join(map(str, there[:20])) + (" ..." if len(there) > 20 else "")
-            raise BadInput(f"no Gaussian has the object id {k}; there are: {found}")
-    return {k: g.select(g.object_id == k) for k in ids}, g.select(~np.isin(g.object_id, ids))
 
 
 def box_of(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, tuple[int, int, int]]:
@@ -191,9 +174,9 @@ def box_of(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, tup
     return low - MARGIN * h, tuple(map(int, count))
 
 
-def box_round(plane: Support) -> tuple[np.ndarray, np.ndarray]:
-    """The box of the finer grid of a plane."""
-    side, below, above = AROUND
+def box_round(plane: Support, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """The box of the finer grid of a plane, where the others have cells of h [m]."""
+    side, below, above = np.maximum(AROUND, np.multiply(MISSED, h))
     low, high = plane.low - side, plane.high + side
     return (
         np.array([low[0], plane.height - below, low[1]]),

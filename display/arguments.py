@@ -201,10 +201,13 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
     what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
-    what += "popping: what flickers when the head turns, by ways to sort"
-    c.add_argument("subject", choices=("sim", "render", "popping"), help=what)
+    what += "popping: what flickers when the head turns, by ways to sort; "
+    what += "embedding: finding hosts, carrying Gaussians, one level against two"
+    c.add_argument("subject", choices=("sim", "render", "popping", "embedding"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
-    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
+    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room); embedding: a body")
+    c.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help="embedding: (default 1000000)")
+    c.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
     sizes = ("1.7k", "9.3k", "24k", "46k")
     c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
     rooms = ("0.305M", "1.313M", "2.526M")

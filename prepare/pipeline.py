@@ -14,8 +14,8 @@ from assets.materials import DEFAULT, material_named
 from assets.orient import guess_up, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, TOLERANCE, cage_of, check_count, share_inside
 from prepare.clean import FEWEST, clean
-from prepare.hosts import embed_on_device
 from prepare.fill import density_of, solid_cells
+from prepare.hosts import embed_on_device
 from prepare.levelset import contact_grid, level_set
 from prepare.quality import dihedral_angles, volumes
 

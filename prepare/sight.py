@@ -32,20 +32,24 @@ def cells_of(s: Surfels, origin, spacing: float, shape) -> Cells:
     return Cells(occupied, np.asarray(origin, np.float64), float(spacing))
 
 
-def viewers_in(room: Cells, low: np.ndarray, high: np.ndarray, floor: float, rng: np.random.Generator) -> np.ndarray:
-    """Places [m] (V, 3) in the largest connected free space over the floor, between x, z `low` and `high` (2,)."""
+def open_space(room: Cells, floor: float) -> Cells:
+    """The largest connected space over the floor [m] with nothing in it: `occupied` says where it is."""
     free = ~binary_dilation(room.occupied, np.ones((3, 3, 3)))  # holes in a surface are closed
-    y = room.origin[1] + room.spacing * (np.arange(free.shape[1]) + 0.5)
-    free &= ((y > floor + HEIGHTS[0]) & (y < floor + HEIGHTS[1]))[None, :, None]
-    for axis, k in ((0, 0), (2, 1)):
-        at = room.origin[axis] + room.spacing * (np.arange(free.shape[axis]) + 0.5)
-        free &= np.expand_dims((at > low[k]) & (at < high[k]), [a for a in range(3) if a != axis])
+    free &= (room.origin[1] + room.spacing * (np.arange(free.shape[1]) + 0.5) > floor)[None, :, None]
     pieces, count = label(free)
-    if not count:
-        return np.zeros((0, 3))
-    mine = np.flatnonzero(pieces.ravel() == np.bincount(pieces.ravel())[1:].argmax() + 1)
-    chosen = np.stack(np.unravel_index(rng.choice(mine, min(VIEWERS, len(mine)), replace=False), free.shape), 1)
-    return room.origin + room.spacing * (chosen + 0.5)
+    if count:
+        free = pieces == np.bincount(pieces.ravel())[1:].argmax() + 1
+    return Cells(free, room.origin, room.spacing)
+
+
+def viewers_in(space: Cells, low: np.ndarray, high: np.ndarray, floor: float, rng: np.random.Generator) -> np.ndarray:
+    """Places [m] (V, 3) in an open space, at HEIGHTS over the floor, between x, z `low` and `high` (2,)."""
+    at = [space.origin[k] + space.spacing * (np.arange(n) + 0.5) for k, n in enumerate(space.occupied.shape)]
+    limits = (low[0], high[0]), (floor + HEIGHTS[0], floor + HEIGHTS[1]), (low[1], high[1])
+    x, y, z = ((p > a) & (p < b) for p, (a, b) in zip(at, limits, strict=True))
+    mine = np.argwhere(space.occupied & x[:, None, None] & y[:, None] & z)
+    chosen = rng.choice(len(mine), min(VIEWERS, len(mine)), replace=False)
+    return space.origin + space.spacing * (mine[chosen] + 0.5)
 
 
 @ti.func

@@ -20,7 +20,7 @@ from prepare.clean import FEWEST, cut_out, largest_piece
 from prepare.places import drop_place, stand_place
 from prepare.planes import LEVEL, Support, floor_under, gravity, on_floor, supports
 from prepare.sheets import OPAQUE, Surfels, haze, normals_and_areas, surfels, without_floaters
-from prepare.sight import Cells, cells_of, oriented, viewers_in
+from prepare.sight import Cells, cells_of, open_space, oriented, viewers_in
 from prepare.winding import COARSENING, signed_distance, winding
 
 VERSION = 1
@@ -97,7 +97,8 @@ def prepare_static(
     near = without_floaters(surfels(solid, origin, h, shape), shape, h)
     room = cells_of(near, origin, h, shape)
     rng = np.random.default_rng(0)
-    viewers = viewers_in(room, low[[0, 2]], high[[0, 2]], 0.0, rng)
+    space = open_space(room, 0.0)
+    viewers = viewers_in(space, low[[0, 2]], high[[0, 2]], 0.0, rng)
     near = oriented(near, viewers, room, room)
 
     report("planes", 0.0)
@@ -110,7 +111,7 @@ def prepare_static(
     coarse = COARSENING * h
     nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
     w = winding(near, origin, coarse, nodes), origin, coarse
-    phi = flattened(signed_distance(near, w, origin, h, shape), origin, h, planes)
+    phi = flattened(signed_distance(near, w, origin, h, shape, space), origin, h, planes)
     fine = []
     boxes = [box_round(p, h) for p in planes[1 : 1 + MOST_FINE]]
     if on.kind == "floor":
@@ -121,7 +122,7 @@ def prepare_static(
         step = max(FINEST, float(np.cbrt((b - a).prod() / FINE_CELLS)))
         if (b - a).min() < 8 * step or step > 0.7 * h:
             continue
-        fine.append(fine_grid(solid, a, b, step, w, planes, viewers, room))
+        fine.append(fine_grid(solid, a, b, step, w, planes, viewers, room, space))
         phi = np.maximum(phi, inside_box(origin, h, shape, a + 1.5 * h, b - 1.5 * h))
     ground = planes[0].height
     to = -np.array([drop[0], ground, drop[2]])
@@ -200,7 +201,7 @@ def seen_by(room: Cells, s: Surfels) -> Surfels:
     return s.select(room.occupied[tuple(i.T)])
 
 
-def fine_grid(solid: Gaussians, low, high, step, w, planes, viewers, room: Cells) -> DistanceGrid:
+def fine_grid(solid: Gaussians, low, high, step, w, planes, viewers, room: Cells, space: Cells) -> DistanceGrid:
     """The distance grid of a box, from the Gaussians in and round it."""
     origin, shape = low - 0.0, tuple(map(int, np.ceil((high - low) / step) + 1))
     pad = 3 * step
@@ -208,7 +209,7 @@ def fine_grid(solid: Gaussians, low, high, step, w, planes, viewers, room: Cells
     corner, many = origin - pad, tuple(n + 6 for n in shape)
     found = seen_by(room, surfels(solid.select(mine), corner, step, many))
     found = oriented(found, viewers, cells_of(found, corner, step, many), room)
-    phi = flattened(signed_distance(found, w, origin, step, shape), origin, step, planes)
+    phi = flattened(signed_distance(found, w, origin, step, shape, space), origin, step, planes)
     return DistanceGrid(phi.astype(np.float16), origin, float(step))
 
 

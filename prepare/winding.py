@@ -14,6 +14,7 @@ from scipy.fft import irfftn, next_fast_len, rfftn
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from prepare.sheets import Surfels
+from prepare.sight import Cells
 
 COARSENING = 2  # the winding number's voxels in those of the distance: it is smooth off the surface
 SOFT = 0.5  # of a coarse voxel: softens the kernel's pole
@@ -84,11 +85,12 @@ def _gather(
                 weight[q[0], q[1], q[2]] += w
 
 
-def signed_distance(s: Surfels, w: tuple, origin: np.ndarray, spacing: float, shape) -> np.ndarray:
+def signed_distance(s: Surfels, w: tuple, origin, spacing: float, shape, space: Cells | None = None) -> np.ndarray:
     """Signed distance [m] (X, Y, Z) float32, negative where solid, at the nodes origin + spacing (i, j, k).
 
     w = (winding number, its origin, its spacing), on a coarser grid that covers this one. Near the surface the distance
-    is that of the planes nearby; farther off, that to the next node with one, on the winding number's side.
+    is that of the planes nearby; farther off, that to the next node with one, on the winding number's side. What lies
+    in the open `space` is free in any case: under a board too thin for its two sides to be told apart.
     """
     values, corner, step = w
     on_surface = map_coordinates(values, ((s.points - corner) / step).T, order=1, mode="nearest")
@@ -100,6 +102,10 @@ def signed_distance(s: Surfels, w: tuple, origin: np.ndarray, spacing: float, sh
     nodes = np.indices(shape, np.float32)
     spots = [(origin[k] + spacing * nodes[k] - corner[k]) / step for k in range(3)]
     solid = map_coordinates(values, spots, order=1, mode="nearest") > mean[tuple(nearest)] + SURE
+    if space is not None:
+        voxel = np.stack([origin[k] + spacing * nodes[k] for k in range(3)], -1).reshape(-1, 3) - space.origin
+        voxel = np.floor(voxel / space.spacing + 1e-3).astype(np.int32).clip(0, np.array(space.occupied.shape) - 1)
+        solid &= ~space.occupied[tuple(voxel.T)].reshape(shape)
     # where a node is off the band, it lies `away` voxels from one that is itself |phi| off the surface
     beyond = away + np.abs(phi[tuple(nearest)])
     far = np.where(solid, -beyond, beyond)

@@ -122,8 +122,8 @@ def test_no_gaussians():
 
 
 def test_the_kernel_does_what_numpy_does(ti_cpu):
-    """Inside, on the surface, far outside, huge and of no thickness, in a coarse and in a finer cage: the same tets, and
-    weights equal to the last bits of float32."""
+    """Inside, on the surface, far outside, huge and of no thickness, in a coarse and in a finer cage: the same tets,
+    and weights equal to the last bits of float32."""
     from prepare.hosts import embed_on_device
 
     rng = np.random.default_rng(8)

@@ -135,7 +135,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     p.add_argument("--body", metavar="FILE", help="sandbox: splat file or prepared asset to play with")
-    p.add_argument("--stage", metavar="ROOM.h5", help="sandbox: a room to play in (see: vrgs.py prepare --static)")
+    p.add_argument("--stage", metavar="ROOM", help="sandbox: a room to play in, a splat or prepared with --static")
     p.add_argument("--material", metavar="NAME", help="sandbox: what the body is made of (see: vrgs.py materials)")
     add_preparation(p, "--body: ")
     commands = p.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")

@@ -23,8 +23,7 @@ EXAMPLES = """examples:
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
   python vrgs.py convert cat.sog cat.compressed.ply     between splat formats, and what was lost
-  python vrgs.py prepare room.ply --static --out room.h5
-  python vrgs.py --scene sandbox --stage room.h5 --body cat.ply
+  python vrgs.py --scene sandbox --stage room.ply --body cat.ply
   python vrgs.py tune cat.h5                            how stiff should it be?
   python vrgs.py check --quick
 """
@@ -192,17 +191,15 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument(
         "--cell", type=positive(float), metavar="M", help="--static: of the distance grid (default: by size)"
     )
-    cut = "--static: object ids to take out, each into a file beside OUT"
-    c.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help=cut)
+    c.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help="--static: objects to take out of it")
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.sog cat.spz")
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
-    what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
-    what += "popping: what flickers when the head turns, by ways to sort; "
-    what += "embedding: finding hosts, carrying Gaussians, one level against two"
+    what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; popping: what flickers when "
+    what += "the head turns, by ways to sort; embedding: finding hosts, carrying Gaussians, one level against two"
     c.add_argument("subject", choices=("sim", "render", "popping", "embedding"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
     c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room); embedding: a body")

@@ -99,16 +99,22 @@ class Locator:
         self.cell = cell
         self.shape = tuple((first + extent).max(0))
         counts = extent.prod(1)
-        tet = np.repeat(np.arange(len(x)), counts)
-        rank = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
-        e = extent[tet]
-        index = first[tet] + np.stack([rank // (e[:, 1] * e[:, 2]), rank // e[:, 2] % e[:, 1], rank % e[:, 2]], 1)
+        tet = np.repeat(np.arange(len(x), dtype=np.int32), counts)
+        rank = np.arange(counts.sum(), dtype=np.int32) - np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
+        ey, ez = extent[:, 1].astype(np.int32)[tet], extent[:, 2].astype(np.int32)[tet]
+        column = rank // ez
+        step = column // ey, column % ey, rank - column * ez
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
-        centre = self.origin + cell * (index + 0.5)
-        g = self.gradients(tet)
-        most = self.weights(tet, centre) + 0.5 * cell * np.einsum("nij->ni", np.abs(g))
-        may = np.logical_and.reduce([most[:, i] >= INSIDE for i in range(4)])
-        tet, flat = tet[may], np.ravel_multi_index(index[may].T, self.shape)
+        g = self.gradients(np.arange(len(x)))
+        corner = self.weights(np.arange(len(x)), self.origin + cell * (first + 0.5)) + 0.5 * cell * np.abs(g).sum(2)
+        may = np.ones(len(tet), bool)
+        for k in range(4):
+            most = corner[tet, k]
+            for axis in range(3):
+                most += (cell * g[:, k, axis])[tet] * step[axis]
+            may &= most >= INSIDE
+        tet = tet[may].astype(np.int64)
+        flat = np.ravel_multi_index((first[tet] + np.stack([a[may] for a in step], 1)).T, self.shape)
         order = np.argsort(flat, kind="stable")
         self.candidates = tet[order]
         self.start = np.searchsorted(flat[order], np.arange(np.prod(self.shape) + 1))

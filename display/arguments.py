@@ -53,7 +53,7 @@ def bench(args) -> None:
 
 def prepare(args) -> None:
     """Make a body of a splat, or a stage."""
-    command("prepare.stage_command" if args.static else "prepare.command", taichi=True)(args)
+    command("prepare.stage_command" if args.static or args.cell or args.cut else "prepare.command", taichi=True)(args)
 
 
 def render(args) -> None:

@@ -76,6 +76,10 @@ def summary(asset) -> list[str]:
 def run(args: argparse.Namespace) -> None:
     """vrgs.py prepare SPLATS --static --out ROOM.h5 [--up AXIS] [--scale M] [--cell M] [--cut ID ...] [--force]."""
     out = Path(args.out)
+    if not args.static:
+        raise BadInput("--cell and --cut belong to --static")
+    if args.material is not None:
+        raise BadInput("--material belongs to bodies; with --static nothing is simulated")
     file_size(Path(args.splats))
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")

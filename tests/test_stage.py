@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 
 from assets.asset import Asset
 from assets.errors import BadInput
-from assets.files import read_gaussians
+from assets.files import read_gaussians, write_gaussians
 from assets.gaussians import Gaussians
 from assets.stage import Stage
 from prepare.planes import gravity
@@ -272,6 +272,31 @@ def test_what_cannot_be_a_stage_is_told_in_one_line(ti_cpu, name):
     with pytest.raises(BadInput, match=message) as caught:
         prepare_static(made(), **options)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["--cut", "7"], "belong to --static"),
+        (["--static", "--material", "foam"], "belongs to bodies"),
+        (["--static", "--out", "no/such/folder.h5"], "does not exist"),
+        (["--static", "--out", "room.ply"], "ends in .h5"),
+    ],
+)
+def test_the_command_refuses_in_one_line(ti_cpu, tmp_path, capsys, options, message):
+    from vrgs import main
+
+    write_gaussians(tmp_path / "in.ply", table_and_jug())
+    out = [] if "--out" in options else ["--out", str(tmp_path / "out.h5")]
+    assert main(["prepare", str(tmp_path / "in.ply"), *out, *options]) == 2
+    said = capsys.readouterr().err
+    assert message in said and said.count("\n") == 1
+    assert [f.name for f in tmp_path.iterdir()] == ["in.ply"]
+
+
+def test_only_the_sandbox_takes_a_stage():
+    with pytest.raises(BadInput, match="ring_toss takes no --stage"):
+        registry.load("ring_toss", stage="room.h5")
 
 
 def some_stage() -> Asset:

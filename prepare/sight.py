@@ -8,10 +8,11 @@ from scipy.ndimage import binary_dilation, label
 
 from prepare.sheets import Surfels
 
-VIEWERS = 32
+VIEWERS = 28
 HEIGHTS = (0.15, 2.0)  # [m] above the floor, of viewers: low ones see tables from below
 LIFT = 1.5  # voxels off the surface where a line of sight begins
 NOISE = 0.035  # [m] off the surface within which its own noise does not hide it
+CLOSE = 16.0  # voxels within which a line of sight looks at the finer grid
 PACE = 0.7  # voxels from one look to the next
 GRAZING = 0.1  # cosine; flatter lines of sight tell nothing
 
@@ -91,7 +92,9 @@ def look(
                 x = p + (LIFT * h) * ti.math.sign(cosine) * n
                 gone, left, clear = 0.0, False, True
                 while gone < length - 2.0 * LIFT * h and clear:
-                    step, found = h, occupied_at(near, near_origin, h, x)
+                    step, found = h, -1
+                    if gone < CLOSE * h:
+                        found = occupied_at(near, near_origin, h, x)
                     if found < 0:
                         step, found = far_h, occupied_at(far, far_origin, far_h, x)
                     if found == 1 and (left or gone > lead):

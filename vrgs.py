@@ -43,7 +43,7 @@ def play(args) -> None:
     """Play a scene: in a window, or headless with its scripted hand."""
     from scenes import registry
 
-    scene = registry.load(args.scene, body=prepared_body(args), material=args.material)
+    scene = registry.load(args.scene, body=prepared_body(args), material=args.material, stage=prepared_stage(args))
     with open_display(args, scene) as display, open_recorder(args, display) as recorder:
         start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats
@@ -128,6 +128,26 @@ def prepared_body(args) -> str | None:
         print(f"preparing {path.name} (once; kept as {out})", flush=True)
         out.parent.mkdir(parents=True, exist_ok=True)
         prepare_file(path, out, vertices=args.vertices, scale=args.scale, up=args.up)
+    return str(out)
+
+
+def prepared_stage(args) -> str | None:
+    """The asset of --stage: as it is if it is one already, else prepared from the splat and cached."""
+    if args.stage is None or Path(args.stage).suffix.lower() == ".h5":
+        return args.stage
+    from assets.border import file_size
+    from assets.library import cached_asset
+
+    path = Path(args.stage)
+    file_size(path)
+    out = cached_asset(path, {"stage": 1})
+    if not out.is_file():
+        from prepare.stage_command import prepare_stage_file
+
+        start_taichi(args.arch, args.seed)
+        print(f"preparing {path.name} (once; kept as {out})", flush=True)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        prepare_stage_file(path, out)
     return str(out)
 
 

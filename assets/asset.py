@@ -12,7 +12,9 @@ import numpy as np
 from assets.border import replacing
 from assets.check import check
 from assets.gaussians import Gaussians
+from assets.grid import DistanceGrid
 from assets.hdf5 import Reader, open_hdf5
+from assets.stage import Stage, read_stage, write_stage
 
 FORMAT = "vrgs-asset"
 VERSION = 1
@@ -52,25 +54,11 @@ class Embedded:
 
 
 @dataclass(frozen=True)
-class DistanceGrid:
-    """Signed distances [m] on a regular grid, negative inside; node (i, j, k) lies at origin + spacing * (i, j, k).
-
-    values   (X, Y, Z) float16 or float32
-    origin   (3,) [m]
-    spacing  [m]
-    """
-
-    values: np.ndarray
-    origin: np.ndarray
-    spacing: float
-
-
-@dataclass(frozen=True)
 class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
     `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object.
+    is any JSON object. `stage`: a static scene to play in.
     """
 
     gaussians: Gaussians
@@ -79,6 +67,7 @@ class Asset:
     sdf: DistanceGrid | None = None
     material: dict | None = None
     provenance: dict = field(default_factory=dict)
+    stage: Stage | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -92,6 +81,7 @@ class Asset:
                 _read_sdf(file) if file.has("sdf") else None,
                 _read_material(file) if file.has("material") else None,
                 _read_provenance(file),
+                read_stage(file) if file.has("stage") else None,
             )
         check(asset, str(path))
         return asset
@@ -118,6 +108,8 @@ class Asset:
                 _write(file, "sdf/values", self.sdf.values, np.float16)
                 file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
+            if self.stage is not None:
+                write_stage(file, self.stage)
             if self.material is not None:
                 group = file.create_group("material")
                 for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):

@@ -29,6 +29,8 @@ def check(asset: Asset, where: str) -> None:
         check_embedded(asset.embedded, len(asset.gaussians), len(asset.cage.tets), where)
     if asset.sdf is not None:
         check_grid(asset.sdf, where)
+    for grid in asset.stage.fine if asset.stage is not None else ():
+        check_grid(grid, where)
     if asset.material is not None:
         check_material(asset.material, where)
 

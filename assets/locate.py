@@ -16,45 +16,49 @@ class Locator:
 
     vertices [m] (V, 3) and tets (T, 4) of positive volume. A cell lists the tets that may touch it,
     so `find` is exact up to rounding. Cells are half as wide as a tet: about eight candidates each.
+
+    first (T, 3) [m], slopes (T, 3, 3) [1/m]: a tet's first vertex, gradients of its weights 1 to 3. edge (V,) [m]: of
+    the tets at a vertex. Cell (i, j, k) of `shape`, corner at origin + cell (i, j, k) [m], flat index c, holds
+    candidates[start[c] : start[c + 1]].
     """
 
     def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
         self.vertices = np.asarray(vertices, np.float64)
         self.tets = np.asarray(tets, np.int64)
         x = self.vertices[self.tets]
-        self._first = x[:, 0]
+        self.first = x[:, 0]
         gradients = np.linalg.inv(np.moveaxis(x[:, 1:] - x[:, :1], 1, 2))  # rows: of the weights 1 to 3
-        self._gradients = np.ascontiguousarray(gradients)
+        self.slopes = np.ascontiguousarray(gradients)
         edge = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) * np.sqrt(2))  # of the regular tet of that volume
         count = np.bincount(self.tets.ravel(), minlength=len(self.vertices))
-        self._edge = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices)) / np.maximum(count, 1)
+        self.edge = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices)) / np.maximum(count, 1)
         self._build_grid(x)
         self._tree = None
 
     def weights(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Barycentric weights (M, 4) of points [m] (M, 3) in the tets `host` (M,); outside one they extrapolate."""
-        last = np.einsum("nij,nj->ni", self._gradients[host], points - self._first[host])
+        last = np.einsum("nij,nj->ni", self.slopes[host], points - self.first[host])
         first = 1 - last[:, 0] - last[:, 1] - last[:, 2]
         return np.concatenate([first[:, None], last], 1)
 
     def gradients(self, host: np.ndarray) -> np.ndarray:
         """Gradients [1/m] of the four barycentric weights of the tets `host`, (M, 4, 3)."""
-        last = self._gradients[host]
+        last = self.slopes[host]
         return np.concatenate([-last.sum(1, keepdims=True), last], 1)
 
     def size(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Edge length [m] (M,) of the tets about points in `host`; continuous, for it is kept at the vertices."""
         weights = self.weights(host, points).clip(0)
-        return (self._edge[self.tets[host]] * weights).sum(1) / weights.sum(1)
+        return (self.edge[self.tets[host]] * weights).sum(1) / weights.sum(1)
 
     def find(self, points: np.ndarray) -> np.ndarray:
         """Index of a tet that holds each point [m] (M, 3), or -1 where none does."""
         points = np.asarray(points, np.float64)
-        index = np.floor((points - self._origin) / self._cell).astype(np.int64)
-        within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self._shape[i]) for i in range(3)])
-        cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self._shape), 0)
+        index = np.floor((points - self.origin) / self.cell).astype(np.int64)
+        within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self.shape[i]) for i in range(3)])
+        cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self.shape), 0)
         host = np.full(len(points), -1, np.int64)
-        todo = np.flatnonzero(within & (self._start[cell + 1] > self._start[cell]))
+        todo = np.flatnonzero(within & (self.start[cell + 1] > self.start[cell]))
         todo = todo[np.argsort(cell[todo], kind="stable")]  # neighbours share candidates: they stay in the cache
         for begin in range(0, len(todo), CHUNK):
             self._find_chunk(todo[begin : begin + CHUNK], cell, points, host)
@@ -62,17 +66,20 @@ class Locator:
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For points [m] (M, 3) outside: the boundary tet next to each, and the point of its boundary, (M,), (M, 3)."""
+        from scipy.spatial import cKDTree
+
         if self._tree is None:
-            self._sample_boundary()
+            samples, self._owner = self.boundary_samples()
+            self._tree = cKDTree(samples)
         _, which = self._tree.query(points, workers=-1)
         return self._owner[which], self._tree.data[which]
 
     def _find_chunk(self, left: np.ndarray, cell: np.ndarray, points: np.ndarray, host: np.ndarray) -> None:
         """Try each cell's first candidate, then the second where that failed, and so on."""
-        at, end, p = self._start[cell[left]], self._start[cell[left] + 1], points[left]
+        at, end, p = self.start[cell[left]], self.start[cell[left] + 1], points[left]
         while len(left):
-            tet = self._list[at]
-            a, b, c = np.einsum("nij,nj->ni", self._gradients[tet], p - self._first[tet]).T
+            tet = self.candidates[at]
+            a, b, c = np.einsum("nij,nj->ni", self.slopes[tet], p - self.first[tet]).T
             inside = (a >= INSIDE) & (b >= INSIDE) & (c >= INSIDE) & (a + b + c <= 1 - INSIDE)
             host[left[inside]] = tet[inside]
             at = at + 1
@@ -81,34 +88,39 @@ class Locator:
 
     def _build_grid(self, x: np.ndarray) -> None:
         low, high = x.min(1), x.max(1)
-        self._origin = low.min(0) - 1e-6
+        self.origin = low.min(0) - 1e-6
         cell = 0.5 * (high - low).mean()
         while True:
-            first = np.floor((low - self._origin) / cell).astype(np.int64)
-            extent = np.floor((high - self._origin) / cell).astype(np.int64) - first + 1
+            first = np.floor((low - self.origin) / cell).astype(np.int64)
+            extent = np.floor((high - self.origin) / cell).astype(np.int64) - first + 1
             if extent.prod(1).sum() <= MOST_PAIRS:
                 break
             cell *= 1.5
-        self._cell = cell
-        self._shape = tuple((first + extent).max(0))
+        self.cell = cell
+        self.shape = tuple((first + extent).max(0))
         counts = extent.prod(1)
-        tet = np.repeat(np.arange(len(x)), counts)
-        rank = np.arange(counts.sum()) - np.repeat(counts.cumsum() - counts, counts)
-        e = extent[tet]
-        index = first[tet] + np.stack([rank // (e[:, 1] * e[:, 2]), rank // e[:, 2] % e[:, 1], rank % e[:, 2]], 1)
+        tet = np.repeat(np.arange(len(x), dtype=np.int32), counts)
+        rank = np.arange(counts.sum(), dtype=np.int32) - np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
+        ey, ez = extent[:, 1].astype(np.int32)[tet], extent[:, 2].astype(np.int32)[tet]
+        column = rank // ez
+        step = column // ey, column % ey, rank - column * ez
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
-        centre = self._origin + cell * (index + 0.5)
-        g = self.gradients(tet)
-        most = self.weights(tet, centre) + 0.5 * cell * np.einsum("nij->ni", np.abs(g))
-        may = np.logical_and.reduce([most[:, i] >= INSIDE for i in range(4)])
-        tet, flat = tet[may], np.ravel_multi_index(index[may].T, self._shape)
+        g = self.gradients(np.arange(len(x)))
+        corner = self.weights(np.arange(len(x)), self.origin + cell * (first + 0.5)) + 0.5 * cell * np.abs(g).sum(2)
+        may = np.ones(len(tet), bool)
+        for k in range(4):
+            most = corner[tet, k]
+            for axis in range(3):
+                most += (cell * g[:, k, axis])[tet] * step[axis]
+            may &= most >= INSIDE
+        tet = tet[may].astype(np.int64)
+        flat = np.ravel_multi_index((first[tet] + np.stack([a[may] for a in step], 1)).T, self.shape)
         order = np.argsort(flat, kind="stable")
-        self._list = tet[order]
-        self._start = np.searchsorted(flat[order], np.arange(np.prod(self._shape) + 1))
+        self.candidates = tet[order]
+        self.start = np.searchsorted(flat[order], np.arange(np.prod(self.shape) + 1))
 
-    def _sample_boundary(self) -> None:
-        from scipy.spatial import cKDTree
-
+    def boundary_samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points [m] (B, 3) all over the boundary, SPLIT^2 a triangle, and the tet of each (B,)."""
         faces = self.tets[:, FACES].reshape(-1, 3)
         _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
         boundary = first[count == 1]
@@ -119,5 +131,4 @@ class Locator:
                 for up in (1 / 3, 2 / 3) if i + j < SPLIT - 1 else (1 / 3,):
                     u, v = (i + up) / SPLIT, (j + up) / SPLIT
                     samples.append(a + u * (b - a) + v * (c - a))
-        self._owner = np.tile(boundary // 4, len(samples))
-        self._tree = cKDTree(np.concatenate(samples))
+        return np.concatenate(samples), np.tile(boundary // 4, len(samples))

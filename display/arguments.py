@@ -24,6 +24,7 @@ EXAMPLES = """examples:
   python vrgs.py render cat.ply --camera cam.json --out cat.png
   python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
   python vrgs.py convert cat.sog cat.compressed.ply     between splat formats, and what was lost
+  python vrgs.py --scene sandbox --stage room.ply --body cat.ply
   python vrgs.py tune cat.h5                            how stiff should it be?
   python vrgs.py check --quick
 """
@@ -49,6 +50,11 @@ def command(module: str, *, taichi: bool = False):
 def bench(args) -> None:
     """Measure what was asked for."""
     command(f"tests.bench.{args.subject}", taichi=not args.earlier)(args)
+
+
+def prepare(args) -> None:
+    """Make a body of a splat, or a stage."""
+    command("prepare.stage_command" if args.static or args.cell or args.cut else "prepare.command", taichi=True)(args)
 
 
 def render(args) -> None:
@@ -131,6 +137,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     p.add_argument("--body", metavar="FILE", help="sandbox: splat file or prepared asset to play with")
+    p.add_argument("--stage", metavar="ROOM", help="sandbox: a room to play in, a splat or prepared with --static")
     p.add_argument("--material", metavar="NAME", help="sandbox: what the body is made of (see: vrgs.py materials)")
     add_preparation(p, "--body: ")
     commands = p.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
@@ -171,11 +178,11 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add(
         "prepare",
-        command("prepare.command", taichi=True),
-        "make a splat simulatable",
-        "prepare cat.ply --out cat.h5 --vertices 2000",
+        prepare,
+        "make a splat simulatable, or a room a stage",
+        "prepare cat.ply --out cat.h5 --vertices 2000\n  python vrgs.py prepare room.ply --static --out room.h5",
     )
-    c.add_argument("splats", type=Path, metavar="SPLATS", help=SPLATS)
+    c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}; --static: or .h5")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
     add_preparation(c)
     c.add_argument(
@@ -184,6 +191,11 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         default=argparse.SUPPRESS,
         help="foam, rubber, plush, jelly or wood (default plush)",
     )
+    c.add_argument("--static", action="store_true", help="it is a room or a garden: a stage for the sandbox")
+    c.add_argument(
+        "--cell", type=positive(float), metavar="M", help="--static: of the distance grid (default: by size)"
+    )
+    c.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help="--static: objects to take out of it")
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.sog cat.spz")
@@ -192,10 +204,13 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
     what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
     what += "scaling: a picture's time against Gaussians and against pixels; "
-    what += "popping: what flickers when the head turns, by ways to sort"
-    c.add_argument("subject", choices=("sim", "render", "scaling", "popping"), help=what)
+    what += "popping: what flickers when the head turns, by ways to sort; "
+    what += "embedding: finding hosts, carrying Gaussians, one level against two"
+    c.add_argument("subject", choices=("sim", "render", "scaling", "popping", "embedding"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
-    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room)")
+    c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room); embedding: a body")
+    c.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help="embedding: (default 1000000)")
+    c.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
     sizes = ("1.7k", "9.3k", "24k", "46k")
     c.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
     rooms = ("0.305M", "1.313M", "2.526M")

@@ -57,7 +57,7 @@ class World:
         room = room.select(morton_order(room.means))
         self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
         first = len(room)  # the shadow wants what moves behind all that does not
-        grids = [grid for _, grid in static if grid is not None]
+        grids = [grid for _, grids in static for grid in grids]
         self.solver = Solver(
             [body for body, _ in moving],
             [*scene.colliders, *grids],
@@ -193,7 +193,7 @@ class World:
 
 def load_bodies(
     scene: Scene,
-) -> tuple[list[tuple[Gaussians, StaticGrid | None]], list[tuple[SoftBody | RigidBody, EmbeddedPart]]]:
+) -> tuple[list[tuple[Gaussians, list[StaticGrid]]], list[tuple[SoftBody | RigidBody, EmbeddedPart]]]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame."""
     library: dict[str, Asset] = {}
     static, moving = [], []
@@ -208,15 +208,13 @@ def load_bodies(
     return static, moving
 
 
-def place_static(asset: Asset, body: Body) -> tuple[Gaussians, StaticGrid | None]:
-    """Gaussians in the world, and the collider."""
+def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:
+    """Gaussians in the world, and the colliders."""
     rotation = matrices_of_quats(np.array(body.rotation))
     gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
-    grid = None
-    if asset.sdf is not None:
-        friction = (asset.material or {}).get("friction", 0.5)
-        grid = StaticGrid(asset.sdf, body.rotation, body.position, body.scale, friction)
-    return gaussians, grid
+    friction = (asset.material or {}).get("friction", 0.5)
+    grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.stage.fine if asset.stage is not None else ())]
+    return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
 
 
 def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedPart]:

@@ -74,3 +74,13 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     if spread[0] <= FLATTEST * spread[1] + 1e-6 * spread[2]:
         raise BadInput("all Gaussians lie on a plane or a line; there is nothing to fill")
     return g_kept, counts
+
+
+def cut_out(g: Gaussians, ids: tuple[int, ...]) -> tuple[dict[int, Gaussians], Gaussians]:
+    """The Gaussians of each object id, and the rest. Raises BadInput for an id that is not there."""
+    there = np.unique(g.object_id)
+    for k in ids:
+        if k not in there:
+            found = ", ".join(map(str, there[:20])) + (" ..." if len(there) > 20 else "")
+            raise BadInput(f"no Gaussian has the object id {k}; there are: {found}")
+    return {k: g.select(g.object_id == k) for k in ids}, g.select(~np.isin(g.object_id, ids))

@@ -18,7 +18,8 @@ from prepare.pipeline import STAGES, Progress, prepare
 class ProgressLines:
     """Prints a line a stage on stderr when it ends, with the time it took."""
 
-    def __init__(self) -> None:
+    def __init__(self, stages: tuple[str, ...] = STAGES) -> None:
+        self.stages = stages
         self.stage, self.since = None, time.perf_counter()
 
     def __call__(self, stage: str, done: float) -> None:
@@ -30,9 +31,9 @@ class ProgressLines:
 
     def _end(self) -> None:
         if self.stage is not None:
-            number = STAGES.index(self.stage) + 1
+            number = self.stages.index(self.stage) + 1
             seconds = time.perf_counter() - self.since
-            print(f"  {number}/{len(STAGES)} {self.stage:<8} {seconds:5.1f} s", file=sys.stderr, flush=True)
+            print(f"  {number}/{len(self.stages)} {self.stage:<8} {seconds:5.1f} s", file=sys.stderr, flush=True)
         self.stage = None
 
 

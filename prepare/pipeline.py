@@ -14,8 +14,8 @@ from assets.materials import DEFAULT, material_named
 from assets.orient import guess_up, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, TOLERANCE, cage_of, check_count, share_inside
 from prepare.clean import FEWEST, clean
-from prepare.embed import embed
 from prepare.fill import density_of, solid_cells
+from prepare.hosts import embed_on_device
 from prepare.levelset import contact_grid, level_set
 from prepare.quality import dihedral_angles, volumes
 
@@ -94,7 +94,7 @@ def prepare(
     g = g.transformed(np.eye(3), -factor * (origin + spacing * foot), factor)
 
     report("embed", 0.0)
-    embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
+    embedded = embed_on_device(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
 
     report("contact", 0.0)
     grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)

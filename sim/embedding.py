@@ -62,6 +62,7 @@ class Embedding:
             raise ValueError(f"scheme must be two-level or one-level, not {scheme!r}")
         self.with_rotation = with_rotation
         self.count = sum(len(p.gaussians) for p in parts)
+        self.bytes = 0  # that a call of `deform` moves, but for the vertices, which stay in a cache
         self._tree = None
         if self.count == 0:
             return
@@ -120,6 +121,9 @@ class Embedding:
     def _upload(self, packed: list[dict]) -> None:
         """Join the parts' slices and put them into fields of rounded sizes (compiled kernels are reused)."""
         base = np.cumsum([0] + [len(p["vertex"]) // LANES for p in packed])
+        written = 12 + 24 + (16 if self.with_rotation else 0)
+        lanes = sum(len(p["target"]) for p in packed)
+        self.bytes = int(20 * LANES * base[-1] + (4 + 4 + 24) * lanes + written * self.count)
         pieces = np.concatenate([p["begin"][:-1] + b for p, b in zip(packed, base[:-1], strict=True)])
         join = {n: np.concatenate([p[n] for p in packed]) for n in ("target", "anchor", "vertex", "factor", "rest_cov")}
         rows = _rounded(len(pieces))

@@ -119,3 +119,25 @@ def test_a_gaussian_outside_follows_one_tet():
 def test_no_gaussians():
     e = embed(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), *BAR)
     assert e.host.shape == (0, 4) and e.weights.shape == (0, 4, 4)
+
+
+def test_the_kernel_does_what_numpy_does(ti_cpu):
+    """Inside, on the surface, far outside, huge and of no thickness, in a coarse and in a finer cage: the same tets,
+    and weights equal to the last bits of float32."""
+    from prepare.hosts import embed_on_device
+
+    rng = np.random.default_rng(8)
+    cases = [
+        random_gaussians(rng, 3000, low=(-0.1, -0.1, -0.1), high=(1.1, 0.3, 0.3), sigma=0.004),
+        random_gaussians(rng, 1000, low=(-3, -3, -3), high=(3, 3, 3), sigma=0.05, spread=2.0),
+    ]
+    for cage in (BAR, tet_bar((21, 5, 4), (1.0, 0.2, 0.2))):
+        for g in cases:
+            for options in ({}, {"k": 1.0, "floor": 0.0}):
+                want = embed(g.means, g.quats, np.exp(g.log_scales), *cage, **options)
+                got = embed_on_device(g.means, g.quats, np.exp(g.log_scales), *cage, **options)
+                same = (got.host == want.host).all(1)
+                assert same.mean() > 0.999  # ties: a point on the face between two tets
+                assert_allclose(got.weights[same], want.weights[same], atol=1e-5)
+    none = embed_on_device(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), *BAR)
+    assert none.host.shape == (0, 4) and none.weights.shape == (0, 4, 4)

@@ -38,6 +38,11 @@ def level_set(solid: np.ndarray) -> np.ndarray:
     return np.clip(smooth, exact + DRIFT[0], exact + DRIFT[1]).astype(np.float32)
 
 
+def volume_of(phi: np.ndarray) -> float:
+    """Volume [cells] of the shape where the signed distance phi [cells] is negative: nodes near zero count in part."""
+    return float((0.5 - phi).clip(0, 1).sum(dtype=np.float64))
+
+
 def contact_grid(phi: np.ndarray, origin: np.ndarray, spacing: float) -> DistanceGrid:
     """The signed distance [m] resampled for contact: float16, GRID_NODES on the longest side of the shape.
 

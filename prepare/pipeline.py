@@ -16,7 +16,7 @@ from prepare.cage import ANGLE_MIN, TOLERANCE, cage_of, check_count, share_insid
 from prepare.clean import FEWEST, clean
 from prepare.embed import embed
 from prepare.fill import density_of, solid_cells
-from prepare.levelset import contact_grid, level_set
+from prepare.levelset import contact_grid, level_set, volume_of
 from prepare.quality import dihedral_angles, volumes
 
 VERSION = 1  # of what this pipeline makes; raise it when the same splat would give another asset
@@ -98,7 +98,9 @@ def prepare(
 
     report("contact", 0.0)
     grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)
-    figures = measure(cage, g.means[opaque(g)], vertices) | {"seconds": round(time.perf_counter() - begin, 2)}
+    figures = measure(cage, g.means[opaque(g)], vertices)
+    figures["filled"] = volume_of(phi) * (spacing * factor) ** 3
+    figures["seconds"] = round(time.perf_counter() - begin, 2)
     provenance = {
         "made_by": f"vrgs prepare {VERSION}",
         "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material},

@@ -90,6 +90,7 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", type=int, default=SIZES)
     parser.add_argument("--gaussians", type=int, default=20_000)
     parser.add_argument("--arch", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--uniform", action="store_true", help="cells of one size")
     args = parser.parse_args()
     ti.init(arch={"cpu": ti.cpu, "cuda": ti.cuda}[args.arch], offline_cache=True, log_level=ti.WARN)
     quicken()
@@ -99,7 +100,7 @@ def main() -> None:
         for size in args.sizes:
             g = splat(name, args.gaussians)
             try:
-                row, seconds = measured(g, size)
+                row, seconds = measured(g, size, up="+y" if name in CASES else None, adaptive=not args.uniform)
             except BadInput as e:
                 print(f"| {name} | {size} | refused: {e} |", flush=True)
                 continue

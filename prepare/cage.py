@@ -14,7 +14,7 @@ from prepare.distance import distance
 from prepare.levelset import volume_of
 from prepare.quality import dihedral_angles, volumes
 from prepare.relax import STEPS, relax
-from prepare.sizing import Shape, lattice_of, levels_of
+from prepare.sizing import FINENESS, Shape, lattice_of, levels_of
 from prepare.stuffing import stuff_lattice
 
 COUNTS = (50, 100_000)
@@ -37,7 +37,9 @@ THIN = 0.45  # cells; half the width below which a part slips between the lattic
 GROWTH = (0.005, 0.015, 0.025)  # of the volume that the cage is made larger by, tried in turn until enough is inside
 MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
 RIDGE = 0.8  # a distance has slope 1 but on its ridges
-OTHER_CELLS = (1.0, 0.97, 1.03, 0.94)  # of the cell: another lattice where one gave too small an angle
+LOST = 0.98  # of the points: with fewer inside a part is missing, which growing does not bring back
+TUBES = (THIN, 0.6)  # cells; tried in turn where parts of the shape are lost
+OTHER_CELLS = (1.0, 0.985, 1.02, 0.96)  # of the cell: another lattice where one gave too small an angle
 
 
 def check_count(vertices: int) -> None:
@@ -46,13 +48,13 @@ def check_count(vertices: int) -> None:
         raise BadInput(f"a cage of {vertices} vertices was asked for; {COUNTS[0]} to {COUNTS[1]} are possible")
 
 
-def widened(shape: Shape, cell: float) -> np.ndarray:
+def widened(shape: Shape, cell: float, tube: float = THIN) -> np.ndarray:
     """Signed distance of the shape with its thinnest parts made so wide that a lattice of `cell` holds them.
 
-    What is thinner (a tail, a horn, a rim) becomes what lies within THIN cells of its middle.
+    What is thinner (a tail, a horn, a rim) becomes what lies within `tube` cells of its middle.
     """
     phi = shape.phi
-    thin = shape.half_width < THIN * cell
+    thin = shape.half_width < FINENESS * tube * cell  # the true half width may be one step less
     if not thin.any():
         return phi
     where = np.argwhere(thin)
@@ -64,7 +66,7 @@ def widened(shape: Shape, cell: float) -> np.ndarray:
         slope += (0.5 * (phi[tuple(high.T)] - phi[tuple(low.T)])) ** 2
     middle = np.zeros(phi.shape, bool)  # there the distance has a ridge
     middle[tuple(where[slope < RIDGE**2].T)] = True
-    return np.minimum(phi, distance(middle) - THIN * cell) if middle.any() else phi
+    return np.minimum(phi, distance(middle) - tube * cell) if middle.any() else phi
 
 
 @dataclass(frozen=True)
@@ -76,16 +78,16 @@ class Stuffed:
     cell: float
 
 
-def stuffed(shape: Shape, cell: float, finer: int, coarser: int) -> Stuffed:
+def stuffed(shape: Shape, cell: float, finer: int, coarser: int, tube: float = THIN) -> Stuffed:
     """Raises BadInput where the lattice is too coarse for the shape, or too large for the memory."""
-    phi = widened(shape, cell / 2**finer)
+    phi = widened(shape, cell / 2**finer, tube)
     levels = levels_of(shape, cell, finer, coarser)
     levels[(phi < 0) & (shape.phi >= 0)] = finer + coarser
     lattice, start, unit = lattice_of(phi, levels, cell, finer, coarser)
     return Stuffed(stuff_lattice(lattice, start, unit, phi, np.zeros(3), 1.0), phi, cell)
 
 
-def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, report: Callable[[float], None]):
+def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, tube: float, report):
     """The Stuffed with the number of vertices next to `vertices`, or None; `first` is a uniform lattice's cell.
 
     A cell is guessed from an estimate at every other node, which the counts of real cages correct.
@@ -105,7 +107,7 @@ def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, r
         elif cell > 0.99 * high or cell < 1.01 * low:  # the estimate is off: halve what is known instead
             cell = (low * high) ** 0.5
         try:
-            found = stuffed(shape, cell, finer, coarser)
+            found = stuffed(shape, cell, finer, coarser, tube)
             count = len(found.cage.vertices)
         except BadInput:
             found, count = None, 1  # too coarse for the shape
@@ -149,21 +151,23 @@ def cage_of(
 def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -> Cage:
     """As cage_of; `first` is about the cell of a uniform lattice."""
     shape, filled = Shape(phi, WIDEST * first if adaptive else first), volume_of(phi)
-    reasons = []
+    reason = ""
     for finer, coarser in ((FINER, COARSER), (1, COARSER), (0, COARSER)) if adaptive else ((0, 0),):
-        found = sized(shape, vertices, first, finer, coarser, report)
-        if found is None or abs(len(found.cage.vertices) / vertices - 1) > TOLERANCE:
-            closest = f" ({len(found.cage.vertices)} is the closest)" if found else ""
-            reasons.append(f"no sound cage of about {vertices} vertices fits this shape{closest}; ask for another number")
-            continue
-        for other in OTHER_CELLS:
-            if other != 1.0:
-                found = stuffed(shape, found.cell * other, finer, coarser)
-            cage, reason = fitted(found, filled, points, vertices)
-            if not reason:
-                return cage
-            reasons.append(reason)
-    raise BadInput(reasons[-1])
+        for tube in TUBES:
+            found = sized(shape, vertices, first, finer, coarser, tube, report)
+            if found is None or abs(len(found.cage.vertices) / vertices - 1) > TOLERANCE:
+                closest = f" ({len(found.cage.vertices)} is the closest)" if found else ""
+                reason = reason or f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
+                break
+            for share in OTHER_CELLS:
+                other = found if share == 1 else stuffed(shape, found.cell * share, finer, coarser, tube)
+                if abs(len(other.cage.vertices) / vertices - 1) <= TOLERANCE:
+                    cage, reason = fitted(other, filled, points, vertices)
+                if not reason:
+                    return cage
+                if "angle" not in reason:
+                    break
+    raise BadInput(reason)
 
 
 def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> tuple[Cage, str]:
@@ -173,7 +177,7 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> 
     for growth in GROWTH + (MORE_GROWTH if vertices < EXACT else ()):
         cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), steps=steps)
         reason = fault(cage, filled, points, vertices)
-        if "inside" not in reason:
+        if "inside" not in reason or share_inside(cage, points) < LOST:
             break
         steps = STEPS // 3
     return cage, reason

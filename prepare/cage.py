@@ -37,7 +37,7 @@ THIN = 0.45  # cells; half the width below which a part slips between the lattic
 GROWTH = (0.005, 0.015, 0.025)  # of the volume that the cage is made larger by, tried in turn until enough is inside
 MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
 RIDGE = 0.8  # a distance has slope 1 but on its ridges
-LOST = 0.98  # of the points: with fewer inside a part is missing, which growing does not bring back
+LOST = 0.95  # of the points: with fewer inside a part is missing, which growing does not bring back
 TUBES = (THIN, 0.6)  # cells; tried in turn where parts of the shape are lost
 OTHER_CELLS = (1.0, 0.985, 1.02, 0.96)  # of the cell: another lattice where one gave too small an angle
 
@@ -165,7 +165,7 @@ def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -
                     cage, reason = fitted(other, filled, points, vertices)
                 if not reason:
                     return cage
-                if "angle" not in reason:
+                if "not sound" not in reason:
                     break
     raise BadInput(reason)
 
@@ -174,6 +174,8 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> 
     """The cage relaxed and made large enough to hold the points, and what is wrong with it ("": nothing)."""
     whole = volume_of(found.phi) if vertices < EXACT else filled
     cage, steps = found.cage, STEPS
+    if not (volumes(cage.vertices, cage.tets) > 0).all():
+        return cage, fault(cage, filled, points, vertices)
     for growth in GROWTH + (MORE_GROWTH if vertices < EXACT else ()):
         cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), steps=steps)
         reason = fault(cage, filled, points, vertices)

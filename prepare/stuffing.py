@@ -19,6 +19,8 @@ from prepare.stencils import INSIDE, OUTSIDE, ZERO, cut_tets
 # A cut within this share of an edge pulls the edge's end onto the surface (Labelle and Shewchuk, Table 1).
 ALPHA_LONG, ALPHA_SHORT = 0.24999, 0.41189
 
+FLAT = 0.01  # of a tet's volume before its corners moved; below this they must not move
+
 
 def sample(values: np.ndarray, origin, spacing: float, points: np.ndarray) -> np.ndarray:
     """Signed distance [m] at points (M, 3), trilinear; beyond the grid the way back to it is added."""
@@ -122,8 +124,16 @@ def stuff_lattice(lattice: Lattice, start, unit: float, values, origin, spacing:
         position = np.where((sign == ZERO)[:, None], warped, at_rest)
         points = np.concatenate([position, position[inside] + share[:, None] * (position[outside] - position[inside])])
         cage = cut_tets(tets, sign, at, rank, cuts, points)
-        flipped = volumes(np.concatenate([at_rest, middle]), cage) < 0  # unmoved, so that an inversion stays visible
+        unmoved = volumes(np.concatenate([at_rest, middle]), cage)  # so that an inversion stays visible
+        flipped = unmoved < 0
         cage[flipped] = cage[flipped][:, [0, 1, 3, 2]]
+        # Beside smaller cells a move may flatten a tet: whoever moved there goes back, too.
+        flat = np.unique(cage[volumes(points, cage) < FLAT * np.abs(unmoved)])
+        flat = flat[flat < len(phi)]
+        flat = flat[sign[flat] == ZERO]
+        if len(flat):
+            sign[flat] = np.where(phi[flat] < 0, INSIDE, OUTSIDE)
+            continue
         if whole:
             cage = cage[pieces(cage) == 0]
         if not len(cage):

@@ -34,9 +34,10 @@ WIDEST = 1.3  # half width up to which a part may be called thin, in cells of a 
 COARSEST = 1.6  # and the cells of a plain surface may be so much wider than those
 FINER, COARSER = 2, 2  # levels of an adaptive cage below and above the cell of a plain surface
 THIN = 0.45  # cells; half the width below which a part slips between the lattice's vertices: it is made so wide
-GROWTH = (0.005, 0.015, 0.025)  # of the volume that the cage is made larger by, tried in turn until enough is inside
+GROWTH = (0.005, 0.005, 0.01, 0.018, 0.025)  # of the volume that the cage is made larger by, tried in turn until enough is inside
 MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
 RIDGE = 0.8  # a distance has slope 1 but on its ridges
+BESIDE = 0.03  # of a tet's edge: so far beyond a point that is to be inside
 LOST = 0.95  # of the points: with fewer inside a part is missing, which growing does not bring back
 TUBES = (THIN, 0.6)  # cells; tried in turn where parts of the shape are lost
 OTHER_CELLS = (1.0, 0.985, 1.02, 0.96)  # of the cell: another lattice where one gave too small an angle
@@ -175,18 +176,31 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> 
     whole = volume_of(found.phi) if vertices < EXACT else filled
     cage, steps = found.cage, STEPS
     if not (volumes(cage.vertices, cage.tets) > 0).all():
-        return cage, fault(cage, filled, points, vertices)
+        return cage, fault(cage, filled, 0.0, vertices)
+    lift = None
     for growth in GROWTH + (MORE_GROWTH if vertices < EXACT else ()):
-        cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), steps=steps)
-        reason = fault(cage, filled, points, vertices)
-        if "inside" not in reason or share_inside(cage, points) < LOST:
+        cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), lift=lift, steps=steps)
+        locator = Locator(cage.vertices, cage.tets)
+        outside = points[locator.find(points) < 0]
+        share = 1 - len(outside) / max(len(points), 1)
+        reason = fault(cage, filled, share, vertices)
+        if "inside" not in reason or share < LOST:
             break
-        steps = STEPS // 3
+        lift, steps = lifted(cage, locator, outside), STEPS // 3
     return cage, reason
 
 
-def fault(cage: Cage, filled: float, points: np.ndarray, vertices: int) -> str:
-    """What is wrong with a cage, in one line; "" if nothing is."""
+def lifted(cage: Cage, locator: Locator, outside: np.ndarray) -> np.ndarray:
+    """How far out each vertex (V,) should go to take in the points (N, 3) that lie outside."""
+    host, foot = locator.nearest(outside)
+    depth = np.linalg.norm(outside - foot, axis=1) + locator.size(host, foot) * BESIDE
+    lift = np.zeros(len(cage.vertices))
+    np.maximum.at(lift, cage.tets[host].ravel(), np.repeat(depth, 4))
+    return np.minimum(lift, 0.2 * locator.size(host, foot).max(initial=0.0))
+
+
+def fault(cage: Cage, filled: float, share: float, vertices: int) -> str:
+    """What is wrong with a cage that holds a `share` of the points, in one line; "" if nothing is."""
     if abs(len(cage.vertices) - vertices) > TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
     volume = volumes(cage.vertices, cage.tets)
@@ -195,9 +209,8 @@ def fault(cage: Cage, filled: float, points: np.ndarray, vertices: int) -> str:
     angle = float(dihedral_angles(cage.vertices, cage.tets).min())
     if angle < ANGLE_MIN:
         return f"the cage is not sound: its smallest dihedral angle is {angle:.1f} degrees"
-    share = share_inside(cage, points)
     if share < INSIDE_MIN:
-        return f"only {share:.1%} of the opaque Gaussians lie inside the cage; ask for more vertices"
+        return f"only {share:.2%} of the opaque Gaussians lie inside the cage; ask for more vertices"
     off = volume.sum() / filled - 1
     if vertices >= EXACT and abs(off) > VOLUME_MAX:
         return f"the cage's volume is {off:+.1%} off that of the shape, which is too thin for {vertices} vertices"

@@ -54,11 +54,14 @@ def area(x: np.ndarray, surface: np.ndarray) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def relax(cage: Cage, values: np.ndarray, origin, spacing: float, *, volume=None, steps: int = STEPS) -> Cage:
+def relax(
+    cage: Cage, values: np.ndarray, origin, spacing: float, *, volume=None, lift=None, steps: int = STEPS
+) -> Cage:
     """The same tets with vertices moved, by at most MOST cells, for a longer stable substep. Taichi must be running.
 
     values, origin, spacing  the signed distance that the cage was stuffed from
     volume                   the surface is moved along its normal until the cage is about so large; None: it stays
+    lift                     how far out each vertex (V,) of the surface goes before that; None: not at all
     """
     x = cage.vertices.astype(np.float64)
     tets = cage.tets
@@ -66,6 +69,8 @@ def relax(cage: Cage, values: np.ndarray, origin, spacing: float, *, volume=None
     outer = np.unique(cage.surface)
     size = sizes(x, tets)[:, None]
     level = surface.at(x[outer])
+    if lift is not None:
+        x, level = _moved(x, cage, surface, outer, level, lift[outer])
     if volume is not None:
         x, level = _grown(x, cage, surface, outer, level, volume, size)
     start, step = x, FIRST_STEP
@@ -107,12 +112,16 @@ def _grown(x: np.ndarray, cage: Cage, surface: Surface, outer, level, volume: fl
     for _ in range(2):
         missing = (volume - volumes(x, cage.tets).sum()) / area(x, cage.surface)
         shift = np.clip(missing, -FURTHEST * size[outer, 0], FURTHEST * size[outer, 0])
-        while True:
-            moved = x.copy()
-            moved[outer] = surface.back(moved[outer], level + shift)
-            if volumes(moved, cage.tets).min() > 0 or np.abs(shift).max() < 1e-3 * size.max():
-                break
-            shift = shift / 2
+        x, level = _moved(x, cage, surface, outer, level, shift)
+    return x, level
+
+
+def _moved(x: np.ndarray, cage: Cage, surface: Surface, outer, level, shift: np.ndarray):
+    """x with its surface moved by `shift` (M,), or as much of that as inverts no tet, and the new level (M,)."""
+    for _ in range(6):
+        moved = x.copy()
+        moved[outer] = surface.back(moved[outer], level + shift)
         if volumes(moved, cage.tets).min() > 0:
-            x, level = moved, level + shift
+            return moved, level + shift
+        shift = shift / 2
     return x, level

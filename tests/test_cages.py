@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.errors import BadInput
-from prepare.cage import cage_of, fault, widened
+from prepare.cage import cage_of, fault, share_inside, widened
 from prepare.levelset import volume_of
 from prepare.quality import euler_characteristic, volumes
 from prepare.sizing import Shape, levels_of
@@ -85,10 +85,13 @@ def test_only_thin_parts_are_widened(ti_cpu):
 def test_a_thin_ring_stays_a_ring_of_the_right_volume(ti_cpu):
     """A tube of 7 cells in a cage of 3,000 vertices; float32 vertices leave six digits."""
     phi = grid(lambda p: np.hypot(np.hypot(p[..., 0], p[..., 2]) - 1, p[..., 1]) - 0.18)
-    cage = cage_of(phi, np.argwhere(phi < -1).astype(float), 3000, lambda done: None)
+    inner = np.argwhere(phi < -1).astype(float)
+    cage = cage_of(phi, inner, 3000, lambda done: None)
     assert euler_characteristic(cage.surface) == 0
     assert_allclose(volumes(cage.vertices, cage.tets).sum(), volume_of(phi), rtol=0.03)
-    assert fault(cage, volume_of(phi), np.argwhere(phi < -1).astype(float), 3000) == ""
+    assert share_inside(cage, inner) >= 0.995
+    assert fault(cage, volume_of(phi), 1.0, 3000) == "" and "vertices" in fault(cage, volume_of(phi), 1.0, 2000)
+    assert "inside" in fault(cage, volume_of(phi), 0.99, 3000)
 
 
 def test_what_cannot_be_held_is_refused_with_a_reason(ti_cpu):

@@ -34,7 +34,7 @@ WIDEST = 1.3  # half width up to which a part may be called thin, in cells of a 
 COARSEST = 1.6  # and the cells of a plain surface may be so much wider than those
 FINER, COARSER = 2, 2  # levels of an adaptive cage below and above the cell of a plain surface
 THIN = 0.45  # cells; half the width below which a part slips between the lattice's vertices: it is made so wide
-GROWTH = (0.005, 0.005, 0.01, 0.018, 0.025)  # of the volume that the cage is made larger by, tried in turn until enough is inside
+GROWTH = (0.005, 0.005, 0.01, 0.018, 0.025)  # of the volume; tried in turn until enough is inside
 MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
 RIDGE = 0.8  # a distance has slope 1 but on its ridges
 BESIDE = 0.03  # of a tet's edge: so far beyond a point that is to be inside
@@ -158,7 +158,8 @@ def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -
             found = sized(shape, vertices, first, finer, coarser, tube, report)
             if found is None or abs(len(found.cage.vertices) / vertices - 1) > TOLERANCE:
                 closest = f" ({len(found.cage.vertices)} is the closest)" if found else ""
-                reason = reason or f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
+                none = f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
+                reason = reason or none
                 break
             for share in OTHER_CELLS:
                 other = found if share == 1 else stuffed(shape, found.cell * share, finer, coarser, tube)

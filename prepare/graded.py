@@ -1,4 +1,4 @@
-"""A body-centred cubic lattice whose cells are as fine as asked for, place by place (Labelle and Shewchuk 2007, Sec. 4).
+"""A body-centred cubic lattice, fine where that is asked for (Labelle and Shewchuk 2007, on graded meshes).
 
 The cells are the leaves of an octree, in which neighbours across faces, edges and corners differ by at most a factor
 of two. Tets join the centres of cells with the corners between them. Between equal cells these are BCC tets, halved
@@ -110,8 +110,9 @@ def _level(exists: np.ndarray, split: np.ndarray, width: int) -> list[tuple[np.n
         high = tuple(slice(1, None) if i == axis else slice(None) for i in range(3))
         both = exists[low] & exists[high]
         a = np.argwhere(both & ~split[low] & ~split[high])
-        for k, (first, along, across) in enumerate(((0 * side, side, -up), (side, up, side), (up, side, up), (0 * side, up, -side))):
-            # Four cells share the edge: a, a + step, and those across.
+        none = 0 * side
+        # The face's four edges: where they begin and run, and the way to the two other cells that share each.
+        for first, along, across in ((none, side, -up), (side, up, side), (up, side, up), (none, up, -side)):
             middle = bordered[tuple((a + 1 + across).T)] | bordered[tuple((a + 1 + step + across).T)]
             centre, other = width * a + half, width * (a + step) + half
             begin = width * (a + step + first)

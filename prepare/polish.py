@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prepare.quality import OUTWARD, dihedral_angles
+from prepare.quality import OUTWARD
 
 GOAL = 14.0  # [degrees] tets with smaller angles are worked on
 ROUNDS = 8

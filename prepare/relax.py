@@ -31,7 +31,8 @@ class Surface:
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """Signed distance (M,) at points (M, 3), trilinear."""
-        return map_coordinates(self.values, ((points - self.origin) / self.spacing).T, order=1, mode="nearest", output=np.float64)
+        cells = (points - self.origin) / self.spacing
+        return map_coordinates(self.values, cells.T, order=1, mode="nearest", output=np.float64)
 
     def back(self, points: np.ndarray, level: np.ndarray) -> np.ndarray:
         """The points moved along the gradient to where the signed distance is `level` (M,): one Newton step."""

@@ -44,9 +44,9 @@ def test_a_small_cage_keeps_all_promises(ti_cpu, name):
 
 def test_the_volume_is_kept_where_that_is_promised(ti_cpu, monkeypatch):
     """As from 10,000 vertices on, here with fewer."""
-    monkeypatch.setattr("prepare.cage.EXACT", 2000)
-    row, _ = measured(case("bunny", 5000), 3000, up="+y")
-    assert faults(row, 3000) == []
+    monkeypatch.setattr("prepare.cage.EXACT", 1000)
+    row, _ = measured(case("bunny", 5000), 2000, up="+y")
+    assert faults(row, 2000) == []
     assert abs(row["volume"]) < 3
 
 
@@ -95,9 +95,9 @@ def test_a_thin_ring_stays_a_ring_of_the_right_volume(ti_cpu):
 
 
 def test_what_cannot_be_held_is_refused_with_a_reason(ti_cpu):
-    """A sheet of one grid cell in a cage of so few vertices; points that lie elsewhere."""
+    """Points that lie elsewhere."""
     phi = grid(lambda p: np.linalg.norm(p, axis=-1) - 0.8)
-    with pytest.raises(BadInput, match="only .* of the opaque Gaussians lie inside") as caught:
+    with pytest.raises(BadInput, match="of the opaque Gaussians lie inside the cage") as caught:
         cage_of(phi, np.full((50, 3), 2.0), 500, lambda done: None)
     assert "\n" not in str(caught.value)
 

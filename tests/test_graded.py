@@ -1,5 +1,7 @@
 """A lattice of cells of several sizes: conforming, well shaped, as fine as asked; and what is stuffed from it."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -43,7 +45,7 @@ def test_cells_are_as_fine_as_asked_and_neighbours_alike():
     assert divided[0][0, 0, 0] and divided[1][1, 1, 1] and divided[2][2, 3, 3]
     assert divided[1][5, 5, 5] and not divided[2][10, 10, 10]
     assert not divided[0][3, 0, 0]
-    for coarse, fine in zip(divided, divided[1:], strict=False):
+    for coarse, fine in pairwise(divided):
         for cell in np.argwhere(fine):  # all 26 neighbours exist
             for step in np.ndindex(3, 3, 3):
                 beside = np.clip(cell + step - np.ones(3, int), 0, np.array(fine.shape) - 1)

@@ -79,7 +79,7 @@ def main() -> None:
     begin = time.perf_counter()
     fine = measure(args.fine, adaptive=True)["bent"]
     print(f"{args.fine} vertices bend by {1e3 * fine:.3f} mm ({time.perf_counter() - begin:.0f} s)\n")
-    print("| asked | cells | vertices | tets | smallest angle | of its vertices in the ear | bends, of the fine cage's |")
+    print("| asked | cells | vertices | tets | smallest angle | of vertices in the ear | bends, of the fine cage's |")
     print("| --- " * 7 + "|", flush=True)
     for size in args.sizes:
         for adaptive in (False, True):

@@ -1,4 +1,4 @@
-"""Quality of cages over eight splats and three sizes, as Markdown: `python -m tests.bench.cages [--quick]`."""
+"""Quality of cages over eight splats and three sizes, as Markdown: `python -m tests.bench.cages`."""
 
 from __future__ import annotations
 
@@ -95,8 +95,8 @@ def main() -> None:
     args = parser.parse_args()
     ti.init(arch={"cpu": ti.cpu, "cuda": ti.cuda}[args.arch], offline_cache=True, log_level=ti.WARN)
     quicken()
-    print("| splat | asked | vertices | tets | angle | volume % | inside % | " + " | ".join([*STAGES, "CPU s"]) + " | faults |")
-    print("| --- " * (9 + len(STAGES)) + "|", flush=True)
+    head = ["splat", "asked", "vertices", "tets", "angle", "volume %", "inside %", *STAGES, "CPU s", "faults"]
+    print(f"| {' | '.join(head)} |\n" + "| --- " * len(head) + "|", flush=True)
     for name in args.names:
         for size in args.sizes:
             g = splat(name, args.gaussians)

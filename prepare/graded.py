@@ -92,11 +92,16 @@ def graded_lattice(want: np.ndarray, levels: int, near: np.ndarray | None = None
     width = np.concatenate([np.full(len(f[0]), f[1]) for f in found])
     span = 2 * np.array(want.shape) + 1
     key = (corners[..., 0] * span[1] + corners[..., 1]) * span[2] + corners[..., 2]
-    used, tets = np.unique(key, return_inverse=True)
-    tets = tets.reshape(-1, 4)
+    marked = np.zeros(span.prod(), bool)
+    marked[key] = True
+    used = np.flatnonzero(marked)
+    number = np.empty(len(marked), np.int32)  # only what is used takes memory
+    number[used] = np.arange(len(used))
+    tets = number[key]
     at = np.stack([used // (span[1] * span[2]), used // span[2] % span[1], used % span[2]], 1)
     size = np.full(len(at), 2 << levels)
-    np.minimum.at(size, tets.ravel(), np.repeat(width, 4))
+    for w in sorted(set(width.tolist()), reverse=True):  # the smallest is written last
+        size[tets[width == w]] = w
     return Lattice(at, tets, size)
 
 

@@ -134,7 +134,7 @@ def stuff_lattice(lattice: Lattice, start, unit: float, values, origin, spacing:
         if len(flat):
             sign[flat] = np.where(phi[flat] < 0, INSIDE, OUTSIDE)
             continue
-        if whole:
+        if whole and len(cage):
             cage = cage[pieces(cage) == 0]
         if not len(cage):
             raise BadInput(f"cage: the shape is thinner than a lattice of {lattice.size.max() * unit:.3g} m")

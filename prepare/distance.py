@@ -68,12 +68,24 @@ def _along(f: Grid, out: Grid, apex: Grid, begin: Grid, axis: ti.template()):
             out[_at(i, j, q, axis)] = (q - p) * (q - p) + f[_at(i, j, p, axis)]
 
 
+_kept: tuple | None = None
+
+
+def _buffers(shape: tuple[int, ...]) -> list:
+    """Four grids on the device, kept while the shape stays the same: making them takes as long as filling them."""
+    global _kept
+    runtime = ti.lang.impl.get_runtime()
+    if _kept is None or _kept[0] is not runtime or _kept[1] != shape:  # none yet, or they went with ti.reset
+        _kept = runtime, shape, [ti.ndarray(ti.i32, shape) for _ in range(4)]
+    return _kept[2]
+
+
 def squared_distance(mask: np.ndarray) -> np.ndarray:
     """Squared distance [cells^2] (X, Y, Z) int32 to the nearest cell of mask (X, Y, Z) bool; at least FAR without one.
 
     Taichi must be running.
     """
-    f, out, apex, begin = (ti.ndarray(ti.i32, mask.shape) for _ in range(4))
+    f, out, apex, begin = _buffers(mask.shape)
     _along_last(np.ascontiguousarray(mask).view(np.uint8), f)
     _along(f, out, apex, begin, 1)
     _along(out, f, apex, begin, 0)

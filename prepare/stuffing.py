@@ -26,7 +26,7 @@ def sample(values: np.ndarray, origin, spacing: float, points: np.ndarray) -> np
     """Signed distance [m] at points (M, 3), trilinear; beyond the grid the way back to it is added."""
     u = (np.asarray(points) - origin) / spacing
     inner = u.clip(0, np.array(values.shape) - 1.0)
-    found = map_coordinates(np.asarray(values, np.float64), inner.T, order=1, mode="nearest")
+    found = map_coordinates(values, inner.T, order=1, mode="nearest", output=np.float64)
     away = np.linalg.norm(u - inner, axis=1) * spacing
     return np.where(away > 0, np.maximum(found, 0) + away, found)  # so that a shape cut by the border is closed
 
@@ -55,7 +55,7 @@ def crossing_edges(tets: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.nd
 def crossings(phi: np.ndarray, position: np.ndarray, inside: np.ndarray, outside: np.ndarray, values, origin, spacing):
     """Share of the way from inside to outside ends where phi = 0, (E,): bracketed secant steps (Illinois)."""
     a, b = np.zeros(len(inside)), np.ones(len(inside))
-    fa, fb = phi[inside].copy(), phi[outside].copy()
+    fa, fb = np.minimum(phi[inside], -1e-300), np.maximum(phi[outside], 1e-300)  # a lattice may lie on the surface
     last = np.zeros(len(inside))
     for _ in range(4):
         t = a - fa * (b - a) / (fb - fa)

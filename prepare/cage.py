@@ -3,31 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from assets.asset import Cage
 from assets.errors import BadInput
 from assets.locate import Locator
-from prepare.quality import dihedral_angles
-from prepare.relax import relax
-from prepare.stuffing import stuff
+from prepare.distance import distance
+from prepare.levelset import volume_of
+from prepare.quality import dihedral_angles, volumes
+from prepare.relax import STEPS, relax
+from prepare.sizing import FINENESS, Shape, lattice_of, levels_of
+from prepare.stuffing import stuff_lattice
 
 COUNTS = (50, 100_000)
 TOLERANCE = 0.15  # of the number of vertices
 CLOSE = 0.05  # stop looking for a better cell here
-TRIES = 10  # stuffings; three or four are usual
-ANGLE_MIN = 10.0  # [degrees] the smallest dihedral angle of a cage that is taken
-INSIDE_MIN = 0.992  # of the points; the cage is widened until that many are inside
+TRIES = 6  # stuffings; one or two are usual
+HALVINGS = 9  # of the range of cells
+PRIOR = (1.2, 1.8, 2.8)  # vertices of a cage over those of the estimate, by how often cells are halved
+OUTSIDE = 0.3  # cells; nodes up to there have about as many vertices as the cuts add
+ANGLE_MIN = 12.0  # [degrees] the smallest dihedral angle of a cage that is taken
+INSIDE_MIN = 0.995  # of the points must lie in it
+VOLUME_MAX = 0.03  # by which the cage's volume may differ from the shape's
+EXACT = 10_000  # vertices from which on the volume must be that right; fewer cannot hold what is thin
 
-# In lattice cells:
-THIN = 0.4  # half the width below which a part slips between the lattice's vertices
-POINTED = 0.75  # it must stand out this share of THIN; edges and corners do not
-# Half the width that thin parts are given, and how far the cage lies outside of the surface, since its flat faces cut
-# off what is round; tried in turn. 0.11 is about one grid cell at 2,000 vertices.
-# Wider parts would need a larger cell, which would need wider parts.
-WIDENING = ((0.45, 0.11), (0.55, 0.14), (0.5, 0.2), (0.6, 0.2))
+FREE = 3  # grid cells left round the shape
+WIDEST = 1.3  # half width up to which a part may be called thin, in cells of a uniform lattice
+COARSEST = 1.6  # and the cells of a plain surface may be so much wider than those
+FINER, COARSER = 2, 2  # levels of an adaptive cage below and above the cell of a plain surface
+THIN = 0.45  # cells; half the width below which a part slips between the lattice's vertices: it is made so wide
+GROWTH = (0.005, 0.005, 0.01, 0.018, 0.025)  # of the volume; tried in turn until enough is inside
+MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
+RIDGE = 0.8  # a distance has slope 1 but on its ridges
+BESIDE = 0.03  # of a tet's edge: so far beyond a point that is to be inside
+LOST = 0.95  # of the points: with fewer inside a part is missing, which growing does not bring back
+TUBES = (THIN, 0.6)  # cells; tried in turn where parts of the shape are lost
+OTHER_CELLS = (1.0, 0.985, 1.02, 0.96)  # of the cell: another lattice where one gave too small an angle
 
 
 def check_count(vertices: int) -> None:
@@ -36,68 +49,173 @@ def check_count(vertices: int) -> None:
         raise BadInput(f"a cage of {vertices} vertices was asked for; {COUNTS[0]} to {COUNTS[1]} are possible")
 
 
-def widened(phi: np.ndarray, cell: float, tube: float, margin: float) -> np.ndarray:
-    """Signed distance [grid cells] of the shape grown by `margin`, and so much at thin parts that a lattice holds them.
+def widened(shape: Shape, cell: float, tube: float = THIN) -> np.ndarray:
+    """Signed distance of the shape with its thinnest parts made so wide that a lattice of `cell` holds them.
 
-    phi, cell     signed distance and the lattice's cell, both in grid cells
-    tube, margin  half the width of thin parts (a tail, a horn, a rim), and the growth [lattice cells]
+    What is thinner (a tail, a horn, a rim) becomes what lies within `tube` cells of its middle.
     """
-    deep = phi < -THIN * cell
-    opened = distance_transform_edt(~deep) if deep.any() else np.full(phi.shape, np.inf)
-    thin = (phi < 0) & (opened > (1 + POINTED) * THIN * cell)
-    if thin.any():
-        phi = np.minimum(phi, distance_transform_edt(~thin) - tube * cell)
-    return phi - margin * cell
+    phi = shape.phi
+    thin = shape.half_width < FINENESS * tube * cell  # the true half width may be one step less
+    if not thin.any():
+        return phi
+    where = np.argwhere(thin)
+    slope = np.zeros(len(where))
+    for axis in range(3):
+        low, high = where.copy(), where.copy()
+        low[:, axis] = (low[:, axis] - 1).clip(0)
+        high[:, axis] = (high[:, axis] + 1).clip(max=phi.shape[axis] - 1)
+        slope += (0.5 * (phi[tuple(high.T)] - phi[tuple(low.T)])) ** 2
+    middle = np.zeros(phi.shape, bool)  # there the distance has a ridge
+    middle[tuple(where[slope < RIDGE**2].T)] = True
+    return np.minimum(phi, distance(middle) - tube * cell) if middle.any() else phi
 
 
-def sized(phi: np.ndarray, vertices: int, cell: float, widening: tuple, report: Callable[[float], None]):
-    """Cage of `vertices` vertices round phi < 0 [grid cells], the shape it was stuffed from and its cell.
+@dataclass(frozen=True)
+class Stuffed:
+    """A cage before it is relaxed, the signed distance it was stuffed from, and the cell of its plain surface."""
 
-    Raises BadInput where no cell near the first guess `cell` gives that number, give or take 15 %.
+    cage: Cage
+    phi: np.ndarray
+    cell: float
+
+
+def stuffed(shape: Shape, cell: float, finer: int, coarser: int, tube: float = THIN) -> Stuffed:
+    """Raises BadInput where the lattice is too coarse for the shape, or too large for the memory."""
+    phi = widened(shape, cell / 2**finer, tube)
+    levels = levels_of(shape, cell, finer, coarser)
+    levels[(phi < 0) & (shape.phi >= 0)] = finer + coarser
+    lattice, start, unit = lattice_of(phi, levels, cell, finer, coarser)
+    return Stuffed(stuff_lattice(lattice, start, unit, phi, np.zeros(3), 1.0), phi, cell)
+
+
+def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, tube: float, report):
+    """The Stuffed with the number of vertices next to `vertices`, or None; `first` is a uniform lattice's cell.
+
+    A cell is guessed from an estimate at every other node, which the counts of real cages correct.
     """
-    low, high = 0.0, np.inf
+    half, ratio = shape.halved(), PRIOR[finer]
+    low, high = 0.3 * first, (COARSEST if finer else 2.0) * first
+    limit = high
     best, best_error = None, np.inf
     for attempt in range(TRIES):
         report(attempt / TRIES)
-        shape = widened(phi, cell, *widening)
+        a, b = low, high
+        for _ in range(HALVINGS):
+            cell = (a * b) ** 0.5
+            a, b = (cell, b) if ratio * estimate(half, cell / 2, finer, coarser) > vertices else (a, cell)
+        if high == limit and cell > 0.95 * limit:
+            cell = limit
+        elif cell > 0.99 * high or cell < 1.01 * low:  # the estimate is off: halve what is known instead
+            cell = (low * high) ** 0.5
         try:
-            cage = stuff(shape, np.zeros(3), 1.0, cell=cell)
-            count = len(cage.vertices)
+            found = stuffed(shape, cell, finer, coarser, tube)
+            count = len(found.cage.vertices)
         except BadInput:
-            cage, count = None, 1  # too coarse for the shape
+            found, count = None, 1  # too coarse for the shape
         error = abs(np.log(count / vertices))
-        if cage is not None and error < best_error and dihedral_angles(cage.vertices, cage.tets).min() >= ANGLE_MIN:
-            best, best_error = (cage, shape, cell), error
-        if best_error < np.log(1 + CLOSE):
+        if error < best_error and found is not None:
+            best, best_error = found, error
+        if best_error < np.log(1 + CLOSE) or high / low < 1.002 or (cell == limit and count > vertices):
             break
         low, high = (cell, high) if count > vertices else (low, cell)
-        guess = cell * np.clip((count / vertices) ** (1 / 2.7), 0.5, 2.0)  # vertices grow as about cell^-2.7
-        middle = (low + high) / 2 if np.isfinite(high) else 2 * cell
-        cell = guess if low < guess < high and attempt < TRIES // 2 else middle
-    if best is None or abs(len(best[0].vertices) - vertices) > TOLERANCE * vertices:
-        found = f" ({len(best[0].vertices)} is the closest)" if best else ""
-        raise BadInput(f"no sound cage of about {vertices} vertices fits this shape{found}; ask for another number")
+        if found is not None:
+            ratio = count / estimate(half, cell / 2, finer, coarser)
     return best
 
 
-def cage_of(phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None]) -> Cage:
+def estimate(shape: Shape, cell: float, finer: int, coarser: int) -> float:
+    """About how many vertices a cage will have: two a cell, and some of the cells that the surface cuts."""
+    levels = levels_of(shape, cell, finer, coarser)
+    width = cell * 2.0 ** (coarser - np.arange(finer + coarser + 1))
+    return float((2 / width**3)[levels[shape.phi < (OUTSIDE * width)[levels]]].sum())
+
+
+def cage_of(
+    phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None], *, adaptive: bool = True
+) -> Cage:
     """Cage of `vertices` vertices, give or take 15 %, round the shape where phi (X, Y, Z) [grid cells] is negative.
 
-    points  what shall lie inside, (N, 3) [grid cells]
-    report  is called with the share done
-    Out.    its vertices in grid cells: node (i, j, k) lies at (i, j, k). Raises BadInput.
+    points    what shall lie inside, (N, 3) [grid cells]
+    report    is called with the share done
+    adaptive  smaller cells where the shape is thin or curved, larger ones deep inside
+    Out.      its vertices in grid cells: node (i, j, k) lies at (i, j, k). Raises BadInput, with the reason.
     """
-    cell = (2.8 * float((phi < 0.5).sum()) / vertices) ** (1 / 3)  # two a cell, and those of the surface
-    best, best_share = None, -1.0
-    for widening in WIDENING:
-        cage, shape, cell = sized(phi, vertices, cell, widening, report)
-        cage = relax(cage, shape, np.zeros(3), 1.0, cell=cell)
-        share = share_inside(cage, points)
-        if share > best_share:
-            best, best_share = cage, share
-        if share >= INSIDE_MIN:
+    filled = volume_of(phi)
+    cell = (2.8 * filled / vertices) ** (1 / 3)  # two a cell, and those of the surface
+    solid = np.argwhere(phi < 0)
+    low = (solid.min(0) - np.ceil(cell).astype(int) - FREE).clip(0)
+    high = solid.max(0) + np.ceil(cell).astype(int) + FREE + 1
+    cage = _cage_of(phi[tuple(map(slice, low, high))], points - low, vertices, cell, report, adaptive)
+    return replace(cage, vertices=cage.vertices + low.astype(np.float32))
+
+
+def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -> Cage:
+    """As cage_of; `first` is about the cell of a uniform lattice."""
+    shape, filled = Shape(phi, WIDEST * first if adaptive else first), volume_of(phi)
+    reason = ""
+    for finer, coarser in ((FINER, COARSER), (1, COARSER), (0, COARSER)) if adaptive else ((0, 0),):
+        for tube in TUBES:
+            found = sized(shape, vertices, first, finer, coarser, tube, report)
+            if found is None or abs(len(found.cage.vertices) / vertices - 1) > TOLERANCE:
+                closest = f" ({len(found.cage.vertices)} is the closest)" if found else ""
+                none = f"no cage of about {vertices} vertices fits this shape{closest}; ask for another number"
+                reason = reason or none
+                break
+            for share in OTHER_CELLS:
+                other = found if share == 1 else stuffed(shape, found.cell * share, finer, coarser, tube)
+                if abs(len(other.cage.vertices) / vertices - 1) <= TOLERANCE:
+                    cage, reason = fitted(other, filled, points, vertices)
+                if not reason:
+                    return cage
+                if "not sound" not in reason:
+                    break
+    raise BadInput(reason)
+
+
+def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> tuple[Cage, str]:
+    """The cage relaxed and made large enough to hold the points, and what is wrong with it ("": nothing)."""
+    whole = volume_of(found.phi) if vertices < EXACT else filled
+    cage, steps = found.cage, STEPS
+    if not (volumes(cage.vertices, cage.tets) > 0).all():
+        return cage, fault(cage, filled, 0.0, vertices)
+    lift = None
+    for growth in GROWTH + (MORE_GROWTH if vertices < EXACT else ()):
+        cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), lift=lift, steps=steps)
+        locator = Locator(cage.vertices, cage.tets)
+        outside = points[locator.find(points) < 0]
+        share = 1 - len(outside) / max(len(points), 1)
+        reason = fault(cage, filled, share, vertices)
+        if "inside" not in reason or share < LOST:
             break
-    return best
+        lift, steps = lifted(cage, locator, outside), STEPS // 3
+    return cage, reason
+
+
+def lifted(cage: Cage, locator: Locator, outside: np.ndarray) -> np.ndarray:
+    """How far out each vertex (V,) should go to take in the points (N, 3) that lie outside."""
+    host, foot = locator.nearest(outside)
+    depth = np.linalg.norm(outside - foot, axis=1) + locator.size(host, foot) * BESIDE
+    lift = np.zeros(len(cage.vertices))
+    np.maximum.at(lift, cage.tets[host].ravel(), np.repeat(depth, 4))
+    return np.minimum(lift, 0.2 * locator.size(host, foot).max(initial=0.0))
+
+
+def fault(cage: Cage, filled: float, share: float, vertices: int) -> str:
+    """What is wrong with a cage that holds a `share` of the points, in one line; "" if nothing is."""
+    if abs(len(cage.vertices) - vertices) > TOLERANCE * vertices:
+        return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
+    volume = volumes(cage.vertices, cage.tets)
+    if not (volume > 0).all():
+        return f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume"
+    angle = float(dihedral_angles(cage.vertices, cage.tets).min())
+    if angle < ANGLE_MIN:
+        return f"the cage is not sound: its smallest dihedral angle is {angle:.1f} degrees"
+    if share < INSIDE_MIN:
+        return f"only {share:.2%} of the opaque Gaussians lie inside the cage; ask for more vertices"
+    off = volume.sum() / filled - 1
+    if vertices >= EXACT and abs(off) > VOLUME_MAX:
+        return f"the cage's volume is {off:+.1%} off that of the shape, which is too thin for {vertices} vertices"
+    return ""
 
 
 def share_inside(cage: Cage, points: np.ndarray) -> float:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes, distance_transform_edt, gaussian_filter, label, map_coordinates
+from scipy.ndimage import binary_fill_holes, gaussian_filter, label, map_coordinates
 
 from assets.asset import DistanceGrid
 from assets.errors import BadInput
+from prepare.distance import distance, squared_distance
 
 CLOSING = 2.0  # cells; dents narrower than twice this are noise of the shell
 SMOOTHING = 1.2  # cells; hides the staircase of the cells
@@ -17,18 +18,18 @@ GRID_MARGIN = 3  # nodes around the shape
 
 def distance_cells(solid: np.ndarray) -> np.ndarray:
     """Signed distance [cells] to the boundary between solid and empty cells, negative inside."""
-    return np.where(solid, 0.5 - distance_transform_edt(solid), distance_transform_edt(~solid) - 0.5)
+    return np.where(solid, 0.5 - distance(~solid), distance(solid) - 0.5)
 
 
 def level_set(solid: np.ndarray) -> np.ndarray:
     """Signed distance [cells], (X, Y, Z) float32, of the largest piece of the solid cells, closed and smoothed.
 
-    Raises BadInput where there is no solid cell.
+    Taichi must be running. Raises BadInput where there is no solid cell.
     """
     if not solid.any():
         raise BadInput("nothing is opaque enough to be solid; there is no surface")
-    closed = distance_transform_edt(~solid) <= CLOSING
-    closed = solid | (distance_transform_edt(closed) > CLOSING)
+    closed = squared_distance(solid) <= CLOSING**2
+    closed = solid | (squared_distance(~closed) > CLOSING**2)
     closed = binary_fill_holes(closed)
     pieces, count = label(closed)
     if count > 1:
@@ -36,6 +37,11 @@ def level_set(solid: np.ndarray) -> np.ndarray:
     exact = distance_cells(closed)
     smooth = gaussian_filter(exact, SMOOTHING, mode="nearest")
     return np.clip(smooth, exact + DRIFT[0], exact + DRIFT[1]).astype(np.float32)
+
+
+def volume_of(phi: np.ndarray) -> float:
+    """Volume [cells] of the shape where the signed distance phi [cells] is negative: nodes near zero count in part."""
+    return float((0.5 - phi).clip(0, 1).sum(dtype=np.float64))
 
 
 def contact_grid(phi: np.ndarray, origin: np.ndarray, spacing: float) -> DistanceGrid:

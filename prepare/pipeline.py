@@ -12,20 +12,19 @@ from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
 from assets.orient import guess_up, metres, rotation_to_up
-from prepare.cage import ANGLE_MIN, TOLERANCE, cage_of, check_count, share_inside
+from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, cage_of, check_count, share_inside
 from prepare.clean import FEWEST, clean
 from prepare.fill import density_of, solid_cells
 from prepare.hosts import embed_on_device
-from prepare.levelset import contact_grid, level_set
+from prepare.levelset import contact_grid, level_set, volume_of
 from prepare.quality import dihedral_angles, volumes
 
-VERSION = 1  # of what this pipeline makes; raise it when the same splat would give another asset
+VERSION = 2  # of what this pipeline makes; raise it when the same splat would give another asset
 NODES = 96  # of the grid on the longest side for 2,000 vertices: seven a lattice cell
 NODES_RANGE = (64, 192)  # with the border below fill.CELLS_MAX
 NODES_POWER = 0.2  # of the number of vertices; 1/3 would keep seven, but four are enough and memory is not
 BORDER = 1 / 8  # of the grid, left free on each side for what closing and widening add
 STRAY = 0.05  # of the extent: what lies this far off the surface belongs to another piece
-INSIDE_MIN = 0.99  # of the opaque Gaussians' centres must lie in the cage
 OPAQUE = 0.5
 
 STAGES = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
@@ -39,6 +38,7 @@ def prepare(
     scale: float | None = None,
     up: str | None = None,
     material: str | None = None,
+    adaptive: bool = True,
     progress: Progress | None = None,
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
@@ -47,6 +47,7 @@ def prepare(
     scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
     up        axis of the file that points up, "+x" to "-z"; None: guessed
     material  a name of assets.materials; None: plush
+    adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     progress  called with a stage of STAGES and the share of it that is done
     Out.      the asset: +y up, centred in x and z, its lowest point at y = 0; provenance["figures"] tells its quality
     Raises    BadInput where the splat holds no solid object or no good cage was found.
@@ -85,7 +86,7 @@ def prepare(
 
     report("cage", 0.0)
     points = (g.means[opaque(g)].astype(np.float64) - origin) / spacing
-    cage = cage_of(phi, points, vertices, lambda done: report("cage", done))
+    cage = cage_of(phi, points, vertices, lambda done: report("cage", done), adaptive=adaptive)
     size = metres(longest, scale)
     factor = size / longest
     middle = (cage.vertices.min(0) + cage.vertices.max(0)) / 2
@@ -98,7 +99,9 @@ def prepare(
 
     report("contact", 0.0)
     grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)
-    figures = measure(cage, g.means[opaque(g)], vertices) | {"seconds": round(time.perf_counter() - begin, 2)}
+    figures = measure(cage, g.means[opaque(g)], vertices)
+    figures["filled"] = volume_of(phi) * (spacing * factor) ** 3
+    figures["seconds"] = round(time.perf_counter() - begin, 2)
     provenance = {
         "made_by": f"vrgs prepare {VERSION}",
         "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material},

@@ -9,6 +9,8 @@ from scipy.sparse.csgraph import connected_components
 # Faces of a tetrahedron of positive volume, seen counter-clockwise from outside; row k lies opposite corner k.
 OUTWARD = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
+BITS = 21  # of a vertex's number in a key of 63: two million vertices
+
 
 def volumes(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Signed volumes [m^3], (T,): det[x1-x0, x2-x0, x3-x0] / 6."""
@@ -26,18 +28,29 @@ def dihedral_angles(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return 180 - np.degrees(np.arccos(np.einsum("tki,tki->tk", normals[:, i], normals[:, j]).clip(-1, 1)))
 
 
+def _keys(rows: np.ndarray) -> np.ndarray:
+    """The same number for rows (M, 2) or (M, 3) of the same vertices: it sorts ten times faster than rows do."""
+    rows = np.sort(rows, axis=1).astype(np.int64)
+    if rows.max(initial=0) >= 1 << BITS:
+        return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
+    key = rows[:, 0]
+    for column in rows.T[1:]:
+        key = (key << BITS) | column
+    return key
+
+
 def boundary(tets: np.ndarray) -> np.ndarray:
     """Faces that belong to one tet only, outward for tets of positive volume, (S, 3)."""
     faces = np.asarray(tets)[:, OUTWARD].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    _, first, count = np.unique(_keys(faces), return_index=True, return_counts=True)
     return faces[np.sort(first[count == 1])].astype(np.int32)
 
 
 def pieces(tets: np.ndarray) -> np.ndarray:
     """Piece of each tet, (T,); tets of a piece are connected through faces. Piece 0 has the most tets."""
-    faces = np.sort(np.asarray(tets)[:, OUTWARD].reshape(-1, 3), axis=1)
-    order = np.lexsort(faces.T)
-    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    faces = _keys(np.asarray(tets)[:, OUTWARD].reshape(-1, 3))
+    order = np.argsort(faces, kind="stable")
+    same = faces[order[1:]] == faces[order[:-1]]
     a, b = order[1:][same] // 4, order[:-1][same] // 4
     n = len(tets)
     _, label = connected_components(coo_matrix((np.ones(len(a), bool), (a, b)), (n, n)), directed=False)
@@ -56,8 +69,8 @@ def non_manifold_vertices(surface: np.ndarray) -> np.ndarray:
         return np.zeros(0, np.int64)
     tail = surface.reshape(-1)  # corner c = 3 f + k lies at the tail of edge c
     head = np.roll(surface, -1, axis=1).reshape(-1)
-    edges = np.sort(np.stack([tail, head], 1), axis=1)
-    _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    edges = np.stack([tail, head], 1)
+    _, edge, count = np.unique(_keys(edges), return_inverse=True, return_counts=True)
     edge = edge.reshape(-1)
     torn = edges[count[edge] != 2].reshape(-1)
 

@@ -4,8 +4,8 @@ A tet of the BCC lattice has two long edges (between vertices of the same kind: 
 centres) and four short ones. Its corners are inside, on the surface ("zero"), or outside; each edge
 between inside and outside has one cut. Where a face of the lattice is cut to a quadrilateral, both
 tets beside it must choose the same diagonal, and no prism may have three cyclic ones. One order of the
-inside corners gives both: the diagonal starts at the corner that comes first, corners of the other
-kind than the outside corner before those of its kind, and then even before odd lattice coordinates.
+inside corners gives both: the diagonal starts at the corner that comes first, that with the shorter edge to the
+outside corner, and of equal ones that of lower rank: in a BCC lattice, even before odd coordinates.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ def prism(bottom, top, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     return np.concatenate([np.stack(t, 1) for t in ((a, b, c, w), (a, b, v, w), (a, u, v, w))])
 
 
-def cut_tets(tets: np.ndarray, sign: np.ndarray, kind: np.ndarray, parity: np.ndarray, cuts, points) -> np.ndarray:
+def cut_tets(tets: np.ndarray, sign: np.ndarray, at: np.ndarray, rank: np.ndarray, cuts, points) -> np.ndarray:
     """Tets (M, 4) of the inside part of lattice tets (T, 4); their orientation is arbitrary.
 
-    sign, kind, parity   of each lattice vertex: INSIDE/ZERO/OUTSIDE; 0/1 corner or centre; 0/1
+    sign, at, rank   of each lattice vertex: INSIDE/ZERO/OUTSIDE; integer coordinates (3,); a number of its own
     cuts(inside, outside) -> ids of the cut points of edges
     points                positions by id, to pick the shorter diagonal where both are free
     """
@@ -41,7 +41,8 @@ def cut_tets(tets: np.ndarray, sign: np.ndarray, kind: np.ndarray, parity: np.nd
 
     def precedes(p, q, n) -> np.ndarray:
         """Does inside corner p come before q on their face with the outside corner n?"""
-        return 2 * (kind[p] == kind[n]) + parity[p] < 2 * (kind[q] == kind[n]) + parity[q]
+        longer = ((at[p] - at[n]) ** 2).sum(1) - ((at[q] - at[n]) ** 2).sum(1)
+        return (longer < 0) | ((longer == 0) & (rank[p] < rank[q]))
 
     def ordered(p, q, n) -> tuple[np.ndarray, np.ndarray]:
         first = precedes(p, q, n)

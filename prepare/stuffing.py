@@ -12,50 +12,35 @@ from scipy.ndimage import map_coordinates
 
 from assets.asset import Cage
 from assets.errors import BadInput
+from prepare.graded import LATTICE_MAX, Lattice, graded_lattice
 from prepare.quality import boundary, non_manifold_vertices, pieces, volumes
 from prepare.stencils import INSIDE, OUTSIDE, ZERO, cut_tets
 
 # A cut within this share of an edge pulls the edge's end onto the surface (Labelle and Shewchuk, Table 1).
 ALPHA_LONG, ALPHA_SHORT = 0.24999, 0.41189
-LATTICE_MAX = 20_000_000  # vertices; about 1 GB of host memory
+
+FLAT = 0.01  # of a tet's volume before its corners moved; below this they must not move
 
 
 def sample(values: np.ndarray, origin, spacing: float, points: np.ndarray) -> np.ndarray:
     """Signed distance [m] at points (M, 3), trilinear; beyond the grid the way back to it is added."""
     u = (np.asarray(points) - origin) / spacing
     inner = u.clip(0, np.array(values.shape) - 1.0)
-    found = map_coordinates(np.asarray(values, np.float64), inner.T, order=1, mode="nearest")
+    found = map_coordinates(values, inner.T, order=1, mode="nearest", output=np.float64)
     away = np.linalg.norm(u - inner, axis=1) * spacing
     return np.where(away > 0, np.maximum(found, 0) + away, found)  # so that a shape cut by the border is closed
 
 
-def lattice(low: np.ndarray, high: np.ndarray, cell: float):
-    """BCC lattice over a box, centred on it: doubled integer coordinates (L, 3) and tets (T, 4).
-
-    Corners have even coordinates, centres odd ones.
-    """
+def uniform(values: np.ndarray, origin: np.ndarray, spacing: float, cell: float) -> tuple[Lattice, np.ndarray, float]:
+    """BCC lattice round where `values` are negative: it, its origin [m] and the unit of its coordinates [m]."""
+    solid = np.argwhere(values < 0)
+    if not len(solid):
+        raise BadInput("cage: the shape is empty")
+    low, high = origin + spacing * (solid.min(0) - 1), origin + spacing * (solid.max(0) + 1)
     n = np.ceil((high - low) / cell).astype(int) + 3  # cells; one spare on each side
-    if (2 * (n + 1)).prod() > LATTICE_MAX:
+    if n.prod() > LATTICE_MAX:
         raise BadInput(f"cage: a cell of {cell:.3g} m is too fine for a body of {(high - low).max():.3g} m")
-    corner = np.stack(np.meshgrid(*(np.arange(k + 1) for k in n), indexing="ij"), -1).reshape(-1, 3)
-    centre = np.stack(np.meshgrid(*(np.arange(k) for k in n), indexing="ij"), -1).reshape(-1, 3)
-
-    def corner_id(i):
-        return (i[:, 0] * (n[1] + 1) + i[:, 1]) * (n[2] + 1) + i[:, 2]
-
-    def centre_id(i):
-        return len(corner) + (i[:, 0] * n[1] + i[:, 1]) * n[2] + i[:, 2]
-
-    tets = []
-    for axis in range(3):
-        step, side, up = np.roll(np.eye(3, dtype=int), -axis, axis=0)
-        a = centre[centre[:, axis] < n[axis] - 1]  # the face between cells a and a + step, whose corners go round
-        ring = [a + step, a + step + side, a + step + side + up, a + step + up]
-        for k in range(4):
-            ends = corner_id(ring[k]), corner_id(ring[(k + 1) % 4])
-            tets.append(np.stack([centre_id(a), centre_id(a + step), *ends], 1))
-    origin = (low + high) / 2 - n * cell / 2
-    return np.concatenate([2 * corner, 2 * centre + 1]), np.concatenate(tets), origin
+    return graded_lattice(np.zeros(n, np.int8), 0), (low + high) / 2 - n * cell / 2, cell / 2
 
 
 def crossing_edges(tets: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +55,7 @@ def crossing_edges(tets: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.nd
 def crossings(phi: np.ndarray, position: np.ndarray, inside: np.ndarray, outside: np.ndarray, values, origin, spacing):
     """Share of the way from inside to outside ends where phi = 0, (E,): bracketed secant steps (Illinois)."""
     a, b = np.zeros(len(inside)), np.ones(len(inside))
-    fa, fb = phi[inside].copy(), phi[outside].copy()
+    fa, fb = np.minimum(phi[inside], -1e-300), np.maximum(phi[outside], 1e-300)  # a lattice may lie on the surface
     last = np.zeros(len(inside))
     for _ in range(4):
         t = a - fa * (b - a) / (fb - fa)
@@ -93,26 +78,33 @@ def stuff(values: np.ndarray, origin, spacing: float, *, cell: float, whole: boo
     Out.      a Cage: positive volumes, closed outward 2-manifold surface, no unused vertex
     Raises    BadInput where nothing of the shape meets the lattice.
     """
-    values, origin = np.asarray(values, np.float64), np.asarray(origin, np.float64)
+    values, origin = np.asarray(values), np.asarray(origin, np.float64)
     if not np.isfinite(values).all():
         raise BadInput("cage: the signed distance is not finite")
-    solid = np.argwhere(values < 0)
-    if not len(solid):
-        raise BadInput("cage: the shape is empty")
-    low, high = origin + spacing * (solid.min(0) - 1), origin + spacing * (solid.max(0) + 1)
-    doubled, tets, start = lattice(low, high, cell)
-    at_rest = start + doubled * (cell / 2)
-    kind, parity = doubled[:, 0] % 2, (doubled // 2).sum(1) % 2
+    return stuff_lattice(*uniform(values, origin, spacing, cell), values, origin, spacing, whole=whole)
+
+
+def stuff_lattice(lattice: Lattice, start, unit: float, values, origin, spacing: float, *, whole: bool = True) -> Cage:
+    """As `stuff`, with a given lattice, whose coordinate (i, j, k) lies at start + unit (i, j, k) [m]."""
+    at = lattice.at
+    at_rest = start + at * unit
+    rank = ((at // lattice.size[:, None]).sum(1) % 2) * len(at) + np.arange(len(at))
 
     phi = sample(values, origin, spacing, at_rest)
-    tets = tets[(phi[tets] < 0).any(1)]
+    tets = lattice.tets[(phi[lattice.tets] < 0).any(1)]
     inside, outside = crossing_edges(tets, phi)
     share = crossings(phi, at_rest, inside, outside, values, origin, spacing)
-    alpha = np.where(kind[inside] == kind[outside], ALPHA_LONG, ALPHA_SHORT)
+    offset = np.abs(at[outside] - at[inside])
+    straight = (offset > 0).sum(1) == 1
+    length = np.linalg.norm(offset, axis=1)
+    alpha = np.where(straight, ALPHA_LONG, ALPHA_SHORT)
+    usual = np.where(straight, 1.0, 0.75**0.5)  # of a cell is an edge of a BCC tet long
+    alpha_in = alpha * np.minimum(1, usual * lattice.size[inside] / length)  # beside smaller cells less
+    alpha_out = alpha * np.minimum(1, usual * lattice.size[outside] / length)
 
     # Each vertex moves to the nearest of the cuts that crowd it.
     along = at_rest[outside] - at_rest[inside]
-    near_in, near_out = share < alpha, share > 1 - alpha
+    near_in, near_out = share < alpha_in, share > 1 - alpha_out
     who = np.concatenate([inside[near_in], outside[near_out]])
     move = np.concatenate([(share[:, None] * along)[near_in], ((share - 1)[:, None] * along)[near_out]])
     order = np.argsort(-np.linalg.norm(move, axis=1), kind="stable")  # the last writer, the nearest, wins
@@ -122,7 +114,7 @@ def stuff(values: np.ndarray, origin, spacing: float, *, cell: float, whole: boo
     sign[who] = ZERO
 
     key = inside * len(phi) + outside
-    share = share.clip(alpha, 1 - alpha)  # changes only cuts beside vertices that are put back below
+    share = share.clip(alpha_in, 1 - alpha_out)  # changes only cuts beside vertices that are put back below
     middle = (at_rest[inside] + at_rest[outside]) / 2
 
     def cuts(p, n):
@@ -131,13 +123,21 @@ def stuff(values: np.ndarray, origin, spacing: float, *, cell: float, whole: boo
     while True:
         position = np.where((sign == ZERO)[:, None], warped, at_rest)
         points = np.concatenate([position, position[inside] + share[:, None] * (position[outside] - position[inside])])
-        cage = cut_tets(tets, sign, kind, parity, cuts, points)
-        flipped = volumes(np.concatenate([at_rest, middle]), cage) < 0  # unmoved, so that an inversion stays visible
+        cage = cut_tets(tets, sign, at, rank, cuts, points)
+        unmoved = volumes(np.concatenate([at_rest, middle]), cage)  # so that an inversion stays visible
+        flipped = unmoved < 0
         cage[flipped] = cage[flipped][:, [0, 1, 3, 2]]
-        if whole:
+        # Beside smaller cells a move may flatten a tet: whoever moved there goes back, too.
+        flat = np.unique(cage[volumes(points, cage) < FLAT * np.abs(unmoved)])
+        flat = flat[flat < len(phi)]
+        flat = flat[sign[flat] == ZERO]
+        if len(flat):
+            sign[flat] = np.where(phi[flat] < 0, INSIDE, OUTSIDE)
+            continue
+        if whole and len(cage):
             cage = cage[pieces(cage) == 0]
         if not len(cage):
-            raise BadInput(f"cage: the shape is thinner than a lattice of {cell:.3g} m")
+            raise BadInput(f"cage: the shape is thinner than a lattice of {lattice.size.max() * unit:.3g} m")
         surface = boundary(cage)
         pinched = non_manifold_vertices(surface)
         if not len(pinched):

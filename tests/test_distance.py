@@ -1,0 +1,26 @@
+"""Distances on a grid against SciPy's, which are exact, too."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_edt
+
+from prepare.distance import FAR, distance, squared_distance
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_distances_are_exact(ti_cpu, seed):
+    rng = np.random.default_rng(seed)
+    mask = rng.uniform(size=rng.integers(1, 40, 3)) < rng.choice([0.5, 0.05, 0.003])
+    mask.flat[rng.integers(mask.size)] = True
+    true = distance_transform_edt(~mask)
+    assert (squared_distance(mask) == np.rint(true**2)).all()
+    np.testing.assert_allclose(distance(mask), true, rtol=1e-6)
+
+
+def test_without_any_cell_all_is_far(ti_cpu):
+    assert (squared_distance(np.zeros((4, 5, 6), bool)) >= FAR).all()
+
+
+def test_a_view_is_as_good_as_an_array(ti_cpu):
+    mask = np.random.default_rng(1).uniform(size=(20, 22, 24)) < 0.1
+    assert (squared_distance(mask[::2, 1:, ::3]) == squared_distance(mask[::2, 1:, ::3].copy())).all()

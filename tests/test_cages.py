@@ -103,7 +103,7 @@ def test_what_cannot_be_held_is_refused_with_a_reason(ti_cpu):
 
 
 def test_an_adaptive_cage_bends_where_a_uniform_one_is_stiff(ti_cpu):
-    """Ball and ear, some 1,000 vertices each; measured 0.19 against 0.04 of what a fine cage does."""
+    """Ball and ear, some 1,000 vertices each; an ear of 8 mm bends 0.19 against 0.04 of what a fine cage's does."""
     uniform, adaptive = (measure(1000, adaptive=a, spacing=0.0025, thick=0.01) for a in (False, True))
     assert adaptive["vertices"] < 1.15 / 0.85 * uniform["vertices"]
     assert adaptive["bent"] > 2 * uniform["bent"]

@@ -11,7 +11,7 @@ from assets.errors import BadInput
 from prepare.graded import graded_lattice, refined
 from prepare.quality import OUTWARD, boundary, dihedral_angles, non_manifold_vertices, volumes
 from prepare.stuffing import stuff_lattice
-from tests.test_stuffing import bumpy, sampled
+from tests.test_stuffing import bumpy, sampled, sphere
 
 
 def upright(at, tets):
@@ -71,6 +71,15 @@ def test_what_is_stuffed_from_changing_cells_is_sound(seed):
     check_cage(cage, "graded")
     assert len(non_manifold_vertices(cage.surface)) == 0
     assert dihedral_angles(cage.vertices, cage.tets).min() > 2  # before it is relaxed
+
+
+def test_a_lattice_of_many_vertices_is_sound():
+    """More than 46,341: numbers of edges, products of two vertices, pass the end of 32 bits."""
+    values, origin, spacing = sampled(sphere)
+    lattice = graded_lattice(np.zeros((30, 30, 30), np.int8), 0)
+    assert len(lattice.at) > 46_341
+    cage = stuff_lattice(lattice, np.full(3, -1.2), 2.4 / 60, values, origin, spacing)
+    check_cage(cage, "many")
 
 
 def test_too_fine_a_lattice_is_refused():

@@ -36,9 +36,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def play(args) -> None:
     """Play a scene: in a window, or headless with its scripted hand."""
+    from assets.library import usual_material
     from scenes import registry
 
-    scene = registry.load(args.scene, body=prepared_body(args), material=args.material)
+    body = prepared_body(args)
+    scene = registry.load(args.scene, body=body, material=args.material or (usual_material(body) if body else None))
     with open_display(args, scene) as display, open_recorder(args, display) as recorder:
         start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats

@@ -24,7 +24,7 @@ class Mesh:
     """A skinned mesh as it lies in the file, before any joint moves it.
 
     vertices (V, 3) [m]; faces (F, 3) int64; joints (V, K) int64, into the skin's list; weights (V, K), rows sum to 1
-    colours  display RGB in 0..1 of each corner of each face, (F, 3, 3), by which a face is filled where it has no `uv`
+    colours  linear RGB in 0..1 of each corner of each face, (F, 3, 3), by which a texture is multiplied
     uv       (F, 3, 2) texture coordinates, or NaN;  texture  index into `textures`, (F,), -1 for none
     textures [(H, W, 3) uint8]
     """
@@ -257,7 +257,7 @@ def _primitive(file: Gltf, p, joints: int, textures: list, known: dict) -> list[
     linear = np.tile(file.numbers(pbr, "baseColorFactor", (1.0,) * 4)[:3], (n, 1))
     if "COLOR_0" in attributes:
         linear = linear * file.accessor(attributes["COLOR_0"], kinds=("VEC3", "VEC4"), count=n)[:, :3]
-    colours = encoded(linear)[faces]
+    colours = linear[faces]
     uv, texture = np.full((len(faces), 3, 2), np.nan), np.full(len(faces), -1)
     base = pbr.get("baseColorTexture")
     if isinstance(base, dict) and f"TEXCOORD_{base.get('texCoord', 0)}" in attributes:
@@ -274,3 +274,8 @@ def encoded(linear: np.ndarray) -> np.ndarray:
     """Display values of linear light in 0..1 (IEC 61966-2-1, sRGB)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def decoded(display: np.ndarray) -> np.ndarray:
+    """Linear light of display values in 0..1, the inverse of `encoded`."""
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)

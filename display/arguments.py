@@ -171,14 +171,16 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "make a splat simulatable",
         "prepare cat.ply --out cat.h5 --vertices 2000",
     )
-    c.add_argument("splats", type=Path, metavar="SPLATS", help=SPLATS)
+    c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, or a skinned mesh (.glb)")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
+    c.add_argument("--rig", type=Path, metavar="RIG.glb", help="a standing person takes over this rig's motion")
+    c.add_argument("--landmarks", type=Path, metavar="L.json", help="where its joints are (default: guessed)")
     add_preparation(c)
     c.add_argument(
         "--material",
         metavar="NAME",
         default=argparse.SUPPRESS,
-        help="foam, rubber, plush, jelly or wood (default plush)",
+        help="foam, rubber, plush, jelly, wood or flesh (default plush, with a rig flesh)",
     )
     c.add_argument("--force", action="store_true", help="overwrite OUT")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND

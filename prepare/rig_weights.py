@@ -21,7 +21,7 @@ HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 NEAREST = 0.02  # [m/m of the body's size] closest that a vertex counts as to a bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
-CRUSHED = 0.3  # volume that tets which nothing can help keep, of 1 at rest
+CRUSHED = 0.3  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
 
 
 def laplacian(vertices: np.ndarray, tets: np.ndarray):
@@ -83,7 +83,7 @@ def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def firm(weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, float]:
-    """Which vertices are driven, (V,) bool: those of the surface that one joint leads, but where that crushes tets.
+    """Which vertices are driven, (V,) bool: those of the surface that one joint leads, not near what this crushes.
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
@@ -92,14 +92,11 @@ def firm(weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.
     driven = np.zeros(len(weights), bool)
     driven[surface] = weights[surface, 0] >= FIRM
     least = least_volumes(tets, shapes)
-    while True:
-        stuck = driven[tets].all(1)
-        bad = stuck & (least < CRUSHED)
-        if not bad.any():
-            return driven, float(least[stuck].min(initial=1.0))
-        mine = tets[bad]
-        weakest = mine[np.arange(len(mine)), np.argmin(np.where(driven[mine], weights[mine, 0], 2.0), axis=1)]
-        driven[weakest] = False
+    tight = np.zeros(len(weights), bool)
+    tight[tets[least < CRUSHED]] = True
+    tight[tets[tight[tets].any(1)]] = True
+    driven &= ~tight
+    return driven, float(least[driven[tets].all(1)].min(initial=1.0))
 
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:

@@ -260,6 +260,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         velocity=body.velocity,
         sdf=sdf,
         pinned=led,
+        loose=led is not None,
     )
     part = EmbeddedPart(
         host=asset.embedded.host[order],

@@ -19,8 +19,8 @@ from prepare.rig_landmarks import Landmarks
 from prepare.rig_weights import EDGES, HOLD, bone_distances, diffused, firm, least_volumes, strongest
 
 # Radii of what lies about a bone, shares of the stature: a vertex belongs to the bone from which it is fewest radii off
-RADIUS = {"pelvis": 0.065, "spine": 0.09, "chest": 0.09, "neck": 0.035, "head": 0.06, "clavicle": 0.035}
-RADIUS |= {"shoulder": 0.029, "elbow": 0.025, "wrist": 0.02, "hip": 0.05, "knee": 0.035, "ankle": 0.025}
+RADIUS = {"pelvis": 0.065, "spine": 0.075, "chest": 0.075, "neck": 0.035, "head": 0.06, "clavicle": 0.035}
+RADIUS |= {"shoulder": 0.036, "elbow": 0.032, "wrist": 0.03, "hip": 0.05, "knee": 0.035, "ankle": 0.025}
 TRUNK = {"pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_clavicle"}
 SHOULDER_END = 0.7  # of the clavicle: the ball of the shoulder goes with the arm
 ROOT_REACH, LIMB_REACH = 0.42, 0.5  # of a limb's bone: about its joint so far, it holds together with what it hangs on

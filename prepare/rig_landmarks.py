@@ -25,7 +25,7 @@ FAR = 3.0  # [statures] from the body, beyond which a landmark is a mistake
 
 ANKLE, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
 UPPER_ARM, FOREARM, HAND = 0.186, 0.146, 0.108  # lengths
-HIP_HALF, SHOULDER_HALF, SHOULDER_DEEP = 0.052, 0.115, 0.035  # from the middle; from the side of the shoulders inwards
+HIP_HALF, SHOULDER_HALF, SHOULDER_DEEP = 0.052, 0.115, 0.022  # from the middle; from the side of the shoulders inwards
 CORE_SIDE, CORE_FRONT, CORE_LEG = 0.105, 0.08, 0.07  # half axes of the trunk, radius of a thigh
 BENT = 0.6  # cosine of the most that a guessed hand is bent at the wrist
 SHORTEST_ARM = 0.25  # what stands out less is no arm

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix, eye
 
 from assets.animation import Animation, Local, looped, skin, world_of
 from assets.asset import Asset, Cage, Embedded
@@ -15,7 +16,7 @@ from assets.locate import Locator
 from prepare.embed import FURTHEST, embed
 from prepare.rig_cut import cut
 from prepare.rig_fit import BONES, PARENTS, SIDES, TREE, Fitted, fit
-from prepare.rig_landmarks import Landmarks
+from prepare.rig_landmarks import Landmarks, to_segment
 from prepare.rig_weights import EDGES, HOLD, bone_distances, diffused, firm, least_volumes, strongest
 
 # Radii of what lies about a bone, shares of the stature: a vertex belongs to the bone from which it is fewest radii off
@@ -26,6 +27,7 @@ SHOULDER_END = 0.7  # of the clavicle: the ball of the shoulder goes with the ar
 ROOT_REACH, LIMB_REACH = 0.42, 0.5  # of a limb's bone: about its joint so far, it holds together with what it hangs on
 LOOP = 0.3  # [s] in which a motion that does not come round is led to its start
 JUMP = (0.01, 0.02)  # [statures], [rad]: what is less comes round by itself
+REACH = 1.0  # edges: what is so near a tet of its own part follows that
 SHAPES = 48  # frames of the motion in which tets are looked at
 
 
@@ -44,7 +46,7 @@ class Skeleton:
 def dance(asset: Asset, rig: Rig, marks: Landmarks) -> Asset:
     """A standing person with the motion of a rig that is not its own. Raises BadInput."""
     fitted = fit(rig, marks)
-    label, distance, joined = bones_of(asset.cage, fitted, marks)
+    label, distance, joined, nearest = bones_of(asset.cage, fitted, marks)
     cage, label, source = cut(asset.cage, label, joined)
     V, J = len(cage.vertices), len(BONES)
     votes = np.bincount(cage.tets.ravel().astype(np.int64) * J + np.repeat(label, 4), minlength=V * J).reshape(V, J)
@@ -56,7 +58,8 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks) -> Asset:
     inverse[:, :3, 3] = -fitted.rest
     rest = (steps, upright, np.ones((J, 3)))
     own = Skeleton(BONES, PARENTS, inverse, rest, fitted.frames, rig.fps)
-    moving = animated(asset, cage, label, own, weights, on_ground=True)
+    parts = Parts(label, nearest(asset.gaussians.means.astype(np.float64)), joined)
+    moving = animated(asset, cage, parts, own, weights, on_ground=True)
     residual = {k: [round(v, 4) for v in values] for k, values in fitted.residual.items()}
     of_rig = {
         "motion": rig.animation,
@@ -66,8 +69,18 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks) -> Asset:
     return with_provenance(moving, of_rig)
 
 
-def bones_of(cage: Cage, fitted: Fitted, marks: Landmarks) -> tuple[np.ndarray, np.ndarray, Callable]:
-    """The bone (of BONES) of each tet (T,), each vertex's distance from its own [m] (V,), and what holds together."""
+@dataclass(frozen=True)
+class Parts:
+    """To which joint what belongs: tets (T,), Gaussians (N,); and joined(a, b, centre) of rig_cut.cut."""
+
+    tets: np.ndarray
+    gaussians: np.ndarray
+    joined: Callable
+
+
+def bones_of(cage: Cage, fitted: Fitted, marks: Landmarks) -> tuple[np.ndarray, np.ndarray, Callable, Callable]:
+    """The bone (of BONES) of each tet (T,), each vertex's distance from its own [m] (V,), what holds together, and a
+    function that tells the bone of points (n, 3)."""
     at = {n: fitted.rest[k] for k, n in enumerate(BONES)}
     low, high = cage.vertices[:, 1].min(), cage.vertices[:, 1].max()
     H = float(high - low)
@@ -126,15 +139,19 @@ def bones_of(cage: Cage, fitted: Fitted, marks: Landmarks) -> tuple[np.ndarray, 
             result |= ~trunk[lower] & (tree[lower] == upper) & ~trunk[upper] & (off < LIMB_REACH * shorter)
         return result
 
-    return np.argmin(by_tet, axis=1), np.maximum(nearest, 0.02 * H), joined
+    def bone(points: np.ndarray) -> np.ndarray:
+        off = np.stack([to_segment(points, a, b) / r for (a, b), r in zip(segments, radius, strict=True)], 1)
+        for k in range(len(segments) - len(marks.held), len(segments)):
+            off[:, k] = np.where(off[:, k] < 1, 0.0, off[:, k])
+        return np.array(owner)[np.argmin(off, axis=1)]
+
+    return np.argmin(by_tet, axis=1), np.maximum(nearest, 0.02 * H), joined, bone
 
 
-def animated(
-    asset: Asset, cage: Cage, label: np.ndarray, own: Skeleton, weights: np.ndarray, *, on_ground: bool
-) -> Asset:
+def animated(asset: Asset, cage: Cage, parts: Parts, own: Skeleton, weights: np.ndarray, *, on_ground: bool) -> Asset:
     """The asset with this cage, cut or not, its Gaussians embedded anew, and the motion. Raises BadInput.
 
-    label    joint of each tet, (T,);  weights  share of each joint in each vertex, (V, J)
+    weights  share of each joint in each vertex, (V, J)
     """
     frames = come_round(own, float(np.ptp(cage.vertices[:, 1])))
     joints, strong = strongest(weights)
@@ -151,7 +168,7 @@ def animated(
     driven, crushed = firm(strong, cage.tets, surface, shapes)
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
-    embedded, mended = within(embedded, g.means, cage, label)
+    embedded, mended = within(embedded, g.means.astype(np.float64), cage, parts)
     motion = Animation(
         list(own.names),
         np.asarray(own.parents, np.int32),
@@ -191,37 +208,48 @@ def come_round(own: Skeleton, size: float) -> Local:
     return looped((t, q, s), LOOP, own.fps)
 
 
-def within(embedded: Embedded, means: np.ndarray, cage: Cage, label: np.ndarray) -> tuple[Embedded, int]:
-    """No Gaussian hangs on both sides of a cut: those that do follow their own tet; and how many did."""
+def within(embedded: Embedded, means: np.ndarray, cage: Cage, parts: Parts) -> tuple[Embedded, int]:
+    """No Gaussian hangs on both sides of a cut: those that would follow one tet of their own part; and how many do.
+
+    Tets are coarse. What lies in a tet of another part, but near one of its own, follows the latter.
+    """
     where = Locator(cage.vertices, cage.tets)
     home = where.find(means)
     out = np.flatnonzero(home < 0)
     if len(out):
         home[out] = where.nearest(means[out])[0]
-    ends = cage.tets[:, EDGES].reshape(-1, 2)
-    from scipy.sparse import coo_matrix, eye
-
-    V = len(cage.vertices)
-    near = coo_matrix((np.ones(len(ends)), ends.T), shape=(V, V))
-    near = (near + near.T + eye(V)).tocsr()
-    near = (near @ near).tocsr()
+    edge = where.size(home, means)
+    label, wanted = parts.tets, parts.gaussians
+    astray = np.flatnonzero((label[home] != wanted) & ~parts.joined(label[home], wanted, means))
+    moved = np.zeros(len(means), bool)
+    for j in np.unique(wanted[astray]):
+        mine, own = astray[wanted[astray] == j], np.flatnonzero(label == j)
+        if len(own):
+            part = Locator(cage.vertices, cage.tets[own])
+            tet, foot = part.nearest(means[mine])
+            near = np.linalg.norm(means[mine] - foot, axis=1) < REACH * edge[mine]
+            home[mine[near]], moved[mine[near]] = own[tet[near]], True
+    V, ends = len(cage.vertices), cage.tets[:, EDGES].reshape(-1, 2)
+    link = coo_matrix((np.ones(len(ends)), ends.T), shape=(V, V))
+    link = (link + link.T + eye(V)).tocsr()
+    link = (link @ link).tocsr()
     which, corner = np.nonzero(label[embedded.host] != label[home][:, None])
     a, b = cage.tets[home[which]], cage.tets[embedded.host[which, corner]]
     linked = np.zeros(len(which), bool)
     for i in range(4):
         for j in range(4):
-            linked |= np.asarray(near[a[:, i], b[:, j]]).ravel() > 0
-    torn = np.unique(which[~linked])
+            linked |= np.asarray(link[a[:, i], b[:, j]]).ravel() > 0
+    moved[which[~linked]] = True
+    torn = np.flatnonzero(moved)
     host, weights = embedded.host.copy(), embedded.weights.copy()
     if len(torn):
         x = np.einsum("nkj,nkjd->nkd", weights[torn].astype(np.float64), cage.vertices[cage.tets[host[torn]]])
-        own = np.repeat(home[torn], 4)
-        w = where.weights(own, x.reshape(-1, 3)).reshape(-1, 4, 4)
+        w = where.weights(np.repeat(home[torn], 4), x.reshape(-1, 3)).reshape(-1, 4, 4)
         middle = w.mean(1, keepdims=True)
-        reach = np.maximum(np.abs(middle).max((1, 2)), 1.0)
-        middle = middle / reach[:, None, None] + (1 - 1 / reach[:, None, None]) / 4  # far outside: towards the tet
-        spread = w - w.mean(1, keepdims=True)
-        spread *= np.minimum(1.0, (FURTHEST - 1) / np.maximum(np.abs(spread).max((1, 2)), 1e-9))[:, None, None]
+        spread = w - middle
+        far = np.maximum(np.abs(middle - 0.25).max((1, 2)) / FURTHEST, 1.0)[:, None, None]
+        middle = 0.25 + (middle - 0.25) / far  # far outside: towards the tet
+        spread /= np.maximum(np.abs(spread).max((1, 2)), 1.0)[:, None, None]
         host[torn], weights[torn] = home[torn][:, None], middle + spread
     return Embedded(host, weights), len(torn)
 

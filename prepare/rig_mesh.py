@@ -17,7 +17,7 @@ from assets.gltf_rig import Mesh, Rig, decoded, encoded
 from assets.locate import Locator
 from assets.orient import rotation_to_up
 from assets.sh import C0
-from prepare.rig import Skeleton, animated, with_provenance
+from prepare.rig import Parts, Skeleton, animated, with_provenance
 from prepare.rig_cut import cut
 from prepare.rig_weights import EDGES, diffused
 
@@ -136,9 +136,12 @@ def walk(asset: Asset, mesh: Mesh, rig: Rig, at: Samples) -> Asset:
     points, target = at.of(x[mesh.faces]), at.of(shares[mesh.faces])
     weights = carried(asset.cage, points, target)
     label = np.argmax(weights[asset.cage.tets].mean(1), axis=1)
-    cage, label, _ = cut(asset.cage, label, touching(asset.cage, own.parents, x, mesh.faces, np.argmax(shares, 1)))
+    joined = touching(asset.cage, own.parents, x, mesh.faces, np.argmax(shares, 1))
+    cage, label, _ = cut(asset.cage, label, joined)
     weights = carried(cage, points, target)
-    moving = animated(asset, cage, label, own, weights, on_ground=False)
+    nearest = cKDTree(points).query(asset.gaussians.means)[1]  # the very sample, but for those that were left out
+    parts = Parts(label, np.argmax(target[nearest], axis=1), joined)
+    moving = animated(asset, cage, parts, own, weights, on_ground=False)
     return with_provenance(moving, {"motion": rig.animation})
 
 

@@ -262,6 +262,7 @@ def _primitive(file: Gltf, p, joints: int, textures: list, known: dict) -> list[
     base = pbr.get("baseColorTexture")
     if isinstance(base, dict) and f"TEXCOORD_{base.get('texCoord', 0)}" in attributes:
         source = file.item("textures", base.get("index")).get("source")
+        file.item("images", source)
         if source not in known:
             textures.append(file.image(source))
             known[source] = len(textures) - 1

@@ -23,7 +23,7 @@ NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") fo
 FILE_MAX = 1 << 20  # [bytes] of a landmarks file
 FAR = 3.0  # [statures] from the body, beyond which a landmark is a mistake
 
-ANKLE, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
+ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
 UPPER_ARM, FOREARM, HAND = 0.186, 0.146, 0.108  # lengths
 HIP_HALF, SHOULDER_HALF, SHOULDER_DEEP = 0.052, 0.115, 0.022  # from the middle; from the side of the shoulders inwards
 CORE_SIDE, CORE_FRONT, CORE_LEG = 0.105, 0.08, 0.07  # half axes of the trunk, radius of a thigh
@@ -127,18 +127,17 @@ def guess(asset: Asset, given: dict) -> tuple[dict, dict]:
         thick = near & (deep > 0.6 * deep[near].max())
         return np.average(x[thick], axis=0, weights=deep[thick])
 
-    legs = {h: two_legs(x[np.abs(height - h) < 0.02], spacing) for h in (ANKLE, KNEE)}
-    toes = [x[(height < 0.03) & (near_to(x, a) < 0.12 * H)].mean(0) - a for a in legs[ANKLE]]
+    legs = {h: two_legs(x[np.abs(height - h) < 0.02], spacing) for h in (ANKLE, SHIN, KNEE)}
+    toes = [x[(height < 0.03) & (near_to(x, a) < 0.12 * H)] for a in legs[SHIN]]
+    toes = [t.mean(0) - a if len(t) else np.zeros(3) for t, a in zip(toes, legs[SHIN], strict=True)]
     forward = np.sum(toes, axis=0) * [1, 0, 1]
-    across = legs[ANKLE][1] - legs[ANKLE][0]
     if "left_hip" in given and "right_hip" in given:
         forward = np.cross(given["left_hip"] - given["right_hip"], [0, 1.0, 0])
     elif np.linalg.norm(forward) < 0.01 * H:  # no toes to see: either way across the legs
-        forward = np.cross(across, [0, 1.0, 0])
+        forward = np.cross(legs[KNEE][1] - legs[KNEE][0], [0, 1.0, 0])
     forward = forward / max(np.linalg.norm(forward), 1e-9)
     left = np.cross([0, 1.0, 0], forward)
-    if across @ left < 0:
-        legs = {h: (b, a) for h, (a, b) in legs.items()}  # right, left
+    legs = {h: (a, b) if (b - a) @ left > 0 else (b, a) for h, (a, b) in legs.items()}  # right, left
 
     chest, neck = middle(CHEST - 0.03, CHEST + 0.03), middle(NECK - 0.012, NECK + 0.012)
     waist = middle(WAIST - 0.02, WAIST + 0.02)
@@ -152,10 +151,11 @@ def guess(asset: Asset, given: dict) -> tuple[dict, dict]:
     for k, (name, sign) in enumerate((("right", -1.0), ("left", 1.0))):
         found[f"{name}_shoulder"] = level + sign * min(side, SHOULDER_HALF * H) * left
         found[f"{name}_hip"] = pelvis + sign * HIP_HALF * H * left
-        found[f"{name}_knee"], ankle = legs[KNEE][k], legs[ANKLE][k]
+        found[f"{name}_knee"], ankle = legs[KNEE][k], 0.5 * (legs[ANKLE][k] + legs[SHIN][k])
+        ankle[1] = foot + ANKLE * H
         found[f"{name}_ankle"] = ankle
         sole = (height < 0.03) & (near_to(x, ankle) < 0.16 * H)
-        tip = np.percentile((x[sole] - ankle) @ forward, 97)
+        tip = np.percentile((x[sole] - ankle) @ forward, 97) if sole.any() else 0.0
         found[f"{name}_foot"] = (ankle + max(tip - 0.02 * H, 0.03 * H) * forward) * [1, 0, 1] + [0, foot + 0.02 * H, 0]
     source = dict.fromkeys(found, "solid")
     found |= {k: v for k, v in given.items() if k in NAMES}

@@ -19,7 +19,6 @@ from assets.locate import Locator
 
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-NEAREST = 0.02  # [m/m of the body's size] closest that a vertex counts as to a bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
 CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
 

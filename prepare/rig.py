@@ -15,8 +15,9 @@ from assets.gltf_rig import Rig
 from assets.locate import Locator
 from prepare.embed import FURTHEST, embed
 from prepare.rig_cut import cut
-from prepare.rig_fit import BONES, PARENTS, SIDES, TREE, Fitted, fit
+from prepare.rig_fit import BONES, PARENTS, Fitted, fit
 from prepare.rig_landmarks import Landmarks, to_segment
+from prepare.rig_names import SIDES, TREE
 from prepare.rig_weights import EDGES, HOLD, bone_distances, diffused, firm, least_volumes, strongest
 
 # Radii of what lies about a bone, shares of the stature: a vertex belongs to the bone from which it is fewest radii off

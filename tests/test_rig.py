@@ -15,8 +15,9 @@ from assets.errors import BadInput
 from assets.gltf_rig import Rig, read_rig
 from assets.materials import MOVING
 from prepare.rig_cut import cut, split
-from prepare.rig_fit import ARM, BONES, LEG, PARENTS, TREE, fit, named_joints, words
+from prepare.rig_fit import BONES, PARENTS, fit
 from prepare.rig_landmarks import NAMES, Landmarks, read_landmarks
+from prepare.rig_names import ARM, LEG, TREE, named_joints, words
 from prepare.rig_weights import bone_distances, diffused, least_volumes, strongest
 from tests.glb import bar
 from tests.meshes import boundary, box

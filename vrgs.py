@@ -41,9 +41,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def play(args) -> None:
     """Play a scene: in a window, or headless with its scripted hand."""
+    from assets.library import usual_material
     from scenes import registry
 
-    scene = registry.load(args.scene, body=prepared_body(args), material=args.material, stage=prepared_stage(args))
+    body = prepared_body(args)
+    material = args.material or (usual_material(body) if body else None)
+    scene = registry.load(args.scene, body=body, material=material, stage=prepared_stage(args))
     with open_display(args, scene) as display, open_recorder(args, display) as recorder:
         start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats

@@ -9,6 +9,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from assets.animation import Animation
+from assets.animation_file import read_animation, write_animation
 from assets.border import replacing
 from assets.check import check
 from assets.gaussians import Gaussians
@@ -58,7 +60,7 @@ class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
     `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object. `stage`: a static scene to play in.
+    is any JSON object. `stage`: a static scene to play in. With an `animation` the body moves by itself.
     """
 
     gaussians: Gaussians
@@ -68,6 +70,7 @@ class Asset:
     material: dict | None = None
     provenance: dict = field(default_factory=dict)
     stage: Stage | None = None
+    animation: Animation | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -82,6 +85,7 @@ class Asset:
                 _read_material(file) if file.has("material") else None,
                 _read_provenance(file),
                 read_stage(file) if file.has("stage") else None,
+                read_animation(file) if file.has("animation") else None,
             )
         check(asset, str(path))
         return asset
@@ -114,6 +118,8 @@ class Asset:
                 group = file.create_group("material")
                 for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):
                     group.attrs[key] = float(self.material[key])
+            if self.animation is not None:
+                write_animation(self.animation, file, _write)
 
 
 def _write(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from assets.animation import check_animation
 from assets.border import usable
 from assets.errors import BadInput
 from assets.gaussians import SH_COUNTS, Gaussians
@@ -33,6 +34,10 @@ def check(asset: Asset, where: str) -> None:
         check_grid(grid, where)
     if asset.material is not None:
         check_material(asset.material, where)
+    if asset.animation is not None:
+        if asset.cage is None:
+            raise BadInput(f"{where}: has an animation but no cage")
+        check_animation(asset.animation, len(asset.cage.vertices), where)
 
 
 def check_gaussians(g: Gaussians, where: str) -> None:

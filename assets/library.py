@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 from assets.errors import BadInput
+from assets.hdf5 import open_hdf5
+from assets.materials import MOVING
 
 SHIPPED = Path(__file__).resolve().parent / "data"
 
@@ -22,6 +24,12 @@ def find_asset(name: str) -> Path:
         return path
     known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.h5"))) or "none (run: python vrgs.py build)"
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
+
+
+def usual_material(asset: str) -> str | None:
+    """The name of what this asset is made of if nothing is said: what moves by itself is flesh. Raises BadInput."""
+    with open_hdf5(find_asset(asset)) as file:
+        return MOVING if file.has("animation") else None
 
 
 def cache_folder() -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from assets.errors import BadInput
 
 DEFAULT = "plush"
+MOVING = "flesh"  # of what moves by itself
 
 # young [Pa], poisson, density [kg/m^3], friction that holds and friction that slides on a dry smooth table. The solver
 # takes 1e2 to 1e8 Pa and Poisson's ratios up to 0.49; what is stiffer or less compressible is given the nearest value.
@@ -19,6 +20,9 @@ MATERIALS = {
     "jelly": {"young": 5e3, "poisson": 0.48, "density": 1030.0, "friction": 0.2, "kinetic_friction": 0.1},
     # Pine, Wood Handbook (Forest Products Laboratory, 2010): 510 kg/m^3; 1e10 Pa along the grain, 5e8 to 1e9 Pa across.
     "wood": {"young": 1e8, "poisson": 0.35, "density": 510.0, "friction": 0.5, "kinetic_friction": 0.3},
+    # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011); 1,060 kg/m^3. That it
+    # keeps its volume keeps a joint's inner side from turning inside out.
+    "flesh": {"young": 3e4, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
 }
 
 

@@ -182,14 +182,16 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "make a splat simulatable, or a room a stage",
         "prepare cat.ply --out cat.h5 --vertices 2000\n  python vrgs.py prepare room.ply --static --out room.h5",
     )
-    c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}; --static: or .h5")
+    c.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
     c.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
+    c.add_argument("--rig", type=Path, metavar="RIG.glb", help="a standing person takes over this rig's motion")
+    c.add_argument("--landmarks", type=Path, metavar="L.json", help="where its joints are (default: guessed)")
     add_preparation(c)
     c.add_argument(
         "--material",
         metavar="NAME",
         default=argparse.SUPPRESS,
-        help="foam, rubber, plush, jelly or wood (default plush)",
+        help="foam, rubber, plush, jelly, wood or flesh (default plush, with a rig flesh)",
     )
     c.add_argument("--static", action="store_true", help="it is a room or a garden: a stage for the sandbox")
     c.add_argument(

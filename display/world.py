@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from assets.animation import Animation
 from assets.asset import Asset, DistanceGrid
 from assets.errors import BadInput
 from assets.gaussians import Gaussians, concatenate, matrices_of_quats
 from assets.library import find_asset
 from assets.order import morton_order
 from display.frame import Frame
+from display.motion import Motion
 from display.timing import Timings
 from render.renderer import Renderer
 from render.shadow import Shadow
@@ -52,7 +54,7 @@ class World:
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
         self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
-        static, moving = load_bodies(scene)
+        static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
         self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
@@ -74,6 +76,7 @@ class World:
                 parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
+        self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
         self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
@@ -114,14 +117,19 @@ class World:
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
         if not self.demo:
-            self.solver.step(frame.dt, frame.hands)
+            self._advance(frame.dt, frame.hands)
             self.time += frame.dt
             return
         self._owed += frame.dt
         while self._owed >= SCRIPT_DT:
             self._owed -= SCRIPT_DT
             self.time += SCRIPT_DT
-            self.solver.step(SCRIPT_DT, self.scripted_hands(self.time))
+            self._advance(SCRIPT_DT, self.scripted_hands(self.time))
+
+    def _advance(self, dt: float, hands: list[Hand]) -> None:
+        for motion in self.motions:
+            motion.drive(dt)
+        self.solver.step(dt, hands)
 
     def _deform(self) -> None:
         self._drawn = None
@@ -139,6 +147,8 @@ class World:
         if commands.get("reset") or commands.get("demo"):  # a script begins at the beginning
             self.solver.reset()
             self.time = self._owed = 0.0
+            for motion in self.motions:
+                motion.reset()
             if self.scene.game is not None:
                 self.scene.game.reset()
             self._bodies = self.solver.bodies()
@@ -193,10 +203,17 @@ class World:
 
 def load_bodies(
     scene: Scene,
-) -> tuple[list[tuple[Gaussians, list[StaticGrid]]], list[tuple[SoftBody | RigidBody, EmbeddedPart]]]:
-    """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame."""
+) -> tuple[
+    list[tuple[Gaussians, list[StaticGrid]]],
+    list[tuple[SoftBody | RigidBody, EmbeddedPart]],
+    dict[int, tuple[Body, Animation]],
+]:
+    """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
+
+    Out.  what is static, what is simulated, and which of the latter move by themselves
+    """
     library: dict[str, Asset] = {}
-    static, moving = [], []
+    static, moving, animated = [], [], {}
     for body in scene.bodies:
         if body.asset not in library:
             library[body.asset] = Asset.load(find_asset(body.asset))
@@ -204,8 +221,10 @@ def load_bodies(
         if body.material is None:
             static.append(place_static(asset, body))
         else:
+            if asset.animation is not None and body.kind == "soft":
+                animated[len(moving)] = body, asset.animation
             moving.append(place_soft(asset, body))
-    return static, moving
+    return static, moving, animated
 
 
 def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:
@@ -230,6 +249,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
     if asset.sdf is not None:
         d = asset.sdf
         sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
+    led = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
     soft = SoftBody(
         name=body.asset,
         vertices=vertices,
@@ -240,6 +260,8 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         position=body.position,
         velocity=body.velocity,
         sdf=sdf,
+        pinned=led,
+        loose=led is not None,
     )
     part = EmbeddedPart(
         host=asset.embedded.host[order],

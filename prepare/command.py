@@ -13,6 +13,7 @@ from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
 from prepare.pipeline import STAGES, Progress, prepare
+from prepare.rig_command import Mover, described, mover
 
 
 class ProgressLines:
@@ -45,20 +46,30 @@ def prepare_file(
     scale: float | None = None,
     up: str | None = None,
     material: str | None = None,
+    rig: str | Path | None = None,
+    landmarks: str | Path | None = None,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
-    The options are those of `prepare`. Raises BadInput, naming the file.
+    The options are those of `prepare`. With the motion of `rig`, a .glb, the body moves by itself; `landmarks` is a
+    JSON file of where its joints are. `path` may be a .glb too: its skinned mesh. Raises BadInput, naming the file.
     """
     path, out = Path(path), Path(out)
     if path.suffix.lower() == ".h5":
         raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
-    gaussians = read_gaussians(path, report)
-    progress = progress or ProgressLines()
+    moved: Mover | None = mover(path, rig, landmarks)
+    gaussians = read_gaussians(path, report) if moved is None or moved.gaussians is None else moved.gaussians
+    if moved is not None:
+        up, material = up or moved.up, material or moved.material
+    progress = progress or ProgressLines(STAGES if moved is None else (*STAGES, "rig"))
     try:
         asset = prepare(gaussians, vertices=vertices, scale=scale, up=up, material=material, progress=progress)
+        if moved is not None:
+            progress("rig", 0.0)
+            asset = moved.move(asset)
+            progress("rig", 1.0)
     except BadInput as e:
         raise BadInput(f"{path}: {e}") from e
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
@@ -74,17 +85,20 @@ def summary(provenance: dict) -> list[str]:
     left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
     up = provenance["up"] if options["up"] else f"{provenance['up']} (guessed; --up overrides)"
     size = f"{provenance['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
+    moving = provenance.get("rig")
     return [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {up}, largest extent {size}",
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets, smallest dihedral angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
+        *(described(moving) if moving else ()),
     ]
 
 
 def run(args: argparse.Namespace) -> None:
-    """vrgs.py prepare SPLATS --out ASSET.h5 [--vertices N] [--scale S] [--up AXIS] [--material NAME] [--force]."""
+    """vrgs.py prepare SPLATS --out ASSET.h5 [--vertices N] [--scale S] [--up AXIS] [--material NAME] [--force]
+    [--rig RIG.glb [--landmarks L.json]]."""
     out = Path(args.out)
     file_size(Path(args.splats))  # before the other complaints
     if out.suffix.lower() != ".h5":
@@ -93,5 +107,6 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     if out.exists() and not args.force:
         raise BadInput(f"{out}: exists already; --force overwrites it")
-    prepare_file(args.splats, out, vertices=args.vertices, scale=args.scale, up=args.up, material=args.material)
+    options = {key: getattr(args, key) for key in ("vertices", "scale", "up", "material", "rig", "landmarks")}
+    prepare_file(args.splats, out, **options)
     print(f"wrote {out}")

@@ -92,7 +92,8 @@ def prepare(
     middle = (cage.vertices.min(0) + cage.vertices.max(0)) / 2
     foot = np.array([middle[0], cage.vertices[:, 1].min(), middle[2]], np.float64)  # grid cells
     cage = Cage(((cage.vertices - foot) * spacing * factor).astype(np.float32), cage.tets, cage.surface)
-    g = g.transformed(np.eye(3), -factor * (origin + spacing * foot), factor)
+    moved = -factor * (origin + spacing * foot)
+    g = g.transformed(np.eye(3), moved, factor)
 
     report("embed", 0.0)
     embedded = embed_on_device(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
@@ -108,6 +109,7 @@ def prepare(
         "up": up,
         "size": size,
         "metres_per_unit": factor,
+        "moved": moved.tolist(),  # [m], after the turn to +y and the scaling
         "counts": counts,
         "figures": figures,
     }

@@ -28,8 +28,8 @@ class Sandbox:
         self.throw: Throw | None = None
 
     def update(self, time: float, bodies: list[BodyState]) -> None:
-        if self.throw is None and time >= self.wait:
-            body = bodies[0]
+        body = bodies[0]
+        if self.throw is None and time >= self.wait and not body.driven:  # what moves by itself is left to it
             grip = 0.5 * (body.low + body.high)
             grip[1] += 0.3 * (body.high[1] - body.low[1])
             up, onto = grip + [0.0, 0.45, 0.0], tuple(np.add(self.top, [0.0, 0.2, 0.0]))

@@ -123,6 +123,7 @@ class BodyState:
     high: np.ndarray
     axis: np.ndarray  # unit normal of the body's flattest direction at rest, carried along
     held: bool
+    driven: bool = False  # some of it is led by the program, and no hand carries it away
 
 
 class Game(Protocol):

@@ -25,6 +25,7 @@ class SoftBody:
     rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
     sdf       signed distance of the rest shape in the body frame [m], or None
     pinned    indices of vertices that do not move (inverse mass 0), or None
+    loose     it passes through itself: driven vertices, which nothing stops, would crush what lies between them
     """
 
     name: str
@@ -37,6 +38,7 @@ class SoftBody:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
     pinned: np.ndarray | None = None
+    loose: bool = False
     rigid: ClassVar[bool] = False
 
     def of_material(self, material: Material) -> SoftBody:

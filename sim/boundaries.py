@@ -41,6 +41,7 @@ class Boundaries:
         if x.shape != (len(vertices), 3) or not np.isfinite(x).all():
             raise BadInput(f"{part.body.name}: {len(vertices)} vertices cannot be driven to positions {x.shape}")
         self._driven.drive(vertices + self.vertex_offset[body], x)
+        self._driven.bodies.add(self._index(body))
 
     @property
     def targets(self):
@@ -51,3 +52,4 @@ class Boundaries:
         """Move all pinned vertices of a body in the next frame to what `targets` holds, from vertex_offset[body] on."""
         body = self._index(body)
         self._driven.drive_range(self.vertex_offset[body], self.vertex_offset[body + 1])
+        self._driven.bodies.add(body)

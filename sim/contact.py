@@ -56,7 +56,8 @@ class Contacts:
         self.hands = Hands(state, self.samples, hands)
         self.bounds = Bounds(state, chunks)
         self.foresight = Foresight(state, self.hands, self.bounds)
-        folds = self_contact and (room.grows or any(foldable(s) for s in first.shapes))
+        meets = [foldable(p.shape) for p in first.parts if p.body.rigid or not p.body.loose]
+        folds = self_contact and (room.grows or any(meets))
         self.folding = Folding(state, chunks, self.bounds) if folds else None
         self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, self.folding, room)
         self.anything = bool(shapes) or self.pairs.needed
@@ -91,6 +92,8 @@ class Contacts:
         if self.coupled:
             self.rigid.load(assembly)
         self.hands.load(assembly)
+        if self.folding is not None:
+            self.folding.load(assembly)
         self.reset()
 
     def grips(self) -> Grips:

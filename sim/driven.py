@@ -22,6 +22,7 @@ class Driven:
         self.builder.dense(ti.i, state.V).place(self.wanted)
         self.tree = self.builder.finalize()
         self.busy = False
+        self.bodies: set[int] = set()  # whose vertices are driven in this frame
 
     def drive(self, vertices: np.ndarray, targets: np.ndarray) -> None:
         """Move these vertices (n,), global indices, to targets (n, 3) [m] in the next frame."""
@@ -44,12 +45,14 @@ class Driven:
         if self.busy:
             self._stop()
         self.busy = False
+        self.bodies.clear()
 
     def reset(self) -> None:
         """Forget what is to be driven."""
         if self.busy:
             self._stop()
         self.busy = False
+        self.bodies.clear()
 
     @ti.kernel
     def _set(self, vertices: ti.types.ndarray(ti.i32, 1), targets: ti.types.ndarray(ti.f32, 2)):

@@ -14,11 +14,11 @@ and sigma_min from |A^T A - I|, or from |A^-1| where the body is squeezed as a w
 import numpy as np
 import taichi as ti
 
-from sim.assembly import MAX_BODIES
+from sim.assembly import MAX_BODIES, Assembly
 from sim.broad import MARGIN, Bounds
 from sim.damping import Chunks
 from sim.parts import RestShape
-from sim.state import State
+from sim.state import State, Upload
 
 APART = 5.0  # times a body's reach, which is half an edge: what is closer at rest does not meet
 LONG = 5.0  # edges: what is shorter has no two ends that are APART and could still meet
@@ -27,7 +27,8 @@ SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 
 @ti.data_oriented
 class Folding:
-    """folded i32[B];   way f32[B] [m]: how far two points may approach, apart from what the whole body does
+    """folded, loose i32[B]: what may touch itself, what passes through itself
+    way f32[B] [m]: how far two points may approach, apart from what the whole body does
 
     sums f32[chunks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
     center, rest_center, velocity vec3[B]: the means
@@ -46,7 +47,14 @@ class Folding:
         bodies = self.builder.dense(ti.i, MAX_BODIES)
         bodies.place(self.folded, self.way, self.strayed, self.restless, self.fit, self.gradient)
         bodies.place(self.center, self.rest_center, self.velocity)
+        self.loose = ti.field(ti.i32)
+        bodies.place(self.loose)
         self.tree = self.builder.finalize()
+        self._upload = Upload([self.loose])
+
+    def load(self, assembly: Assembly) -> None:
+        """Take which of these bodies pass through themselves."""
+        self._upload([np.array([not p.body.rigid and p.body.loose for p in assembly.parts])])
 
     @ti.func
     def apart(self, b):
@@ -97,7 +105,8 @@ class Folding:
                     L = self.gradient[b] @ inverse
                     least = ti.max(least, 1.0 / inverse.norm()) * (1.0 - 0.5 * t * (L + L.transpose()).norm())
                 way = 2.0 * self.restless[b] * t + MARGIN
-                self.folded[b] = ti.cast(least * self.apart(b) < 2.0 * self.strayed[b] + way, ti.i32)
+                far = self.loose[b] != 0 or least * self.apart(b) >= 2.0 * self.strayed[b] + way
+                self.folded[b] = 0 if far else 1
                 # farther, the search would cost too much; what is faster is met inside, where a body is thick enough
                 self.way[b] = ti.min(way, self.apart(b))
 

@@ -63,9 +63,12 @@ class Mending:
     def _inverted(self) -> np.ndarray:
         return self.state.inverted.to_numpy()[: len(self.parts)] != 0
 
-    def begin_frame(self, held: set[int], dt: float) -> None:
-        """Before a frame of dt [s]: which bodies had inverted tets in the last one, and which does a hand hold?"""
-        inverted = self._inverted()
+    def begin_frame(self, held: set[int], driven: set[int], dt: float) -> None:
+        """Before a frame of dt [s]: which bodies had inverted tets in the last one, and which does a hand hold?
+
+        Those whose vertices are driven have no other shape to go to than where these lead them.
+        """
+        inverted = self._inverted() & ~np.isin(np.arange(len(self.parts)), list(driven))
         if not inverted.any() and not self.status.any():
             return
         held_now = np.isin(np.arange(len(self.parts)), list(held))

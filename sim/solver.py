@@ -148,7 +148,7 @@ class Solver(Editing, Boundaries):
         self._driven.begin_frame(dt)
         for c in self._constraints:
             c.begin_frame(hands, dt, n)
-        self._mending.begin_frame(self._gripped(), dt)
+        self._mending.begin_frame(self._gripped(), self._driven.bodies, dt)
         for p in range(pieces):
             if p == 0 or p * self.collision_passes // pieces != (p - 1) * self.collision_passes // pieces:
                 for c in self._constraints:

@@ -42,6 +42,7 @@ class Summary:
     def load(self, assembly: Assembly) -> None:
         """Tell of these bodies."""
         self.names = [p.body.name for p in assembly.parts]
+        self.driven = [p.body.pinned is not None for p in assembly.parts]
         self.flattest = [s.flattest for s in assembly.shapes]
         self._upload([stacked([s.center[None] for s in assembly.shapes], 3)])
 
@@ -50,9 +51,9 @@ class Summary:
         self.sum_up()
         total = self.total.to_numpy()[: len(self.names)].astype(np.float64)
         states = []
-        for name, t, n, holds in zip(self.names, total, self.flattest, held, strict=True):
+        for name, t, n, holds, driven in zip(self.names, total, self.flattest, held, self.driven, strict=True):
             axis = best_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
-            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds))
+            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
         return states
 
     def finite(self) -> bool:

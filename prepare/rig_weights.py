@@ -1,0 +1,110 @@
+"""Skin weights on a cage: each vertex follows the joint whose bone is nearest inside the cage, softened by diffusion.
+
+    (L + H) W = H P       L the cage's Laplacian, P the joint that each vertex belongs to (0 or 1), H = HOLD m / d^2
+
+with d the distance to the bone: where a limb is thin, or close to its bone, the change from joint to joint is quick
+(Baran & Popovic, Automatic Rigging and Animation of 3D Characters, 2007, there on surfaces). L has positive weights on
+edges alone, so that all W lie in 0..1 and each vertex's sum to 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.linalg import splu
+
+from assets.animation import MOST
+from assets.locate import Locator
+
+HOLD = 4.0  # how much quicker weights change than over the distance to the bone
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
+FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
+CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
+
+
+def laplacian(vertices: np.ndarray, tets: np.ndarray):
+    """L (V, V) [m] with positive weights on edges, and the volume m of each vertex [m^3], (V,)."""
+    x = np.asarray(vertices, np.float64)
+    volume = np.linalg.det(x[tets[:, 1:]] - x[tets[:, :1]]) / 6
+    ends = tets[:, EDGES].reshape(-1, 2)
+    length2 = ((x[ends[:, 0]] - x[ends[:, 1]]) ** 2).sum(1)
+    k = np.repeat(volume, 6) / length2  # a box of tets then has about the Laplacian of its finite differences
+    V = len(x)
+    A = coo_matrix((np.r_[k, k], (np.r_[ends[:, 0], ends[:, 1]], np.r_[ends[:, 1], ends[:, 0]])), shape=(V, V)).tocsr()
+    mass = np.bincount(tets.ravel(), np.repeat(volume / 4, 4), minlength=V)
+    return (diags(np.asarray(A.sum(1)).ravel()) - A).tocsc(), mass
+
+
+def diffused(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """W of (L + diag(m held)) W = diag(m held) target, (V, J); held [1/m^2] (V,), target (V, J) rows sum to 1."""
+    L, mass = laplacian(vertices, tets)
+    H = mass * held
+    return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)
+
+
+def bone_distances(vertices: np.ndarray, tets: np.ndarray, segments: list) -> np.ndarray:
+    """Length [m] of the way inside the cage from each vertex to each segment (a, b), (V, n)."""
+    x = np.asarray(vertices, np.float64)
+    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
+    step = np.median(length)
+    where = Locator(x, tets)
+    V, n = len(x), len(segments)
+    rows, columns, values = [ends[:, 0]], [ends[:, 1]], [length]
+    for k, (a, b) in enumerate(segments):  # a node V + k beyond all vertices near the segment
+        points = a + np.linspace(0, 1, max(int(2 * np.linalg.norm(b - a) / step), 1) + 1)[:, None] * (b - a)
+        host = where.find(points)
+        out = host < 0
+        if out.any():
+            host[out] = where.nearest(points[out])[0]
+        near = tets[host].ravel()
+        t = ((x[near] - a) @ (b - a) / max((b - a) @ (b - a), 1e-12)).clip(0, 1)
+        off = np.linalg.norm(x[near] - a - t[:, None] * (b - a), axis=1)
+        near, first = np.unique(near, return_index=True)
+        rows.append(np.full(len(near), V + k))
+        columns.append(near)
+        values.append(off[first] + 1e-9)
+    rows, columns = [ends[:, 1], *rows], [ends[:, 0], *columns]  # both ways, but none leads back to a segment
+    data = np.concatenate([length, *values])
+    graph = coo_matrix((data, (np.concatenate(rows), np.concatenate(columns))), shape=(V + n,) * 2).tocsr()
+    return dijkstra(graph, indices=np.arange(V, V + n))[:, :V].T
+
+
+def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest weights of each row (V, J), to sum 1 again: joints (V, 4) int32, weights (V, 4) float32."""
+    if weights.shape[1] < MOST:
+        weights = np.pad(weights, ((0, 0), (0, MOST - weights.shape[1])))
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :MOST]
+    w = np.take_along_axis(weights, joints, 1).clip(0)
+    w[w < 1e-3 * w[:, :1]] = 0.0
+    return np.where(w > 0, joints, 0).astype(np.int32), (w / w.sum(1, keepdims=True)).astype(np.float32)
+
+
+def firm(weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, float]:
+    """Which vertices are driven, (V,) bool: those of the surface that one joint leads, not near what this crushes.
+
+    weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
+    shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
+    Out.     and the smallest volume, of 1 at rest, of a tet that only driven vertices have
+    """
+    driven = np.zeros(len(weights), bool)
+    driven[surface] = weights[surface, 0] >= FIRM
+    least = least_volumes(tets, shapes)
+    tight = np.zeros(len(weights), bool)
+    tight[tets[least < CRUSHED]] = True
+    tight[tets[tight[tets].any(1)]] = True
+    driven &= ~tight
+    return driven, float(least[driven[tets].all(1)].min(initial=1.0))
+
+
+def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """The smallest volume that each tet has in shapes (F, V, 3), of 1 in the first, (T,)."""
+
+    def volumes(x):
+        return np.linalg.det(x[tets[:, 1:]] - x[tets[:, :1]])
+
+    rest, least = volumes(shapes[0]), np.ones(len(tets))
+    for x in shapes[1:]:
+        least = np.minimum(least, volumes(x) / rest)
+    return least

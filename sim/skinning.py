@@ -1,0 +1,43 @@
+"""Driven vertices that follow a skeleton: linear blend skinning on the device, into where the solver is to move them.
+
+x_i = sum_k w_ik  M_j(i,k)  X_i,    M = world_from_body  world_j  inverse_bind_j; its twin: assets/animation.py, skin.
+"""
+
+import numpy as np
+import taichi as ti
+
+
+@ti.data_oriented
+class Skinning:
+    """Driven vertices of one body.
+
+    first     global index of the body's first vertex;  vertices (D,) those driven, counted from it
+    points    where they are at rest [m], (D, 3);  joints (D, 4);  weights (D, 4);  count  number of joints
+    """
+
+    def __init__(self, first: int, vertices, points, joints, weights, count: int):
+        D = len(vertices)
+        self.index, self.joint = ti.field(ti.i32, D), ti.Vector.field(4, ti.i32, D)
+        self.point, self.weight = ti.Vector.field(3, ti.f32, D), ti.Vector.field(4, ti.f32, D)
+        self.matrix = ti.Matrix.field(3, 4, ti.f32, count)
+        self.index.from_numpy((np.asarray(vertices) + first).astype(np.int32))
+        self.point.from_numpy(np.asarray(points, np.float32))
+        self.joint.from_numpy(np.asarray(joints, np.int32))
+        self.weight.from_numpy(np.asarray(weights, np.float32))
+
+    def pose(self, matrices: np.ndarray, targets) -> None:
+        """Write where the vertices are by matrices (J, 4, 4) to the field `targets` vec3[V]."""
+        self._pose(np.ascontiguousarray(matrices[:, :3], np.float32), targets)
+
+    @ti.kernel
+    def _pose(self, matrices: ti.types.ndarray(ti.f32, 3), targets: ti.template()):
+        for j in self.matrix:
+            for a, b in ti.static(ti.ndrange(3, 4)):
+                self.matrix[j][a, b] = matrices[j, a, b]
+        for i in self.index:
+            x = self.point[i]
+            y = ti.Vector([0.0, 0.0, 0.0])
+            for k in ti.static(range(4)):
+                M = self.matrix[self.joint[i][k]]
+                y += self.weight[i][k] * (M @ ti.Vector([x[0], x[1], x[2], 1.0]))
+            targets[self.index[i]] = y

@@ -20,10 +20,8 @@ from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
 from sim.elastic import Elastic, fine_stress
 from sim.modes import MODES, modes_of
-from sim.polar import polar_quaternion, rotation_matrix
 from sim.state import State, Upload
-
-TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
+from sim.turning import Turning
 
 
 @ti.data_oriented
@@ -41,19 +39,19 @@ class Coarse:
         V, C = state.V, chunks.size
         self.builder = ti.FieldsBuilder()
         self.shape, self.force, self.step = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.turn = ti.Matrix.field(3, 3, ti.f32)
-        self.square, self.part, self.partial, self.amplitude, self.slope, self.sums, self.share, self.trial = (
-            ti.field(ti.f32) for _ in range(8)
+        self.square, self.part, self.partial, self.amplitude, self.slope, self.share, self.trial = (
+            ti.field(ti.f32) for _ in range(7)
         )
         self.builder.dense(ti.i, V * MODES).place(self.shape)
         self.builder.dense(ti.i, V).place(self.force, self.step)
         self.builder.dense(ti.ij, (V, 2)).place(self.part)
         self.builder.dense(ti.i, MAX_BODIES * MODES).place(self.square, self.amplitude)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.turn, self.share, self.trial)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.share, self.trial)
         self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
         self.builder.dense(ti.ij, (C, 2)).place(self.slope)
-        self.builder.dense(ti.ij, (C, TURN)).place(self.sums)
         self.tree = self.builder.finalize()
+        self.turning = Turning(state, chunks)
+        self.turn = self.turning.turn
         self._upload = Upload([self.shape, self.square])
 
     def load(self, assembly: Assembly) -> None:
@@ -62,7 +60,7 @@ class Coarse:
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
-        return [self.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
+        return [self.turning.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
 
     @ti.func
     def _residual(self, t):
@@ -92,45 +90,6 @@ class Coarse:
         for k in range(e.slot_begin[i], e.slot_begin[i + 1]):
             f += e.correction[k]
         return f
-
-    def rotations(self):
-        """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
-        s, c = self.state, self.chunks
-
-        @ti.kernel
-        def rotations():
-            if ti.static(s.serial):
-                ti.loop_config(serialize=True)
-            for j in range(c.size):
-                span = c.span[j]
-                total = ti.Matrix.zero(ti.f32, 3, 3)
-                p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                first = s.vertex_begin[span[2]]
-                for i in range(span[0], span[1]):
-                    m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
-                    total += m * x.outer_product(X)
-                    p += m * x
-                    q += m * X
-                for k in ti.static(range(3)):
-                    for l in ti.static(range(3)):
-                        self.sums[j, 3 * k + l] = total[k, l]
-                    self.sums[j, 9 + k] = p[k]
-                    self.sums[j, 12 + k] = q[k]
-            if ti.static(s.serial):
-                ti.loop_config(serialize=True)
-            for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
-                    total = ti.Matrix.zero(ti.f32, 3, 3)
-                    p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                    for j in range(c.of_body[b], c.of_body[b + 1]):
-                        for k in ti.static(range(3)):
-                            for l in ti.static(range(3)):
-                                total[k, l] += self.sums[j, 3 * k + l]
-                            p[k] += self.sums[j, 9 + k]
-                            q[k] += self.sums[j, 12 + k]
-                    self.turn[b] = rotation_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
-
-        return rotations
 
     def residual(self):
         s = self.state
@@ -275,4 +234,5 @@ class Coarse:
         return shorten
 
     def destroy(self) -> None:
+        self.turning.destroy()
         self.tree.destroy()

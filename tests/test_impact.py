@@ -31,8 +31,11 @@ def test_light_stiff_bodies_that_graze_a_wall_gain_no_energy(ti_cpu):
     for _ in range(12):
         solver.step(DT)
         q = solver.snapshot()
+        assert q["x"][:, 1].min() > -1e-3
+        now = []
         for k, part in enumerate(parts):
             y, v = (q[name][k * n : (k + 1) * n].astype(np.float64) for name in ("x", "v"))
-            most = max(most, 0.5 * part.mass @ (v**2).sum(1) + elastic(part, y))
+            now.append(0.5 * part.mass @ (v**2).sum(1) + elastic(part, y))
+        most = max(most, *now)
     assert most < 3 * begin  # for a moment more than half of it may be strain that the sweeps have not taken out yet
-    assert q["x"][:, 1].min() > -1e-3 and q["x"][:, 1].max() < 0.5
+    assert max(now) < begin  # without gravity, friction and the wall only take

@@ -123,7 +123,7 @@ def dropped(world, cage: np.ndarray, young: float) -> Drop:
         substeps=round(1 / 60 / stats["dt"]),
         dt=stats["dt"],
         path=stats["path"],
-        finite=stats["finite"],
+        finite=stats["finite"] and stats["rescued"] == 0,
         pictures=pictures,
     )
 

@@ -5,10 +5,13 @@ and modes U_k of squared frequency w_k, all at the substep's dt,
 
     q_k = sum_i U_ki . R^T f_i / (1/dt^2 + w_k),   d_i = R sum_k q_k U_ki,   dx_i += a d_i,
 
-    a = f . d / (f . d - f(dx + d) . d + sum_i hold_i |d_i|^2)   in [0, 1]:
+    b = f . d / (f . d + h),   a = b f . d / (f . d - f(dx + b d) . d + b h)  in [0, b],   h = sum_i hold_i |d_i|^2:
 
 the secant step to the least energy along d, so the energy does not rise however far the body is from its rest shape.
-hold_i is the stiffness of vertex i where it touches something: the step may not outrun a contact.
+hold_i is the stiffness of vertex i where it touches something: the step may not outrun a contact. With b it would be
+the least energy if the body were linear, as it is for small steps; the secant is taken there and not at d itself, for
+what pushes one vertex of a light stiff body hard enough asks for turns by many radians, and the energy out there says
+nothing of the energy here: the step would become nothing, and what the push left in the body would stay and grow.
 """
 
 import taichi as ti
@@ -17,10 +20,8 @@ from sim.assembly import MAX_BODIES, Assembly, stacked
 from sim.damping import Chunks
 from sim.elastic import Elastic, fine_stress
 from sim.modes import MODES, modes_of
-from sim.polar import polar_quaternion, rotation_matrix
 from sim.state import State, Upload
-
-TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
+from sim.turning import Turning
 
 
 @ti.data_oriented
@@ -38,19 +39,19 @@ class Coarse:
         V, C = state.V, chunks.size
         self.builder = ti.FieldsBuilder()
         self.shape, self.force, self.step = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.turn = ti.Matrix.field(3, 3, ti.f32)
-        self.square, self.part, self.partial, self.amplitude, self.slope, self.sums, self.share = (
+        self.square, self.part, self.partial, self.amplitude, self.slope, self.share, self.trial = (
             ti.field(ti.f32) for _ in range(7)
         )
         self.builder.dense(ti.i, V * MODES).place(self.shape)
         self.builder.dense(ti.i, V).place(self.force, self.step)
         self.builder.dense(ti.ij, (V, 2)).place(self.part)
         self.builder.dense(ti.i, MAX_BODIES * MODES).place(self.square, self.amplitude)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.turn, self.share)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.share, self.trial)
         self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
         self.builder.dense(ti.ij, (C, 2)).place(self.slope)
-        self.builder.dense(ti.ij, (C, TURN)).place(self.sums)
         self.tree = self.builder.finalize()
+        self.turning = Turning(state, chunks)
+        self.turn = self.turning.turn
         self._upload = Upload([self.shape, self.square])
 
     def load(self, assembly: Assembly) -> None:
@@ -59,7 +60,7 @@ class Coarse:
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
-        return [self.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
+        return [self.turning.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
 
     @ti.func
     def _residual(self, t):
@@ -89,45 +90,6 @@ class Coarse:
         for k in range(e.slot_begin[i], e.slot_begin[i + 1]):
             f += e.correction[k]
         return f
-
-    def rotations(self):
-        """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
-        s, c = self.state, self.chunks
-
-        @ti.kernel
-        def rotations():
-            if ti.static(s.serial):
-                ti.loop_config(serialize=True)
-            for j in range(c.size):
-                span = c.span[j]
-                total = ti.Matrix.zero(ti.f32, 3, 3)
-                p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                first = s.vertex_begin[span[2]]
-                for i in range(span[0], span[1]):
-                    m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
-                    total += m * x.outer_product(X)
-                    p += m * x
-                    q += m * X
-                for k in ti.static(range(3)):
-                    for l in ti.static(range(3)):
-                        self.sums[j, 3 * k + l] = total[k, l]
-                    self.sums[j, 9 + k] = p[k]
-                    self.sums[j, 12 + k] = q[k]
-            if ti.static(s.serial):
-                ti.loop_config(serialize=True)
-            for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
-                    total = ti.Matrix.zero(ti.f32, 3, 3)
-                    p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                    for j in range(c.of_body[b], c.of_body[b + 1]):
-                        for k in ti.static(range(3)):
-                            for l in ti.static(range(3)):
-                                total[k, l] += self.sums[j, 3 * k + l]
-                            p[k] += self.sums[j, 9 + k]
-                            q[k] += self.sums[j, 12 + k]
-                    self.turn[b] = rotation_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
-
-        return rotations
 
     def residual(self):
         s = self.state
@@ -175,8 +137,24 @@ class Coarse:
 
         return project
 
+    @ti.func
+    def _sum_parts(self, j, k):
+        """Sum column k of `part` over run j."""
+        span, total = self.chunks.span[j], 0.0
+        for i in range(span[0], span[1]):
+            total += self.part[i, k]
+        self.slope[j, k] = total
+
+    @ti.func
+    def _slope(self, b, k):
+        """Sum column k of `part` over body b."""
+        total = 0.0
+        for j in range(self.chunks.of_body[b], self.chunks.of_body[b + 1]):
+            total += self.slope[j, k]
+        return total
+
     def move(self):
-        s = self.state
+        s, c = self.state, self.chunks
 
         @ti.kernel
         def move():
@@ -188,7 +166,23 @@ class Coarse:
                     for k in range(MODES):
                         d += self.amplitude[b * MODES + k] * self.shape[i * MODES + k]
                     self.part[i, 0] = d.dot(self.force[i])
-                    d = self.turn[b] @ d
+                    self.part[i, 1] = self.hold[i] * d.norm_sqr()
+                    self.step[i] = self.turn[b] @ d
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for jk in range(2 * c.size):
+                self._sum_parts(jk // 2, jk % 2)
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for b in range(MAX_BODIES):
+                if b < s.body_count[None]:
+                    gain = self._slope(b, 0)
+                    self.trial[b] = gain / ti.max(gain + self._slope(b, 1), 1e-30) if gain > 0.0 else 0.0
+            if ti.static(s.serial):
+                ti.loop_config(serialize=True)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    d = self.trial[s.body_of_vertex[i]] * self.step[i]
                     self.step[i] = d
                     s.dx[i] += d
 
@@ -208,21 +202,18 @@ class Coarse:
                 ti.loop_config(serialize=True)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
-                    d = self.step[i]
+                    d, b = self.step[i], self.trial[s.body_of_vertex[i]]
+                    self.part[i, 0] *= b
                     self.part[i, 1] = self.part[i, 0] + self.hold[i] * d.norm_sqr() - d.dot(self._total(i))
             if ti.static(s.serial):
                 ti.loop_config(serialize=True)
             for jk in range(2 * c.size):
-                j, k = jk // 2, jk % 2
-                span, total = c.span[j], 0.0
-                for i in range(span[0], span[1]):
-                    total += self.part[i, k]
-                self.slope[j, k] = total
+                self._sum_parts(jk // 2, jk % 2)
 
         return measure
 
     def shorten(self):
-        s, c = self.state, self.chunks
+        s = self.state
 
         @ti.kernel
         def shorten():
@@ -230,11 +221,7 @@ class Coarse:
                 ti.loop_config(serialize=True)
             for b in range(MAX_BODIES):
                 if b < s.body_count[None]:
-                    gain, curvature = 0.0, 0.0
-                    for j in range(c.of_body[b], c.of_body[b + 1]):
-                        gain += self.slope[j, 0]
-                        curvature += self.slope[j, 1]
-                    a = 1.0
+                    gain, curvature, a = self._slope(b, 0), self._slope(b, 1), 1.0
                     if curvature > gain:
                         a = ti.max(gain / curvature, 0.0)
                     self.share[b] = a
@@ -247,4 +234,5 @@ class Coarse:
         return shorten
 
     def destroy(self) -> None:
+        self.turning.destroy()
         self.tree.destroy()

@@ -15,6 +15,7 @@ from sim.assembly import Assembly
 from sim.body import SoftBody
 from sim.driven import Driven
 from sim.parts import Part, motion
+from sim.rescue import Rescue
 from sim.rigid import Movers
 from sim.state import Download, Upload
 from sim.summary import best_rotation
@@ -31,6 +32,7 @@ class Editing:
     _parts: list[Part]
     _movers: Movers | None
     _driven: Driven
+    _rescue: Rescue
 
     @property
     def _bodies(self) -> list[SoftBody]:
@@ -128,20 +130,26 @@ class Editing:
         if not editing:
             self._mending.hold(snapshot.get("mending", np.zeros((4, len(parts)))))
         self._write(values)
+        self._rescue.run(1)
         self._driven.reset()
-        if self._movers is not None:
-            self._fit()
-        for c in self._constraints:
-            c.reset()
-        for c, grips in zip(self._constraints, snapshot.get("grips", ()), strict=False):
-            c.hold(grips)
-        self._substeps.reset()
+        self._forget(snapshot.get("grips", ()))
         self._transform.reset()
 
     def reset(self) -> None:
         """All bodies back to their starts; grips and contacts are forgotten."""
         self._change(self._parts, [p.start for p in self._parts], [])
         self._mending.reset()
+
+    def _forget(self, grips=None) -> None:
+        """Contacts begin anew; hands hold `grips`, or what they hold now."""
+        grips = self._grips() if grips is None else grips
+        if self._movers is not None:
+            self._fit()
+        for c in self._constraints:
+            c.reset()
+        for c, held in zip(self._constraints, grips, strict=False):
+            c.hold(held)
+        self._substeps.reset()
 
     def _fit(self) -> None:
         """Let the rigid bodies be where their vertices are."""

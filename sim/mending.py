@@ -7,6 +7,9 @@ its vertices are led to its rest shape, where the rest shape fits best (Mueller 
 
     v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
+
+It stiffens again by and by, and is led meanwhile: a limp body sags a little under its weight, and were it itself again
+at once, the 1.6 mm by which one of 0.1 m and 1e8 Pa does so would throw it at 9 m/s.
 """
 
 import numpy as np
@@ -15,12 +18,15 @@ import taichi as ti
 from sim.assembly import MAX_BODIES, Assembly
 from sim.damping import Damping
 from sim.polar import polar_quaternion
+from sim.rescue import LOST
 from sim.stability import lame
 from sim.state import State, Upload
 from sim.summary import Summary
 
-DURATION = 0.4  # [s] from the last inverted tet on
+DURATION = 0.6  # [s] from the last inverted tet on
+STIFFENING = 0.2  # [s] of them, at the end: each frame of 60 Hz three times as stiff, for 1e8 Pa
 TIME = 0.04  # [s] in which what is left to go shrinks to a third
+FASTEST = 2.0  # [m/s] at which it does: a hand may drop a body that it drew out by metres. With 0.4, kinks hold out
 PATIENCE = 0.02  # [s] that tets may be inverted: more than a frame of 60 Hz
 LIMP = 200.0  # [Pa] Young's modulus of a limp body: g and kinks must not hold out against 1/TIME^2
 
@@ -61,28 +67,33 @@ class Mending:
         self._soften(kept[3])
 
     def _inverted(self) -> np.ndarray:
-        return self.state.inverted.to_numpy()[: len(self.parts)] != 0
+        return self.state.inverted.to_numpy()[: len(self.parts)]
 
-    def begin_frame(self, held: set[int], driven: set[int], dt: float) -> None:
+    def begin_frame(self, held: set[int], driven: set[int], dt: float) -> bool:
         """Before a frame of dt [s]: which bodies had inverted tets in the last one, and which does a hand hold?
 
         Those whose vertices are driven have no other shape to go to than where these lead them.
+        Whether any was lost (sim/rescue.py).
         """
-        inverted = self._inverted() & ~np.isin(np.arange(len(self.parts)), list(driven))
-        if not inverted.any() and not self.status.any():
-            return
+        marks = self._inverted()
+        if not marks.any() and not self.status.any():
+            return False
+        lost = marks & LOST != 0
+        inverted = (marks & ~LOST != 0) & ~np.isin(np.arange(len(self.parts)), list(driven))
         held_now = np.isin(np.arange(len(self.parts)), list(held))
         left, since, tangled = self.status
         since = np.where(inverted, since + dt, 0.0)
-        tangled = (tangled > 0) | (inverted & held_now) | (since > PATIENCE)
+        tangled = (tangled > 0) | (inverted & held_now) | (since > PATIENCE) | lost
         left = np.where(tangled & ~held_now, DURATION, np.where(held_now, 0.0, np.maximum(left - dt, 0.0)))
         self.status = np.stack([left, since, tangled & held_now])
         self._soften(np.zeros(len(self.parts)))
+        return bool(lost.any())
 
     def _soften(self, inverted: np.ndarray) -> None:
         limp = self.status[0] > 0.0
         materials = [p.body.material for p in self.parts]
-        scale = np.array([min(1.0, LIMP / m.young) if soft else 1.0 for m, soft in zip(materials, limp, strict=True)])
+        softest = np.array([min(1.0, LIMP / m.young) for m in materials])
+        scale = np.where(limp, softest ** np.clip(self.status[0] / STIFFENING, 0.0, 1.0), 1.0)
         constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
         self._set([limp, inverted, constants[:, 0], constants[:, 1]])
 
@@ -111,7 +122,8 @@ class Mending:
                     center = ti.Vector([total[b, k] for k in range(3)])
                     velocity = ti.Vector([total[b, 3 + k] for k in range(3)])
                     goal = velocity + self.damping.omega[b].cross(s.x[i] - center)
-                    goal += (center + turned - s.x[i]) / TIME
+                    way = center + turned - s.x[i]
+                    goal += way / ti.max(TIME, way.norm() / FASTEST)
                     s.v[i] += (1.0 - ti.exp(-t / (0.1 * TIME))) * (goal - s.v[i])
 
     def destroy(self) -> None:

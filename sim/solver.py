@@ -20,6 +20,7 @@ from sim.editing import Editing
 from sim.elastic import Elastic
 from sim.mending import Mending
 from sim.parts import Part
+from sim.rescue import Rescue
 from sim.rigid import LONGEST_SUBSTEP, MOST_PASSES, PASS, Movers
 from sim.rigid_body import RigidBody
 from sim.stability import LIMIT, Plan, choose_plan
@@ -83,6 +84,7 @@ class Solver(Editing, Boundaries):
         self._elastic, self._chunks = Elastic(s), Chunks(s)
         self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
         self._mending, self._driven = Mending(s, self._summary, self._damping), Driven(s)
+        self._rescue = Rescue(s)
         if self._with_rigid:
             passes = min(max(math.ceil(plan.substep / PASS), 1), MOST_PASSES)
             self._movers = Movers(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
@@ -148,7 +150,8 @@ class Solver(Editing, Boundaries):
         self._driven.begin_frame(dt)
         for c in self._constraints:
             c.begin_frame(hands, dt, n)
-        self._mending.begin_frame(self._gripped(), self._driven.bodies, dt)
+        if self._mending.begin_frame(self._gripped(), self._driven.bodies, dt):
+            self._forget()
         for p in range(pieces):
             if p == 0 or p * self.collision_passes // pieces != (p - 1) * self.collision_passes // pieces:
                 for c in self._constraints:
@@ -156,6 +159,7 @@ class Solver(Editing, Boundaries):
             self._mending.run(dt / pieces)
             self._damping.run(dt / pieces)
             self._substeps.run(length)
+        self._rescue.run(0)
         self._driven.end_frame()
         self._last = (n, dt / n)
 
@@ -210,7 +214,8 @@ class Solver(Editing, Boundaries):
 
     @property
     def stats(self) -> dict:
-        """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back."""
+        """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back;
+        `rescued`: how often a body that was not finite was put back (sim/rescue.py)."""
         n, dt = self._last
         dt_or_planned = float(dt or self._plan.substep)
         return {
@@ -224,4 +229,5 @@ class Solver(Editing, Boundaries):
             "iterations": self._plan.iterations,
             "collision_passes": self.collision_passes,
             "finite": self._summary.finite(),
+            "rescued": int(self._rescue.count[None]),
         }

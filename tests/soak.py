@@ -76,6 +76,7 @@ class Soak:
     def _step(self, hands: list[Hand]) -> None:
         self.solver.step(FRAME, hands)
         self.time += FRAME
+        self.watch.stepped()
 
     def _handle(self, rng: np.random.Generator) -> None:
         hands, before = Hands(rng), [Hand(), Hand()]

@@ -24,10 +24,17 @@ class Watch:
 
     def __init__(self, solver):
         self.solver, self.budget, self.edited = solver, 0.0, []
+        self.led: set[int] = set()
+        self.rescued = solver.stats["rescued"]
         self.moving, self.potential, self.weight = energies(solver)
 
     def hands(self, joules: float) -> None:
         self.budget += joules
+
+    def stepped(self) -> None:
+        """A frame has passed: what is led to its shape, lying, may be lifted by its own height (sim/mending.py)."""
+        limp = self.solver._mending.status[0] > 0.0
+        self.led |= {k for k, soft in enumerate(limp) if soft}
 
     def hands_off(self) -> None:
         self.budget = 0.0
@@ -36,6 +43,7 @@ class Watch:
         """An edit was just made, after a look: energy is counted anew, and what overlaps now may part."""
         self.moving, self.potential, self.weight = energies(self.solver)
         self.budget += self.weight / 9.81 * PUSH**2 / 2
+        self.led.clear()
         self.edited.append(what)
 
     def look(self, time: float) -> None:
@@ -43,10 +51,17 @@ class Watch:
         q = self.solver.snapshot()
         if not (np.isfinite(q["x"]).all() and np.isfinite(q["v"]).all()):
             raise Failure(f"not finite; edits so far: {', '.join(self.edited) or 'none'}")
+        if rescued := self.solver.stats["rescued"] - self.rescued:
+            self.rescued += rescued
+            raise Failure(f"{rescued} bodies were not finite; edits so far: {', '.join(self.edited) or 'none'}")
         skin = q["x"][surface(self.solver, q)]  # an inner vertex of a body that cannot carry itself may hang lower
         out = max(-skin[:, 1].min(), np.abs(skin[:, [0, 2]]).max() - ARENA)
         if out > DEEPEST:
             raise Failure(f"{1000 * out:.0f} mm behind floor or wall; edits so far: {', '.join(self.edited) or 'none'}")
+        for part in (q["bodies"][k] for k in self.led):
+            height = np.ptp(part.shape.vertices, axis=0).max()
+            self.budget += part.mass.sum() * -self.solver.gravity[1] * height
+        self.led.clear()
         moving, potential, weight = energies(self.solver)
         gained = moving + potential - self.moving - self.potential
         allowed = self.budget + GAIN * max(self.moving, moving) + LIFT * weight

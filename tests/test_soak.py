@@ -18,7 +18,7 @@ def test_two_minutes_of_anything(ti_cpu):
     assert soak(0, 2.0, Ranges(young=(1e2, 1e5), density=(100.0, 1e4), most=6, burden=0.5)) == []
 
 
-def test_an_episode_is_the_same_each_time():
+def test_an_episode_is_the_same_each_time(ti_cpu):
     first, again = (population(generator(5, 3), Ranges()) for _ in range(2))
     assert 1 <= len(first) <= MOST_BODIES
     for a, b in zip(first, again, strict=True):

@@ -181,6 +181,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         help="foam, rubber, plush, jelly or wood (default plush)",
     )
     c.add_argument("--force", action="store_true", help="overwrite OUT")
+    c.add_argument("--no-report", action="store_true", help="leave out ASSET.report.html and ASSET.report.json")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.sog cat.spz")
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")

@@ -13,6 +13,7 @@ from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
 from prepare.pipeline import STAGES, Progress, prepare
+from prepare.report import report_names, write_report
 
 
 class ProgressLines:
@@ -46,8 +47,11 @@ def prepare_file(
     material: str | None = None,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
+    pictures: bool = False,
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
+
+    pictures  also write the report beside it: ASSET.report.html and ASSET.report.json
 
     The options are those of `prepare`. Raises BadInput, naming the file.
     """
@@ -56,14 +60,18 @@ def prepare_file(
         raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
     gaussians = read_gaussians(path, report)
     progress = progress or ProgressLines()
+    options = {"vertices": vertices, "scale": scale, "up": up, "material": material}
+    made = []
     try:
-        asset = prepare(gaussians, vertices=vertices, scale=scale, up=up, material=material, progress=progress)
+        asset = prepare(gaussians, **options, progress=progress, look=made.append)
     except BadInput as e:
         raise BadInput(f"{path}: {e}") from e
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     asset.save(out)
     for line in summary(asset.provenance):
         report(line)
+    if pictures:
+        write_report(asset, made[0], out)
     return out
 
 
@@ -92,5 +100,6 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     if out.exists() and not args.force:
         raise BadInput(f"{out}: exists already; --force overwrites it")
-    prepare_file(args.splats, out, vertices=args.vertices, scale=args.scale, up=args.up, material=args.material)
-    print(f"wrote {out}")
+    options = {"vertices": args.vertices, "scale": args.scale, "up": args.up, "material": args.material}
+    prepare_file(args.splats, out, **options, pictures=not args.no_report)
+    print(f"wrote {out}" + ("" if args.no_report else f" and {report_names(out)[0]}"))

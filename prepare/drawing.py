@@ -8,8 +8,8 @@ import numpy as np
 from assets.camera import Camera
 
 PAPER = (250, 249, 247)
-LIGHT = np.array([-0.35, 0.75, 0.55]) / np.linalg.norm([-0.35, 0.75, 0.55])  # towards it, in the asset's frame
-AMBIENT = 0.45
+LIGHT = np.array([-0.5, -0.65, -0.6]) / np.linalg.norm([-0.5, -0.65, -0.6])  # towards it, from the camera
+AMBIENT = 0.35
 FINER = 2  # times the size that is drawn
 SHIFT = 4  # bits of a pixel: OpenCV's fixed point
 
@@ -28,10 +28,10 @@ class Canvas:
         z = np.maximum(p[:, 2:], 1e-9)
         return FINER * (p[:, :2] / z * [c.fx, c.fy] + [c.cx, c.cy]), p[:, 2]
 
-    def polygons(self, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, lines=None, cull=True) -> None:
+    def polygons(self, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, lines=None, flat=False) -> None:
         """Flat faces (F, 3 or 4) of vertices (V, 3) [m], counter-clockwise from outside; colours (F, 3) 0..255.
 
-        lines  colour of their edges, or None; cull: leave out what faces away
+        lines  colour of their edges, or None; flat: without shading. What faces away is left out.
         """
         x = np.asarray(vertices, np.float64)
         place, depth = self.project(x)
@@ -39,10 +39,10 @@ class Canvas:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         middle = x[faces].mean(1)
         towards = np.einsum("ni,ni->n", normal, self.camera.position - middle) > 0
-        shade = AMBIENT + (1 - AMBIENT) * np.abs(normal @ LIGHT) ** 0.8
-        shade[normal @ LIGHT < 0] = AMBIENT
+        lit = 0.5 + 0.5 * normal @ (self.camera.world_to_camera[:3, :3].T @ LIGHT)  # wrapped round: no face is black
+        shade = np.ones(len(faces)) if flat else AMBIENT + (1 - AMBIENT) * lit
         order = np.argsort(-depth[faces].mean(1), kind="stable")
-        order = order[towards[order]] if cull else order
+        order = order[towards[order]]
         fixed = np.round(place * (1 << SHIFT)).clip(-(1 << 24), 1 << 24).astype(np.int32)[faces]
         colour = (np.asarray(colours, np.float64) * shade[:, None]).clip(0, 255)
         for f in order:

@@ -15,9 +15,10 @@ from assets.orient import guess_up, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, cage_of, check_count, share_inside
 from prepare.clean import FEWEST, clean
 from prepare.embed import embed
-from prepare.fill import density_of, solid_cells
+from prepare.fill import DENSE, density_of, solid_cells
 from prepare.levelset import contact_grid, level_set, volume_of
 from prepare.quality import dihedral_angles, volumes
+from prepare.report_pictures import Made
 
 VERSION = 1  # of what this pipeline makes; raise it when the same splat would give another asset
 NODES = 96  # of the grid on the longest side for 2,000 vertices: seven a lattice cell
@@ -40,6 +41,7 @@ def prepare(
     material: str | None = None,
     adaptive: bool = True,
     progress: Progress | None = None,
+    look: Callable[[Made], None] | None = None,
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
@@ -49,6 +51,7 @@ def prepare(
     material  a name of assets.materials; None: plush
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     progress  called with a stage of STAGES and the share of it that is done
+    look      called with what the stages before the cage made
     Out.      the asset: +y up, centred in x and z, its lowest point at y = 0; provenance["figures"] tells its quality
     Raises    BadInput where the splat holds no solid object or no good cage was found.
     """
@@ -75,7 +78,8 @@ def prepare(
     spacing = float((high - low).max()) / nodes
     origin = low - BORDER * nodes * spacing
     shape = tuple(int(k) for k in np.ceil((high - low) / spacing + 2 * BORDER * nodes) + 1)
-    solid = solid_cells(density_of(g, origin, spacing, shape))
+    density = density_of(g, origin, spacing, shape)
+    solid = solid_cells(density)
 
     report("surface", 0.0)
     phi = level_set(solid)
@@ -111,6 +115,9 @@ def prepare(
         "counts": counts,
         "figures": figures,
     }
+    if look:
+        size_of_cell = spacing * factor
+        look(Made(density > DENSE, solid, phi * size_of_cell, -foot * size_of_cell, size_of_cell))
     report("contact", 1.0)
     return Asset(g, cage, embedded, grid, properties, provenance)
 

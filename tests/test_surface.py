@@ -58,9 +58,7 @@ def test_distance_to_a_ball_is_that_to_its_radius():
     v, f = marching_cubes(sphere(), np.zeros(3), 1.0)
     rng = np.random.default_rng(1)
     p = np.array([13.3, 13.9, 14.2]) + rng.normal(size=(500, 3)) * 6
-    assert_allclose(
-        distance_to_surface(p, v, f), np.abs(np.linalg.norm(p - [13.3, 13.9, 14.2], axis=1) - R), atol=0.05
-    )
+    assert_allclose(distance_to_surface(p, v, f), np.abs(np.linalg.norm(p - [13.3, 13.9, 14.2], axis=1) - R), atol=0.05)
 
 
 def test_samples_are_spread_by_area():

@@ -15,6 +15,8 @@ from assets.files import read_gaussians
 from prepare.pipeline import STAGES, Progress, prepare
 from prepare.report import report_names, write_report
 
+APART = 0.05  # of the Gaussians; when more lie apart from the object, they are no floaters
+
 
 class ProgressLines:
     """Prints a line a stage on stderr when it ends, with the time it took."""
@@ -81,7 +83,10 @@ def summary(provenance: dict) -> list[str]:
     left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
     up = provenance["up"] if options["up"] else f"{provenance['up']} (guessed; --up overrides)"
     size = f"{provenance['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
-    return [
+    pieces = []
+    if counts["apart"] > APART * counts["read"]:
+        pieces = [f"the splat has pieces that lie apart: the largest is taken, {counts['apart']} Gaussians left out"]
+    return pieces + [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {up}, largest extent {size}",
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets, smallest dihedral angle "

@@ -47,6 +47,7 @@ def prepare_file(
     scale: float | None = None,
     up: str | None = None,
     material: str | None = None,
+    mesher: str = "stuffing",
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
     pictures: bool = False,
@@ -63,17 +64,17 @@ def prepare_file(
     gaussians = read_gaussians(path, report)
     progress = progress or ProgressLines()
     options = {"vertices": vertices, "scale": scale, "up": up, "material": material}
-    made = []
+    made, notes = [], []
     try:
-        asset = prepare(gaussians, **options, progress=progress, look=made.append)
+        asset = prepare(gaussians, **options, mesher=mesher, progress=progress, look=made.append, say=notes.append)
     except BadInput as e:
         raise BadInput(f"{path}: {e}") from e
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     asset.save(out)
-    for line in summary(asset.provenance):
+    for line in notes + summary(asset.provenance):
         report(line)
     if pictures:
-        write_report(asset, made[0], out)
+        write_report(asset, made[0], out, notes=tuple(notes))
     return out
 
 
@@ -106,5 +107,5 @@ def run(args: argparse.Namespace) -> None:
     if out.exists() and not args.force:
         raise BadInput(f"{out}: exists already; --force overwrites it")
     options = {"vertices": args.vertices, "scale": args.scale, "up": args.up, "material": args.material}
-    prepare_file(args.splats, out, **options, pictures=not args.no_report)
+    prepare_file(args.splats, out, **options, mesher=args.mesher, pictures=not args.no_report)
     print(f"wrote {out}" + ("" if args.no_report else f" and {report_names(out)[0]}"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
 from assets.orient import guess_up, metres, rotation_to_up
-from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, cage_of, check_count, share_inside
+from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
 from prepare.clean import FEWEST, clean
 from prepare.embed import embed
 from prepare.fill import DENSE, density_of, solid_cells
 from prepare.levelset import contact_grid, level_set, volume_of
+from prepare.meshers import check_mesher, mesh
 from prepare.quality import dihedral_angles, volumes
 from prepare.report_pictures import Made
 
@@ -39,9 +41,11 @@ def prepare(
     scale: float | None = None,
     up: str | None = None,
     material: str | None = None,
+    mesher: str = "stuffing",
     adaptive: bool = True,
     progress: Progress | None = None,
     look: Callable[[Made], None] | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
@@ -49,6 +53,7 @@ def prepare(
     scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
     up        axis of the file that points up, "+x" to "-z"; None: guessed
     material  a name of assets.materials; None: plush
+    mesher    a name of MESHERS; stuffing makes the cage where another cannot, and `say` is told why
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     progress  called with a stage of STAGES and the share of it that is done
     look      called with what the stages before the cage made
@@ -59,6 +64,7 @@ def prepare(
     report = progress or (lambda stage, done: None)
     properties = material_named(material or DEFAULT)
     check_count(vertices)
+    check_mesher(mesher)
     metres(1.0, scale)
     if up is not None:
         rotation_to_up(up)
@@ -90,7 +96,8 @@ def prepare(
 
     report("cage", 0.0)
     points = (g.means[opaque(g)].astype(np.float64) - origin) / spacing
-    cage = cage_of(phi, points, vertices, lambda done: report("cage", done), adaptive=adaptive)
+    cage_share = partial(report, "cage")
+    cage, used = mesh(mesher, phi, points, vertices, cage_share, adaptive=adaptive, say=say)
     size = metres(longest, scale)
     factor = size / longest
     middle = (cage.vertices.min(0) + cage.vertices.max(0)) / 2
@@ -104,11 +111,13 @@ def prepare(
     report("contact", 0.0)
     grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)
     figures = measure(cage, g.means[opaque(g)], vertices)
+    figures["mesher"] = used
     figures["filled"] = volume_of(phi) * (spacing * factor) ** 3
     figures["seconds"] = round(time.perf_counter() - begin, 2)
     provenance = {
         "made_by": f"vrgs prepare {VERSION}",
-        "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material},
+        "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material}
+        | ({} if mesher == "stuffing" else {"mesher": mesher}),
         "up": up,
         "size": size,
         "metres_per_unit": factor,

@@ -217,7 +217,7 @@ def test_the_command_checks_its_names_first(tmp_path):
     def command(splats, out, force=False):
         run(argparse.Namespace(
             splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None,
-            no_report=True, mesher="stuffing", tetgen_python=None,
+            no_report=True, mesher="stuffing",
         ))  # fmt: skip
 
     with pytest.raises(BadInput, match=r"none\.ply: no such file"):

@@ -12,9 +12,14 @@ from assets.gaussians import concatenate
 from tests.shells import ball
 from tests.test_prepare import BAD, PLANE, some
 
+COLUMNS = [
+    *"xyz",
+    "opacity",
+    *(f"{k}_{i}" for k in ("f_dc", "scale") for i in range(3)),
+    *map("rot_{}".format, range(4)),
+]
 EMPTY = b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n" + b"".join(
-    b"property float %s\n" % name.encode()
-    for name in "x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2 rot_3".split()
+    b"property float %s\n" % name.encode() for name in COLUMNS
 )
 NAMES = ("transparent", "plane", "few", "mist")
 SPLATS = {

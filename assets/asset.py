@@ -70,7 +70,7 @@ class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
     `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object.
+    is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py).
     """
 
     gaussians: Gaussians
@@ -79,6 +79,7 @@ class Asset:
     sdf: DistanceGrid | None = None
     material: dict | None = None
     provenance: dict = field(default_factory=dict)
+    thumbnail: np.ndarray | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -92,6 +93,7 @@ class Asset:
                 _read_sdf(file) if file.has("sdf") else None,
                 _read_material(file) if file.has("material") else None,
                 _read_provenance(file),
+                _indices(file, "thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
             )
         check(asset, str(path))
         return asset
@@ -118,6 +120,8 @@ class Asset:
                 _write(file, "sdf/values", self.sdf.values, np.float16)
                 file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
+            if self.thumbnail is not None:
+                _write(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
                 group = file.create_group("material")
                 for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):

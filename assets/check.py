@@ -9,6 +9,7 @@ import numpy as np
 from assets.border import usable
 from assets.errors import BadInput
 from assets.gaussians import SH_COUNTS, Gaussians
+from assets.thumbnail import check_thumbnail
 
 if TYPE_CHECKING:
     from assets.asset import Asset, Cage, DistanceGrid, Embedded
@@ -31,6 +32,8 @@ def check(asset: Asset, where: str) -> None:
         check_grid(asset.sdf, where)
     if asset.material is not None:
         check_material(asset.material, where)
+    if asset.thumbnail is not None:
+        check_thumbnail(asset.thumbnail, where)
 
 
 def check_gaussians(g: Gaussians, where: str) -> None:

@@ -4,39 +4,23 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
-from prepare.pipeline import STAGES, Progress, prepare
+from assets.thumbnail import thumbnail_of
+from prepare.checkpoints import Checkpoints
+from prepare.pipeline import STAGES, VERSION, prepare
+from prepare.progress import Progress, progress_on
 from prepare.report import report_names, write_report
+from prepare.report_pictures import camera_for, splat_picture
 
 APART = 0.05  # of the Gaussians; when more lie apart from the object, they are no floaters
-
-
-class ProgressLines:
-    """Prints a line a stage on stderr when it ends, with the time it took."""
-
-    def __init__(self) -> None:
-        self.stage, self.since = None, time.perf_counter()
-
-    def __call__(self, stage: str, done: float) -> None:
-        if stage != self.stage:
-            self._end()
-            self.stage, self.since = stage, time.perf_counter()
-        if done >= 1:
-            self._end()
-
-    def _end(self) -> None:
-        if self.stage is not None:
-            number = STAGES.index(self.stage) + 1
-            seconds = time.perf_counter() - self.since
-            print(f"  {number}/{len(STAGES)} {self.stage:<8} {seconds:5.1f} s", file=sys.stderr, flush=True)
-        self.stage = None
 
 
 def prepare_file(
@@ -51,10 +35,12 @@ def prepare_file(
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
     pictures: bool = False,
+    page: bool = False,
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
-    pictures  also write the report beside it: ASSET.report.html and ASSET.report.json
+    pictures  draw a thumbnail into the asset
+    page      also write the report beside it: ASSET.report.html and ASSET.report.json
 
     The options are those of `prepare`. Raises BadInput, naming the file.
     """
@@ -62,19 +48,40 @@ def prepare_file(
     if path.suffix.lower() == ".h5":
         raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
     gaussians = read_gaussians(path, report)
-    progress = progress or ProgressLines()
+    bar = progress_on(sys.stderr, STAGES)
     options = {"vertices": vertices, "scale": scale, "up": up, "material": material}
+    kept = Checkpoints(path, options | {"mesher": mesher}, VERSION)
     made, notes = [], []
+    how = {"mesher": mesher, "progress": progress or bar, "look": made.append, "say": notes.append, "kept": kept}
     try:
-        asset = prepare(gaussians, **options, mesher=mesher, progress=progress, look=made.append, say=notes.append)
+        try:
+            asset = prepare(gaussians, **options, **how)
+        except (BadInput, LookupError, TypeError, ValueError):
+            if not kept.resumed:
+                raise
+            kept.clear()  # what was kept may be at fault
+            made.clear()
+            notes.clear()
+            kept.resumed.clear()
+            asset = prepare(gaussians, **options, **how)
     except BadInput as e:
+        kept.clear()
         raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
+    if kept.resumed:
+        notes.append(f"went on after {kept.resumed[-1]}: a run before had come so far")
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
+    splat = None
+    if pictures or page:
+        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
+        asset = replace(asset, thumbnail=thumbnail_of(splat))
     asset.save(out)
+    kept.clear()
     for line in notes + summary(asset.provenance):
         report(line)
-    if pictures:
-        write_report(asset, made[0], out, notes=tuple(notes))
+    if page:
+        write_report(asset, made[0], out, notes=tuple(notes), splat=splat)
     return out
 
 
@@ -107,5 +114,5 @@ def run(args: argparse.Namespace) -> None:
     if out.exists() and not args.force:
         raise BadInput(f"{out}: exists already; --force overwrites it")
     options = {"vertices": args.vertices, "scale": args.scale, "up": args.up, "material": args.material}
-    prepare_file(args.splats, out, **options, mesher=args.mesher, pictures=not args.no_report)
+    prepare_file(args.splats, out, **options, mesher=args.mesher, pictures=True, page=not args.no_report)
     print(f"wrote {out}" + ("" if args.no_report else f" and {report_names(out)[0]}"))

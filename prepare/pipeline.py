@@ -8,17 +8,19 @@ from functools import partial
 
 import numpy as np
 
-from assets.asset import Asset, Cage
+from assets.asset import Asset, Cage, Embedded
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
 from assets.orient import guess_up, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
+from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.clean import FEWEST, clean
 from prepare.embed import embed
 from prepare.fill import DENSE, density_of, solid_cells
 from prepare.levelset import contact_grid, level_set, volume_of
-from prepare.meshers import check_mesher, mesh
+from prepare.meshers import MESHERS, check_mesher, mesh
+from prepare.progress import Progress
 from prepare.quality import dihedral_angles, volumes
 from prepare.report_pictures import Made
 
@@ -31,7 +33,6 @@ STRAY = 0.05  # of the extent: what lies this far off the surface belongs to ano
 OPAQUE = 0.5
 
 STAGES = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
-Progress = Callable[[str, float], None]
 
 
 def prepare(
@@ -46,6 +47,7 @@ def prepare(
     progress: Progress | None = None,
     look: Callable[[Made], None] | None = None,
     say: Callable[[str], None] | None = None,
+    kept: Checkpoints | None = None,
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
@@ -56,6 +58,7 @@ def prepare(
     mesher    a name of MESHERS; stuffing makes the cage where another cannot, and `say` is told why
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     progress  called with a stage of STAGES and the share of it that is done
+    kept      what finished stages of a run that was stopped made
     look      called with what the stages before the cage made
     Out.      the asset: +y up, centred in x and z, its lowest point at y = 0; provenance["figures"] tells its quality
     Raises    BadInput where the splat holds no solid object or no good cage was found.
@@ -69,35 +72,55 @@ def prepare(
     if up is not None:
         rotation_to_up(up)
 
-    report("clean", 0.0)
-    g, counts = clean(gaussians)
-
-    report("orient", 0.0)
+    kept = kept or Checkpoints()
     guessed = up is None
-    up = guess_up(g) if guessed else up
-    g = g.transformed(rotation_to_up(up))
 
-    report("fill", 0.0)
+    def cleaned() -> dict:
+        report("clean", 0.0)
+        g, counts = clean(gaussians)
+        report("orient", 0.0)
+        axis = guess_up(g) if guessed else up
+        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis)
+
+    g, found = gaussians_of(kept.stage("orient", cleaned))
+    counts, up = found["counts"], found["up"]
+
     seen = g.means[opaque(g)].astype(np.float64)
     low, high = seen.min(0), seen.max(0)
     nodes = int(np.clip(NODES * (vertices / 2000) ** NODES_POWER, *NODES_RANGE))
     spacing = float((high - low).max()) / nodes
     origin = low - BORDER * nodes * spacing
     shape = tuple(int(k) for k in np.ceil((high - low) / spacing + 2 * BORDER * nodes) + 1)
-    density = density_of(g, origin, spacing, shape)
-    solid = solid_cells(density)
 
-    report("surface", 0.0)
-    phi = level_set(solid)
+    def filled() -> dict:
+        report("fill", 0.0)
+        density = density_of(g, origin, spacing, shape)
+        return {"solid": solid_cells(density), "shell": density > DENSE}
+
+    cells = kept.stage("fill", filled)
+
+    def surfaced() -> dict:
+        report("surface", 0.0)
+        return {"phi": level_set(cells["solid"])}
+
+    phi = kept.stage("surface", surfaced)["phi"]
     inside = np.argwhere(phi < 0)
     longest = spacing * float((np.ptp(inside, axis=0) + 1).max())
     g = g.select(near(phi, (g.means - origin) / spacing, STRAY * nodes))
     counts |= {"stray": counts["kept"] - len(g), "kept": len(g)}
 
-    report("cage", 0.0)
     points = (g.means[opaque(g)].astype(np.float64) - origin) / spacing
-    cage_share = partial(report, "cage")
-    cage, used = mesh(mesher, phi, points, vertices, cage_share, adaptive=adaptive, say=say)
+
+    def meshed() -> dict:
+        report("cage", 0.0)
+        share = partial(report, "cage")
+        cage, used = mesh(mesher, phi, points, vertices, share, adaptive=adaptive, say=say)
+        return {**vars(cage), "tetgen": np.array(used == "tetgen")}
+
+    found = kept.stage("cage", meshed)
+    cage, used = Cage(found["vertices"], found["tets"], found["surface"]), MESHERS[int(found["tetgen"])]
+    if used != mesher and say and "cage" in kept.resumed:
+        say(f"{mesher} failed in the run before; the cage was made by {used} instead")
     size = metres(longest, scale)
     factor = size / longest
     middle = (cage.vertices.min(0) + cage.vertices.max(0)) / 2
@@ -105,8 +128,11 @@ def prepare(
     cage = Cage(((cage.vertices - foot) * spacing * factor).astype(np.float32), cage.tets, cage.surface)
     g = g.transformed(np.eye(3), -factor * (origin + spacing * foot), factor)
 
-    report("embed", 0.0)
-    embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
+    def placed() -> dict:
+        report("embed", 0.0)
+        return vars(embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets))
+
+    embedded = Embedded(**kept.stage("embed", placed))
 
     report("contact", 0.0)
     grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)
@@ -126,7 +152,7 @@ def prepare(
     }
     if look:
         size_of_cell = spacing * factor
-        look(Made(density > DENSE, solid, phi * size_of_cell, -foot * size_of_cell, size_of_cell))
+        look(Made(cells["shell"], cells["solid"], phi * size_of_cell, -foot * size_of_cell, size_of_cell))
     report("contact", 1.0)
     return Asset(g, cage, embedded, grid, properties, provenance)
 

@@ -36,12 +36,14 @@ def report_names(out: Path) -> tuple[Path, Path]:
     return out.with_suffix(".report.html"), out.with_suffix(".report.json")
 
 
-def write_report(asset: Asset, made: Made, out: Path, *, notes: tuple[str, ...] = ()) -> dict:
+def write_report(asset: Asset, made: Made, out: Path, *, notes: tuple[str, ...] = (), splat=None) -> dict:
     """Write the report of the asset `out` beside it, each file whole or not at all; returns the numbers.
 
-    notes  lines said while it was made. Taichi must be running. Raises BadInput where a file cannot be written.
+    notes  lines said while it was made
+    splat  its picture, if that is drawn already; else Taichi must be running
+    Raises BadInput where a file cannot be written.
     """
-    numbers, pictures = examine(asset, made)
+    numbers, pictures = examine(asset, made, splat)
     numbers["notes"] = list(notes)
     page, data = report_names(out)
     for path, text in ((data, json.dumps(numbers, indent=2) + "\n"), (page, html_of(out.name, numbers, pictures))):
@@ -50,7 +52,7 @@ def write_report(asset: Asset, made: Made, out: Path, *, notes: tuple[str, ...] 
     return numbers
 
 
-def examine(asset: Asset, made: Made) -> tuple[dict, dict[str, np.ndarray]]:
+def examine(asset: Asset, made: Made, splat: np.ndarray | None = None) -> tuple[dict, dict[str, np.ndarray]]:
     """The numbers, ready for JSON (lengths [m], angles [degrees]), and the pictures by name."""
     cage, g = asset.cage, asset.gaussians
     opaque = g.opacities > OPAQUE
@@ -105,7 +107,7 @@ def examine(asset: Asset, made: Made) -> tuple[dict, dict[str, np.ndarray]]:
     }
     camera = camera_for(cage.vertices.astype(np.float64))
     pictures = {
-        "splat": splat_picture(asset, camera),
+        "splat": splat_picture(asset, camera) if splat is None else splat,
         "cells": cells_picture(made, camera),
         "surface": surface_picture(level, faces, camera),
         "cage": cage_picture(asset, camera),

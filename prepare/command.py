@@ -111,8 +111,9 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"{out}: an asset's name ends in .h5")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
-    if out.exists() and not args.force:
-        raise BadInput(f"{out}: exists already; --force overwrites it")
+    for file in (out, *(() if args.no_report else report_names(out))):
+        if file.exists() and not args.force:
+            raise BadInput(f"{file}: exists already; --force overwrites it")
     options = {"vertices": args.vertices, "scale": args.scale, "up": args.up, "material": args.material}
     prepare_file(args.splats, out, **options, mesher=args.mesher, pictures=True, page=not args.no_report)
     print(f"wrote {out}" + ("" if args.no_report else f" and {report_names(out)[0]}"))

@@ -31,6 +31,7 @@ LIMIT = 120.0  # [s] that TetGen may take
 TRIES = 6  # runs until the number of vertices is right
 CLOSE = 0.1  # of it: good enough to stop; 15 % is promised
 OFFSETS = (0.08, 0.2, 0.35)  # edges outwards: flat triangles cut off what is round
+MENDINGS = 2  # relaxations; angles that are still too small after two stay so
 VOLUME = 1.5  # of a regular tet with the surface's edge: the largest tets
 RATIO, DIHEDRAL = 1.5, 12.0  # radius over shortest edge, [degrees]: what TetGen is asked for
 
@@ -150,8 +151,9 @@ def tetgen_cage(phi: np.ndarray, points: np.ndarray, vertices: int, report: Call
             reason = str(e)
             continue
         reason = fault(cage, filled, points, vertices)
-        if reason and "vertices" not in reason:  # moving the vertices mends angles, and what is just outside
-            cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices)
+        for _ in range(MENDINGS):  # moving the vertices mends angles, and what is just outside
+            if reason and "vertices" not in reason:
+                cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices)
         if not reason:
             return cage
     raise NoMesh(reason)

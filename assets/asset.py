@@ -60,7 +60,8 @@ class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
     `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object. `stage`: a static scene to play in. With an `animation` the body moves by itself.
+    is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play in.
+    With an `animation` the body moves by itself.
     """
 
     gaussians: Gaussians
@@ -71,6 +72,7 @@ class Asset:
     provenance: dict = field(default_factory=dict)
     stage: Stage | None = None
     animation: Animation | None = None
+    thumbnail: np.ndarray | None = None
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -86,6 +88,7 @@ class Asset:
                 _read_provenance(file),
                 read_stage(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
+                _indices(file, "thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
             )
         check(asset, str(path))
         return asset
@@ -114,6 +117,8 @@ class Asset:
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
             if self.stage is not None:
                 write_stage(file, self.stage)
+            if self.thumbnail is not None:
+                _write(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
                 group = file.create_group("material")
                 for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):

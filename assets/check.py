@@ -10,6 +10,7 @@ from assets.animation import check_animation
 from assets.border import usable
 from assets.errors import BadInput
 from assets.gaussians import SH_COUNTS, Gaussians
+from assets.thumbnail import check_thumbnail
 
 if TYPE_CHECKING:
     from assets.asset import Asset, Cage, DistanceGrid, Embedded
@@ -38,6 +39,8 @@ def check(asset: Asset, where: str) -> None:
         if asset.cage is None:
             raise BadInput(f"{where}: has an animation but no cage")
         check_animation(asset.animation, len(asset.cage.vertices), where)
+    if asset.thumbnail is not None:
+        check_thumbnail(asset.thumbnail, where)
 
 
 def check_gaussians(g: Gaussians, where: str) -> None:

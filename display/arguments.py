@@ -199,6 +199,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     )
     c.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help="--static: objects to take out of it")
     c.add_argument("--force", action="store_true", help="overwrite OUT")
+    meshers = "what makes the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)"
+    c.add_argument("--mesher", choices=("stuffing", "tetgen"), default="stuffing", help=meshers)
+    c.add_argument("--no-report", action="store_true", help="leave out ASSET.report.html and ASSET.report.json")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
     c = add("convert", command("assets.convert"), "convert between splat formats", "convert cat.sog cat.spz")
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")

@@ -4,38 +4,24 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
-from prepare.pipeline import STAGES, Progress, prepare
+from assets.thumbnail import thumbnail_of
+from prepare.checkpoints import Checkpoints
+from prepare.pipeline import STAGES, VERSION, prepare
+from prepare.progress import Progress, progress_on
+from prepare.report import report_names, write_report
+from prepare.report_pictures import camera_for, splat_picture
 from prepare.rig_command import Mover, described, mover
 
-
-class ProgressLines:
-    """Prints a line a stage on stderr when it ends, with the time it took."""
-
-    def __init__(self, stages: tuple[str, ...] = STAGES) -> None:
-        self.stages = stages
-        self.stage, self.since = None, time.perf_counter()
-
-    def __call__(self, stage: str, done: float) -> None:
-        if stage != self.stage:
-            self._end()
-            self.stage, self.since = stage, time.perf_counter()
-        if done >= 1:
-            self._end()
-
-    def _end(self) -> None:
-        if self.stage is not None:
-            number = self.stages.index(self.stage) + 1
-            seconds = time.perf_counter() - self.since
-            print(f"  {number}/{len(self.stages)} {self.stage:<8} {seconds:5.1f} s", file=sys.stderr, flush=True)
-        self.stage = None
+APART = 0.05  # of the Gaussians; when more lie apart from the object, they are no floaters
 
 
 def prepare_file(
@@ -48,10 +34,16 @@ def prepare_file(
     material: str | None = None,
     rig: str | Path | None = None,
     landmarks: str | Path | None = None,
+    mesher: str = "stuffing",
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
+    pictures: bool = False,
+    page: bool = False,
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
+
+    pictures  draw a thumbnail into the asset
+    page      also write the report beside it: ASSET.report.html and ASSET.report.json
 
     The options are those of `prepare`. With the motion of `rig`, a .glb, the body moves by itself; `landmarks` is a
     JSON file of where its joints are. `path` may be a .glb too: its skinned mesh. Raises BadInput, naming the file.
@@ -63,19 +55,45 @@ def prepare_file(
     gaussians = read_gaussians(path, report) if moved is None or moved.gaussians is None else moved.gaussians
     if moved is not None:
         up, material = up or moved.up, material or moved.material
-    progress = progress or ProgressLines(STAGES if moved is None else (*STAGES, "rig"))
+    bar = progress_on(sys.stderr, STAGES if moved is None else (*STAGES, "rig"))
+    progress = progress or bar
+    options = {"vertices": vertices, "scale": scale, "up": up, "material": material}
+    kept = Checkpoints(path, options | {"mesher": mesher}, VERSION)
+    made, notes = [], []
+    how = {"mesher": mesher, "progress": progress, "look": made.append, "say": notes.append, "kept": kept}
     try:
-        asset = prepare(gaussians, vertices=vertices, scale=scale, up=up, material=material, progress=progress)
+        try:
+            asset = prepare(gaussians, **options, **how)
+        except (BadInput, LookupError, TypeError, ValueError):
+            if not kept.resumed:
+                raise
+            kept.clear()  # what was kept may be at fault
+            made.clear()
+            notes.clear()
+            kept.resumed.clear()
+            asset = prepare(gaussians, **options, **how)
         if moved is not None:
             progress("rig", 0.0)
             asset = moved.move(asset)
             progress("rig", 1.0)
     except BadInput as e:
+        kept.clear()
         raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
+    if kept.resumed:
+        notes.append(f"went on after {kept.resumed[-1]}: a run before had come so far")
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
+    splat = None
+    if pictures or page:
+        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
+        asset = replace(asset, thumbnail=thumbnail_of(splat))
     asset.save(out)
-    for line in summary(asset.provenance):
+    kept.clear()
+    for line in notes + summary(asset.provenance):
         report(line)
+    if page:
+        write_report(asset, made[0], out, notes=tuple(notes), splat=splat)
     return out
 
 
@@ -86,7 +104,10 @@ def summary(provenance: dict) -> list[str]:
     up = provenance["up"] if options["up"] else f"{provenance['up']} (guessed; --up overrides)"
     size = f"{provenance['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     moving = provenance.get("rig")
-    return [
+    pieces = []
+    if counts["apart"] > APART * counts["read"]:
+        pieces = [f"the splat has pieces that lie apart: the largest is taken, {counts['apart']} Gaussians left out"]
+    return pieces + [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {up}, largest extent {size}",
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets, smallest dihedral angle "
@@ -105,8 +126,10 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"{out}: an asset's name ends in .h5")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
-    if out.exists() and not args.force:
-        raise BadInput(f"{out}: exists already; --force overwrites it")
-    options = {key: getattr(args, key) for key in ("vertices", "scale", "up", "material", "rig", "landmarks")}
-    prepare_file(args.splats, out, **options)
-    print(f"wrote {out}")
+    for file in (out, *(() if args.no_report else report_names(out))):
+        if file.exists() and not args.force:
+            raise BadInput(f"{file}: exists already; --force overwrites it")
+    names = ("vertices", "scale", "up", "material", "rig", "landmarks", "mesher")
+    options = {key: getattr(args, key) for key in names}
+    prepare_file(args.splats, out, **options, pictures=True, page=not args.no_report)
+    print(f"wrote {out}" + ("" if args.no_report else f" and {report_names(out)[0]}"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,8 @@ from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
 from assets.ply import write_ply
-from prepare.command import ProgressLines
 from prepare.pipeline import Progress
+from prepare.progress import progress_on
 from prepare.stage import STAGES, prepare_static
 
 SHOWN = 8  # planes that the summary names
@@ -33,11 +34,14 @@ def prepare_stage_file(
     is cut out; all of these files. `report` takes the summary. Raises BadInput, naming the file."""
     path, out = Path(path), Path(out)
     gaussians = read_gaussians(path, report)
-    progress = progress or ProgressLines(STAGES)
+    bar = progress_on(sys.stderr, STAGES)
+    how = {"up": up, "scale": scale, "cell": cell, "cut": cut, "progress": progress or bar}
     try:
-        asset, pieces = prepare_static(gaussians, up=up, scale=scale, cell=cell, cut=cut, progress=progress)
+        asset, pieces = prepare_static(gaussians, **how)
     except BadInput as e:
         raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     written = []
     for k, piece in pieces.items():

@@ -214,9 +214,10 @@ def test_the_command_checks_its_names_first(tmp_path):
     write_gaussians(tmp_path / "ball.ply", ball(100))
     (tmp_path / "there.h5").write_text("precious")
 
-    def command(splats, out, force=False):
+    def command(splats, out, force=False, no_report=True):
         run(argparse.Namespace(
-            splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None
+            splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None,
+            no_report=no_report, mesher="stuffing",
         ))  # fmt: skip
 
     with pytest.raises(BadInput, match=r"none\.ply: no such file"):
@@ -227,7 +228,10 @@ def test_the_command_checks_its_names_first(tmp_path):
         command("ball.ply", "there.h5")
     with pytest.raises(BadInput, match="does not exist"):
         command("ball.ply", "nowhere/out.h5")
-    assert (tmp_path / "there.h5").read_text() == "precious"
+    (tmp_path / "out.report.json").write_text("precious")
+    with pytest.raises(BadInput, match=r"out\.report\.json: exists already"):
+        command("ball.ply", "out.h5", no_report=False)
+    assert (tmp_path / "there.h5").read_text() == (tmp_path / "out.report.json").read_text() == "precious"
 
 
 @pytest.mark.shared

@@ -1,0 +1,91 @@
+"""What finished stages made, kept in the cache folder until the asset is written: a stopped run goes on from there.
+
+Only arrays of numbers are kept, and nothing is unpickled. An entry that is damaged or was made for another file,
+other options or another version of the pipeline is as good as none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import shutil
+import time
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from assets.border import replacing
+from assets.errors import BadInput
+from assets.gaussians import Gaussians
+from assets.library import cache_folder
+
+OLD = 14 * 86400.0  # [s]; what a run that never came back left behind
+COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")
+
+
+class Checkpoints:
+    """The stages of one run. Without a key nothing is kept."""
+
+    def __init__(self, source: Path | None = None, options: dict | None = None, version: int = 0) -> None:
+        self.folder, self.resumed = None, []
+        if source is None:
+            return
+        digest = hashlib.sha256(json.dumps([version, sorted((options or {}).items())]).encode())
+        with open(source, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        stages = cache_folder() / "stages"
+        self.folder = stages / digest.hexdigest()[:32]
+        forget_old(stages, keep=self.folder)
+
+    def stage(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """The arrays that stage `name` made, read if they were kept, else made and kept."""
+        kept = self._read(name)
+        if kept is not None:
+            self.resumed.append(name)
+            return kept
+        made = make()
+        if self.folder:
+            with contextlib.suppress(OSError, BadInput):  # a full disk is no reason to stop
+                self.folder.mkdir(parents=True, exist_ok=True)
+                with replacing(self.folder / f"{name}.npz") as beside, open(beside, "wb") as file:
+                    np.savez(file, **made)
+        return made
+
+    def _read(self, name: str) -> dict[str, np.ndarray] | None:
+        path = self.folder / f"{name}.npz" if self.folder else None
+        if path is None or not path.is_file():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return {key: file[key] for key in file.files}  # the zip's checksums are verified
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError):
+            return None
+
+    def clear(self) -> None:
+        """Forget this run: its asset is written, or its splat is one of which no asset can be made."""
+        if self.folder:
+            shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def forget_old(stages: Path, *, keep: Path) -> None:
+    """Remove the folders of runs that were not touched for a fortnight."""
+    with contextlib.suppress(OSError):
+        for folder in stages.iterdir():
+            if folder != keep and time.time() - folder.stat().st_mtime > OLD:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
+    """Gaussians as arrays by name; what else is given becomes JSON text in bytes."""
+    text = np.frombuffer(json.dumps(others).encode(), np.uint8)
+    return {name: getattr(gaussians, name) for name in COLUMNS} | {"json": text}
+
+
+def gaussians_of(arrays: dict[str, np.ndarray]) -> tuple[Gaussians, dict]:
+    """The inverse of arrays_of."""
+    return Gaussians(*(arrays[name] for name in COLUMNS)), json.loads(arrays["json"].tobytes())

@@ -60,8 +60,8 @@ class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
     `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play in.
-    With an `animation` the body moves by itself.
+    is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play
+    in. With an `animation` the body moves by itself.
     """
 
     gaussians: Gaussians

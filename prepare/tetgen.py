@@ -19,7 +19,7 @@ import numpy as np
 
 from assets.asset import Cage
 from assets.errors import BadInput
-from prepare.cage import Stuffed, check_count, fault, fitted
+from prepare.cage import Stuffed, check_count, fault, fitted, share_inside
 from prepare.levelset import volume_of
 from prepare.quality import boundary, non_manifold_vertices, pieces, volumes
 from prepare.surface import areas, marching_cubes
@@ -150,7 +150,7 @@ def tetgen_cage(phi: np.ndarray, points: np.ndarray, vertices: int, report: Call
                 raise
             reason = str(e)
             continue
-        reason = fault(cage, filled, points, vertices)
+        reason = fault(cage, filled, share_inside(cage, points), vertices)
         for _ in range(MENDINGS):  # moving the vertices mends angles, and what is just outside
             if reason and "vertices" not in reason:
                 cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices)

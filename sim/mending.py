@@ -39,8 +39,9 @@ class Mending:
         self.state, self.summary, self.damping = state, summary, damping
         self.limp = ti.field(ti.i32)
         self.quaternion = ti.Vector.field(4, ti.f32)
+        self.longest = ti.field(ti.f32)  # way [m] of a vertex to the rest shape
         self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, MAX_BODIES).place(self.limp, self.quaternion)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.limp, self.quaternion, self.longest)
         self.tree = self.builder.finalize()
         self._set = Upload([self.limp, state.inverted, state.mu, state.lam])
         self.parts = []
@@ -112,19 +113,30 @@ class Mending:
             if b < s.body_count[None] and self.limp[b]:
                 A = ti.Matrix([[total[b, 6 + 3 * k + l] for l in range(3)] for k in range(3)])
                 self.quaternion[b] = polar_quaternion(A)
+                self.longest[b] = 0.0
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
                 if self.limp[b] and s.w[i] > 0.0:
-                    q = self.quaternion[b]
-                    u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.summary.rest_center[b]
-                    turned = r + 2.0 * (q[0] * u.cross(r) + u.cross(u.cross(r)))
+                    ti.atomic_max(self.longest[b], self._way(i, b).norm())
+        for i in range(s.V):
+            if i < s.vertex_count[None]:
+                b = s.body_of_vertex[i]
+                if self.limp[b] and s.w[i] > 0.0:
                     center = ti.Vector([total[b, k] for k in range(3)])
-                    velocity = ti.Vector([total[b, 3 + k] for k in range(3)])
-                    goal = velocity + self.damping.omega[b].cross(s.x[i] - center)
-                    way = center + turned - s.x[i]
-                    goal += way / ti.max(TIME, way.norm() / FASTEST)
+                    goal = ti.Vector([total[b, 3 + k] for k in range(3)])
+                    goal += self.damping.omega[b].cross(s.x[i] - center)
+                    # one time for the whole body: ways that were cut one by one would push it to a side
+                    goal += self._way(i, b) / ti.max(TIME, self.longest[b] / FASTEST)
                     s.v[i] += (1.0 - ti.exp(-t / (0.1 * TIME))) * (goal - s.v[i])
+
+    @ti.func
+    def _way(self, i: ti.i32, b: ti.i32):
+        """From vertex i to where it is in the rest shape of body b, laid over the body."""
+        s, q = self.state, self.quaternion[b]
+        u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.summary.rest_center[b]
+        center = ti.Vector([ti.static(self.summary.total)[b, k] for k in range(3)])
+        return center + r + 2.0 * (q[0] * u.cross(r) + u.cross(u.cross(r))) - s.x[i]
 
     def destroy(self) -> None:
         self.tree.destroy()

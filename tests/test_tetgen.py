@@ -10,7 +10,7 @@ import prepare.tetgen as tetgen
 import vrgs
 from assets.errors import BadInput
 from assets.files import write_gaussians
-from prepare.cage import cage_of, fault
+from prepare.cage import cage_of, fault, share_inside
 from prepare.levelset import volume_of
 from prepare.meshers import mesh
 from prepare.pipeline import prepare
@@ -114,7 +114,7 @@ def test_what_passes_the_gate_is_taken(worker, ti_cpu, tmp_path):
     said, shares = [], []
     cage, used = mesh("tetgen", sphere(), inner_points(), 700, shares.append, say=said.append)
     assert (used, said) == ("tetgen", [])
-    assert fault(cage, volume_of(sphere()), inner_points(), 700) == ""
+    assert fault(cage, volume_of(sphere()), share_inside(cage, inner_points()), 700) == ""
     assert shares and all(0 <= s <= 1 for s in shares)
 
 

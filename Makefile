@@ -13,7 +13,7 @@ play: $(VENV)/.ready
 	@$(PYTHON) vrgs.py --scene ring_toss
 
 test: $(VENV)/.ready-tests
-	@$(PYTHON) -m pytest -n 2 --dist loadfile
+	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0
 
 soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m tests.soak --minutes 30

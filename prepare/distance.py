@@ -1,5 +1,7 @@
 """Exact Euclidean distances on a grid, all lines of an axis side by side (Felzenszwalb and Huttenlocher 2012)."""
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 import taichi as ti
 
@@ -68,16 +70,18 @@ def _along(f: Grid, out: Grid, apex: Grid, begin: Grid, axis: ti.template()):
             out[_at(i, j, q, axis)] = (q - p) * (q - p) + f[_at(i, j, p, axis)]
 
 
-_kept: tuple | None = None
+# Of each runtime, and gone with it: an array that outlives its runtime frees, when it goes, whatever the next one has
+# put in its place.
+_kept: WeakKeyDictionary = WeakKeyDictionary()
 
 
 def _buffers(shape: tuple[int, ...]) -> list:
     """Four grids on the device, kept while the shape stays the same: making them takes as long as filling them."""
-    global _kept
     runtime = ti.lang.impl.get_runtime()
-    if _kept is None or _kept[0] is not runtime or _kept[1] != shape:  # none yet, or they went with ti.reset
-        _kept = runtime, shape, [ti.ndarray(ti.i32, shape) for _ in range(4)]
-    return _kept[2]
+    known, grids = _kept.get(runtime, (None, None))
+    if known != shape:
+        _kept[runtime] = shape, (grids := [ti.ndarray(ti.i32, shape) for _ in range(4)])
+    return grids
 
 
 def squared_distance(mask: np.ndarray) -> np.ndarray:

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.runtime import runtime
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
@@ -14,15 +16,8 @@ def ti_cpu():
 
     VRGS_TEST_ARCH=cuda: on the GPU.
     """
-    import taichi as ti
-
-    from display.device import quicken
-
-    arch = {"cpu": ti.cpu, "cuda": ti.cuda}[os.environ.get("VRGS_TEST_ARCH", "cpu")]
-    ti.init(arch=arch, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN)
-    quicken()
-    yield ti
-    ti.reset()
+    with runtime(os.environ.get("VRGS_TEST_ARCH", "cpu")) as ti:
+        yield ti
 
 
 @pytest.fixture(scope="session")

@@ -6,16 +6,14 @@ from test_project import CAMERA, gaussians
 
 from tests.drawing import Drawing
 from tests.hard_pictures import DEGREE, SIDE, hard_pictures
+from tests.runtime import runtime
 
 
 @pytest.fixture(scope="module")
 def checked():
     """Taichi with debug=True, for this file alone."""
-    import taichi as ti
-
-    ti.init(arch=ti.cpu, default_fp=ti.f32, debug=True, offline_cache=True, log_level=ti.WARN)
-    yield ti
-    ti.reset()
+    with runtime(debug=True) as ti:
+        yield ti
 
 
 @pytest.mark.parametrize(("views", "sort"), [(1, "z"), (2, "z"), (2, "pixel")])

@@ -53,7 +53,7 @@ def play(args) -> None:
         from display.world import World
 
         width, height = display.size
-        views = 2 if args.stereo else 1
+        views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
         world = World(scene, width=width, height=height, views=views, **how)
         if args.headless:
@@ -74,13 +74,15 @@ def play(args) -> None:
 
 def open_display(args, scene):
     """The window, or without a display or with --headless the recorder of files."""
-    if args.xr:
-        raise BadInput("--xr: headsets are not supported yet; leave it out to play in a window")
     if args.stats:
         from display.video import claim
 
         claim(args.stats, args.stats.with_name(f".{args.stats.name}.part"))
     width, height = args.size
+    if args.xr:
+        from display.headset.headset import Headset
+
+        return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale)
     if not args.headless:
         from display.surface import has_display
 

@@ -93,6 +93,14 @@ def positive(kind):
     return parse
 
 
+def share(text: str) -> float:
+    """A factor of a picture's side."""
+    value = positive(float)(text)
+    if not 0.1 <= value <= 2.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not between 0.1 and 2")
+    return value
+
+
 def elevation(text: str) -> float:
     """Degrees above the horizon."""
     try:
@@ -131,6 +139,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--sort", choices=SORTS, default=MOVING_SORT, help=f"{order} (default {MOVING_SORT})")
     p.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     p.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="picture size (default 960x540)")
+    p.add_argument(
+        "--render-scale", type=share, default=1.0, metavar="S", help="--xr: of the size that it asks for, a side"
+    )
     p.add_argument("--stereo", action="store_true", help="headless: draw two eyes, 64 mm apart")
     p.add_argument("--record", type=Path, metavar="OUT.mp4", help="write a film")
     p.add_argument("--snapshot", type=Path, metavar="OUT.png", help="headless: write the last frame")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from assets.camera import Camera
@@ -12,6 +13,7 @@ from scenes.scene import Hand
 class Frame:
     """Advance the world by `dt` [s] with these `hands`, then draw it for `cameras` (one an eye).
 
+    `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
     `time` [s] is the sum of all dt so far. `commands` are the user's wishes between two frames,
     see `World.apply`: {"reset": True}, {"light": Light}, {"interaction": "physics"|"transform"},
     {"pause": bool}, {"step": True}, {"demo": bool}.
@@ -19,6 +21,6 @@ class Frame:
 
     dt: float
     time: float
-    cameras: list[Camera]
+    cameras: list[Camera] | Callable[[], list[Camera]]
     hands: list[Hand] = field(default_factory=list)
     commands: dict = field(default_factory=dict)

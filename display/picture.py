@@ -12,10 +12,11 @@ from assets.errors import BadInput
 
 VERTEX = """
 #version 330
+uniform int views;  // one below the other; the first is shown
 out vec2 uv;
 void main() {  // one triangle that covers the viewport; row 0 of the texture is the top
     vec2 corner = vec2((gl_VertexID << 1) & 2, gl_VertexID & 2);
-    uv = vec2(corner.x, 1.0 - corner.y);
+    uv = vec2(corner.x, (1.0 - corner.y) / float(views));
     gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
 }
 """
@@ -79,14 +80,21 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
 class PictureTexture:
     """The picture as an OpenGL texture of the current context, and how it fills a window.
 
-    `upload` is the one place where the picture leaves Taichi: it passes through the host.
+    `upload` is the one place where the picture leaves Taichi: it passes through the host. Of several `views`, which lie
+    one below the other, `draw` shows the first.
     """
 
-    def __init__(self, gl):
-        self._gl = gl
+    def __init__(self, gl, views: int = 1):
+        self._gl, self._views = gl, views
         self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
         self._triangle = gl.vertex_array(self._program, [])
+        self._program["views"] = views
         self._texture = None
+
+    @property
+    def texture(self):
+        """The whole picture as it was uploaded, row 0 on top; None before the first."""
+        return self._texture
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -112,7 +120,7 @@ class PictureTexture:
         gl.clear(0.0, 0.0, 0.0)
         if self._texture is None:
             return
-        left, top, width, height = fit(self.size, frame)
+        left, top, width, height = fit((self.size[0], self.size[1] // self._views), frame)
         gl.viewport = (left, frame[1] - top - height, width, height)
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
         self._texture.use(0)

@@ -108,11 +108,12 @@ class World:
                 self.scene.game.update(self.time, self._bodies)
         else:
             self.moving = False
-        cameras = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in frame.cameras)
-        if cameras != self._drawn:
+        cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
+        seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
+        if cameras and seen != self._drawn:
             with self.timings.stage("render"):
-                self.renderer.render(frame.cameras)
-            self._drawn = cameras
+                self.renderer.render(cameras)
+            self._drawn = seen
 
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
@@ -185,6 +186,10 @@ class World:
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest simulated body, and its index."""
         return self.solver.pick(origin, direction)
+
+    def hand_forces(self) -> list[np.ndarray]:
+        """Force of each hand of the last frame on what it holds [N], (3,)."""
+        return self.solver.hand_forces()
 
     @property
     def score(self) -> int:

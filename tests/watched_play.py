@@ -23,6 +23,8 @@ def watch(log) -> None:
             for b in self.bodies()
         ]
         state = {"time": self.time, "score": self.score, "paused": self.paused, "bodies": bodies}
+        state["hands"] = [{"position": h.position, "grip": h.grip} for h in frame.hands]
+        state["interaction"] = self.interaction
         log.write(json.dumps(state) + "\n")
         log.flush()
 

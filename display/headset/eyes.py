@@ -1,0 +1,102 @@
+"""The eyes' swapchains, and how the finished picture gets into them.
+
+The bytes of the picture are as they are to be shown, so they go unchanged into a texture that is sRGB by its format:
+the runtime decodes them. Rows: the picture's first is the top, OpenGL's first is the bottom.
+"""
+
+from __future__ import annotations
+
+import contextlib
+
+from assets.errors import BadInput
+
+SRGB8_ALPHA8, RGBA8 = 0x8C43, 0x8058  # OpenGL's names of formats, best first
+VERTEX = """
+#version 330
+void main() {  // one triangle that covers the viewport
+    gl_Position = vec4(vec2((gl_VertexID << 1) & 2, gl_VertexID & 2) * 2.0 - 1.0, 0.0, 1.0);
+}
+"""
+FRAGMENT = """
+#version 330
+uniform sampler2D picture;
+uniform ivec2 rows;  // first row of this eye's picture, how many it has
+out vec4 colour;
+void main() {
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    colour = vec4(texelFetch(picture, ivec2(at.x, rows.x + rows.y - 1 - at.y), 0).rgb, 1.0);
+}
+"""
+LINEAR = FRAGMENT.replace(  # for a runtime that only has linear textures: what it will encode is decoded first
+    "colour = vec4(",
+    "vec3 c = ",
+).replace(
+    ".rgb, 1.0);\n}",
+    ".rgb;\n    colour = vec4(mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)), 1.0);\n}",
+)
+
+
+class Eyes:
+    """One swapchain for each eye, all of `size` (width, height) [px]."""
+
+    def __init__(self, runtime, session, gl, size: tuple[int, int], views: int):
+        self.xr, self.size, self._gl = runtime.xr, size, gl
+        xr = self.xr
+        there = list(xr.enumerate_swapchain_formats(session))
+        chosen = next((f for f in (SRGB8_ALPHA8, RGBA8) if f in there), None)
+        if chosen is None:
+            raise BadInput(f"--xr: {runtime.name} has neither sRGB nor plain textures of 8 bits")
+        flags = xr.SwapchainUsageFlags
+        how = xr.SwapchainCreateInfo(
+            usage_flags=flags.COLOR_ATTACHMENT_BIT | flags.SAMPLED_BIT,
+            format=chosen,
+            sample_count=1,
+            width=size[0],
+            height=size[1],
+            face_count=1,
+            array_size=1,
+            mip_count=1,
+        )
+        self._program = gl.program(VERTEX, FRAGMENT if chosen == SRGB8_ALPHA8 else LINEAR)
+        self._triangle = gl.vertex_array(self._program, [])
+        self._chains, self._targets = [], []
+        for _ in range(views):
+            chain = xr.create_swapchain(session, how)
+            self._chains.append(chain)
+            images = xr.enumerate_swapchain_images(chain, xr.SwapchainImageOpenGLKHR)
+            textures = [gl.external_texture(image.image, size, 4, 0, "f1") for image in images]
+            self._targets.append([gl.framebuffer(color_attachments=[t]) for t in textures])
+
+    def draw(self, texture) -> None:
+        """Hand over the views of a picture, one below the other in a texture of the same width."""
+        xr, gl, (width, height) = self.xr, self._gl, self.size
+        gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
+        for view, (chain, targets) in enumerate(zip(self._chains, self._targets, strict=True)):
+            index = xr.acquire_swapchain_image(chain, xr.SwapchainImageAcquireInfo())
+            xr.wait_swapchain_image(chain, xr.SwapchainImageWaitInfo(timeout=xr.INFINITE_DURATION))
+            targets[index].use()
+            gl.viewport = (0, 0, width, height)
+            texture.use(0)
+            self._program["rows"] = (view * height, height)
+            self._triangle.render(gl.TRIANGLES, vertices=3)
+            xr.release_swapchain_image(chain, xr.SwapchainImageReleaseInfo())
+
+    def layer(self, space, views):
+        """The projection layer of what was drawn for these XrViews."""
+        xr = self.xr
+        shown = [xr.CompositionLayerProjectionView() for _ in self._chains]
+        for at, chain, view in zip(shown, self._chains, views, strict=True):
+            at.pose, at.fov, at.sub_image.swapchain = view.pose, view.fov, chain
+            at.sub_image.image_rect.offset[:] = [0, 0]
+            at.sub_image.image_rect.extent[:] = list(self.size)
+        return xr.CompositionLayerProjection(space=space, views=shown)
+
+    def close(self) -> None:
+        """Give the textures back."""
+        for targets in self._targets:
+            for target in targets:
+                target.release()
+        for chain in self._chains:
+            with contextlib.suppress(self.xr.exception.ResultException):  # it may have gone with its session
+                self.xr.destroy_swapchain(chain)
+        self._chains, self._targets = [], []

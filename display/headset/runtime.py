@@ -1,0 +1,131 @@
+"""An OpenXR runtime: is there one, which extensions has it, is a headset connected. Knows nothing of worlds."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+
+from assets.errors import BadInput
+
+INSTEAD = "leave out --xr to play in a window"
+WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
+WANTED = ("XR_EXT_hand_tracking", "XR_KHR_composition_layer_depth")  # used where they are
+
+
+def import_xr():
+    """The module xr, or BadInput that says what is missing."""
+    try:
+        import xr
+    except ImportError as e:
+        raise BadInput(f"--xr: {e.name} is not installed; run `make play` once, or {INSTEAD}") from e
+    except OSError as e:  # the loader's library does not open here
+        raise BadInput(f"--xr: the OpenXR loader does not start on this system ({e}); {INSTEAD}") from e
+    return xr
+
+
+class Runtime:
+    """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
+
+    `graphics` names the extensions without which nothing can be drawn. Raises BadInput with one clear line.
+    """
+
+    def __init__(self, graphics: list[str], *, wait: float = WAIT):
+        self.xr = xr = import_xr()
+        self.instance = None
+        try:
+            there = {e.extension_name.decode() for e in xr.enumerate_instance_extension_properties()}
+        except xr.exception.ResultException as e:
+            raise no_runtime() from e
+        if missing := [name for name in graphics if name not in there]:
+            raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
+        self.extensions = {name for name in WANTED if name in there}
+        try:
+            self.instance = xr.create_instance(
+                xr.InstanceCreateInfo(
+                    enabled_extension_names=[*graphics, *sorted(self.extensions)],
+                    application_info=xr.ApplicationInfo("VR-GS", 1, "VR-GS", 1, xr.Version(1, 0, 34)),
+                )
+            )
+        except (xr.RuntimeUnavailableError, xr.InitializationFailedError, xr.RuntimeFailureError) as e:
+            raise no_runtime() from e
+        properties = xr.get_instance_properties(self.instance)
+        self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
+        try:
+            self.system = self._headset(wait)
+            self.views = self._views()
+        except BaseException:
+            self.close()
+            raise
+
+    def _headset(self, wait: float):
+        """The system of a headset; one that is not connected may still come."""
+        xr, end, told = self.xr, time.monotonic() + wait, False
+        while True:
+            try:
+                return xr.get_system(self.instance, xr.SystemGetInfo(form_factor=xr.FormFactor.HEAD_MOUNTED_DISPLAY))
+            except xr.FormFactorUnsupportedError as e:
+                raise BadInput(f"--xr: {self.name} drives no headset; {INSTEAD}") from e
+            except xr.FormFactorUnavailableError as e:
+                if time.monotonic() >= end:
+                    raise BadInput(f"--xr: {self.name} finds no headset; connect it and put it on, or {INSTEAD}") from e
+                if not told:
+                    print(f"{self.name}: waiting {wait:.0f} s for a headset", file=sys.stderr, flush=True)
+                    told = True
+                time.sleep(0.5)
+
+    def _views(self) -> list[tuple[int, int]]:
+        xr = self.xr
+        stereo = xr.ViewConfigurationType.PRIMARY_STEREO
+        if stereo not in [
+            xr.ViewConfigurationType(v) for v in xr.enumerate_view_configurations(self.instance, self.system)
+        ]:
+            raise BadInput(f"--xr: {self.name} shows no stereo pictures; {INSTEAD}")
+        views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
+        return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
+
+    @property
+    def blend_mode(self):
+        """Opaque where the headset has it; see-through glasses have others."""
+        xr = self.xr
+        stereo = xr.ViewConfigurationType.PRIMARY_STEREO
+        modes = [
+            xr.EnvironmentBlendMode(m) for m in xr.enumerate_environment_blend_modes(self.instance, self.system, stereo)
+        ]
+        return xr.EnvironmentBlendMode.OPAQUE if xr.EnvironmentBlendMode.OPAQUE in modes else modes[0]
+
+    def path(self, text: str):
+        return self.xr.string_to_path(self.instance, text)
+
+    def events(self):
+        """What has happened since the last call, as XrEventData structures of their own type."""
+        import ctypes
+
+        xr = self.xr
+        kinds = {
+            xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED: xr.EventDataSessionStateChanged,
+            xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING: xr.EventDataInstanceLossPending,
+            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING: xr.EventDataReferenceSpaceChangePending,
+        }
+        while True:
+            try:
+                event = xr.poll_event(self.instance)
+            except xr.EventUnavailable:
+                return
+            kind = kinds.get(xr.StructureType(event.type))
+            if kind is not None:
+                yield ctypes.cast(ctypes.byref(event), ctypes.POINTER(kind)).contents
+
+    def close(self) -> None:
+        """Let the runtime go. Further calls do nothing."""
+        if self.instance is not None:
+            instance, self.instance = self.instance, None
+            with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
+                self.xr.destroy_instance(instance)
+
+
+def no_runtime() -> BadInput:
+    return BadInput(
+        "--xr: no OpenXR runtime answers; start SteamVR, Quest Link, WiVRn or Monado and make it the active one, "
+        f"or {INSTEAD}"
+    )

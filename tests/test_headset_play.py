@@ -1,0 +1,167 @@
+"""A scripted player in a real OpenXR runtime: looks round, takes a ring, lifts it, throws it; the runtime goes away.
+
+Needs Monado (`tests/monado.sh` builds it once) and an X server; software OpenGL does.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from display.headset.poses import Standpoint
+from scenes import ring_toss
+from tests.remote_headset import Player, monado, surroundings
+from tests.xvfb import NEEDS_XVFB, XServer
+
+TESTS = Path(__file__).resolve().parent
+WHY = "no OpenXR runtime to play in: build it with `sh tests/monado.sh`"
+pytestmark = [*NEEDS_XVFB, pytest.mark.skipif(monado() is None, reason=WHY)]
+YELLOW = 1
+
+
+class Play:
+    """The program in a headset, its log, and the player who wears it."""
+
+    def __init__(self, screen: XServer, folder: Path, environment: dict):
+        self.screen, self.log, self.stats = screen, folder / "log.jsonl", folder / "stats.json"
+        self.errors = folder / "errors.txt"
+        command = [sys.executable, TESTS / "watched_play.py", self.log, "--scene", "ring_toss", "--xr", "--arch", "cpu"]
+        command += ["--stats", self.stats]
+        with open(self.errors, "w") as errors:
+            environment = {**screen.env, **environment}
+            self.process = subprocess.Popen([str(c) for c in command], env=environment, stderr=errors)
+        self.player = Player()
+        self.player.send()
+        scene = ring_toss.build()
+        self.stage = Standpoint.before(scene.eye, scene.target).matrix
+
+    def frames(self) -> list[dict]:
+        lines = self.log.read_text().split("\n")[:-1] if self.log.exists() else []
+        return [json.loads(line) for line in lines]
+
+    def until(self, condition, *, seconds: float = 120.0) -> dict:
+        """The first frame from now on that meets the condition."""
+        begin, end = len(self.frames()), time.monotonic() + seconds
+        while time.monotonic() < end:
+            for frame in self.frames()[begin:]:
+                if condition(frame):
+                    return frame
+            assert self.process.poll() is None, f"the program ended: {self.errors.read_text()[-2000:]}"
+            time.sleep(0.1)
+        raise AssertionError(f"not within {seconds:.0f} s; the last frame was {self.frames()[-1:]}")
+
+    def in_play_space(self, point) -> tuple[float, ...]:
+        """Where a point of the world is for the player [m]."""
+        return tuple((np.linalg.inv(self.stage) @ [*point, 1.0])[:3].tolist())
+
+    def move(self, controller, to, *, seconds: float = 1.0, steps: int = 20) -> None:
+        """Move a controller evenly to a point of the play space."""
+        start, to = np.array(controller.position), np.array(to)
+        for k in range(1, steps + 1):
+            controller.position = tuple((start + (to - start) * k / steps).tolist())
+            self.player.send()
+            time.sleep(seconds / steps)
+
+
+@pytest.fixture(scope="module")
+def play(tmp_path_factory):
+    with XServer(1600, 900) as screen, surroundings() as environment:
+        session = Play(screen, tmp_path_factory.mktemp("headset"), environment)
+        yield session
+        if session.process.poll() is None:
+            session.process.kill()
+        session.process.wait(10)
+
+
+def test_a_ring_is_taken_lifted_and_thrown(play):
+    start = play.until(lambda f: f["time"] > 0.3, seconds=300)  # compiled, and settled on the table
+    ring = np.array(start["bodies"][YELLOW]["centroid"])
+    assert 0 < ring[1] - ring_toss.TABLE_TOP < 0.03 and not start["bodies"][YELLOW]["held"]
+    hand, rim = play.player.right, play.in_play_space(ring + [0.0, 0.0, ring_toss.RING_RADIUS])
+    play.move(hand, rim, seconds=0.5)
+    at = play.until(lambda f: np.linalg.norm(np.subtract(f["hands"][1]["position"], ring)) < 0.1)
+    assert not at["hands"][1]["grip"]
+    hand.squeeze = 1.0
+    play.player.send()
+    play.until(lambda f: f["bodies"][YELLOW]["held"])
+    play.move(hand, np.add(rim, [0.0, 0.25, 0.0]))
+    play.until(lambda f: f["bodies"][YELLOW]["centroid"][1] > ring[1] + 0.15)
+    assert "MONADO_HAPTIC right" in play.errors.read_text()
+    assert "MONADO_HAPTIC left" not in play.errors.read_text()
+
+    play.move(hand, np.add(rim, [0.0, 0.3, -0.3]), seconds=2.0)  # slow machines draw few frames: no flick of the wrist
+    play.until(lambda f: np.linalg.norm(np.subtract(f["bodies"][YELLOW]["centroid"], ring)) > 0.3)
+    hand.squeeze = 0.0
+    play.player.send()
+    thrown = play.until(lambda f: not f["bodies"][YELLOW]["held"])
+    rest = play.until(lambda f: f["time"] > thrown["time"] + 1.0)
+    assert np.linalg.norm(np.subtract(rest["bodies"][YELLOW]["centroid"], ring)) > 0.1
+    assert all(np.isfinite(b["centroid"]).all() for b in rest["bodies"])
+
+
+def test_both_eyes_see_the_room_and_turn_with_the_head(play):
+    """Monado's window shows the two views side by side in its top left corner, and the ring toss is a bright room."""
+    play.player.rotation = (0.0, 0.0, 0.0, 1.0)
+    play.player.send()
+    time.sleep(2.0)
+    ahead = compositor(play.screen)
+    assert all(np.ptp(eye.astype(int), axis=(0, 1)).min() > 100 for eye in ahead)
+    difference = [np.abs(ahead[0].astype(int) - np.roll(ahead[1], s, 1).astype(int)).mean() for s in (0, 10)]
+    assert 0 < min(difference) < 60  # not the same picture, but of the same room
+    play.player.rotation = (0.0, np.sin(0.6), 0.0, np.cos(0.6))
+    play.player.send()
+    play.until(lambda f: f["time"] > 0)
+    time.sleep(2.0)
+    aside = compositor(play.screen)
+    assert np.abs(aside[0].astype(int) - ahead[0]).mean() > 10
+
+
+def test_buttons_change_the_interaction_and_reset(play):
+    play.player.rotation = (0.0, 0.0, 0.0, 1.0)
+    press(play, play.player.left, "b_click", lambda f: f["interaction"] == "transform")
+    press(play, play.player.left, "b_click", lambda f: f["interaction"] == "physics")
+    press(play, play.player.right, "b_click", lambda f: f["time"] < 0.5)
+
+
+def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
+    window = play.screen.wait_for_window("VR-GS: ring_toss")
+    play.screen.do("windowclose", window)
+    deadline = time.monotonic() + 60
+    while play.process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.2)
+    assert play.process.returncode is not None, "it does not end"
+
+
+def press(play, controller, button: str, effect) -> None:
+    """Hold a button down until a frame shows its effect, then let go for two frames."""
+    controller.pressed = {button}
+    play.player.send()
+    play.until(effect)
+    controller.pressed = set()
+    play.player.send()
+    after = len(play.frames()) + 2
+    play.until(lambda f: len(play.frames()) >= after)
+
+
+def compositor(screen) -> list[np.ndarray]:
+    """Left and right half of Monado's window, 960x540 at the origin."""
+    pixels = screen.pixels()[:540, :960]
+    return [pixels[:, :480], pixels[:, 480:]]
+
+
+def test_without_a_screen_the_headset_still_plays(tmp_path):
+    """EGL instead of a window, Monado's compositor without one; nobody's controllers move."""
+    with surroundings() as environment:
+        environment = {**os.environ, **environment, "XRT_COMPOSITOR_NULL": "1", "LIBGL_ALWAYS_SOFTWARE": "1"}
+        environment.pop("DISPLAY", None)
+        stats = tmp_path / "stats.json"
+        words = [sys.executable, TESTS.parent / "vrgs.py", "--xr", "--arch", "cpu", "--frames", "4", "--stats", stats]
+        done = subprocess.run([str(w) for w in words], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    numbers = json.loads(stats.read_text())
+    assert numbers["frames"] == 4 and numbers["finite"] is True and "render" in numbers["stages"]

@@ -22,7 +22,7 @@ MATERIALS = {
     "wood": {"young": 1e8, "poisson": 0.35, "density": 510.0, "friction": 0.5, "kinetic_friction": 0.3},
     # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011); 1,060 kg/m^3. That it
     # keeps its volume keeps a joint's inner side from turning inside out.
-    "flesh": {"young": 3e4, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
+    "flesh": {"young": 1e5, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
 }
 
 

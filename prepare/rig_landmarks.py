@@ -14,7 +14,7 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from assets.asset import Asset
+from assets.asset import Asset, DistanceGrid
 from assets.border import reading
 from assets.errors import BadInput
 
@@ -32,17 +32,33 @@ SHORTEST_ARM = 0.25  # what stands out less is no arm
 
 
 @dataclass(frozen=True)
+class Held:
+    """A ball that goes with a landmark's joint, whatever is near it: centre (3,) and radius [m]."""
+
+    by: str
+    center: np.ndarray
+    radius: float
+
+    @property
+    def joint(self) -> str:
+        """The joint of rig_names.TREE that it follows."""
+        tips = {"hand": "wrist", "foot": "ankle", "head_top": "head"}
+        side, _, limb = self.by.partition("_")
+        return tips.get(self.by) or (f"{side}_{tips.get(limb, limb)}" if limb else self.by)
+
+
+@dataclass(frozen=True)
 class Landmarks:
     """Places of NAMES in the asset's frame.
 
     points  {name: (3,) [m]};  source  {name: "given", "solid" or "proportions"}
-    held    spheres that go with a joint whatever is near them: [(name, centre (3,), radius)] [m]
+    held    what is held, None if that is to be found out
     joints  {name: name of the rig's node}, for rigs whose names do not tell
     """
 
     points: dict[str, np.ndarray]
     source: dict[str, str]
-    held: list[tuple[str, np.ndarray, float]]
+    held: list[Held] | None
     joints: dict[str, str]
 
 
@@ -62,7 +78,7 @@ def read_landmarks(path: str | Path) -> dict:
         raise BadInput(f"{path}: is not JSON") from e
     if not isinstance(found, dict):
         raise BadInput(f"{path}: is not a JSON object of landmarks")
-    result: dict = {"held": [], "joints": {}}
+    result: dict = {"joints": {}}
     for name, value in found.items():
         if name in NAMES:
             result[name] = vector(value, f"{path}: {name}")
@@ -84,19 +100,23 @@ def vector(value, what: str) -> np.ndarray:
     return np.array(value, np.float64)
 
 
-def held(value, where: str) -> tuple[str, np.ndarray, float]:
+def held(value, where: str) -> Held:
     """One entry of `held`: {"by": NAME, "center": [x, y, z], "radius": r}."""
     by = value.get("by") if isinstance(value, dict) else None
     radius = value.get("radius") if isinstance(value, dict) else None
     if by not in NAMES or isinstance(radius, bool) or not isinstance(radius, (int, float)) or not 0 < radius < 1e6:
         raise BadInput(f'{where}: what is held is {{"by": LANDMARK, "center": [x, y, z], "radius": r}}')
-    return by, vector(value.get("center"), f"{where}: the center of what is held"), float(radius)
+    return Held(by, vector(value.get("center"), f"{where}: the center of what is held"), float(radius))
 
 
-def landmarks_of(asset: Asset, given: dict | None = None) -> Landmarks:
-    """Landmarks of a person who stands upright: those `given`, the others guessed. Raises BadInput."""
+def landmarks_of(asset: Asset, given: dict | None = None, solid: DistanceGrid | None = None) -> Landmarks:
+    """Landmarks of a person who stands upright: those `given`, the others guessed from the grid `solid` (default: the
+    asset's own, which is coarser than the one that its cage is made from). Raises BadInput."""
     given = given or {}
-    points, source = guess(asset, given)
+    grid = solid or asset.sdf
+    if grid is None:
+        raise BadInput("landmarks cannot be guessed without a distance grid")
+    points, source = guess(grid, given)
     low, high = asset.cage.vertices.min(0), asset.cage.vertices.max(0)
     reach = FAR * (high - low).max()
     for name in NAMES:
@@ -104,16 +124,14 @@ def landmarks_of(asset: Asset, given: dict | None = None) -> Landmarks:
             points[name], source[name] = given[name], "given"
             if np.abs(given[name] - (low + high) / 2).max() > reach:
                 raise BadInput(f"the landmark {name} lies {reach:.3g} m or more from the body: is it in metres?")
-    return Landmarks(points, source, given.get("held", []), given.get("joints", {}))
+    return Landmarks(points, source, given.get("held"), given.get("joints", {}))
 
 
-def guess(asset: Asset, given: dict) -> tuple[dict, dict]:
-    """Landmarks from the solid inside the cage; what is `given` already leads the others."""
-    if asset.sdf is None:
-        raise BadInput("landmarks cannot be guessed without a distance grid")
-    solid = np.asarray(asset.sdf.values, np.float32) < 0
-    node, spacing = np.argwhere(solid), float(asset.sdf.spacing)
-    x = np.asarray(asset.sdf.origin) + spacing * node
+def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
+    """Landmarks from the solid of a grid; what is `given` already leads the others."""
+    solid = np.asarray(grid.values, np.float32) < 0
+    node, spacing = np.argwhere(solid), float(grid.spacing)
+    x = np.asarray(grid.origin) + spacing * node
     deep = ndimage.distance_transform_edt(solid)[tuple(node.T)] * spacing
     foot, top = x[:, 1].min(), x[:, 1].max()
     H = top - foot

@@ -18,9 +18,10 @@ from assets.animation import MOST
 from assets.locate import Locator
 
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
-EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
 CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
+ABOUT = 0.06  # of the body's size: so far about it. Joints bend the more gently, the longer what is left free
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 
 def laplacian(vertices: np.ndarray, tets: np.ndarray):
@@ -81,21 +82,25 @@ def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(w > 0, joints, 0).astype(np.int32), (w / w.sum(1, keepdims=True)).astype(np.float32)
 
 
-def firm(weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, float]:
+def firm(
+    vertices: np.ndarray, weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.ndarray
+) -> np.ndarray:
     """Which vertices are driven, (V,) bool: those of the surface that one joint leads, not near what this crushes.
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
-    Out.     and the smallest volume, of 1 at rest, of a tet that only driven vertices have
     """
     driven = np.zeros(len(weights), bool)
     driven[surface] = weights[surface, 0] >= FIRM
-    least = least_volumes(tets, shapes)
-    tight = np.zeros(len(weights), bool)
-    tight[tets[least < CRUSHED]] = True
-    tight[tets[tight[tets].any(1)]] = True
-    driven &= ~tight
-    return driven, float(least[driven[tets].all(1)].min(initial=1.0))
+    x = np.asarray(vertices, np.float64)
+    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
+    graph = coo_matrix((length, ends.T), shape=(len(x),) * 2).tocsr()
+    tight = np.unique(tets[least_volumes(tets, shapes) < CRUSHED])
+    if len(tight):
+        reach = ABOUT * np.ptp(x, axis=0).max()
+        driven &= dijkstra(graph, directed=False, indices=tight, min_only=True, limit=reach) > reach
+    return driven
 
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from prepare.rig_cut import cut
 from prepare.rig_fit import BONES, PARENTS, fit
 from prepare.rig_hang import calmed, within
 from prepare.rig_landmarks import Landmarks
-from prepare.rig_parts import Parts, meets, parted
+from prepare.rig_parts import Parts, meets, parted, shortened
 from prepare.rig_solid import Solid
 from prepare.rig_weights import EDGES, HOLD, diffused, firm, least_volumes, strongest
 
@@ -57,8 +57,10 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks, solid: DistanceGrid | None =
     rest = (steps, upright, np.ones((J, 3)))
     own = Skeleton(BONES, PARENTS, inverse, rest, fitted.frames, rig.fps)
     parts = Parts(label, person.of_points(asset.gaussians.means), joined)
-    moving = animated(asset, cage, parts, own, weights, on_ground=True)
+    gaussians, fewer = shortened(asset.gaussians, person, joined)
+    moving = animated(replace(asset, gaussians=gaussians), cage, parts, own, weights, on_ground=True)
     of_rig = {
+        "shortened": fewer,
         "motion": rig.animation,
         "landmarks": {k: {"at": np.round(v, 4).tolist(), "from": marks.source[k]} for k, v in marks.points.items()},
         "residual": {k: [round(v, 4) for v in values] for k, values in fitted.residual.items()},

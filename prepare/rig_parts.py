@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from assets.asset import Cage
+from assets.gaussians import Gaussians, matrices_of_quats
 from prepare.rig_fit import BONES, Fitted
 from prepare.rig_landmarks import Held, Landmarks
 from prepare.rig_names import SIDES, TREE
@@ -20,9 +21,11 @@ TRUNK = {"pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_cla
 LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
 PELVIS = 0.4  # of the way to the joints of the hips: beyond, its radius would reach for a hanging hand
 SHOULDER_END = 0.7  # of the clavicle: the ball of the shoulder goes with the arm
-ROOT_REACH = {"shoulder": 0.28, "hip": 0.42}  # of a limb's bone: about its joint so far, it holds to the trunk
+ROOT_REACH = {"shoulder": 0.36, "hip": 0.42}  # of a limb's bone: about its joint so far, it holds to the trunk
 LIMB_REACH = 0.5  # of the shorter bone: about their joint so far, two of a limb hold together
 THINNEST = 0.02  # of the stature: what is nearer to a bone than that counts as so far
+REACHES = 1.5  # standard deviations: so far a Gaussian is seen
+SHORTER = (0.7, 0.5, 0.35, 0.25, 0.15)  # of its length, until it lies in its part
 SAMPLES = np.array([[0.25] * 4, *(0.125 + 0.5 * np.eye(4))])  # of a tet, at which it is looked up in the solid
 
 
@@ -103,11 +106,37 @@ def parted(solid: Solid, fitted: Fitted, marks: Landmarks, height: float) -> Per
     held = marks.held
     if held is None:
         hands = {s: (fitted.rest[BONES.index(f"{s}_wrist")], fitted.tips[f"{s}_wrist"]) for s in SIDES}
-        radii = (ways / bones.radius).min(1)
-        held = [Held(f"{s}_hand", c, r) for s, c, r in held_by_hands(solid, radii, hands, height)]
+        held = []
+        for side, mine, balls in held_by_hands(solid, (ways / bones.radius).min(1), hands, height):
+            held += [Held(f"{side}_hand", *ball) for ball in balls]
+            label[mine] = BONES.index(f"{side}_wrist")
     for h in held:
-        label = np.where(np.linalg.norm(solid.points - h.center, axis=1) < h.radius, BONES.index(h.joint), label)
+        label[np.linalg.norm(solid.points - h.center, axis=1) < h.radius] = BONES.index(h.joint)
     return Person(solid, label, np.maximum(distance, THINNEST * height), held)
+
+
+def shortened(g: Gaussians, person: Person, joined: Callable) -> tuple[Gaussians, int]:
+    """Gaussians that do not reach from their part to another one that is cut from it: a long one that was hidden under
+    an arm is a spike when the arm has gone. And how many had to be made shorter."""
+    k = np.argmax(g.log_scales, axis=1)
+    rows = np.arange(len(g))
+    sigma = np.exp(g.log_scales[rows, k].astype(np.float64))
+    long = np.flatnonzero(REACHES * sigma > person.solid.spacing)
+    means = g.means[long].astype(np.float64)
+    axis = matrices_of_quats(g.quats[long].astype(np.float64))[np.arange(len(long)), :, k[long]]
+    own = person.of_points(means)
+    share, left = np.ones(len(long)), np.ones(len(long), bool)
+    for smaller in SHORTER:
+        ends = means + np.array([[[REACHES]], [[-REACHES]]]) * (share * sigma[long])[:, None] * axis
+        for end in ends:
+            there = person.of_points(end[left])
+            apart = (there != own[left]) & ~joined(there, own[left], end[left])
+            share[np.flatnonzero(left)[apart]] = smaller
+        left &= share == smaller
+    scales = g.log_scales.copy()
+    most = np.log(share * sigma[long]).astype(np.float32)
+    scales[long] = np.where((share < 1)[:, None], np.minimum(scales[long], most[:, None]), scales[long])
+    return replace(g, log_scales=scales), int((share < 1).sum())
 
 
 def meets(fitted: Fitted) -> Callable:

@@ -67,12 +67,12 @@ class Solid:
         return result
 
 
-def held_by_hands(solid: Solid, radii: np.ndarray, hands: dict, height: float) -> list[tuple]:
+def held_by_hands(solid: Solid, radii: np.ndarray, hands: dict, height: float) -> list[tuple[str, np.ndarray, list]]:
     """What hands hold: a piece of the solid that no bone's radius explains, next to a hand; as balls that cover it.
 
     radii  how many of its bone's radii each point is off the bone that is nearest by that, (n,)
     hands  {side: (wrist, tip) [m]};  height  [m] of the person
-    Out.   [(side, centre (3,), radius)] [m]
+    Out.   [(side, indices of the piece's points, [(centre (3,), radius) [m] of each ball])]
     """
     far = np.flatnonzero(radii > EXCESS)
     count, piece = connected_components(solid.graph[far][:, far], directed=False)
@@ -84,7 +84,7 @@ def held_by_hands(solid: Solid, radii: np.ndarray, hands: dict, height: float) -
         near = {s: to_segment(solid.points[mine], *ends).min() for s, ends in hands.items()}
         side = min(near, key=near.get)
         if near[side] < NEXT_TO * height:
-            result += [(side, c, r) for c, r in balls(solid, mine)]
+            result.append((side, mine, balls(solid, mine)))
     return result
 
 
@@ -98,7 +98,7 @@ def balls(solid: Solid, mine: np.ndarray) -> list[tuple[np.ndarray, float]]:
         off = np.linalg.norm(rim - center, axis=1) - radius
         inside = np.linalg.norm(x - center, axis=1) < radius + solid.spacing
         if np.sqrt((off**2).mean()) < ROUND * radius and inside.mean() > COVERED:
-            return [(center, radius)]
+            return [(center, radius + 0.5 * solid.spacing)]  # nodes are inside
     result, open_ = [], np.ones(len(mine), bool)
     while open_.mean() > 1 - COVERED and len(result) < MOST_BALLS:
         k = np.flatnonzero(open_)[np.argmax(depth[open_])]

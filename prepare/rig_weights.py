@@ -15,7 +15,6 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 
 from assets.animation import MOST
-from assets.locate import Locator
 
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
@@ -42,34 +41,6 @@ def diffused(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: n
     L, mass = laplacian(vertices, tets)
     H = mass * held
     return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)
-
-
-def bone_distances(vertices: np.ndarray, tets: np.ndarray, segments: list) -> np.ndarray:
-    """Length [m] of the way inside the cage from each vertex to each segment (a, b), (V, n)."""
-    x = np.asarray(vertices, np.float64)
-    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
-    step = np.median(length)
-    where = Locator(x, tets)
-    V, n = len(x), len(segments)
-    rows, columns, values = [ends[:, 0]], [ends[:, 1]], [length]
-    for k, (a, b) in enumerate(segments):  # a node V + k beyond all vertices near the segment
-        points = a + np.linspace(0, 1, max(int(2 * np.linalg.norm(b - a) / step), 1) + 1)[:, None] * (b - a)
-        host = where.find(points)
-        out = host < 0
-        if out.any():
-            host[out] = where.nearest(points[out])[0]
-        near = tets[host].ravel()
-        t = ((x[near] - a) @ (b - a) / max((b - a) @ (b - a), 1e-12)).clip(0, 1)
-        off = np.linalg.norm(x[near] - a - t[:, None] * (b - a), axis=1)
-        near, first = np.unique(near, return_index=True)
-        rows.append(np.full(len(near), V + k))
-        columns.append(near)
-        values.append(off[first] + 1e-9)
-    rows, columns = [ends[:, 1], *rows], [ends[:, 0], *columns]  # both ways, but none leads back to a segment
-    data = np.concatenate([length, *values])
-    graph = coo_matrix((data, (np.concatenate(rows), np.concatenate(columns))), shape=(V + n,) * 2).tocsr()
-    return dijkstra(graph, indices=np.arange(V, V + n))[:, :V].T
 
 
 def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,16 +9,21 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from assets.animation import RAMP, skin, world_of
-from assets.asset import Asset, Cage
+from assets.asset import Asset, Cage, DistanceGrid
 from assets.check import check_cage
 from assets.errors import BadInput
-from assets.gltf_rig import Rig, read_rig
+from assets.gaussians import Gaussians
+from assets.gltf_rig import Rig
 from assets.materials import MOVING
+from prepare.embed import embed
 from prepare.rig_cut import cut, split
 from prepare.rig_fit import BONES, PARENTS, fit
-from prepare.rig_landmarks import NAMES, Landmarks, read_landmarks
+from prepare.rig_hang import calmed
+from prepare.rig_landmarks import NAMES, Landmarks, read_landmarks, to_segment
 from prepare.rig_names import ARM, LEG, TREE, named_joints, words
-from prepare.rig_weights import bone_distances, diffused, least_volumes, strongest
+from prepare.rig_parts import Parts
+from prepare.rig_solid import Solid, held_by_hands
+from prepare.rig_weights import diffused, least_volumes, strongest
 from tests.glb import bar
 from tests.meshes import boundary, box
 
@@ -48,17 +53,92 @@ def test_diffused_weights_are_shares_and_differ_little_between_neighbours():
     assert (four[:, 0] >= four[:, 3]).all() and joints.max() < 9
 
 
+def grid_of(inside, low, high, spacing: float = 0.025) -> DistanceGrid:
+    """A grid of -1 where inside(x) of points (..., 3), else 1."""
+    shape = np.ceil((np.subtract(high, low)) / spacing).astype(int) + 1
+    x = np.asarray(low) + spacing * np.moveaxis(np.indices(shape), 0, -1)
+    return DistanceGrid(np.where(inside(x), -1.0, 1.0).astype(np.float16), np.asarray(low, np.float64), spacing)
+
+
 def test_weights_do_not_bleed_from_leg_to_leg():
-    """5 cm across the gap, but more than a metre through the waist: distance is measured inside the cage."""
-    x, tets = trousers()
-    legs = [(np.array([c, 0.0, 0.05]), np.array([c, 0.75, 0.05])) for c in (0.05, 0.2)]
-    off = bone_distances(x, tets, legs)
-    low, left = x[:, 1] < 0.5, x[:, 0] < 0.125
+    """5 cm across the gap, but more than a metre through the waist: distance is measured inside the solid."""
+
+    def inside(p):
+        x, y = p[..., 0], p[..., 1]
+        return (x > 0) & (x < 0.25) & (y > 0) & (y < 1) & ((np.abs(x - 0.125) > 0.025) | (y > 0.8))
+
+    solid = Solid.of(grid_of(inside, (-0.05, -0.05, -0.05), (0.3, 1.05, 0.15)))
+    legs = [(np.array([c, 0.05, 0.05]), np.array([c, 0.75, 0.05])) for c in (0.05, 0.2)]
+    off = solid.ways(legs)
+    p = solid.points
+    low, left = p[:, 1] < 0.5, p[:, 0] < 0.125
     assert (off[low & left, 1] > 0.25).all() and (off[low & ~left, 0] > 0.25).all()
-    weights = diffused(x, tets, 4 / np.maximum(off.min(1), 0.02) ** 2, np.eye(2)[np.argmin(off, 1)])
-    assert weights[low & left, 1].max() < 0.01 and weights[low & ~left, 0].max() < 0.01
-    euclid = np.hypot(x[:, 0] - 0.2, x[:, 2] - 0.05)
-    assert euclid[low & left].min() < 0.13  # what a straight line would have taken for near
+    assert off[low & left, 0].max() < 0.2  # its own leg is near
+    euclid = np.hypot(p[:, 0] - 0.2, p[:, 2] - 0.05)
+    assert euclid[low & left].min() < 0.15  # what a straight line would have taken for near
+
+
+def test_what_a_hand_holds_is_found_and_covered():
+    """A ball, and a stick, at the end of an arm; neither a bump that is too small nor a ball far from all hands is."""
+    arm = np.array([0.0, 1.0, 0.0]), np.array([0.5, 1.0, 0.0])
+    hands = {"left": (np.array([0.45, 1.0, 0.0]), arm[1])}
+
+    def solid_with(*more) -> tuple[Solid, np.ndarray]:
+        def inside(p):
+            found = to_segment(p.reshape(-1, 3), *arm).reshape(p.shape[:-1]) < 0.06
+            for piece in more:
+                found |= piece(p)
+            return found
+
+        solid = Solid.of(grid_of(inside, (-0.4, 0.4, -0.4), (1.0, 1.4, 0.4), 0.02))
+        return solid, solid.ways([arm])[:, 0] / 0.06
+
+    def ball(c, r):
+        return lambda p: np.linalg.norm(p - c, axis=-1) < r
+
+    def stick(p):
+        return (np.abs(p[..., 0] - 0.5) < 0.04) & (np.abs(p[..., 2]) < 0.04) & (p[..., 1] > 0.5) & (p[..., 1] < 1.3)
+
+    found = held_by_hands(*solid_with(ball((0.55, 0.85, 0.0), 0.15)), hands, 1.7)
+    assert len(found) == 1 and found[0][0] == "left"
+    ((center, radius),) = found[0][2]
+    assert_allclose(center, (0.55, 0.85, 0.0), atol=0.03)
+    assert abs(radius - 0.15) < 0.03
+    solid, radii = solid_with(stick)
+    found = held_by_hands(solid, radii, hands, 1.7)
+    beyond = solid.points[(radii > 1.6) & (solid.points[:, 1] < 0.95)]
+    pieces = [balls for _, _, balls in found]
+    covered = np.any([np.linalg.norm(beyond - c, axis=1) < r for balls in pieces for c, r in balls], axis=0)
+    assert len(pieces[0]) > 1 and covered.mean() > 0.8
+    assert held_by_hands(*solid_with(ball((0.0, 0.9, 0.0), 0.12)), hands, 1.7) == []
+    assert held_by_hands(*solid_with(ball((0.5, 0.95, 0.0), 0.07)), hands, 1.7) == []
+
+
+def test_a_gaussian_that_would_be_a_spike_follows_what_is_calm():
+    """A bar is drawn out to four times its length over a tenth of it: nothing that follows it grows as much, and what
+    is far from there stays as it was."""
+    x, tets, _ = box((1.0, 0.1, 0.1), (20, 2, 2))
+    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary(tets).astype(np.int32))
+    n = 400
+    rng = np.random.default_rng(0)
+    means = rng.uniform((0.02, 0.02, 0.02), (0.98, 0.08, 0.08), (n, 3))
+    quats = np.tile([1.0, 0, 0, 0], (n, 1))
+    g = Gaussians.of(means, quats, np.full((n, 3), np.log(0.004)), np.zeros(n), np.zeros((n, 1, 3)))
+    embedded = embed(g.means, g.quats, np.exp(g.log_scales), x, tets)
+    drawn = x.astype(np.float64).copy()
+    drawn[:, 0] += 0.3 * np.clip((x[:, 0] - 0.5) / 0.1, 0, 1)
+    label = np.zeros(len(tets), int)
+    parts = Parts(label, np.zeros(n, int), lambda a, b, c: a == b)
+    new, count = calmed(embedded, g, cage, parts, np.stack([x.astype(np.float64), drawn]))
+
+    def growth(e):
+        y = [np.einsum("nkj,nkjd->nkd", e.weights.astype(np.float64), p[tets[e.host]]) for p in (x, drawn)]
+        F = [np.swapaxes(p[:, 1:] - p[:, :1], 1, 2) for p in y]
+        return np.linalg.norm(F[1] @ np.linalg.inv(F[0]), ord=2, axis=(1, 2))
+
+    assert growth(embedded).max() > 3 and growth(new).max() < 1.9  # root mean square of 1.35
+    far = np.abs(means[:, 0] - 0.55) > 0.2
+    assert 20 < count < n // 2 and (new.host[far] == embedded.host[far]).all()
 
 
 def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
@@ -128,7 +208,7 @@ def person(seed: int = 0, frames: int = 20) -> tuple[Rig, dict[str, np.ndarray]]
 
 
 def marks_of(points) -> Landmarks:
-    return Landmarks(points, dict.fromkeys(points, "given"), [], {})
+    return Landmarks(points, dict.fromkeys(points, "given"), None, {})
 
 
 def test_joints_are_told_by_their_names_and_place():
@@ -204,7 +284,7 @@ def test_a_landmark_file_is_read(tmp_path):
     held = [{"by": "right_hand", "center": [0, 1, 0], "radius": 0.1}]
     path.write_text(json.dumps({"neck": [0, 1.5, 0], "held": held, "joints": {"head": "Skull"}}))
     found = read_landmarks(path)
-    assert found["neck"].tolist() == [0, 1.5, 0] and found["held"][0][0] == "right_hand"
+    assert found["neck"].tolist() == [0, 1.5, 0] and found["held"][0].by == "right_hand"
     assert found["joints"] == {"head": "Skull"}
 
 
@@ -302,68 +382,6 @@ def test_what_belongs_together_is_said(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         mover(tmp_path / "a.ply", tmp_path / "none.glb", None)
     assert mover(tmp_path / "a.ply", None, None) is None
-
-
-@pytest.fixture(scope="module")
-def dancer(shared, ti_cpu, tmp_path_factory):
-    """The standing man with another one's dance, found without a landmarks file."""
-    from prepare.command import prepare_file
-
-    out = tmp_path_factory.mktemp("dancer") / "dancer.h5"
-    splats, rig = shared / "data/splats/biker_human.ply", shared / "data/rigs/win-dance.glb"
-    prepare_file(
-        splats, out, vertices=1500, up="-y", scale=1.75, rig=rig, progress=lambda *_: None, report=lambda _: None
-    )
-    return Asset.load(out)
-
-
-def test_the_landmarks_of_a_standing_man_are_found(dancer):
-    marks, size = dancer.provenance["rig"]["landmarks"], np.ptp(dancer.cage.vertices[:, 1])
-    at = {n: np.array(m["at"]) / size for n, m in marks.items()}
-    assert all(m["from"] == "solid" for m in marks.values())
-    # He looks along -x, a quarter turn to the left of +z, and his left hand is on the side of +z.
-    for limb, height in (("shoulder", 0.8), ("elbow", 0.65), ("wrist", 0.54), ("knee", 0.3), ("ankle", 0.07)):
-        left, right = at[f"left_{limb}"], at[f"right_{limb}"]
-        assert left[2] > 0.05 > -0.03 > right[2]
-        assert abs(left[1] - height) < 0.06 and abs(right[1] - height) < 0.06
-    for s in ("left", "right"):
-        assert at[f"{s}_foot"][0] < at[f"{s}_ankle"][0] - 0.02
-    assert max(v[1] for v in dancer.provenance["rig"]["residual"].values()) < 0.03 * size
-
-
-def test_a_man_dances_without_tearing(dancer, shared):
-    from display.motion import Motion
-    from scenes.scene import Body, Material
-    from sim.body import SoftBody
-    from sim.solver import Solver
-
-    a, cage = dancer.animation, dancer.cage
-    rig, _, _ = read_rig(shared / "data/rigs/win-dance.glb")
-    assert_allclose(a.duration, (len(rig.frames[0]) - 1) / rig.fps, rtol=1e-9)
-    material = Material.named(MOVING)
-    led = a.vertices[a.driven]
-    body = SoftBody("dancer", cage.vertices, cage.tets, cage.surface, material, pinned=led, loose=True)
-    solver = Solver([body], contacts=False)
-    motion = Motion(0, Body("dancer", material), a, cage.vertices, solver)
-    rest, shapes = cage.vertices.astype(np.float64), []
-    for _ in range(round(60 * a.duration)):
-        motion.drive(1 / 60)
-        solver.step(1 / 60)
-        shapes.append(solver.x.to_numpy()[: len(rest)].astype(np.float64))
-    shapes = np.stack([rest, *shapes])
-    least = least_volumes(cage.tets, shapes)
-    assert (least > 0).mean() > 0.995
-    ends = np.concatenate([cage.tets[:, [i, j]] for i in range(4) for j in range(i)])
-    stretch = np.linalg.norm(shapes[:, ends[:, 0]] - shapes[:, ends[:, 1]], axis=2)
-    stretch = (stretch / stretch[0]).max(0)
-    assert stretch.max() < 6 and (stretch < 2.5).mean() > 0.98
-    # Gaussians of a local tetrahedron that is stretched so draw out no further.
-    corner = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, rest[cage.tets[dancer.embedded.host]])
-    inverse = np.linalg.inv(corner[:, 1:] - corner[:, :1])
-    for x in shapes[:: len(shapes) // 6]:
-        moved = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, x[cage.tets[dancer.embedded.host]])
-        growth = np.linalg.norm(inverse @ (moved[:, 1:] - moved[:, :1]), ord=2, axis=(1, 2))
-        assert (growth < 3).mean() > 0.985
 
 
 def test_tree_is_ordered():

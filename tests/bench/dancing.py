@@ -80,7 +80,7 @@ def axes_of(cov: np.ndarray) -> np.ndarray:
 def stage(path: str, height: float, material: str) -> Scene:
     """The body on the ground."""
     return Scene(
-        bodies=[Body(path, Material.named(material))],
+        bodies=[Body(path, Material.moving(material, height))],
         light=Light(position=(height, 3 * height, 2 * height)),
         eye=(0.0, 0.6 * height, 2.4 * height),
         target=(0.0, 0.5 * height, 0.0),

@@ -40,7 +40,8 @@ def mover(path: Path, rig: str | Path | None, landmarks: str | Path | None) -> M
             raise BadInput("--landmarks belongs to --rig RIG.glb")
         return None
     from prepare.rig import dance
-    from prepare.rig_landmarks import landmarks_of, read_landmarks
+    from prepare.rig_landmark_file import read_landmarks
+    from prepare.rig_landmarks import landmarks_of
 
     given = read_landmarks(landmarks) if landmarks is not None else {}
     skeleton = read_rig(rig)[0]

@@ -21,6 +21,7 @@ from prepare.rig_weights import EDGES, HOLD, diffused, firm, least_volumes, stro
 
 LOOP = 0.3  # [s] in which a motion that does not come round is led to its start
 JUMP = (0.01, 0.02)  # [statures], [rad]: what is less comes round by itself
+CORE = 0.0201  # of the stature: a vertex so near to its bone is in it (rig_parts.THINNEST is the least that is told)
 SHAPES = 48  # frames of the motion in which tets are looked at
 
 
@@ -49,7 +50,8 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks, solid: DistanceGrid | None =
     V, J = len(cage.vertices), len(BONES)
     votes = np.bincount(cage.tets.ravel().astype(np.int64) * J + np.repeat(label, 4), minlength=V * J).reshape(V, J)
     target = np.eye(J)[np.argmax(votes, axis=1)]
-    weights = diffused(cage.vertices, cage.tets, HOLD / person.off_bone(cage.vertices) ** 2, target)
+    off = person.off_bone(cage.vertices)
+    weights = diffused(cage.vertices, cage.tets, HOLD / off**2, target)
     steps = fitted.rest - np.where((PARENTS >= 0)[:, None], fitted.rest[PARENTS], 0.0)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (J, 1))
     inverse = np.tile(np.eye(4), (J, 1, 1))
@@ -58,7 +60,9 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks, solid: DistanceGrid | None =
     own = Skeleton(BONES, PARENTS, inverse, rest, fitted.frames, rig.fps)
     parts = Parts(label, person.of_points(asset.gaussians.means), joined)
     gaussians, fewer = shortened(asset.gaussians, person, joined)
-    moving = animated(replace(asset, gaussians=gaussians), cage, parts, own, weights, on_ground=True)
+    moving = animated(
+        replace(asset, gaussians=gaussians), cage, parts, own, weights, on_ground=True, core=off <= CORE * height
+    )
     of_rig = {
         "shortened": fewer,
         "motion": rig.animation,
@@ -70,10 +74,19 @@ def dance(asset: Asset, rig: Rig, marks: Landmarks, solid: DistanceGrid | None =
     return with_provenance(moving, of_rig)
 
 
-def animated(asset: Asset, cage: Cage, parts: Parts, own: Skeleton, weights: np.ndarray, *, on_ground: bool) -> Asset:
+def animated(
+    asset: Asset,
+    cage: Cage,
+    parts: Parts,
+    own: Skeleton,
+    weights: np.ndarray,
+    *,
+    on_ground: bool,
+    core: np.ndarray | None = None,
+) -> Asset:
     """The asset with this cage, cut or not, its Gaussians embedded anew, and the motion. Raises BadInput.
 
-    weights  share of each joint in each vertex, (V, J)
+    weights  share of each joint in each vertex, (V, J);  core  those in the bones, (V,) bool
     """
     frames = come_round(own, float(np.ptp(cage.vertices[:, 1])))
     joints, strong = strongest(weights)
@@ -87,7 +100,8 @@ def animated(asset: Asset, cage: Cage, parts: Parts, own: Skeleton, weights: np.
         frames[0][:, 0, 1] += lift
         shapes[1:, :, 1] += lift
     surface = np.unique(cage.surface)
-    driven = firm(cage.vertices, strong, cage.tets, surface, shapes)
+    driven = firm(cage.vertices, strong, cage.tets, surface, shapes, core)
+    led = np.union1d(surface, np.flatnonzero(driven))
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
     embedded, mended = within(embedded, g.means.astype(np.float64), cage, parts)
@@ -99,16 +113,17 @@ def animated(asset: Asset, cage: Cage, parts: Parts, own: Skeleton, weights: np.
         own.rest,
         frames,
         own.fps,
-        surface.astype(np.int32),
-        joints[surface],
-        strong[surface],
-        driven[surface],
+        led.astype(np.int32),
+        joints[led],
+        strong[led],
+        driven[led],
     )
     figures = {
         "joints": len(own.names),
         "frames": len(frames[0]),
         "seconds": round(float(motion.duration), 3),
-        "driven": int(driven.sum()),
+        "driven": int(driven[surface].sum()),
+        "driven_in_bones": int(driven.sum() - driven[surface].sum()),
         "surface": len(surface),
         "added_vertices": len(cage.vertices) - len(asset.cage.vertices),
         "least_volume": round(float(least_volumes(cage.tets, shapes).min()), 3),

@@ -19,6 +19,7 @@ RADIUS = {"pelvis": 0.065, "spine": 0.075, "chest": 0.075, "neck": 0.035, "head"
 RADIUS |= {"shoulder": 0.036, "elbow": 0.032, "wrist": 0.022, "hip": 0.05, "knee": 0.035, "ankle": 0.025}
 TRUNK = {"pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_clavicle"}
 LIMBS = (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+CHEST_HALF = 0.04  # of the stature: a chest is so much wider to each side than it is deep
 PELVIS = 0.4  # of the way to the joints of the hips: beyond, its radius would reach for a hanging hand
 SHOULDER_END = 0.7  # of the clavicle: the ball of the shoulder goes with the arm
 ROOT_REACH = {"shoulder": 0.36, "hip": 0.42}  # of a limb's bone: about its joint so far, it holds to the trunk
@@ -86,6 +87,10 @@ def bones_of(fitted: Fitted, height: float) -> Bones:
     hips = 0.5 * (at["left_hip"] + at["right_hip"])
     ends = (hips + PELVIS * (at[f"{s}_hip"] - hips) for s in SIDES)
     found += [("pelvis", *ends), ("head", at["head"], fitted.tips["head"])]
+    across = at["left_shoulder"] - at["right_shoulder"]
+    across = CHEST_HALF * height * across / np.linalg.norm(across)
+    for middle in (at["chest"], 0.5 * (at["chest"] + at["neck"])):
+        found.append(("chest", middle - across, middle + across))
     for s in SIDES:
         inner, shoulder = at[f"{s}_clavicle"], at[f"{s}_shoulder"]
         found.append((f"{s}_clavicle", inner, inner + SHOULDER_END * (shoulder - inner)))

@@ -59,7 +59,7 @@ def build(body: str = "dancer", material: str = MOVING) -> Scene:
         colliders=room(),
         light=Light(position=(0.0, 1.9, 0.1), target=PLACE),
         background=PLASTER,
-        eye=(0.0, 1.25 + 0.3 * far, 0.95 + far),
+        eye=(0.0, 1.15 + 0.4 * far, 0.75 + far),
         target=(0.0, 0.9 + 0.5 * far, 0.0),
         game=JustDance(PLACE, height),
     )

@@ -65,12 +65,12 @@ def parts(at: dict[str, np.ndarray]) -> list[Part]:
     neck = at["neck"] + HEIGHT * np.array([0, -0.02, 0])
     limb("neck", [neck, at["head"] + HEIGHT * np.array([0, 0.02, 0])], [0.032, 0.03], WOOD)
     chest = at["chest"] + HEIGHT * np.array([0, 0.055, 0])
-    add("chest", pillow(HEIGHT * np.array([0.245, 0.27, 0.15]), 0.8).moved(None, chest), SHIRT)
+    add("chest", pillow(HEIGHT * np.array([0.215, 0.27, 0.145]), 0.8).moved(None, chest), SHIRT)
     hips = at["pelvis"] + HEIGHT * np.array([0, 0.0, 0])
     add("hips", pillow(HEIGHT * np.array([0.2, 0.17, 0.145]), 0.8).moved(None, hips), TROUSERS)
     for s in SIDES:
         shoulder, elbow, wrist, hand = (at[f"{s}_{n}"] for n in ("shoulder", "elbow", "wrist", "hand"))
-        limb(f"{s} arm", [shoulder, elbow, wrist], [0.044, 0.036, 0.028], SHIRT)
+        limb(f"{s} arm", [shoulder, elbow, wrist], [0.05, 0.038, 0.028], SHIRT)
         limb(f"{s} hand", [wrist, 0.5 * (wrist + hand), hand], [0.024, 0.033, 0.022], WOOD)
         hip, knee, ankle, foot = (at[f"{s}_{n}"] for n in ("hip", "knee", "ankle", "foot"))
         limb(f"{s} leg", [hip, knee, ankle], [0.062, 0.047, 0.036], TROUSERS)
@@ -96,7 +96,7 @@ def dance_of_it(at: dict[str, np.ndarray]) -> Rig:
     turn("head", 0.1 * low, 0.15 * np.sin(slow), 0.08 * np.sin(2 * slow))
     for s, sign in zip(SIDES, (1.0, -1.0), strict=True):
         up = 0.5 + 0.5 * np.sin(slow + (0.0 if sign > 0 else np.pi))
-        turn(f"{s}_shoulder", -0.3 * (1 - up), 0.0, sign * (1.25 * up - 0.25))
+        turn(f"{s}_shoulder", -0.3 * (1 - up), 0.0, sign * (1.05 * up - 0.2))
         turn(f"{s}_elbow", -0.9 * (1 - up) - 0.25, 0.0, sign * 0.35 * up)
         bend = 0.45 * low + 0.1
         out = 0.06 * sign

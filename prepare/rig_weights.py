@@ -20,7 +20,7 @@ HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
 CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
 ABOUT = 0.06  # of the body's size: so far about it. Joints bend the more gently, the longer what is left free
-CORE_ABOUT = 0.4  # of that for what is in the bones: it bears the flesh about it, that must not crumple by its inertia
+CORE_ABOUT = 0.8  # of that for what is in the bones: it bears the flesh about it, that must not crumple by its inertia
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 

@@ -70,7 +70,9 @@ def parts(at: dict[str, np.ndarray]) -> list[Part]:
     add("hips", pillow(HEIGHT * np.array([0.2, 0.17, 0.145]), 0.8).moved(None, hips), TROUSERS)
     for s in SIDES:
         shoulder, elbow, wrist, hand = (at[f"{s}_{n}"] for n in ("shoulder", "elbow", "wrist", "hand"))
-        limb(f"{s} arm", [shoulder, elbow, wrist], [0.05, 0.038, 0.028], SHIRT)
+        inner = shoulder * [0.4, 1.0, 1.0]
+        outer = shoulder + HEIGHT * np.array([0.0, -0.008, 0.0])
+        limb(f"{s} arm", [inner, outer, elbow, wrist], [0.058, 0.05, 0.038, 0.028], SHIRT)
         limb(f"{s} hand", [wrist, 0.5 * (wrist + hand), hand], [0.024, 0.033, 0.022], WOOD)
         hip, knee, ankle, foot = (at[f"{s}_{n}"] for n in ("hip", "knee", "ankle", "foot"))
         limb(f"{s} leg", [hip, knee, ankle], [0.062, 0.047, 0.036], TROUSERS)

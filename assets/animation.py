@@ -32,7 +32,7 @@ class Animation:
     rest          local translation [m] (J, 3), rotation wxyz (J, 4), scale (J, 3) where all vertices are at rest
     frames        the same of each frame, (F, J, 3), (F, J, 4), (F, J, 3)
     fps           [1/s]
-    vertices      cage vertices that have weights, those of the surface, (S,) int32, rising
+    vertices      cage vertices that have weights, those of the surface and some in bones, (S,) int32, rising
     joints        what they follow, (S, 4) int32;  weights  (S, 4) float32, rows sum to 1
     driven        (S,) bool: led by the motion, or left to the simulation
     """

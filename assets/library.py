@@ -32,6 +32,15 @@ def usual_material(asset: str) -> str | None:
         return MOVING if file.has("animation") else None
 
 
+def moves_by_itself(asset: str) -> float | None:
+    """The height [m] of an asset that has a motion of its own, None if it has none. Raises BadInput."""
+    with open_hdf5(find_asset(asset)) as file:
+        if not file.has("animation"):
+            return None
+        y = file.array("cage/vertices", "f", (None, 3))[:, 1]
+        return float(y.max() - y.min()) if len(y) else None
+
+
 def cache_folder() -> Path:
     """Folder for what can be made again, by the platform's custom. `VRGS_CACHE` overrides it."""
     override = os.environ.get("VRGS_CACHE")

@@ -6,6 +6,8 @@ from assets.errors import BadInput
 
 DEFAULT = "plush"
 MOVING = "flesh"  # of what moves by itself
+STATURE = 1.75  # [m] of the person whose flesh it is
+SOFTEST = 1e3  # [Pa] of anything that moves by itself: it must still bear its weight
 
 # young [Pa], poisson, density [kg/m^3], friction that holds and friction that slides on a dry smooth table. The solver
 # takes 1e2 to 1e8 Pa and Poisson's ratios up to 0.49; what is stiffer or less compressible is given the nearest value.
@@ -20,9 +22,10 @@ MATERIALS = {
     "jelly": {"young": 5e3, "poisson": 0.48, "density": 1030.0, "friction": 0.2, "kinetic_friction": 0.1},
     # Pine, Wood Handbook (Forest Products Laboratory, 2010): 510 kg/m^3; 1e10 Pa along the grain, 5e8 to 1e9 Pa across.
     "wood": {"young": 1e8, "poisson": 0.35, "density": 510.0, "friction": 0.5, "kinetic_friction": 0.3},
-    # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011); 1,060 kg/m^3. That it
-    # keeps its volume keeps a joint's inner side from turning inside out.
-    "flesh": {"young": 3e4, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
+    # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011), many times as much at
+    # work; 1,060 kg/m^3. At 30 kPa a dancing man's own inertia crumples his joints, at 100 kPa they hold their shape.
+    # That it keeps its volume keeps a joint's inner side from turning inside out.
+    "flesh": {"young": 1e5, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
 }
 
 
@@ -31,6 +34,17 @@ def material_named(name: str) -> dict[str, float]:
     if name not in MATERIALS:
         raise BadInput(f"material {name!r} is unknown; one of {', '.join(MATERIALS)}")
     return dict(MATERIALS[name])
+
+
+def moving_named(name: str, height: float) -> dict[str, float]:
+    """A material's properties for a body of this height [m] that moves by itself, at the pace of a grown person.
+
+    Stresses of inertia, rho a L, grow with the square of the size: a small one holds its shape with less stiffness, and
+    can then be simulated by as few substeps as a large one. Raises BadInput.
+    """
+    properties = material_named(name)
+    share = min(height / STATURE, 1.0) ** 2
+    return properties | {"young": max(share * properties["young"], SOFTEST)}
 
 
 def run(args) -> None:

@@ -147,7 +147,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--snapshot", type=Path, metavar="OUT.png", help="headless: write the last frame")
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
-    p.add_argument("--body", metavar="FILE", help="sandbox: splat file or prepared asset to play with")
+    p.add_argument("--body", metavar="FILE", help="sandbox, just_dance: splat file or prepared asset to play with")
     p.add_argument("--stage", metavar="ROOM", help="sandbox: a room to play in, a splat or prepared with --static")
     p.add_argument("--material", metavar="NAME", help="sandbox: what the body is made of (see: vrgs.py materials)")
     add_preparation(p, "--body: ")
@@ -238,7 +238,12 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     earlier = {"type": Path, "nargs": "+", "metavar": "ROWS.json", "default": []}
     c.add_argument("--from", dest="earlier", **earlier, help="scaling: of what --json wrote, instead of measuring")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
-    c = add("build", command("prepare.model.command"), "build the shipped assets anew from code", "build ring_red")
+    c = add(
+        "build",
+        command("prepare.model.command", taichi=True),
+        "build the shipped assets anew from code",
+        "build ring_red",
+    )
     c.add_argument("names", nargs="*", metavar="NAME", help="which ones (default: all)")
     c.add_argument("--out", type=Path, default=SHIPPED, metavar="DIR")
     c = add(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.asset import DistanceGrid
 from assets.border import file_size
 from assets.errors import BadInput
 from assets.files import read_gaussians
@@ -74,7 +75,7 @@ def prepare_file(
             asset = prepare(gaussians, **options, **how)
         if moved is not None:
             progress("rig", 0.0)
-            asset = moved.move(asset)
+            asset = moved.move(asset, DistanceGrid(made[0].phi, made[0].origin, float(made[0].spacing)))
             progress("rig", 1.0)
     except BadInput as e:
         kept.clear()

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets.asset import Asset
+from assets.asset import Asset, DistanceGrid
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.gltf_rig import read_mesh, read_rig
@@ -20,12 +20,12 @@ class Mover:
     """How a body comes to move.
 
     gaussians  of the body, None if they are the file's;  up  the file's axis if it is known
-    move       makes of the prepared asset one that moves
+    move       makes of the prepared asset, and the grid its cage was made from, one that moves
     """
 
     gaussians: Gaussians | None
     up: str | None
-    move: Callable[[Asset], Asset]
+    move: Callable[[Asset, DistanceGrid], Asset]
     material: str = MOVING
 
 
@@ -40,13 +40,14 @@ def mover(path: Path, rig: str | Path | None, landmarks: str | Path | None) -> M
             raise BadInput("--landmarks belongs to --rig RIG.glb")
         return None
     from prepare.rig import dance
-    from prepare.rig_landmarks import landmarks_of, read_landmarks
+    from prepare.rig_landmark_file import read_landmarks
+    from prepare.rig_landmarks import landmarks_of
 
     given = read_landmarks(landmarks) if landmarks is not None else {}
     skeleton = read_rig(rig)[0]
 
-    def move(asset: Asset) -> Asset:
-        moving = dance(asset, skeleton, landmarks_of(asset, given))
+    def move(asset: Asset, solid: DistanceGrid) -> Asset:
+        moving = dance(asset, skeleton, landmarks_of(asset, given, solid), solid)
         moving.provenance["rig"]["source"] = Path(rig).name
         return moving
 
@@ -64,7 +65,7 @@ def _own(path: Path) -> Mover:
         at = sampled(x, mesh.faces)
     except BadInput as e:
         raise file.bad(str(e)) from e
-    return Mover(surface_gaussians(x, mesh, at), "+y", lambda asset: walk(asset, mesh, rig, at))
+    return Mover(surface_gaussians(x, mesh, at), "+y", lambda asset, _: walk(asset, mesh, rig, at))
 
 
 def described(moving: dict) -> list[str]:
@@ -79,6 +80,9 @@ def described(moving: dict) -> list[str]:
             f"landmarks: {by.count('given')} given, {by.count('solid')} found in the solid, "
             f"{by.count('proportions')} by proportions (--landmarks overrides)"
         )
+        for h in moving["held"]:
+            place = " ".join(f"{v:.2f}" for v in h["center"])
+            lines.append(f"the {h['by'].replace('_', ' ')} holds what is within {h['radius']:.2f} m of {place}")
         off = sorted(((v[1], k) for k, v in moving["residual"].items()), reverse=True)[:WORST]
         named = ", ".join(f"{k} {100 * v:.1f} cm" for v, k in off if v > 0.0005)
         if named:

@@ -5,22 +5,18 @@ Lengths are shares of the stature (Winter, Biomechanics and Motor Control of Hum
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from assets.asset import Asset
-from assets.border import reading
+from assets.asset import Asset, DistanceGrid
 from assets.errors import BadInput
 
 LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  # hand, foot: their tips
 NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in LIMBS))
-FILE_MAX = 1 << 20  # [bytes] of a landmarks file
 FAR = 3.0  # [statures] from the body, beyond which a landmark is a mistake
 
 ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
@@ -32,71 +28,44 @@ SHORTEST_ARM = 0.25  # what stands out less is no arm
 
 
 @dataclass(frozen=True)
+class Held:
+    """A ball that goes with a landmark's joint, whatever is near it: centre (3,) and radius [m]."""
+
+    by: str
+    center: np.ndarray
+    radius: float
+
+    @property
+    def joint(self) -> str:
+        """The joint of rig_names.TREE that it follows."""
+        tips = {"hand": "wrist", "foot": "ankle", "head_top": "head"}
+        side, _, limb = self.by.partition("_")
+        return tips.get(self.by) or (f"{side}_{tips.get(limb, limb)}" if limb else self.by)
+
+
+@dataclass(frozen=True)
 class Landmarks:
     """Places of NAMES in the asset's frame.
 
     points  {name: (3,) [m]};  source  {name: "given", "solid" or "proportions"}
-    held    spheres that go with a joint whatever is near them: [(name, centre (3,), radius)] [m]
+    held    what is held, None if that is to be found out
     joints  {name: name of the rig's node}, for rigs whose names do not tell
     """
 
     points: dict[str, np.ndarray]
     source: dict[str, str]
-    held: list[tuple[str, np.ndarray, float]]
+    held: list[Held] | None
     joints: dict[str, str]
 
 
-def read_landmarks(path: str | Path) -> dict:
-    """The JSON object of a landmarks file, checked: {NAME: [x, y, z], ..., "held": [...], "joints": {...}}.
-
-    Coordinates are metres in the prepared asset's frame. Raises BadInput.
-    """
-    path = Path(path)
-    with reading(path) as file:
-        data = file.read(FILE_MAX + 1)
-    if len(data) > FILE_MAX:
-        raise BadInput(f"{path}: is larger than {FILE_MAX} bytes")
-    try:
-        found = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: is not JSON") from e
-    if not isinstance(found, dict):
-        raise BadInput(f"{path}: is not a JSON object of landmarks")
-    result: dict = {"held": [], "joints": {}}
-    for name, value in found.items():
-        if name in NAMES:
-            result[name] = vector(value, f"{path}: {name}")
-        elif name == "held" and isinstance(value, list):
-            result["held"] = [held(v, str(path)) for v in value]
-        elif name == "joints" and isinstance(value, dict) and all(isinstance(v, str) for v in value.values()):
-            result["joints"] = value
-        else:
-            raise BadInput(f"{path}: {name[:40]!r} is no landmark; there are {', '.join(NAMES)}, held and joints")
-    return result
-
-
-def vector(value, what: str) -> np.ndarray:
-    """Three finite numbers, or BadInput."""
-    good = isinstance(value, list) and len(value) == 3
-    good = good and all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < 1e6 for v in value)
-    if not good:
-        raise BadInput(f"{what} is not three coordinates in metres")
-    return np.array(value, np.float64)
-
-
-def held(value, where: str) -> tuple[str, np.ndarray, float]:
-    """One entry of `held`: {"by": NAME, "center": [x, y, z], "radius": r}."""
-    by = value.get("by") if isinstance(value, dict) else None
-    radius = value.get("radius") if isinstance(value, dict) else None
-    if by not in NAMES or isinstance(radius, bool) or not isinstance(radius, (int, float)) or not 0 < radius < 1e6:
-        raise BadInput(f'{where}: what is held is {{"by": LANDMARK, "center": [x, y, z], "radius": r}}')
-    return by, vector(value.get("center"), f"{where}: the center of what is held"), float(radius)
-
-
-def landmarks_of(asset: Asset, given: dict | None = None) -> Landmarks:
-    """Landmarks of a person who stands upright: those `given`, the others guessed. Raises BadInput."""
+def landmarks_of(asset: Asset, given: dict | None = None, solid: DistanceGrid | None = None) -> Landmarks:
+    """Landmarks of a person who stands upright: those `given`, the others guessed from the grid `solid` (default: the
+    asset's own, which is coarser than the one that its cage is made from). Raises BadInput."""
     given = given or {}
-    points, source = guess(asset, given)
+    grid = solid or asset.sdf
+    if grid is None:
+        raise BadInput("landmarks cannot be guessed without a distance grid")
+    points, source = guess(grid, given)
     low, high = asset.cage.vertices.min(0), asset.cage.vertices.max(0)
     reach = FAR * (high - low).max()
     for name in NAMES:
@@ -104,16 +73,14 @@ def landmarks_of(asset: Asset, given: dict | None = None) -> Landmarks:
             points[name], source[name] = given[name], "given"
             if np.abs(given[name] - (low + high) / 2).max() > reach:
                 raise BadInput(f"the landmark {name} lies {reach:.3g} m or more from the body: is it in metres?")
-    return Landmarks(points, source, given.get("held", []), given.get("joints", {}))
+    return Landmarks(points, source, given.get("held"), given.get("joints", {}))
 
 
-def guess(asset: Asset, given: dict) -> tuple[dict, dict]:
-    """Landmarks from the solid inside the cage; what is `given` already leads the others."""
-    if asset.sdf is None:
-        raise BadInput("landmarks cannot be guessed without a distance grid")
-    solid = np.asarray(asset.sdf.values, np.float32) < 0
-    node, spacing = np.argwhere(solid), float(asset.sdf.spacing)
-    x = np.asarray(asset.sdf.origin) + spacing * node
+def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
+    """Landmarks from the solid of a grid; what is `given` already leads the others."""
+    solid = np.asarray(grid.values, np.float32) < 0
+    node, spacing = np.argwhere(solid), float(grid.spacing)
+    x = np.asarray(grid.origin) + spacing * node
     deep = ndimage.distance_transform_edt(solid)[tuple(node.T)] * spacing
     foot, top = x[:, 1].min(), x[:, 1].max()
     H = top - foot

@@ -17,8 +17,9 @@ from assets.gltf_rig import Mesh, Rig, decoded, encoded
 from assets.locate import Locator
 from assets.orient import rotation_to_up
 from assets.sh import C0
-from prepare.rig import Parts, Skeleton, animated, with_provenance
+from prepare.rig import Skeleton, animated, with_provenance
 from prepare.rig_cut import cut
+from prepare.rig_parts import Parts
 from prepare.rig_weights import EDGES, diffused
 
 COUNT = 60_000  # Gaussians

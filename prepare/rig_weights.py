@@ -15,12 +15,13 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.sparse.linalg import splu
 
 from assets.animation import MOST
-from assets.locate import Locator
 
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
-EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
 CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
+ABOUT = 0.06  # of the body's size: so far about it. Joints bend the more gently, the longer what is left free
+CORE_ABOUT = 0.8  # of that for what is in the bones: it bears the flesh about it, that must not crumple by its inertia
+EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 
 def laplacian(vertices: np.ndarray, tets: np.ndarray):
@@ -43,34 +44,6 @@ def diffused(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: n
     return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)
 
 
-def bone_distances(vertices: np.ndarray, tets: np.ndarray, segments: list) -> np.ndarray:
-    """Length [m] of the way inside the cage from each vertex to each segment (a, b), (V, n)."""
-    x = np.asarray(vertices, np.float64)
-    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
-    length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
-    step = np.median(length)
-    where = Locator(x, tets)
-    V, n = len(x), len(segments)
-    rows, columns, values = [ends[:, 0]], [ends[:, 1]], [length]
-    for k, (a, b) in enumerate(segments):  # a node V + k beyond all vertices near the segment
-        points = a + np.linspace(0, 1, max(int(2 * np.linalg.norm(b - a) / step), 1) + 1)[:, None] * (b - a)
-        host = where.find(points)
-        out = host < 0
-        if out.any():
-            host[out] = where.nearest(points[out])[0]
-        near = tets[host].ravel()
-        t = ((x[near] - a) @ (b - a) / max((b - a) @ (b - a), 1e-12)).clip(0, 1)
-        off = np.linalg.norm(x[near] - a - t[:, None] * (b - a), axis=1)
-        near, first = np.unique(near, return_index=True)
-        rows.append(np.full(len(near), V + k))
-        columns.append(near)
-        values.append(off[first] + 1e-9)
-    rows, columns = [ends[:, 1], *rows], [ends[:, 0], *columns]  # both ways, but none leads back to a segment
-    data = np.concatenate([length, *values])
-    graph = coo_matrix((data, (np.concatenate(rows), np.concatenate(columns))), shape=(V + n,) * 2).tocsr()
-    return dijkstra(graph, indices=np.arange(V, V + n))[:, :V].T
-
-
 def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest weights of each row (V, J), to sum 1 again: joints (V, 4) int32, weights (V, 4) float32."""
     if weights.shape[1] < MOST:
@@ -81,21 +54,34 @@ def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(w > 0, joints, 0).astype(np.int32), (w / w.sum(1, keepdims=True)).astype(np.float32)
 
 
-def firm(weights: np.ndarray, tets: np.ndarray, surface: np.ndarray, shapes: np.ndarray) -> tuple[np.ndarray, float]:
+def firm(
+    vertices: np.ndarray,
+    weights: np.ndarray,
+    tets: np.ndarray,
+    surface: np.ndarray,
+    shapes: np.ndarray,
+    core: np.ndarray | None = None,
+) -> np.ndarray:
     """Which vertices are driven, (V,) bool: those of the surface that one joint leads, not near what this crushes.
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
-    Out.     and the smallest volume, of 1 at rest, of a tet that only driven vertices have
+    core     vertices in the bones, (V,) bool: they are driven too, and nearer to joints than the skin
     """
-    driven = np.zeros(len(weights), bool)
-    driven[surface] = weights[surface, 0] >= FIRM
-    least = least_volumes(tets, shapes)
-    tight = np.zeros(len(weights), bool)
-    tight[tets[least < CRUSHED]] = True
-    tight[tets[tight[tets].any(1)]] = True
-    driven &= ~tight
-    return driven, float(least[driven[tets].all(1)].min(initial=1.0))
+    skin, core = np.zeros(len(weights), bool), np.zeros(len(weights), bool) if core is None else core
+    skin[surface] = weights[surface, 0] >= FIRM
+    core = core & (weights[:, 0] >= FIRM)
+    x = np.asarray(vertices, np.float64)
+    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
+    graph = coo_matrix((length, ends.T), shape=(len(x),) * 2).tocsr()
+    tight = np.unique(tets[least_volumes(tets, shapes) < CRUSHED])
+    if len(tight):
+        reach = ABOUT * np.ptp(x, axis=0).max()
+        off = dijkstra(graph, directed=False, indices=tight, min_only=True, limit=reach)
+        skin &= off > reach
+        core &= off > CORE_ABOUT * reach
+    return skin | core
 
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from assets.materials import material_named
+from assets.materials import material_named, moving_named
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -36,6 +36,11 @@ class Material:
     def named(cls, name: str, **changes: float) -> Material:
         """A material by its name in assets/materials.py, with some properties changed. Raises BadInput."""
         return cls(**{**material_named(name), **changes})
+
+    @classmethod
+    def moving(cls, name: str, height: float) -> Material:
+        """The same for a body of this height [m] that moves by itself: a small one is softer. Raises BadInput."""
+        return cls(**moving_named(name, height))
 
 
 @dataclass(frozen=True)

@@ -9,81 +9,16 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from assets.animation import RAMP, skin, world_of
-from assets.asset import Asset, Cage
-from assets.check import check_cage
+from assets.asset import Asset
 from assets.errors import BadInput
-from assets.gltf_rig import Rig, read_rig
+from assets.gltf_rig import Rig
 from assets.materials import MOVING
-from prepare.rig_cut import cut, split
 from prepare.rig_fit import BONES, PARENTS, fit
-from prepare.rig_landmarks import NAMES, Landmarks, read_landmarks
+from prepare.rig_landmark_file import read_landmarks
+from prepare.rig_landmarks import NAMES, Landmarks
 from prepare.rig_names import ARM, LEG, TREE, named_joints, words
-from prepare.rig_weights import bone_distances, diffused, least_volumes, strongest
+from prepare.rig_weights import least_volumes
 from tests.glb import bar
-from tests.meshes import boundary, box
-
-
-def trousers(gap: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Two legs of 0.1 x 0.8 x 0.1 m under a waist of 0.2 m; without a gap they touch all along."""
-    x, tets, _ = box((0.25, 1.0, 0.1), (5, 20, 2))
-    middle = x[tets].mean(1)
-    if gap:
-        tets = tets[~((np.abs(middle[:, 0] - 0.125) < 0.025) & (middle[:, 1] < 0.8))]
-    used, tets = np.unique(tets, return_inverse=True)
-    return x[used], tets.reshape(-1, 4)
-
-
-def test_diffused_weights_are_shares_and_differ_little_between_neighbours():
-    x, tets = trousers()
-    rng = np.random.default_rng(0)
-    target = np.eye(3)[rng.integers(0, 3, len(x))]
-    weights = diffused(x, tets, np.full(len(x), 1 / 0.05**2), target)
-    assert_allclose(weights.sum(1), 1, atol=1e-9)
-    assert weights.min() > -1e-12 and weights.max() < 1 + 1e-12
-    smooth = diffused(x, tets, np.full(len(x), 1 / 0.5**2), np.eye(2)[(x[:, 1] > 0.5).astype(int)])
-    ends = np.concatenate([tets[:, [i, j]] for i in range(4) for j in range(i)])
-    assert np.abs(smooth[ends[:, 0]] - smooth[ends[:, 1]]).max() < 0.2  # of targets that jump by 1
-    joints, four = strongest(np.random.default_rng(1).dirichlet(np.ones(9), 50))
-    assert_allclose(four.sum(1), 1, atol=1e-6)
-    assert (four[:, 0] >= four[:, 3]).all() and joints.max() < 9
-
-
-def test_weights_do_not_bleed_from_leg_to_leg():
-    """5 cm across the gap, but more than a metre through the waist: distance is measured inside the cage."""
-    x, tets = trousers()
-    legs = [(np.array([c, 0.0, 0.05]), np.array([c, 0.75, 0.05])) for c in (0.05, 0.2)]
-    off = bone_distances(x, tets, legs)
-    low, left = x[:, 1] < 0.5, x[:, 0] < 0.125
-    assert (off[low & left, 1] > 0.25).all() and (off[low & ~left, 0] > 0.25).all()
-    weights = diffused(x, tets, 4 / np.maximum(off.min(1), 0.02) ** 2, np.eye(2)[np.argmin(off, 1)])
-    assert weights[low & left, 1].max() < 0.01 and weights[low & ~left, 0].max() < 0.01
-    euclid = np.hypot(x[:, 0] - 0.2, x[:, 2] - 0.05)
-    assert euclid[low & left].min() < 0.13  # what a straight line would have taken for near
-
-
-def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
-    """Legs that touch all along part up to the waist, where they hold; not a bit of volume is lost."""
-    x, tets = trousers(gap=False)
-    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary(tets).astype(np.int32))
-    label = (x[tets].mean(1)[:, 0] > 0.15).astype(int)
-    label[7] = 1  # a tet of the left leg that is told to be the right one's hangs on nothing
-    new, label, source = cut(cage, label, lambda a, b, c: c[:, 1] > 0.8)
-    check_cage(new, "cut")
-    assert_allclose(new.volumes().sum(), cage.volumes().sum(), rtol=1e-6)
-    assert_allclose(new.vertices, cage.vertices[source])
-    assert len(new.vertices) > len(cage.vertices)
-    below = new.vertices[new.tets].mean(1)[:, 1] < 0.7
-    left, right = (np.unique(new.tets[below & (label == k)]) for k in (0, 1))
-    assert len(np.intersect1d(left, right)) == 0
-    assert label[7] == 0
-
-
-def test_nothing_is_split_where_all_faces_hold():
-    x, tets, _ = box((1, 1, 1), (2, 2, 2))
-    from prepare.rig_cut import facing
-
-    new, source = split(tets, facing(tets)[0], len(x))
-    assert (new == tets).all() and (source == np.arange(len(x))).all()
 
 
 def person(seed: int = 0, frames: int = 20) -> tuple[Rig, dict[str, np.ndarray]]:
@@ -128,7 +63,7 @@ def person(seed: int = 0, frames: int = 20) -> tuple[Rig, dict[str, np.ndarray]]
 
 
 def marks_of(points) -> Landmarks:
-    return Landmarks(points, dict.fromkeys(points, "given"), [], {})
+    return Landmarks(points, dict.fromkeys(points, "given"), None, {})
 
 
 def test_joints_are_told_by_their_names_and_place():
@@ -204,7 +139,7 @@ def test_a_landmark_file_is_read(tmp_path):
     held = [{"by": "right_hand", "center": [0, 1, 0], "radius": 0.1}]
     path.write_text(json.dumps({"neck": [0, 1.5, 0], "held": held, "joints": {"head": "Skull"}}))
     found = read_landmarks(path)
-    assert found["neck"].tolist() == [0, 1.5, 0] and found["held"][0][0] == "right_hand"
+    assert found["neck"].tolist() == [0, 1.5, 0] and found["held"][0].by == "right_hand"
     assert found["joints"] == {"head": "Skull"}
 
 
@@ -302,68 +237,6 @@ def test_what_belongs_together_is_said(tmp_path):
     with pytest.raises(BadInput, match="no such file"):
         mover(tmp_path / "a.ply", tmp_path / "none.glb", None)
     assert mover(tmp_path / "a.ply", None, None) is None
-
-
-@pytest.fixture(scope="module")
-def dancer(shared, ti_cpu, tmp_path_factory):
-    """The standing man with another one's dance, found without a landmarks file."""
-    from prepare.command import prepare_file
-
-    out = tmp_path_factory.mktemp("dancer") / "dancer.h5"
-    splats, rig = shared / "data/splats/biker_human.ply", shared / "data/rigs/win-dance.glb"
-    prepare_file(
-        splats, out, vertices=1500, up="-y", scale=1.75, rig=rig, progress=lambda *_: None, report=lambda _: None
-    )
-    return Asset.load(out)
-
-
-def test_the_landmarks_of_a_standing_man_are_found(dancer):
-    marks, size = dancer.provenance["rig"]["landmarks"], np.ptp(dancer.cage.vertices[:, 1])
-    at = {n: np.array(m["at"]) / size for n, m in marks.items()}
-    assert all(m["from"] == "solid" for m in marks.values())
-    # He looks along -x, a quarter turn to the left of +z, and his left hand is on the side of +z.
-    for limb, height in (("shoulder", 0.8), ("elbow", 0.65), ("wrist", 0.54), ("knee", 0.3), ("ankle", 0.07)):
-        left, right = at[f"left_{limb}"], at[f"right_{limb}"]
-        assert left[2] > 0.05 > -0.03 > right[2]
-        assert abs(left[1] - height) < 0.06 and abs(right[1] - height) < 0.06
-    for s in ("left", "right"):
-        assert at[f"{s}_foot"][0] < at[f"{s}_ankle"][0] - 0.02
-    assert max(v[1] for v in dancer.provenance["rig"]["residual"].values()) < 0.03 * size
-
-
-def test_a_man_dances_without_tearing(dancer, shared):
-    from display.motion import Motion
-    from scenes.scene import Body, Material
-    from sim.body import SoftBody
-    from sim.solver import Solver
-
-    a, cage = dancer.animation, dancer.cage
-    rig, _, _ = read_rig(shared / "data/rigs/win-dance.glb")
-    assert_allclose(a.duration, (len(rig.frames[0]) - 1) / rig.fps, rtol=1e-9)
-    material = Material.named(MOVING)
-    led = a.vertices[a.driven]
-    body = SoftBody("dancer", cage.vertices, cage.tets, cage.surface, material, pinned=led, loose=True)
-    solver = Solver([body], contacts=False)
-    motion = Motion(0, Body("dancer", material), a, cage.vertices, solver)
-    rest, shapes = cage.vertices.astype(np.float64), []
-    for _ in range(round(60 * a.duration)):
-        motion.drive(1 / 60)
-        solver.step(1 / 60)
-        shapes.append(solver.x.to_numpy()[: len(rest)].astype(np.float64))
-    shapes = np.stack([rest, *shapes])
-    least = least_volumes(cage.tets, shapes)
-    assert (least > 0).mean() > 0.995
-    ends = np.concatenate([cage.tets[:, [i, j]] for i in range(4) for j in range(i)])
-    stretch = np.linalg.norm(shapes[:, ends[:, 0]] - shapes[:, ends[:, 1]], axis=2)
-    stretch = (stretch / stretch[0]).max(0)
-    assert stretch.max() < 6 and (stretch < 2.5).mean() > 0.98
-    # Gaussians of a local tetrahedron that is stretched so draw out no further.
-    corner = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, rest[cage.tets[dancer.embedded.host]])
-    inverse = np.linalg.inv(corner[:, 1:] - corner[:, :1])
-    for x in shapes[:: len(shapes) // 6]:
-        moved = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, x[cage.tets[dancer.embedded.host]])
-        growth = np.linalg.norm(inverse @ (moved[:, 1:] - moved[:, :1]), ord=2, axis=(1, 2))
-        assert (growth < 3).mean() > 0.985
 
 
 def test_tree_is_ordered():

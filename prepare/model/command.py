@@ -12,7 +12,7 @@ from assets.asset import Asset
 from assets.errors import BadInput
 
 SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "data"
-NAMES = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow")
+NAMES = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow", "dancer")
 SEED = 7
 
 
@@ -46,6 +46,11 @@ def build(names: list[str], report=print):
         rng = np.random.default_rng([SEED, NAMES.index(name)])
         if name.startswith("ring"):
             yield name, ring(name, rng)
+            continue
+        if name == "dancer":
+            from prepare.model.dancer import dancer
+
+            yield name, dancer(rng)
             continue
         if room is None:
             room = lit_room(np.random.default_rng(SEED), report)

@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from assets.border import file_size
+from assets.border import file_size, replacing_all
+from assets.check import check
 from assets.errors import BadInput
 from assets.files import read_gaussians
 from assets.ply import write_ply
@@ -43,15 +44,17 @@ def prepare_stage_file(
     finally:
         bar.close()
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    written = []
+    files = [out, *(piece_name(out, k) for k in pieces)]
+    check(asset, str(out))
+    with replacing_all(*files) as (beside, *others):
+        for other, piece in zip(others, pieces.values(), strict=True):
+            write_ply(other, piece)
+        asset.save(beside)
     for k, piece in pieces.items():
-        written.append(piece_name(out, k))
-        write_ply(written[-1], piece)
         report(f"object {k}: {len(piece)} Gaussians cut out")
-    asset.save(out)
     for line in summary(asset):
         report(line)
-    return [out, *written]
+    return files
 
 
 def piece_name(out: Path, object_id: int) -> Path:
@@ -84,6 +87,8 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput("--cell and --cut belong to --static")
     if args.material is not None:
         raise BadInput("--material belongs to bodies; with --static nothing is simulated")
+    if args.pieces:
+        raise BadInput("--pieces belongs to bodies; objects are taken out of a scene with --cut")
     file_size(Path(args.splats))
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")

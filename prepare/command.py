@@ -14,6 +14,7 @@ from assets.border import file_size, replacing_all
 from assets.check import check
 from assets.errors import BadInput
 from assets.files import read_gaussians
+from assets.orient import told
 from assets.thumbnail import thumbnail_of
 from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STAGES, VERSION, prepare
@@ -112,7 +113,7 @@ def summary(provenance: dict) -> list[str]:
     """What was made, in a few lines."""
     counts, figures, options = provenance["counts"], provenance["figures"], provenance["options"]
     left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
-    up = provenance["up"] if options["up"] else f"{provenance['up']} (guessed; --up overrides)"
+    up = provenance["up"] if options["up"] else told(provenance["up"], provenance["up_sure"])
     size = f"{provenance['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     moving = provenance.get("rig")
     apart, pieces = counts["apart"] + counts["stray"], []

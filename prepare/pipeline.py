@@ -13,7 +13,7 @@ from assets.asset import Asset, Cage, Embedded
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
-from assets.orient import guess_up, metres, rotation_to_up
+from assets.orient import guess, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.clean import clean, clean_pieces
@@ -92,8 +92,8 @@ def prepare(
             g, counts = clean(gaussians)
             number = np.zeros(len(g), int)
         report("orient", 0.0)
-        axis = guess_up(g) if guessed else up
-        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis) | {"cluster": number}
+        axis, sure = guess(g) if guessed else (up, 1.0)
+        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis, sure=sure) | {"cluster": number}
 
     arrays = kept.stage("orient", cleaned)
     cluster = arrays["cluster"]
@@ -173,6 +173,7 @@ def prepare(
         | ({} if adaptive else {"cells": "uniform"})
         | ({"pieces": True} if pieces else {}),
         "up": up,
+        "up_sure": round(found["sure"], 2),
         "size": size,
         "metres_per_unit": factor,
         "moved": (-factor * foot).tolist(),  # [m], after the turn to +y and the scaling

@@ -12,6 +12,7 @@ from assets.border import file_size, replacing_all
 from assets.check import check
 from assets.errors import BadInput
 from assets.files import read_gaussians
+from assets.orient import told
 from assets.ply import write_ply
 from prepare.pipeline import Progress
 from prepare.progress import progress_on
@@ -66,7 +67,7 @@ def summary(asset) -> list[str]:
     """What was found, in a few lines."""
     p, s = asset.provenance, asset.stage
     options = p["options"]
-    up = p["up"] if options["up"] else f"{p['up']} (guessed; --up overrides)"
+    up = p["up"] if options["up"] else told(p["up"], p["up_sure"])
     size = f"{p['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     grids = ", ".join(f"{n:,} cells of {1000 * h:.0f} mm" for n, h in zip(p["cells"], p["spacings"], strict=True))
     lines = [f"{len(asset.gaussians):,} Gaussians, up {up}, leaning by {p['lean']:.1f} degrees, largest extent {size}"]

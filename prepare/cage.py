@@ -21,6 +21,7 @@ COUNTS = (50, 100_000)
 TOLERANCE = 0.15  # of the number of vertices
 CLOSE = 0.05  # stop looking for a better cell here
 TRIES = 6  # stuffings; one or two are usual
+SURELY = 1.25  # times the vertices, by an estimate that may be a tenth too high: more than TOLERANCE too many
 HALVINGS = 9  # of the range of cells
 PRIOR = (1.2, 1.8, 2.8)  # vertices of a cage over those of the estimate, by how often cells are halved
 OUTSIDE = 0.3  # cells; nodes up to there have about as many vertices as the cuts add
@@ -96,9 +97,12 @@ def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, t
     half, ratio = shape.halved(), PRIOR[finer]
     low, high = 0.3 * first, (COARSEST if finer else 2.0) * first
     limit = high
+    fewest = estimate(half, limit / 2, finer, coarser)
     best, best_error = None, np.inf
     for attempt in range(TRIES):
         report(attempt / TRIES)
+        if finer and high == limit and ratio * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
+            break  # even the widest cells are too many: a stuffing more would only tell by how much
         a, b = low, high
         for _ in range(HALVINGS):
             cell = (a * b) ** 0.5

@@ -85,7 +85,8 @@ def two_level(A: sp.csr_matrix, x: np.ndarray) -> spla.LinearOperator:
 
 def reference(cells: list[float], spacing: float = 0.001) -> tuple[list[tuple[int, float]], float]:
     """Uniform lattices of these cells [m], from wide to narrow: vertices and how far [m] the tip goes, of each; and the
-    limit of both by Richardson's extrapolation from the last two, linear tets being in error by the square of a cell.
+    limit by Richardson's extrapolation of the last two. Linear tets are too stiff by the square of a cell, so that it
+    is the inverse, the stiffness, that is extrapolated.
     """
     rows = []
     for cell in cells:
@@ -93,7 +94,7 @@ def reference(cells: list[float], spacing: float = 0.001) -> tuple[list[tuple[in
         rows.append((len(cage.vertices), bent_by(cage, 1.0)))
         print(f"cells of {1e3 * cell:.2f} mm, {rows[-1][0]} vertices: {1e3 * rows[-1][1]:.3f} mm", flush=True)
     ratio = (cells[-2] / cells[-1]) ** 2
-    return rows, (ratio * rows[-1][1] - rows[-2][1]) / (ratio - 1)
+    return rows, (ratio - 1) / (ratio / rows[-1][1] - 1 / rows[-2][1])
 
 
 def measure(vertices: int, *, adaptive: bool, spacing: float = 0.00125, thick: float = THICK) -> dict:

@@ -114,8 +114,8 @@ def open_recorder(args, display):
 def prepared_body(args) -> str | None:
     """The asset of --body: as it is if it is one already, else prepared from the splat and cached."""
     if args.body is None:
-        if args.up is not None or args.scale is not None:
-            raise BadInput("--up and --scale belong to --body FILE")
+        if args.up is not None or args.scale is not None or args.pieces:
+            raise BadInput("--up, --scale and --pieces belong to --body FILE")
         return None
     from assets.library import SHIPPED, cached_asset
 
@@ -124,15 +124,17 @@ def prepared_body(args) -> str | None:
         return args.body
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    options = {"vertices": args.vertices, "scale": args.scale, "up": args.up, "version": 1}
-    out = cached_asset(path, options)
+    options = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
+    options |= {} if args.cells == "adaptive" else {"cells": args.cells}
+    options |= {"pieces": True} if args.pieces else {}
+    out = cached_asset(path, options | {"version": 1})
     if not out.is_file():
         from prepare.command import prepare_file
 
         start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", flush=True)
         out.parent.mkdir(parents=True, exist_ok=True)
-        prepare_file(path, out, vertices=args.vertices, scale=args.scale, up=args.up)
+        prepare_file(path, out, **options)
     return str(out)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +71,20 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise BadInput(f"{path}: cannot be written ({e.strerror or e})") from e
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def replacing_all(*paths: str | Path) -> Iterator[list[Path]]:
+    """As `replacing`, for several files: none takes its place before all are written."""
+    with ExitStack() as stack:
+        besides = [stack.enter_context(replacing(path)) for path in paths]
+        try:
+            yield besides
+        except BadInput as e:  # of a writer, which knows only the name it was given
+            text = str(e)
+            for beside, path in zip(besides, paths, strict=True):
+                text = text.replace(str(beside), str(path))
+            raise BadInput(text) from e
 
 
 def logit_of_byte(alpha: np.ndarray) -> np.ndarray:

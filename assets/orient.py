@@ -2,7 +2,8 @@
 
 Structure from motion leaves the frame free, and tools differ (y down from COLMAP, y up from editors). What tells is
 how the object was photographed: it stood on its underside, so nobody saw that. There Gaussians are large and opaque,
-since no picture split or thinned them, they are dark, or they are missing. And it stood without falling over.
+since no picture split or thinned them, they are dark, or they are missing. A hollow that was looked into opens upwards.
+And it stood without falling over. Scenes stand on a plane (assets/level.py).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import numpy as np
 
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
+from assets.level import hollow_columns, scene_votes
 from assets.sh import C0
 
 AXES = {f"{sign}{'xyz'[axis]}": (axis, 1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
@@ -21,7 +23,8 @@ SINGLE = 0.06  # of the extent: what is seen this close together from above and 
 
 # Weights of the cues, and a head start for what files use. The cues differ by 0.1 to 0.7 between a toy's top and
 # underside; a flat side lit from a window reaches 0.2 of brightness.
-WEIGHT = {"size": 1.0, "opacity": 2.0, "brightness": 2.0, "open": 1.5, "stable": 0.3}
+WEIGHT = {"size": 1.0, "opacity": 2.0, "brightness": 2.0, "open": 1.5, "hollow": 1.0, "stable": 0.6}
+BODY_UNIT, SCENE_UNIT = 0.1, 0.03  # by which one vote must exceed another to be about three times as sure
 USUAL = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05}
 PLAUSIBLE = (0.05, 0.6)  # [m] largest extent of what a hand can hold; files outside have arbitrary units
 USUAL_SIZE = 0.25  # [m]
@@ -94,11 +97,14 @@ def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
         single = h[above] - h[below] < SINGLE * longest
         middle = (h[below] + h[above]) / 2
         height = 2 * (middle - low[axis]) / max(high[axis] - low[axis], 1e-12) - 1  # -1 bottom, 1 top
+        hollow = {s: hollow_columns(points, points[hit], axis, s, longest) for s, hit in ((1, above), (-1, below))}
+        single &= ~(hollow[1] | hollow[-1])  # the floor of a cup is single where its underside is missing
         plus = {
             "size": float(sigma[below].mean() - sigma[above].mean()),
             "opacity": float(g.opacities[below].mean() - g.opacities[above].mean()),
             "brightness": float(luma[above].mean() - luma[below].mean()),
             "open": float((single * height.clip(-1, 1)).mean()),
+            "hollow": float(hollow[1].mean() - hollow[-1].mean()),
         }
         for sign in (1, -1):
             both = {k: sign * v for k, v in plus.items()}
@@ -106,12 +112,37 @@ def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
     return found
 
 
+def guess(gaussians: Gaussians) -> tuple[str, float]:
+    """The axis of the file that points up, "+x", "-x", ... "-z", and how sure that is, 0 to 1.
+
+    Of a room or a garden its planes tell. How sure is a share of exp(votes): it ranks guesses, it is no frequency.
+    """
+    votes, unit = scene_votes(gaussians), SCENE_UNIT
+    if votes is not None:
+        votes = {up: vote + 0.1 * USUAL[up] for up, vote in votes.items()}
+    else:
+        unit = BODY_UNIT
+        votes = {
+            up: USUAL[up] + sum(WEIGHT[name] * value for name, value in of.items())
+            for up, of in cues(gaussians).items()
+        }
+    return surest(votes, unit)
+
+
+def surest(votes: dict[str, float], unit: float) -> tuple[str, float]:
+    """The name with the largest vote, and its share where a vote that is larger by `unit` counts e times as much."""
+    up = max(AXES, key=lambda name: votes[name])
+    return up, float(1 / sum(np.exp((vote - votes[up]) / unit) for vote in votes.values()))
+
+
 def guess_up(gaussians: Gaussians) -> str:
-    """The axis of the file that points up: "+x", "-x", ... "-z"."""
-    votes = {
-        up: USUAL[up] + sum(WEIGHT[name] * value for name, value in of.items()) for up, of in cues(gaussians).items()
-    }
-    return max(AXES, key=lambda up: votes[up])
+    """The axis of the file that points up, as `guess` has it."""
+    return guess(gaussians)[0]
+
+
+def told(up: str, sure: float) -> str:
+    """What a terminal says of a guess."""
+    return f"{up} (guessed, {sure:.0%} sure; --up overrides)"
 
 
 def rotation_to_up(up: str) -> np.ndarray:

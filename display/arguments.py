@@ -120,6 +120,10 @@ def add_preparation(p: argparse.ArgumentParser, what: str = "") -> None:
     p.add_argument("--scale", type=positive(float), metavar="M", help=metres, **suppress)
     vertices = f"{what}cage vertices (default 2000)"
     p.add_argument("--vertices", type=positive(int), metavar="N", help=vertices, **(suppress or {"default": 2000}))
+    cells = f"{what}of the cage: smaller where it is thin or curved, or all alike (default adaptive)"
+    p.add_argument("--cells", choices=("adaptive", "uniform"), help=cells, **(suppress or {"default": "adaptive"}))
+    apart = f"{what}pieces that lie apart each get a cage and become bodies of their own (default: the largest alone)"
+    p.add_argument("--pieces", action="store_true", help=apart, **suppress)
 
 
 def parser(summary: str, play) -> argparse.ArgumentParser:

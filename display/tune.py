@@ -88,7 +88,8 @@ def drop_each(path: Path, cage: np.ndarray, material: Material, youngs: list[flo
         scene = studio(path, cage, replace(material, young=youngs[0]), height, Path(folder))
         world = World(scene, width=PANEL, height=PANEL)
     for young in youngs:
-        world.solver.set_material(0, replace(material, young=young))
+        for body in range(len(world.bodies())):  # the pieces of the asset
+            world.solver.set_material(body, replace(material, young=young))
         world.solver.reset()
         yield dropped(world, cage.astype(np.float64), young)
 

@@ -42,4 +42,4 @@ def run(args) -> None:
         video.close()
     seconds = perf_counter() - start
     size = f"{width}x{height}"
-    print(f"{args.out}: {args.frames} pictures {size} of {len(gaussians)} Gaussians, {up} is up, {seconds:.1f} s")
+    print(f"{args.out}: {args.frames} pictures {size} of {len(gaussians)} Gaussians, {up}, {seconds:.1f} s")

@@ -32,16 +32,18 @@ BACKDROP = (0.12, 0.13, 0.14)
 
 
 def upright(path, up: str | None) -> tuple[Gaussians, str]:
-    """The file's Gaussians turned so that `up` is +y, and that axis; None guesses it, but for a prepared asset."""
-    from assets.orient import guess_up, rotation_to_up
+    """The file's Gaussians turned so that `up` is +y, and what to say of it; None guesses, but for a prepared asset."""
+    from assets.orient import guess, rotation_to_up
 
     gaussians = read_gaussians(path)
+    note = ""
     if up is None:
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ENOUGH)))
-        up = "+y" if str(path).lower().endswith(".h5") else guess_up(some)
+        up, sure = ("+y", 1.0) if str(path).lower().endswith(".h5") else guess(some)
+        note = f" (guessed, {sure:.0%} sure; --up overrides)" if sure < 1.0 else ""
     if up != "+y":
         gaussians = gaussians.transformed(rotation_to_up(up), (0.0, 0.0, 0.0), 1.0)
-    return gaussians.select(morton_order(gaussians.means)), up
+    return gaussians.select(morton_order(gaussians.means)), f"{up} is up{note}"
 
 
 def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
@@ -131,7 +133,7 @@ def run(args) -> None:
     gaussians, up = upright(args.file, args.up)
     width, height = args.size
     scene = scene_around(gaussians, width / height)
-    print(f"{args.file}: {len(gaussians)} Gaussians, SH degree {gaussians.sh_degree}, {up} is up", file=sys.stderr)
+    print(f"{args.file}: {len(gaussians)} Gaussians, SH degree {gaussians.sh_degree}, {up}", file=sys.stderr)
     if args.snapshot is not None:
         display = Headless(scene, width=width, height=height, frames=1, snapshot=args.snapshot)
     else:

@@ -16,6 +16,7 @@ from assets.errors import BadInput
 from assets.gaussians import Gaussians, concatenate, matrices_of_quats
 from assets.library import find_asset
 from assets.order import morton_order
+from assets.pieces import pieces_of
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
@@ -215,17 +216,22 @@ def load_bodies(
 ]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
 
+    The pieces of an asset are bodies of their own, the largest first.
+
     Out.  what is static, what is simulated, and which of the latter move by themselves
     """
     library: dict[str, Asset] = {}
+    pieces: dict[str, list[Asset]] = {}
     static, moving, animated = [], [], {}
     for body in scene.bodies:
         if body.asset not in library:
             library[body.asset] = Asset.load(find_asset(body.asset))
-        asset = library[body.asset]
         if body.material is None:
-            static.append(place_static(asset, body))
-        else:
+            static.append(place_static(library[body.asset], body))
+            continue
+        if body.asset not in pieces:
+            pieces[body.asset] = pieces_of(library[body.asset])
+        for asset in pieces[body.asset]:
             if asset.animation is not None and body.kind == "soft":
                 animated[len(moving)] = body, asset.animation
             moving.append(place_soft(asset, body))

@@ -21,6 +21,7 @@ COUNTS = (50, 100_000)
 TOLERANCE = 0.15  # of the number of vertices
 CLOSE = 0.05  # stop looking for a better cell here
 TRIES = 6  # stuffings; one or two are usual
+SURELY = 1.25  # times the vertices, by an estimate that may be a tenth too high: more than TOLERANCE too many
 HALVINGS = 9  # of the range of cells
 PRIOR = (1.2, 1.8, 2.8)  # vertices of a cage over those of the estimate, by how often cells are halved
 OUTSIDE = 0.3  # cells; nodes up to there have about as many vertices as the cuts add
@@ -96,9 +97,12 @@ def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, t
     half, ratio = shape.halved(), PRIOR[finer]
     low, high = 0.3 * first, (COARSEST if finer else 2.0) * first
     limit = high
+    fewest = estimate(half, limit / 2, finer, coarser)
     best, best_error = None, np.inf
     for attempt in range(TRIES):
         report(attempt / TRIES)
+        if finer and high == limit and ratio * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
+            break  # even the widest cells are too many: a stuffing more would only tell by how much
         a, b = low, high
         for _ in range(HALVINGS):
             cell = (a * b) ** 0.5
@@ -131,13 +135,20 @@ def estimate(shape: Shape, cell: float, finer: int, coarser: int) -> float:
 
 
 def cage_of(
-    phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None], *, adaptive: bool = True
+    phi: np.ndarray,
+    points: np.ndarray,
+    vertices: int,
+    report: Callable[[float], None],
+    *,
+    adaptive: bool = True,
+    exact: bool | None = None,
 ) -> Cage:
     """Cage of `vertices` vertices, give or take 15 %, round the shape where phi (X, Y, Z) [grid cells] is negative.
 
     points    what shall lie inside, (N, 3) [grid cells]
     report    is called with the share done
     adaptive  smaller cells where the shape is thin or curved, larger ones deep inside
+    exact     whether its volume must be that of the shape; None: from EXACT vertices on
     Out.      its vertices in grid cells: node (i, j, k) lies at (i, j, k). Raises BadInput, with the reason.
     """
     filled = volume_of(phi)
@@ -145,11 +156,12 @@ def cage_of(
     solid = np.argwhere(phi < 0)
     low = (solid.min(0) - np.ceil(cell).astype(int) - FREE).clip(0)
     high = solid.max(0) + np.ceil(cell).astype(int) + FREE + 1
-    cage = _cage_of(phi[tuple(map(slice, low, high))], points - low, vertices, cell, report, adaptive)
+    exact = vertices >= EXACT if exact is None else exact
+    cage = _cage_of(phi[tuple(map(slice, low, high))], points - low, vertices, cell, report, adaptive, exact)
     return replace(cage, vertices=cage.vertices + low.astype(np.float32))
 
 
-def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -> Cage:
+def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool, exact: bool) -> Cage:
     """As cage_of; `first` is about the cell of a uniform lattice."""
     shape, filled = Shape(phi, WIDEST * first if adaptive else first), volume_of(phi)
     reason = ""
@@ -164,7 +176,7 @@ def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -
             for share in OTHER_CELLS:
                 other = found if share == 1 else stuffed(shape, found.cell * share, finer, coarser, tube)
                 if abs(len(other.cage.vertices) / vertices - 1) <= TOLERANCE:
-                    cage, reason = fitted(other, filled, points, vertices)
+                    cage, reason = fitted(other, filled, points, vertices, exact)
                 if not reason:
                     return cage
                 if "not sound" not in reason:
@@ -172,19 +184,19 @@ def _cage_of(phi, points, vertices: int, first: float, report, adaptive: bool) -
     raise BadInput(reason)
 
 
-def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int) -> tuple[Cage, str]:
+def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exact: bool) -> tuple[Cage, str]:
     """The cage relaxed and made large enough to hold the points, and what is wrong with it ("": nothing)."""
-    whole = volume_of(found.phi) if vertices < EXACT else filled
+    whole = filled if exact else volume_of(found.phi)
     cage, steps = found.cage, STEPS
     if not (volumes(cage.vertices, cage.tets) > 0).all():
-        return cage, fault(cage, filled, 0.0, vertices)
+        return cage, fault(cage, filled, 0.0, vertices, exact)
     lift = None
-    for growth in GROWTH + (MORE_GROWTH if vertices < EXACT else ()):
+    for growth in GROWTH + (() if exact else MORE_GROWTH):
         cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), lift=lift, steps=steps)
         locator = Locator(cage.vertices, cage.tets)
         outside = points[locator.find(points) < 0]
         share = 1 - len(outside) / max(len(points), 1)
-        reason = fault(cage, filled, share, vertices)
+        reason = fault(cage, filled, share, vertices, exact)
         if "inside" not in reason or share < LOST:
             break
         lift, steps = lifted(cage, locator, outside), STEPS // 3
@@ -200,8 +212,9 @@ def lifted(cage: Cage, locator: Locator, outside: np.ndarray) -> np.ndarray:
     return np.minimum(lift, 0.2 * locator.size(host, foot).max(initial=0.0))
 
 
-def fault(cage: Cage, filled: float, share: float, vertices: int) -> str:
+def fault(cage: Cage, filled: float, share: float, vertices: int, exact: bool | None = None) -> str:
     """What is wrong with a cage that holds a `share` of the points, in one line; "" if nothing is."""
+    exact = vertices >= EXACT if exact is None else exact
     if abs(len(cage.vertices) - vertices) > TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
     volume = volumes(cage.vertices, cage.tets)
@@ -213,7 +226,7 @@ def fault(cage: Cage, filled: float, share: float, vertices: int) -> str:
     if share < INSIDE_MIN:
         return f"only {share:.2%} of the opaque Gaussians lie inside the cage; ask for more vertices"
     off = volume.sum() / filled - 1
-    if vertices >= EXACT and abs(off) > VOLUME_MAX:
+    if exact and abs(off) > VOLUME_MAX:
         return f"the cage's volume is {off:+.1%} off that of the shape, which is too thin for {vertices} vertices"
     return ""
 

@@ -31,6 +31,7 @@ def mesh(
     report: Callable[[float], None],
     *,
     adaptive: bool = True,
+    exact: bool | None = None,
     say: Callable[[str], None] | None = None,
 ) -> tuple[Cage, str]:
     """The cage, as `cage_of` makes it, and the mesher that made it: stuffing where TetGen fails, which `say` tells.
@@ -41,8 +42,8 @@ def mesh(
         from prepare.tetgen import NoMesh, tetgen_cage
 
         try:
-            return tetgen_cage(phi, points, vertices, report), "tetgen"
+            return tetgen_cage(phi, points, vertices, report, exact), "tetgen"
         except NoMesh as e:
             if say:
                 say(f"TetGen: {e}; the cage is made by stuffing instead")
-    return cage_of(phi, points, vertices, report, adaptive=adaptive), "stuffing"
+    return cage_of(phi, points, vertices, report, adaptive=adaptive, exact=exact), "stuffing"

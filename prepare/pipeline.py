@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,25 +13,31 @@ from assets.asset import Asset, Cage, Embedded
 from assets.errors import BadInput
 from assets.gaussians import Gaussians
 from assets.materials import DEFAULT, material_named
-from assets.orient import guess_up, metres, rotation_to_up
+from assets.orient import guess, metres, rotation_to_up
 from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
-from prepare.clean import FEWEST, clean
+from prepare.clean import clean, clean_pieces
 from prepare.fill import DENSE, density_of, solid_cells
-from prepare.hosts import embed_on_device
-from prepare.levelset import contact_grid, level_set, volume_of
-from prepare.meshers import MESHERS, check_mesher, mesh
+from prepare.levelset import contact_grid, level_sets, volume_of
+from prepare.meshers import check_mesher
+from prepare.parts import (
+    LEAST,
+    Grid,
+    cages_of,
+    embedded_in,
+    extent_of,
+    grids_of,
+    joined,
+    members,
+    mesher_of,
+    opaque,
+    parts_of,
+)
 from prepare.progress import Progress
 from prepare.quality import dihedral_angles, volumes
 from prepare.report_pictures import Made
 
 VERSION = 2  # of what this pipeline makes; raise it when the same splat would give another asset
-NODES = 96  # of the grid on the longest side for 2,000 vertices: seven a lattice cell
-NODES_RANGE = (64, 192)  # with the border below fill.CELLS_MAX
-NODES_POWER = 0.2  # of the number of vertices; 1/3 would keep seven, but four are enough and memory is not
-BORDER = 1 / 8  # of the grid, left free on each side for what closing and widening add
-STRAY = 0.05  # of the extent: what lies this far off the surface belongs to another piece
-OPAQUE = 0.5
 
 STAGES = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -44,6 +51,7 @@ def prepare(
     material: str | None = None,
     mesher: str = "stuffing",
     adaptive: bool = True,
+    pieces: bool = False,
     progress: Progress | None = None,
     look: Callable[[Made], None] | None = None,
     say: Callable[[str], None] | None = None,
@@ -57,9 +65,10 @@ def prepare(
     material  a name of assets.materials; None: plush
     mesher    a name of MESHERS; stuffing makes the cage where another cannot, and `say` is told why
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
+    pieces    a cage for each piece of the splat, all in one asset; False: the largest alone
     progress  called with a stage of STAGES and the share of it that is done
     kept      what finished stages of a run that was stopped made
-    look      called with what the stages before the cage made
+    look      called for each piece with what the stages before its cage made
     Out.      the asset: +y up, centred in x and z, its lowest point at y = 0; provenance["figures"] tells its quality
     Raises    BadInput where the splat holds no solid object or no good cage was found.
     """
@@ -77,101 +86,104 @@ def prepare(
 
     def cleaned() -> dict:
         report("clean", 0.0)
-        g, counts = clean(gaussians)
+        if pieces:
+            g, number, counts = clean_pieces(gaussians)
+        else:
+            g, counts = clean(gaussians)
+            number = np.zeros(len(g), int)
         report("orient", 0.0)
-        axis = guess_up(g) if guessed else up
-        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis)
+        axis, sure = guess(g) if guessed else (up, 1.0)
+        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis, sure=sure) | {"cluster": number}
 
-    g, found = gaussians_of(kept.stage("orient", cleaned))
+    arrays = kept.stage("orient", cleaned)
+    cluster = arrays["cluster"]
+    g, found = gaussians_of(arrays)
     counts, up = found["counts"], found["up"]
+    grids, clusters = grids_of(g, cluster, vertices), members(cluster)
 
-    seen = g.means[opaque(g)].astype(np.float64)
-    low, high = seen.min(0), seen.max(0)
-    nodes = int(np.clip(NODES * (vertices / 2000) ** NODES_POWER, *NODES_RANGE))
-    spacing = float((high - low).max()) / nodes
-    origin = low - BORDER * nodes * spacing
-    shape = tuple(int(k) for k in np.ceil((high - low) / spacing + 2 * BORDER * nodes) + 1)
-
-    def filled() -> dict:
-        report("fill", 0.0)
-        density = density_of(g, origin, spacing, shape)
+    def filled(mine: np.ndarray, grid: Grid) -> dict:
+        density = density_of(g.select(mine), grid.origin, grid.spacing, grid.shape)
         return {"solid": solid_cells(density), "shell": density > DENSE}
 
-    cells = kept.stage("fill", filled)
+    def staged(stage: str, make: Callable[[int], dict]) -> list[dict]:
+        """What a stage makes of each cluster."""
+        made = []
+        for k in range(len(grids)):
 
-    def surfaced() -> dict:
-        report("surface", 0.0)
-        return {"phi": level_set(cells["solid"])}
+            def one(k=k) -> dict:
+                report(stage, k / len(grids))
+                return make(k)
 
-    phi = kept.stage("surface", surfaced)["phi"]
-    inside = np.argwhere(phi < 0)
-    longest = spacing * float((np.ptp(inside, axis=0) + 1).max())
-    g = g.select(near(phi, (g.means - origin) / spacing, STRAY * nodes))
-    counts |= {"stray": counts["kept"] - len(g), "kept": len(g)}
+            made.append(kept.stage(f"{stage}{k or ''}", one))
+        return made
 
-    points = (g.means[opaque(g)].astype(np.float64) - origin) / spacing
+    cells = staged("fill", lambda k: filled(clusters[k], grids[k]))
+    least = LEAST if pieces else 1.0
+    shapes = staged("surface", lambda k: {"phi": level_sets(cells[k]["solid"], least)})
+    parts = [
+        replace(part, cluster=k)
+        for k, (mine, grid, shape) in enumerate(zip(clusters, grids, shapes, strict=True))
+        for part in parts_of(g, mine, grid, shape["phi"])
+    ]
 
-    def meshed() -> dict:
-        report("cage", 0.0)
-        share = partial(report, "cage")
-        cage, used = mesh(mesher, phi, points, vertices, share, adaptive=adaptive, say=say)
-        return {**vars(cage), "tetgen": np.array(used == "tetgen")}
-
-    found = kept.stage("cage", meshed)
-    cage, used = Cage(found["vertices"], found["tets"], found["surface"]), MESHERS[int(found["tetgen"])]
+    how = {"adaptive": adaptive, "say": say, "kept": kept.stage}
+    caged = cages_of(parts, g, vertices, mesher, partial(report, "cage"), **how)
+    used = mesher_of(caged)
     if used != mesher and say and "cage" in kept.resumed:
         say(f"{mesher} failed in the run before; the cage was made by {used} instead")
+
+    if pieces:
+        counts["specks"] += len(parts) - len(caged)
+    mine = np.concatenate([c.part.mine for c in caged])
+    counts |= {"stray": counts["kept"] - len(mine), "kept": len(mine)}
+    longest, foot = extent_of(caged)
     size = metres(longest, scale)
     factor = size / longest
-    middle = (cage.vertices.min(0) + cage.vertices.max(0)) / 2
-    foot = np.array([middle[0], cage.vertices[:, 1].min(), middle[2]], np.float64)  # grid cells
-    cage = Cage(((cage.vertices - foot) * spacing * factor).astype(np.float32), cage.tets, cage.surface)
-    moved = -factor * (origin + spacing * foot)
-    g = g.transformed(np.eye(3), moved, factor)
+    cage, first = joined(caged, lambda x: (x - foot) * factor)
+    g = g.select(mine).transformed(np.eye(3), -factor * foot, factor)
 
     def placed() -> dict:
         report("embed", 0.0)
-        return vars(embed_on_device(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets))
+        return vars(embedded_in(cage, first, g, [len(c.part.mine) for c in caged]))
 
     embedded = Embedded(**kept.stage("embed", placed))
 
     report("contact", 0.0)
-    grid = contact_grid(phi * (spacing * factor), -foot * spacing * factor, spacing * factor)
+    made = [
+        Made(
+            cells[p.cluster]["shell"],
+            cells[p.cluster]["solid"],
+            p.phi * (p.grid.spacing * factor),
+            (p.grid.origin - foot) * factor,
+            p.grid.spacing * factor,
+        )
+        for p in (c.part for c in caged)
+    ]
+    grid = contact_grid([(m.phi, m.origin, m.spacing) for m in made])
     figures = measure(cage, g.means[opaque(g)], vertices)
     figures["mesher"] = used
-    figures["filled"] = volume_of(phi) * (spacing * factor) ** 3
+    figures["pieces"] = len(caged)
+    figures["cells"] = "adaptive" if adaptive and used != "tetgen" else "uniform"
+    figures["filled"] = sum(volume_of(c.part.phi) * (c.part.grid.spacing * factor) ** 3 for c in caged)
     figures["seconds"] = round(time.perf_counter() - begin, 2)
     provenance = {
         "made_by": f"vrgs prepare {VERSION}",
         "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material}
-        | ({} if mesher == "stuffing" else {"mesher": mesher}),
+        | ({} if mesher == "stuffing" else {"mesher": mesher})
+        | ({} if adaptive else {"cells": "uniform"})
+        | ({"pieces": True} if pieces else {}),
         "up": up,
+        "up_sure": round(found["sure"], 2),
         "size": size,
         "metres_per_unit": factor,
-        "moved": moved.tolist(),  # [m], after the turn to +y and the scaling
+        "moved": (-factor * foot).tolist(),  # [m], after the turn to +y and the scaling
         "counts": counts,
         "figures": figures,
     }
-    if look:
-        size_of_cell = spacing * factor
-        look(Made(cells["shell"], cells["solid"], phi * size_of_cell, -foot * size_of_cell, size_of_cell))
+    for m in made if look else ():
+        look(m)
     report("contact", 1.0)
     return Asset(g, cage, embedded, grid, properties, provenance)
-
-
-def opaque(g: Gaussians) -> np.ndarray:
-    """Mask (N,) of the Gaussians that make up the surface: opacity above a half; all of them in a faint splat."""
-    mask = g.opacities > OPAQUE
-    return mask if mask.sum() >= FEWEST else np.ones(len(g), bool)
-
-
-def near(phi: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
-    """Mask (N,) of points (N, 3) whose grid node has phi below `reach`; all in grid cells."""
-    node = np.rint(points.clip(-1e9, 1e9)).astype(np.int64)
-    within = ((node >= 0) & (node < phi.shape)).all(1)
-    mask = np.zeros(len(points), bool)
-    mask[within] = phi[tuple(node[within].T)] < reach
-    return mask
 
 
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:

@@ -8,13 +8,9 @@ import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
 from assets.errors import BadInput
-from assets.orient import AXES, USUAL, rotation_to_up
+from assets.level import LEVEL, floor_of, plane_votes, refine, weighted_percentile
+from assets.orient import SCENE_UNIT, USUAL, rotation_to_up, surest
 
-NARROWING = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # how far normals may lean from an axis, ever less
-LEVEL = np.cos(np.radians(25.0))  # a Gaussian's normal may lean so far and still belong to a level plane
-BINS = 300  # of the scene's height, for the search of the floor
-LOWER = 0.45  # of the scene's height, in which the floor is: above are tables and the ceiling
-BELOW = 2.0  # weight of what lies under a floor: nothing should
 CELL = 0.04  # [m] of the map of a plane
 STEP = 0.01  # [m] of the histogram of heights
 THICK = 0.025  # [m]; Gaussians this far from a plane belong to it
@@ -58,73 +54,25 @@ class Support:
         return found
 
 
-def refine(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """The direction near `axis` (3,) about which the most area has its normals; their signs do not count."""
-    for least in NARROWING:
-        mine = np.abs(normals @ axis) > least
-        if areas[mine].sum() <= 0:
-            return axis
-        n = normals[mine]
-        found = np.linalg.eigh((areas[mine, None] * n).T @ n)[1][:, -1]
-        axis = found * np.sign(found @ axis)
-    return axis
-
-
-def floor_of(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple[float, float, float]:
-    """Height of the largest level plane in the lower half, its share of all area, and the share below it.
-
-    heights (N,), level (N,) bool: whether the normal is about vertical, areas (N,).
-    """
-    low, high = weighted_percentile(heights, areas, (0.2, 99.8))
-    step = max((high - low) / BINS, 1e-9)
-    bins = np.floor((heights - low) / step).clip(-1, BINS).astype(int) + 1
-    weight = np.bincount(bins[level], areas[level], BINS + 2)
-    smooth = np.convolve(weight, np.ones(5), "same")
-    first = int(smooth[: round(LOWER * BINS)].argmax())
-    near = level & (np.abs(bins - first) <= 4)
-    if not areas[near].sum():
-        return float(low), 0.0, 0.0
-    floor = weighted_percentile(heights[near], areas[near], (50,))[0]
-    below = areas[heights < floor - 6 * step].sum() / areas.sum()
-    return float(floor), float(smooth[first] / areas.sum()), float(below)
-
-
-def weighted_percentile(values: np.ndarray, weights: np.ndarray, percents) -> np.ndarray:
-    """Percentiles (K,) of values (N,) that count by their weights (N,)."""
-    order = np.argsort(values, kind="stable")
-    total = weights[order].cumsum()
-    at = np.searchsorted(total, np.asarray(percents) / 100 * total[-1])
-    return values[order][at.clip(0, len(values) - 1)]
-
-
 def gravity(
     points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str | None = None
-) -> tuple[str, float, np.ndarray]:
-    """The file's axis that points up, the height of the floor along it, and the rotation (3, 3) that levels the scene.
+) -> tuple[str, float, np.ndarray, float]:
+    """The file's axis that points up, the height of the floor along it, the rotation (3, 3) that levels the scene, and
+    how sure the axis is, 0 to 1.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
-    to the level planes, as cameras are seldom held straight. A floor is large and low: little lies under it, and what
-    is level above it lies in the lower half. Raises BadInput for an unknown axis.
+    to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis.
     """
-    if up is not None:
-        rotation_to_up(up)
-    best = None
-    for name in [up] if up else AXES:
-        axis, sign = AXES[name]
-        direction = refine(sign * np.eye(3)[axis], normals, areas)
-        heights = points @ direction
-        level = np.abs(normals @ direction) > LEVEL
-        floor, share, below = floor_of(heights, level, areas)
-        top = weighted_percentile(heights, areas, (99.0,))[0]
-        reach = max(top - floor, 1e-9)
-        middle = level & (heights > floor + 0.03 * reach) & (heights < top - 0.06 * reach)
-        high = (areas[middle] @ (heights[middle] - floor)) / max(reach * areas[middle].sum(), 1e-12)
-        vote = share - BELOW * below + 0.5 * (0.5 - high) * (areas[middle].sum() > 0) + USUAL[name]
-        if best is None or vote > best[0]:
-            best = vote, name, floor, direction
-    _, name, floor, direction = best
+    sure = 1.0
+    if up is None:
+        votes = plane_votes(points, normals, areas)
+        up, sure = surest({name: vote + 0.1 * USUAL[name] for name, vote in votes.items()}, SCENE_UNIT)
+    turn = rotation_to_up(up)
+    direction = refine(turn[1], normals, areas)
+    heights = points @ direction
+    floor = floor_of(heights, np.abs(normals @ direction) > LEVEL, areas)[0]
     floor, direction = fitted(points, normals, areas, floor, direction)
-    return name, floor, turn_between(rotation_to_up(name) @ direction) @ rotation_to_up(name)
+    return up, floor, turn_between(turn @ direction) @ turn, sure
 
 
 def fitted(points, normals, areas, floor: float, direction: np.ndarray) -> tuple[float, np.ndarray]:

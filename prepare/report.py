@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
-from assets.border import replacing
 from assets.locate import Locator
 from prepare.drawing import png_of
 from prepare.quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
@@ -36,23 +35,21 @@ def report_names(out: Path) -> tuple[Path, Path]:
     return out.with_suffix(".report.html"), out.with_suffix(".report.json")
 
 
-def write_report(asset: Asset, made: Made, out: Path, *, notes: tuple[str, ...] = (), splat=None) -> dict:
-    """Write the report of the asset `out` beside it, each file whole or not at all; returns the numbers.
+def report_texts(
+    asset: Asset, made: list[Made], name: str, *, notes: tuple[str, ...] = (), splat: np.ndarray | None = None
+) -> tuple[str, str]:
+    """What the files of `report_names` hold for the asset of the file `name`: a page, and the numbers as JSON.
 
+    made   of each piece
     notes  lines said while it was made
     splat  its picture, if that is drawn already; else Taichi must be running
-    Raises BadInput where a file cannot be written.
     """
     numbers, pictures = examine(asset, made, splat)
     numbers["notes"] = list(notes)
-    page, data = report_names(out)
-    for path, text in ((data, json.dumps(numbers, indent=2) + "\n"), (page, html_of(out.name, numbers, pictures))):
-        with replacing(path) as beside:
-            beside.write_text(text, encoding="utf-8")
-    return numbers
+    return html_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
 
 
-def examine(asset: Asset, made: Made, splat: np.ndarray | None = None) -> tuple[dict, dict[str, np.ndarray]]:
+def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> tuple[dict, dict[str, np.ndarray]]:
     """The numbers, ready for JSON (lengths [m], angles [degrees]), and the pictures by name."""
     cage, g = asset.cage, asset.gaussians
     opaque = g.opacities > OPAQUE
@@ -64,13 +61,14 @@ def examine(asset: Asset, made: Made, splat: np.ndarray | None = None) -> tuple[
 
     to_gaussians = cKDTree(points).query(sampled(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)
-    level, faces = marching_cubes(made.phi, made.origin, made.spacing)
+    level, faces = surfaces_of(made)
     volume = volumes(cage.vertices, cage.tets)
     longest = float(np.ptp(cage.vertices, axis=0).max())
     numbers = {
         "asset": {key: asset.provenance.get(key) for key in ("source", "made_by", "up", "size", "options", "counts")},
         "cage": {
             "mesher": asset.provenance["figures"].get("mesher", "stuffing"),
+            "cells": asset.provenance["figures"].get("cells", "adaptive"),
             "vertices": len(cage.vertices),
             "tets": len(cage.tets),
             "triangles": len(cage.surface),
@@ -85,7 +83,7 @@ def examine(asset: Asset, made: Made, splat: np.ndarray | None = None) -> tuple[
             "triangles": len(faces),
             "area": float(areas(level, faces).sum()),
             "volume": volume_within(level, faces),
-            "cell": float(made.spacing),
+            "cell": float(made[0].spacing),
         },
         "dihedral": {
             "min": float(angles.min()),
@@ -114,6 +112,17 @@ def examine(asset: Asset, made: Made, splat: np.ndarray | None = None) -> tuple[
         "enclosure": enclosure_picture(asset, points, inside, np.where(inside, to_cage, 0.0), camera),
     }
     return numbers, pictures
+
+
+def surfaces_of(made: list[Made]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] and triangles (F, 3) where the level sets of all pieces are zero."""
+    vertices, faces, first = [], [], 0
+    for m in made:
+        x, f = marching_cubes(m.phi, m.origin, m.spacing)
+        vertices.append(x)
+        faces.append(f + first)
+        first += len(x)
+    return np.concatenate(vertices), np.concatenate(faces)
 
 
 CAPTIONS = {
@@ -149,7 +158,8 @@ def html_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
     facts = [
         (f"{counts.get('kept', 0):,}", f"Gaussians of {counts.get('read', 0):,}"),
         (f"{cage['vertices']:,}", "cage vertices"),
-        (f"{cage['tets']:,}", "tetrahedra"),
+        (f"{cage['tets']:,}", f"tetrahedra, {cage['cells']} cells"),
+        *([(f"{cage['pieces']}", "pieces")] if cage["pieces"] > 1 else []),
         (f"{dihedral['min']:.1f}°", "smallest dihedral angle"),
         (f"{inside:.2%}", "of the opaque Gaussians inside"),
         (length(numbers["distance"]["symmetric_mean"]), "mean distance, both ways"),

@@ -9,7 +9,7 @@ import numpy as np
 from assets.asset import Asset
 from assets.camera import Camera, look_at, perspective
 from prepare.drawing import PAPER, Canvas, cubes
-from prepare.quality import boundary
+from prepare.quality import boundary, pieces
 
 WIDTH, HEIGHT = 560, 480  # [px]
 FOV = 0.5  # [rad]
@@ -25,7 +25,7 @@ DEEP, SHALLOW = np.array((44, 84, 140)), np.array((170, 200, 226))
 
 @dataclass(frozen=True)
 class Made:
-    """What the stages before the cage made, in the asset's frame.
+    """What the stages before the cage made of a piece, in the asset's frame.
 
     shell, solid  cells (X, Y, Z) bool: dense ones, and these with what they enclose
     phi           signed distance [m], (X, Y, Z) float32; node (i, j, k) lies at origin + spacing (i, j, k)
@@ -64,17 +64,21 @@ def splat_picture(asset: Asset, camera: Camera) -> np.ndarray:
     return renderer.pixels()[0][..., :3].copy()
 
 
-def cells_picture(made: Made, camera: Camera) -> np.ndarray:
+def cells_picture(made: list[Made], camera: Camera) -> np.ndarray:
     """Filled cells, the half towards the camera taken away: the shell in one colour, what it encloses in another."""
-    step = max(1, round(max(np.ptp(np.argwhere(made.solid), axis=0) + 1) / CELLS))
-    solid, shell = coarse(made.solid, step), coarse(made.shell, step)
-    centre = made.origin + made.spacing * (np.indices(solid.shape).reshape(3, -1).T * step + (step - 1) / 2)
-    keep = behind(centre, camera, _middle(made)).reshape(solid.shape)
-    corners, faces, owner = cubes(solid & keep)
-    x = made.origin + made.spacing * (corners * step - 0.5)
-    colours = np.where(shell[tuple(owner.T)][:, None], CLAY, BLUE)
+    x, faces, colours, first = [], [], [], 0
+    for m in made:
+        step = max(1, round(max(np.ptp(np.argwhere(m.solid), axis=0) + 1) / CELLS))
+        solid, shell = coarse(m.solid, step), coarse(m.shell, step)
+        centre = m.origin + m.spacing * (np.indices(solid.shape).reshape(3, -1).T * step + (step - 1) / 2)
+        keep = behind(centre, camera, _middle(m)).reshape(solid.shape)
+        corners, quads, owner = cubes(solid & keep)
+        x.append(m.origin + m.spacing * (corners * step - 0.5))
+        faces.append(quads + first)
+        colours.append(np.where(shell[tuple(owner.T)][:, None], CLAY, BLUE))
+        first += len(corners)
     canvas = Canvas(camera)
-    canvas.polygons(x, faces, colours)
+    canvas.polygons(np.concatenate(x), np.concatenate(faces), np.concatenate(colours))
     return canvas.picture()
 
 
@@ -87,10 +91,11 @@ def coarse(cells: np.ndarray, step: int) -> np.ndarray:
 
 
 def behind(points: np.ndarray, camera: Camera, middle: np.ndarray) -> np.ndarray:
-    """Mask (N,) of the points on the far side of a plane through `middle`: the one of x and z that the camera faces."""
+    """Mask (N,) of the points on the far side of a plane through `middle`, (3,) or (N, 3): the one of x and z that the
+    camera faces."""
     to = camera.position - middle
-    axis = 0 if abs(to[0]) > abs(to[2]) else 2
-    return (points[:, axis] - middle[axis]) * to[axis] < 0
+    axis = 0 if np.abs(to[..., 0]).max() > np.abs(to[..., 2]).max() else 2
+    return (points[:, axis] - middle[..., axis]) * to[..., axis] < 0
 
 
 def _middle(made: Made) -> np.ndarray:
@@ -108,8 +113,9 @@ def surface_picture(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> 
 def cage_picture(asset: Asset, camera: Camera) -> np.ndarray:
     """The cage cut open: tets in front of a plane are taken away; the cut in another colour than the surface."""
     x, tets = asset.cage.vertices.astype(np.float64), asset.cage.tets
-    middles = x[tets].mean(1)
-    kept = tets[behind(middles, camera, np.average(middles, axis=0, weights=asset.cage.volumes()))]
+    middles, volumes, piece = x[tets].mean(1), asset.cage.volumes(), pieces(tets)
+    centres = np.stack([np.bincount(piece, volumes * m) for m in middles.T], 1) / np.bincount(piece, volumes)[:, None]
+    kept = tets[behind(middles, camera, centres[piece])]
     canvas = Canvas(camera)
     if len(kept):
         faces = boundary(kept)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import find_objects, label
 
 from assets.gaussians import Gaussians, matrices_of_quats
+from assets.level import normals_and_areas
 
 OPAQUE = 0.3  # fainter Gaussians are haze
 COVERED = 1.5  # standard deviations of a disc that are covered with points
@@ -28,16 +29,6 @@ class Surfels:
 
     def select(self, which) -> Surfels:
         return Surfels(self.points[which], self.normals[which], self.areas[which], self.cells[which])
-
-
-def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest axis (N, 3) of each Gaussian and the area pi s1 s2 of its disc (N,)."""
-    scales = np.exp(g.log_scales.astype(np.float64))
-    order = np.argsort(scales, 1)
-    axes = matrices_of_quats(g.quats)
-    n = np.take_along_axis(axes, order[:, None, :1], 2)[..., 0]
-    s = np.take_along_axis(scales, order, 1)
-    return n, np.pi * s[:, 1] * s[:, 2]
 
 
 def covered(g: Gaussians, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

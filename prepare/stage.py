@@ -75,7 +75,8 @@ def prepare_static(
 
     report("upright", 0.0)
     normals, areas = normals_and_areas(main)
-    named, floor, rotation = gravity(main.means.astype(np.float64), normals, np.minimum(areas, cap(areas)), up)
+    weights = np.minimum(areas, cap(areas))
+    named, floor, rotation, sure = gravity(main.means.astype(np.float64), normals, weights, up)
     level = main.means.astype(np.float64) @ rotation.T
     low, high = extent(level)
     longest = float((high - low).max())
@@ -139,6 +140,7 @@ def prepare_static(
         "made_by": f"vrgs prepare --static {VERSION}",
         "options": {"up": up, "scale": scale, "cell": cell, "cut": list(cut)},
         "up": named,
+        "up_sure": round(sure, 2),
         "lean": round(float(np.degrees(np.arccos(np.clip(rotation[1] @ axis_of(named), -1, 1)))), 2),
         "size": size,
         "metres_per_unit": factor,

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from assets.border import file_size
+from assets.border import file_size, replacing_all
+from assets.check import check
 from assets.errors import BadInput
 from assets.files import read_gaussians
+from assets.orient import told
 from assets.ply import write_ply
 from prepare.pipeline import Progress
 from prepare.progress import progress_on
@@ -43,15 +45,17 @@ def prepare_stage_file(
     finally:
         bar.close()
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    written = []
+    files = [out, *(piece_name(out, k) for k in pieces)]
+    check(asset, str(out))
+    with replacing_all(*files) as (beside, *others):
+        for other, piece in zip(others, pieces.values(), strict=True):
+            write_ply(other, piece)
+        asset.save(beside)
     for k, piece in pieces.items():
-        written.append(piece_name(out, k))
-        write_ply(written[-1], piece)
         report(f"object {k}: {len(piece)} Gaussians cut out")
-    asset.save(out)
     for line in summary(asset):
         report(line)
-    return [out, *written]
+    return files
 
 
 def piece_name(out: Path, object_id: int) -> Path:
@@ -63,7 +67,7 @@ def summary(asset) -> list[str]:
     """What was found, in a few lines."""
     p, s = asset.provenance, asset.stage
     options = p["options"]
-    up = p["up"] if options["up"] else f"{p['up']} (guessed; --up overrides)"
+    up = p["up"] if options["up"] else told(p["up"], p["up_sure"])
     size = f"{p['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     grids = ", ".join(f"{n:,} cells of {1000 * h:.0f} mm" for n, h in zip(p["cells"], p["spacings"], strict=True))
     lines = [f"{len(asset.gaussians):,} Gaussians, up {up}, leaning by {p['lean']:.1f} degrees, largest extent {size}"]
@@ -84,6 +88,8 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput("--cell and --cut belong to --static")
     if args.material is not None:
         raise BadInput("--material belongs to bodies; with --static nothing is simulated")
+    if args.pieces:
+        raise BadInput("--pieces belongs to bodies; objects are taken out of a scene with --cut")
     file_size(Path(args.splats))
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")

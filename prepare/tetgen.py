@@ -19,7 +19,7 @@ import numpy as np
 
 from assets.asset import Cage
 from assets.errors import BadInput
-from prepare.cage import Stuffed, check_count, fault, fitted, share_inside
+from prepare.cage import EXACT, Stuffed, check_count, fault, fitted, share_inside
 from prepare.levelset import volume_of
 from prepare.quality import boundary, non_manifold_vertices, pieces, volumes
 from prepare.surface import areas, marching_cubes
@@ -134,9 +134,12 @@ def first_edge(area: float, volume: float, vertices: int) -> float:
     return h
 
 
-def tetgen_cage(phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None]) -> Cage:
+def tetgen_cage(
+    phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None], exact: bool | None = None
+) -> Cage:
     """As prepare.cage.cage_of, by TetGen. Raises NoMesh, with the reason, where no cage passes; BadInput without it."""
     check_count(vertices)
+    exact = vertices >= EXACT if exact is None else exact
     filled = volume_of(phi)
     level, faces = marching_cubes(phi, np.zeros(3), 1.0)
     edge = first_edge(float(areas(level, faces).sum()), filled, vertices)
@@ -150,10 +153,10 @@ def tetgen_cage(phi: np.ndarray, points: np.ndarray, vertices: int, report: Call
                 raise
             reason = str(e)
             continue
-        reason = fault(cage, filled, share_inside(cage, points), vertices)
+        reason = fault(cage, filled, share_inside(cage, points), vertices, exact)
         for _ in range(MENDINGS):  # moving the vertices mends angles, and what is just outside
             if reason and "vertices" not in reason:
-                cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices)
+                cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices, exact)
         if not reason:
             return cage
     raise NoMesh(reason)

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.errors import BadInput
+from assets.files import read_gaussians
 from prepare.cage import cage_of, fault, share_inside, widened
 from prepare.levelset import volume_of
 from prepare.quality import euler_characteristic, volumes
@@ -40,6 +41,13 @@ def test_each_case_has_its_points_on_its_surface_and_damage(name):
 def test_a_small_cage_keeps_all_promises(ti_cpu, name):
     row, _ = measured(case(name, 5000), 1000, up="+y")
     assert faults(row, 1000) == []
+
+
+@pytest.mark.shared
+def test_a_body_that_is_thin_all_over_is_served(ti_cpu, shared):
+    """Wings, horns and claws: at 3,000 vertices no cell can be halved, and points of the rims are lifted in last."""
+    row, _ = measured(read_gaussians(shared / "data" / "splats" / "plush_dragon.ply"), 3000, up="+y")
+    assert faults(row, 3000) == []
 
 
 def test_the_volume_is_kept_where_that_is_promised(ti_cpu, monkeypatch):

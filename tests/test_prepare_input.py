@@ -7,9 +7,12 @@ import pytest
 
 import vrgs
 from assets.asset import Asset
+from assets.errors import BadInput
 from assets.files import write_gaussians
 from assets.gaussians import concatenate
+from assets.orient import extent
 from tests.shells import ball
+from tests.stages import table_and_jug
 from tests.test_prepare import BAD, PLANE, some
 
 COLUMNS = [
@@ -89,5 +92,63 @@ def test_of_two_bodies_far_apart_the_larger_is_taken_and_that_is_said(prepared, 
     status, said, new = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
     assert status == 0 and new == ["out.h5"]
     line = next(line for line in said.out.splitlines() if "apart: the largest" in line)
-    assert f"{len(other)} Gaussians left out" in line
+    left = int(line.split(" Gaussians left out; --pieces keeps all")[0].split()[-1])
+    assert len(other) <= left < 1.05 * len(other)
     assert abs(len(Asset.load(tmp_path / "out.h5").gaussians) - len(body)) < 0.02 * len(body)
+
+
+def test_of_two_equal_bodies_far_apart_one_is_taken(prepared, tmp_path):
+    body = ball(2000)
+    far = replace(body, means=body.means + np.float32(40))
+    write_gaussians(tmp_path / "two.ply", concatenate([far, body]))
+    status, said, _ = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
+    assert status == 0 and sum("--pieces keeps all" in line for line in said.out.splitlines()) == 1
+
+
+def cells_of(g) -> float:
+    """The --cell [m] at which the splat, 6 m long, asks for 50 million cells."""
+    low, high = extent(g.means.astype(np.float64))
+    return float(np.cbrt(((high - low) * 6.0 / (high - low).max()).prod() / 50e6))
+
+
+SCENES = {
+    "transparent": (SPLATS["transparent"], (), "opaque"),
+    "plane": (some(500, means=PLANE[:, [0, 2, 1]]), ("--up", "+y"), "nothing stands above the floor"),
+    "few": (SPLATS["few"], (), "only 12 of 12"),
+    "table": (table_and_jug(), ("--scale", "6", "--cell", f"{cells_of(table_and_jug()):.4g}"), "cells, the limit is"),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_that_is_none(prepared, tmp_path, name):
+    """Of the table a grid of 50 million cells is asked for."""
+    splats, options, message = SCENES[name]
+    write_gaussians(tmp_path / f"{name}.ply", splats)
+    assert_refused(prepared(f"{name}.ply", "--static", *options), message)
+
+
+def test_an_empty_scene(prepared, tmp_path):
+    (tmp_path / "empty.ply").write_bytes(EMPTY + b"end_header\n")
+    assert_refused(prepared("empty.ply", "--static"), "no Gaussians")
+
+
+def refuse(*_, **__):
+    raise BadInput("out.h5: cannot be written (No space left on device)")
+
+
+def test_objects_cut_out_are_not_left_behind_without_their_scene(prepared, tmp_path, monkeypatch):
+    """The scene's own file is the last to be written, and all of them appear at once."""
+    Asset(table_and_jug()).save(tmp_path / "in.h5")
+    monkeypatch.setattr("assets.asset.Asset.save", refuse)
+    assert_refused(prepared("in.h5", "--static", "--cut", "7"), "No space left")
+
+
+def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):
+    write_gaussians(tmp_path / "ball.ply", ball(1000))
+    monkeypatch.setattr("prepare.command.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
+    monkeypatch.setattr(
+        "prepare.command.report_texts", lambda *_, **__: ("page", "\ud800")
+    )  # no UTF-8: cannot be written
+    with pytest.raises(UnicodeEncodeError):
+        prepared("ball.ply", "--vertices", "200", "--up", "+y")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.ply", "cache"]

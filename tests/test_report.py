@@ -3,6 +3,7 @@
 import json
 import xml.etree.ElementTree as ET
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from prepare.drawing import PAPER
 from prepare.pipeline import prepare
-from prepare.report import examine, histogram, html_of, length, report_names, write_report
+from prepare.report import examine, histogram, html_of, length, report_names, report_texts
 from prepare.report_pictures import HEIGHT, WIDTH
 from tests.shells import ball
 
@@ -19,7 +20,7 @@ from tests.shells import ball
 def made(ti_cpu):
     found = []
     asset = prepare(ball(), vertices=300, scale=0.5, up="+y", look=found.append)
-    return asset, found[0], *examine(asset, found[0])
+    return asset, found, *examine(asset, found)
 
 
 def test_the_numbers_are_those_of_the_ball(made):
@@ -87,15 +88,15 @@ def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
     assert_allclose((heights / heights.max()) ** 2, counts / counts.max(), atol=2e-3)
 
 
-def test_both_files_are_written_beside_the_asset(made, tmp_path, monkeypatch):
+def test_both_texts_say_the_same(made, monkeypatch):
     asset, made_of, numbers, pictures = made
     monkeypatch.setattr("prepare.report.examine", lambda *_: (dict(numbers), pictures))  # kernels compile anew
-    write_report(asset, made_of, tmp_path / "ball.h5", notes=("said",))
-    page, data = report_names(tmp_path / "ball.h5")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.report.html", "ball.report.json"]
-    numbers = json.loads(data.read_text())
+    page, data = report_texts(asset, made_of, "ball.h5", notes=("said",))
+    numbers = json.loads(data)
     assert numbers["notes"] == ["said"] and numbers["cage"]["mesher"] == "stuffing"
-    assert f"{numbers['cage']['vertices']:,}" in page.read_text()
+    assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page
+    assert f"{numbers['cage']['vertices']:,}" in page
+    assert [p.name for p in report_names(Path("ball.h5"))] == ["ball.report.html", "ball.report.json"]
 
 
 def test_lengths_have_units_that_suit_them():

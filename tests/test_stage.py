@@ -194,7 +194,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
     g = g.select(g.opacities > OPAQUE)
-    name, floor, rotation = gravity(g.means.astype(float), *normals_and_areas(g))
+    name, floor, rotation, _ = gravity(g.means.astype(float), *normals_and_areas(g))
     assert name == up
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))
     assert abs(floor) < 0.005

@@ -61,7 +61,7 @@ def test_a_single_gaussian_has_a_size_too():
 
 def test_the_named_axis_points_up(file):
     g, up = upright(file, "+x")
-    assert up == "+x"
+    assert up == "+x is up"
     assert g.means[:-1, 1].mean() == pytest.approx(3.0, abs=0.3)  # where x was
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from assets.errors import BadInput
 from assets.library import SHIPPED
+from display.argument_types import elevation, positive, share, size
 from display.device import start_taichi
 from render.sorts import MOVING_SORT, SORTS
 
@@ -68,48 +69,6 @@ def list_scenes(args) -> None:
 
     for name in registry.names():
         print(f"{name:14} {registry.summary(name)}")
-
-
-def size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT [px]."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and 16 <= int(width) <= 16384 and 16 <= int(height) <= 16384):
-        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, each 16 to 16384")
-    return int(width), int(height)
-
-
-def positive(kind):
-    """A number above zero."""
-
-    def parse(text: str):
-        try:
-            value = kind(text)
-        except ValueError:
-            value = 0
-        if not 0 < value < 1e9:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-        return value
-
-    return parse
-
-
-def share(text: str) -> float:
-    """A factor of a picture's side."""
-    value = positive(float)(text)
-    if not 0.1 <= value <= 2.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not between 0.1 and 2")
-    return value
-
-
-def elevation(text: str) -> float:
-    """Degrees above the horizon."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 90.0
-    if not -89.0 <= value <= 89.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -89 and 89 degrees")
-    return value
 
 
 def add_preparation(p: argparse.ArgumentParser, what: str = "") -> None:

@@ -15,7 +15,7 @@ from assets.files import write_gaussians
 from assets.gaussians import Gaussians, concatenate
 from assets.locate import Locator
 from assets.pieces import piece_of_vertices, pieces_of
-from display.world import load_bodies
+from display.bodies import load_bodies
 from prepare.cage import ANGLE_MIN, INSIDE_MIN
 from prepare.clean import clean, clean_pieces
 from prepare.levelset import contact_grid

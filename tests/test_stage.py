@@ -139,7 +139,7 @@ def test_the_drop_is_free_and_the_user_sees_it(scene):
 
 def test_a_ball_dropped_there_lies_on_the_table(ti_cpu, scene, tmp_path):
     """The sandbox's own bodies and colliders; a soft ball from 8 cm bounces and stays."""
-    from display.world import place_static
+    from display.bodies import place_static
     from scenes.scene import Material
     from sim.body import SoftBody
     from sim.solver import Solver

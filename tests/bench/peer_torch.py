@@ -23,7 +23,7 @@ from assets.files import read_gaussians
 from assets.gaussians import Gaussians
 from assets.library import SHIPPED
 from assets.order import morton_order
-from display.arguments import positive, size
+from display.argument_types import positive, size
 from display.device import start_taichi
 from display.stats import write_stats
 from display.viewing import camera_around

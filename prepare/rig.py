@@ -118,6 +118,7 @@ def animated(
         strong[led],
         driven[led],
     )
+    least = least_volumes(cage.tets, shapes)
     figures = {
         "joints": len(own.names),
         "frames": len(frames[0]),
@@ -126,8 +127,9 @@ def animated(
         "driven_in_bones": int(driven.sum() - driven[surface].sum()),
         "surface": len(surface),
         "added_vertices": len(cage.vertices) - len(asset.cage.vertices),
-        "least_volume": round(float(least_volumes(cage.tets, shapes).min()), 3),
-        "largest_stretch": round(largest_stretch(cage.tets, shapes), 2),
+        "least_volume_driven": round(float(least[driven[cage.tets].all(1)].min(initial=1.0)), 3),
+        "least_volume_skinned": round(float(least.min()), 3),
+        "largest_stretch_skinned": round(largest_stretch(cage.tets, shapes), 2),
         "kept_to_their_part": mended,
         "kept_calm": rehung,
     }

@@ -19,8 +19,7 @@ from assets.animation import MOST
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
 CRUSHED = 0.6  # volume, of 1 at rest: what skinning leaves less to is left to the simulation, with what is about it
-ABOUT = 0.06  # of the body's size: so far about it. Joints bend the more gently, the longer what is left free
-CORE_ABOUT = 0.8  # of that for what is in the bones: it bears the flesh about it, that must not crumple by its inertia
+ABOUT = 0.055  # of the body's size: so far about it. Joints bend the more gently, the longer what is left free
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 
 
@@ -66,11 +65,11 @@ def firm(
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
-    core     vertices in the bones, (V,) bool: they are driven too, and nearer to joints than the skin
+    core     vertices in the bones, (V,) bool: they are driven too, lest the flesh about them crumple by its inertia
     """
-    skin, core = np.zeros(len(weights), bool), np.zeros(len(weights), bool) if core is None else core
-    skin[surface] = weights[surface, 0] >= FIRM
-    core = core & (weights[:, 0] >= FIRM)
+    driven = np.zeros(len(weights), bool) if core is None else core.copy()
+    driven[surface] = True
+    driven &= weights[:, 0] >= FIRM
     x = np.asarray(vertices, np.float64)
     ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
     length = np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1)
@@ -78,10 +77,8 @@ def firm(
     tight = np.unique(tets[least_volumes(tets, shapes) < CRUSHED])
     if len(tight):
         reach = ABOUT * np.ptp(x, axis=0).max()
-        off = dijkstra(graph, directed=False, indices=tight, min_only=True, limit=reach)
-        skin &= off > reach
-        core &= off > CORE_ABOUT * reach
-    return skin | core
+        driven &= dijkstra(graph, directed=False, indices=tight, min_only=True, limit=reach) > reach
+    return driven
 
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:

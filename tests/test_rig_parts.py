@@ -99,7 +99,7 @@ def test_what_a_hand_holds_is_found_and_covered():
     covered = np.any([np.linalg.norm(beyond - c, axis=1) < r for balls in pieces for c, r in balls], axis=0)
     assert len(pieces[0]) > 1 and covered.mean() > 0.8
     assert held_by_hands(*solid_with(ball((0.0, 0.9, 0.0), 0.12)), hands, 1.7) == []
-    assert held_by_hands(*solid_with(ball((0.5, 0.95, 0.0), 0.07)), hands, 1.7) == []
+    assert held_by_hands(*solid_with(ball((0.5, 0.96, 0.0), 0.062)), hands, 1.7) == []
 
 
 def test_a_gaussian_that_would_be_a_spike_follows_what_is_calm():

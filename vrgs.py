@@ -127,7 +127,7 @@ def prepared_body(args) -> str | None:
     options = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
     options |= {} if args.cells == "adaptive" else {"cells": args.cells}
     options |= {"pieces": True} if args.pieces else {}
-    out = cached_asset(path, options | {"version": 1})
+    out = cached_asset(path, options | {"version": 2})
     if not out.is_file():
         from prepare.command import prepare_file
 
@@ -147,7 +147,7 @@ def prepared_stage(args) -> str | None:
 
     path = Path(args.stage)
     file_size(path)
-    out = cached_asset(path, {"stage": 1})
+    out = cached_asset(path, {"stage": 2})
     if not out.is_file():
         from prepare.stage_command import prepare_stage_file
 

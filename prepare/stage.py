@@ -23,7 +23,7 @@ from prepare.sheets import OPAQUE, Surfels, haze, normals_and_areas, surfels, wi
 from prepare.sight import Cells, cells_of, open_space, oriented, viewers_in
 from prepare.winding import COARSENING, signed_distance, winding
 
-VERSION = 1
+VERSION = 2
 STAGES = ("clean", "upright", "surface", "planes", "distance")
 MOST_CELLS = 16_000_000  # of the whole grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # as many are made unless --cell says otherwise

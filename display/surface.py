@@ -7,6 +7,7 @@ import sys
 
 from assets.errors import BadInput
 from display import theme
+from display.gl_context import context_of
 
 INSTEAD = "run with --headless instead"
 KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space"]
@@ -61,7 +62,7 @@ class Surface:
         glfw.set_window_size_limits(self.handle, 320, 240, glfw.DONT_CARE, glfw.DONT_CARE)
         self._events: list[tuple] = []
         self._listen()
-        self.gl = self._start_gl()
+        self.gl = context_of(glfw.get_proc_address)
         self.scale = self._start_imgui()
 
     def _listen(self) -> None:
@@ -88,30 +89,6 @@ class Surface:
         glfw.set_cursor_pos_callback(self.handle, lambda window, x, y: add(("move", x, y)))
         glfw.set_scroll_callback(self.handle, lambda window, dx, dy: add(("wheel", dy)))
         glfw.set_window_focus_callback(self.handle, focus)
-
-    def _start_gl(self):
-        """A moderngl context on this window's; functions are found through GLFW on every platform alike."""
-        import moderngl
-
-        glfw = self.glfw
-
-        class Loader:
-            """What moderngl asks of a context."""
-
-            def load_opengl_function(self, name: str) -> int:
-                return glfw.get_proc_address(name) or 0
-
-            def __enter__(self):
-                return self
-
-            def __exit__(self, *error):
-                pass
-
-            def release(self):
-                pass
-
-        moderngl.init_context(Loader())
-        return moderngl.get_context()
 
     def _start_imgui(self) -> float:
         """Start ImGui; its callbacks call ours in turn. Returns the size of the user's letters, 1 as usual."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 
 from assets.errors import BadInput
+from display.gl_context import context_of
 from display.panel import Panel
 from display.picture import PictureTexture
 from display.surface import INSTEAD, Surface, has_display
@@ -93,30 +94,7 @@ class Egl:
         current = self.context and egl.eglMakeCurrent(self.display, pointer(0), pointer(0), self.context)
         if not (chosen and count.value and current):
             raise BadInput(f"no display to open a window on, and no OpenGL {VERSION[0]}.{VERSION[1]} in EGL; {INSTEAD}")
-        self.gl = self._start_gl()
-
-    def _start_gl(self):
-        import moderngl
-
-        egl = self.library
-
-        class Loader:
-            """What moderngl asks of a context."""
-
-            def load_opengl_function(self, name: str) -> int:
-                return egl.eglGetProcAddress(name.encode()) or 0
-
-            def __enter__(self):
-                return self
-
-            def __exit__(self, *error):
-                pass
-
-            def release(self):
-                pass
-
-        moderngl.init_context(Loader())
-        return moderngl.get_context()
+        self.gl = context_of(lambda name: egl.eglGetProcAddress(name.encode()))
 
     def close(self) -> None:
         """Give the context back. Further calls do nothing."""

@@ -16,6 +16,7 @@ from display.device import is_out_of_memory, start_taichi
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
     argv = sys.argv[1:] if argv is None else argv
     for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import time
 
@@ -15,6 +16,7 @@ WANTED = ("XR_EXT_hand_tracking", "XR_KHR_composition_layer_depth")  # used wher
 
 def import_xr():
     """The module xr, or BadInput that says what is missing."""
+    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # what it complains of, we say in one line
     try:
         import xr
     except ImportError as e:

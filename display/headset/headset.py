@@ -50,7 +50,7 @@ class Headset:
         except BaseException:
             self.close()
             raise
-        self._player = Player(scene)
+        self._player, self._eye_height = Player(scene), float(scene.eye[1])
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -106,6 +106,8 @@ class Headset:
                     last = None
                     self._idle()
                     continue
+                # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
+                self._player.standpoint.y = 0.0 if session.standing else self._eye_height
                 state = session.wait()
                 shown = state.predicted_display_time
                 dt = 0.0 if last is None else min(max((shown - last) * 1e-9, 0.0), LONGEST_STEP)

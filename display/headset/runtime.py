@@ -11,7 +11,6 @@ from assets.errors import BadInput
 
 INSTEAD = "leave out --xr to play in a window"
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
-WANTED = ("XR_EXT_hand_tracking", "XR_KHR_composition_layer_depth")  # used where they are
 
 
 def import_xr():
@@ -41,11 +40,10 @@ class Runtime:
             raise no_runtime() from e
         if missing := [name for name in graphics if name not in there]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
-        self.extensions = {name for name in WANTED if name in there}
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
-                    enabled_extension_names=[*graphics, *sorted(self.extensions)],
+                    enabled_extension_names=graphics,
                     application_info=xr.ApplicationInfo("VR-GS", 1, "VR-GS", 1, xr.Version(1, 0, 34)),
                 )
             )

@@ -25,7 +25,7 @@ class Session:
     def __init__(self, runtime, gl, binding, size: tuple[int, int]):
         self.runtime, self.xr = runtime, runtime.xr
         xr = self.xr
-        self.running = self.visible = self.focused = False
+        self.running = False
         self.over: str | None = None  # "exit": the user wants it so; "lost"
         pointer = ctypes.cast(ctypes.pointer(binding), ctypes.c_void_p)
         self.handle = xr.create_session(runtime.instance, xr.SessionCreateInfo(system_id=runtime.system, next=pointer))
@@ -49,7 +49,6 @@ class Session:
     def _enter(self, state) -> None:
         xr = self.xr
         S = xr.SessionState
-        self.focused, self.visible = state == S.FOCUSED, state in (S.FOCUSED, S.VISIBLE)
         if state == S.READY:
             how = xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO)
             self.guarded(lambda: xr.begin_session(self.handle, how))

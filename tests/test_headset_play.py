@@ -16,6 +16,7 @@ import pytest
 from display.headset.poses import Standpoint
 from scenes import ring_toss
 from tests.remote_headset import Player, monado, surroundings
+from tests.watched import Watched
 from tests.xvfb import NEEDS_XVFB, XServer
 
 TESTS = Path(__file__).resolve().parent
@@ -24,36 +25,21 @@ pytestmark = [*NEEDS_XVFB, pytest.mark.skipif(monado() is None, reason=WHY)]
 YELLOW = 1
 
 
-class Play:
+class Play(Watched):
     """The program in a headset, its log, and the player who wears it."""
 
     def __init__(self, screen: XServer, folder: Path, environment: dict):
-        self.screen, self.log, self.stats = screen, folder / "log.jsonl", folder / "stats.json"
-        self.errors = folder / "errors.txt"
-        command = [sys.executable, TESTS / "watched_play.py", self.log, "--scene", "ring_toss", "--xr", "--arch", "cpu"]
-        command += ["--stats", self.stats]
+        self.screen, self.errors = screen, folder / "errors.txt"
         with open(self.errors, "w") as errors:
-            environment = {**screen.env, **environment}
-            self.process = subprocess.Popen([str(c) for c in command], env=environment, stderr=errors)
+            super().__init__(folder, "--xr", env={**screen.env, **environment}, stderr=errors)
         self.player = Player()
         self.player.send()
         scene = ring_toss.build()
         self.stage = Standpoint.before(scene.eye, scene.target).matrix
 
-    def frames(self) -> list[dict]:
-        lines = self.log.read_text().split("\n")[:-1] if self.log.exists() else []
-        return [json.loads(line) for line in lines]
-
     def until(self, condition, *, seconds: float = 120.0) -> dict:
-        """The first frame from now on that meets the condition."""
-        begin, end = len(self.frames()), time.monotonic() + seconds
-        while time.monotonic() < end:
-            for frame in self.frames()[begin:]:
-                if condition(frame):
-                    return frame
-            assert self.process.poll() is None, f"the program ended: {self.errors.read_text()[-2000:]}"
-            time.sleep(0.1)
-        raise AssertionError(f"not within {seconds:.0f} s; the last frame was {self.frames()[-1:]}")
+        """The first frame from now on that meets the condition: a headset's takes longer."""
+        return super().until(condition, seconds=seconds)
 
     def in_play_space(self, point) -> tuple[float, ...]:
         """Where a point of the world is for the player [m]."""

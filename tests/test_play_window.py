@@ -1,9 +1,6 @@
 """The ring toss in its real window under Xvfb: the mouse takes a ring, lifts it and throws it."""
 
 import json
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +10,7 @@ from xvfb import NEEDS_XVFB, XServer
 from assets.camera import look_at, perspective
 from display.window import project
 from scenes import ring_toss
+from tests.watched import Watched
 
 pytestmark = NEEDS_XVFB
 TESTS = Path(__file__).resolve().parent
@@ -20,30 +18,13 @@ WIDTH, HEIGHT = 400, 260
 RED, YELLOW = 0, 1
 
 
-class Play:
+class Play(Watched):
     """The running program and its log."""
 
     def __init__(self, screen: XServer, folder: Path):
-        self.screen, self.log, self.stats = screen, folder / "log.jsonl", folder / "stats.json"
-        command = [sys.executable, TESTS / "watched_play.py", self.log, "--scene", "ring_toss", "--arch", "cpu"]
-        command += ["--size", f"{WIDTH}x{HEIGHT}", "--stats", self.stats]
-        self.process = subprocess.Popen([str(c) for c in command], env=screen.env)
+        self.screen = screen
+        super().__init__(folder, "--size", f"{WIDTH}x{HEIGHT}", env=screen.env)
         screen.wait_for_window("VR-GS: ring_toss", seconds=60)
-
-    def frames(self) -> list[dict]:
-        lines = self.log.read_text().split("\n")[:-1] if self.log.exists() else []
-        return [json.loads(line) for line in lines]
-
-    def until(self, condition, *, seconds: float = 60.0) -> dict:
-        """The first frame from now on that meets the condition."""
-        begin, end = len(self.frames()), time.monotonic() + seconds
-        while time.monotonic() < end:
-            for frame in self.frames()[begin:]:
-                if condition(frame):
-                    return frame
-            assert self.process.poll() is None, f"the program ended with status {self.process.returncode}"
-            time.sleep(0.1)
-        raise AssertionError(f"not within {seconds:.0f} s; the last frame is {self.frames()[-1:]}")
 
     def after(self, count: int = 3) -> dict:
         """The state once a few more frames are on the screen."""

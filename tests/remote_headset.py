@@ -7,6 +7,7 @@ The packet is `struct r_remote_data` of Monado 25.0.0 (src/xrt/drivers/remote/r_
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import socket
 import struct
@@ -14,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-PORT = 4242
+PORT = "VRGS_REMOTE_PORT"  # of the environment: where the runtime listens, another one for each that runs
 VIEW = "4f4f3fI"  # field of view, pose, padding
 CONTROLLER = "4f3f3f3f5f3f2f1f2f13?3x"  # pose, velocities, fingers, trigger and squeeze, stick, trackpad, buttons
 PACKET = struct.Struct("<8s" + 2 * VIEW + "4f3f?3x" + 2 * CONTROLLER)
@@ -34,9 +35,13 @@ def monado() -> Path | None:
 def surroundings(*, percent: int = 33):
     """Environment in which programs find Monado with the remote driver; its pictures are `percent` of full size."""
     with tempfile.TemporaryDirectory(prefix="monado-") as folder:
-        run = Path(folder) / "run"
+        run, port = Path(folder) / "run", free_port()
         run.mkdir(mode=0o700)
+        (Path(folder) / "monado").mkdir()
+        remote = {"version": 0, "port": port, "view_count": 2}
+        (Path(folder) / "monado" / "config_v0.json").write_text(json.dumps({"active": "remote", "remote": remote}))
         yield {
+            PORT: str(port),
             "XDG_RUNTIME_DIR": str(run),
             "XDG_CONFIG_HOME": folder,
             "XR_RUNTIME_JSON": str(monado()),
@@ -45,6 +50,13 @@ def surroundings(*, percent: int = 33):
             "XRT_COMPOSITOR_LOG": "error",
             "XRT_COMPOSITOR_SCALE_PERCENTAGE": str(percent),
         }
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens at now."""
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
 
 
 class Controller:
@@ -65,13 +77,13 @@ class Controller:
 
 
 class Player:
-    """Connected to a running Monado; `send` after each change."""
+    """Connected to the Monado that listens at `port`; `send` after each change."""
 
-    def __init__(self, seconds: float = 60.0):
+    def __init__(self, port: int, seconds: float = 60.0):
         end = time.monotonic() + seconds
         while True:
             try:
-                self._socket = socket.create_connection(("127.0.0.1", PORT), timeout=10)
+                self._socket = socket.create_connection(("127.0.0.1", port), timeout=10)
                 break
             except OSError:
                 if time.monotonic() > end:

@@ -15,7 +15,7 @@ import pytest
 
 from display.headset.poses import Standpoint
 from scenes import ring_toss
-from tests.remote_headset import Player, monado, surroundings
+from tests.remote_headset import PORT, Player, monado, surroundings
 from tests.watched import Watched
 from tests.xvfb import NEEDS_XVFB, XServer
 
@@ -32,7 +32,7 @@ class Play(Watched):
         self.screen, self.errors = screen, folder / "errors.txt"
         with open(self.errors, "w") as errors:
             super().__init__(folder, "--xr", env={**screen.env, **environment}, stderr=errors)
-        self.player = Player()
+        self.player = Player(int(environment[PORT]))
         self.player.send()
         scene = ring_toss.build()
         self.stage = Standpoint.before(scene.eye, scene.target).matrix

@@ -101,10 +101,15 @@ class Assembly:
         """The largest kappa of each body [1/s^2], (B,)."""
         return np.array([p.kappa.max(initial=0.0) for p in self.parts])
 
+    @cached_property
+    def crossing(self) -> float:
+        """The shortest time [s] in which a pressure wave crosses a body."""
+        return min((p.crossing for p in self.parts), default=np.inf)
+
     def columns(self) -> dict[str, np.ndarray]:
         """The values of State's fields of these names."""
         parts, shapes, sizes = self.parts, self.shapes, self.sizes
-        material = [p.body.material for p in parts]
+        material = [p.material for p in parts]
         index = np.arange(sizes.bodies)
         faces = [s.surface + o for s, o in zip(shapes, self.vertex_begin, strict=False)]
         return {

@@ -56,7 +56,7 @@ class Coarse:
 
     def load(self, assembly: Assembly) -> None:
         """Take the modes of these bodies."""
-        modes = [p.shape.once(modes_of, tuple((p.w == 0.0).tolist()), p.body.material) for p in assembly.parts]
+        modes = [p.shape.once(modes_of, tuple((p.w == 0.0).tolist()), p.material) for p in assembly.parts]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:

@@ -14,7 +14,33 @@ from sim.state import State, Upload
 
 FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
 CRUSHED = -0.5  # J - 1: half the volume
+BRAKE = 1 / 32  # of a tet's motion along its gradient, in a substep: with 1/8, crushed bodies take long to recover
+SQUEEZED = 4.0  # the same for the volume's stiffness alone: what is stretched up to fourfold is not softened by it
 CROWD = 8.0  # a vertex belongs to up to 24 tets, of which a third pull the same way: random starts recover from 4 to 16
+
+
+@ti.func
+def cofactor(F):
+    """cof F = J F^-T, the derivative of J = det F."""
+    f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
+    f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
+    f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
+    return ti.Matrix.cols([f2.cross(f3), f3.cross(f1), f1.cross(f2)])
+
+
+@ti.func
+def safe_step(F, g: ti.template(), w, q, lam, dt2):
+    """What a single sweep does to a tet far from rest (see Elastic.project_tet): the step s <= dt^2 that is stable, and
+    the share of its motion along the gradient that is taken away.
+
+    g the 4 gradients of its shape functions, w (4) inverse masses times its volume; q = sum w |dU/dx|^2 / (2 U).
+    """
+    cof = cofactor(F)
+    stiff = 0.0
+    for k in ti.static(range(4)):
+        stiff += w[k] * (cof @ g[k]).norm_sqr()
+    s = ti.min(dt2, 1.0 / (CROWD * q), 1.0 / (SQUEEZED * lam * stiff + 1e-30))
+    return s, BRAKE * (1.0 - s / dt2)
 
 
 @ti.func
@@ -23,12 +49,11 @@ def stress(F, mu, lam):
 
     P = mu (1 - 2 max(1 - I1, 0)) F + (lam (J - 1) - mu) cof F,   cof F = [f2 x f3, f3 x f1, f1 x f2],   I1 = tr F^T F
     """
+    cof = cofactor(F)
     f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
     f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
     f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
-    f23 = f2.cross(f3)
-    grow = f1.dot(f23) - 1.0
-    cof = ti.Matrix.cols([f23, f3.cross(f1), f1.cross(f2)])
+    grow = f1.dot(ti.Vector([cof[0, 0], cof[1, 0], cof[2, 0]])) - 1.0
     I1 = f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr()
     return mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * F + (lam * grow - mu) * cof, I1, grow
 
@@ -108,11 +133,14 @@ class Elastic:
 
         U = V Psi, C = sqrt(2 U), [g1 g2 g3] = V P B^T, g0 = -(g1 + g2 + g3), q = sum w |g|^2 / C^2:
         many sweeps   s = -(1 + lambda / (dt^2 C)) / (q + 1/dt^2),   lambda += C s
-        single sweep  s = -min(dt^2, 1 / (CROWD q))
+        single sweep  s = -min(dt^2, 1 / (CROWD q), 1 / (SQUEEZED q_J)),   q_J = lam V sum w |cof F grad N|^2
         One Jacobi sweep never converges, so there the 1/(q + 1/dt^2) of each tet, which differs from tet to tet, would
         only soften it by up to dt^2 kappa (9% at the stability limit) and leave a wrong shape at rest. The stability
         rule already makes s = -dt^2 safe at small strain, where q <= kappa. The step is shortened, by enough for all
-        tets that a vertex shares, only where q is far larger: in crushed, inverted and far stretched tets.
+        tets that a vertex shares, only where q is far larger: in crushed, inverted and far stretched tets. There q says
+        too little of one that keeps its volume: J - 1 is 0, but what keeps it so grows stiffer with |cof F|^2.
+        A step that depends on the shape is no longer the step of an energy: what goes to and fro could gain by it.
+        So such a tet is braked as well, along its gradient, by a share of what moves it that way.
         Elsewhere q is not even computed, which saves a third of the time.
         """
         s_ = self.state
@@ -146,7 +174,13 @@ class Elastic:
             W += s_.w[a[2]] * h2.norm_sqr() + s_.w[a[3]] * h3.norm_sqr()
             q = ti.min(V * W / energy, bound)
             if ti.static(single):
-                s = -V * ti.min(dt * dt, 1.0 / (CROWD * q))
+                g1 = ti.Vector([B[0, 0], B[0, 1], B[0, 2]])
+                g2 = ti.Vector([B[1, 0], B[1, 1], B[1, 2]])
+                g3 = ti.Vector([B[2, 0], B[2, 1], B[2, 2]])
+                w = V * ti.Vector([s_.w[a[0]], s_.w[a[1]], s_.w[a[2]], s_.w[a[3]]])
+                step, brake = safe_step(F, [-(g1 + g2 + g3), g1, g2, g3], w, q, lam, dt * dt)
+                way = h0.dot(d0) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
+                s = -(V * step + brake * way / ti.max(W, 1e-30))
             else:
                 C = ti.sqrt(V * energy)
                 before = 0.0

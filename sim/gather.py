@@ -10,7 +10,7 @@ import numpy as np
 import taichi as ti
 
 from sim.assembly import Assembly, stacked
-from sim.elastic import CROWD, CRUSHED, FAR_STRETCHED, energy_density, slots_of, stress
+from sim.elastic import CRUSHED, FAR_STRETCHED, energy_density, safe_step, slots_of, stress
 from sim.state import State, Upload
 
 OTHERS = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]  # the other corners of each corner
@@ -27,6 +27,7 @@ class Gather:
         begin i32[V+1]         slots of each vertex
         place vec3 f64[2, V]   x + dx at the start of a substep, of even and of odd ones; in double precision, because
                                the difference of two must keep what lies under the last bit of x
+        way vec3[2, V]         dx at the start of a substep, likewise
     """
 
     def __init__(self, state: State):
@@ -42,6 +43,8 @@ class Gather:
         self.builder.dense(ti.i, state.V + 1).place(self.begin)
         self.place = ti.Vector.field(3, ti.f64)
         self.builder.dense(ti.ij, (2, state.V)).place(self.place)
+        self.way = ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.ij, (2, state.V)).place(self.way)
         self.tree = self.builder.finalize()
         self._upload = Upload([*self.other, *self.gradient, self.corner, self.kappa, self.begin])
 
@@ -63,8 +66,9 @@ class Gather:
 
     @ti.func
     def publish(self, i, parity):
-        """Let the neighbours of vertex i see where it is, in substeps of this parity."""
+        """Let the neighbours of vertex i see where it is and where it goes, in substeps of this parity."""
         s = self.state
+        self.way[parity, i] = s.dx[i]
         self.place[parity, i] = ti.cast(s.x[i], ti.f64) + ti.cast(s.dx[i], ti.f64)
 
     @ti.func
@@ -83,20 +87,25 @@ class Gather:
         g2 = ti.Vector([g[3][k], g[4][k], g[5][k]])
         g3 = ti.Vector([g[6][k], g[7][k], g[8][k]])
         V = 1.0 / (6.0 * g1.dot(g2.cross(g3)))
-        P, I1, grow = stress(e1.outer_product(g1) + e2.outer_product(g2) + e3.outer_product(g3), mu, lam)
+        F = e1.outer_product(g1) + e2.outer_product(g2) + e3.outer_product(g3)
+        P, I1, grow = stress(F, mu, lam)
         g0 = -(g1 + g2 + g3)
-        step = s.dt[None] * s.dt[None]
+        step, brake = s.dt[None] * s.dt[None], 0.0
         if I1 > FAR_STRETCHED or grow < CRUSHED:
             a = s.tets[t]
             if grow < -1.0:
                 s.inverted[s.body_of_tet[t]] = 1
-            W = s.w[a[0]] * (P @ g0).norm_sqr() + s.w[a[1]] * (P @ g1).norm_sqr()
-            W += s.w[a[2]] * (P @ g2).norm_sqr() + s.w[a[3]] * (P @ g3).norm_sqr()
+            G, w, way, W = ti.static([g0, g1, g2, g3]), ti.Vector([s.w[a[n]] for n in range(4)]), 0.0, 0.0
+            for n in ti.static(range(4)):
+                h = P @ G[n]
+                W += w[n] * h.norm_sqr()
+                way += h.dot(self.way[parity, a[n]])
             energy = ti.max(2.0 * energy_density(I1, grow, mu, lam), 1e-12 * mu)
             bound = self.kappa[t] * ti.max(1.0, I1 * I1 / 9.0)
-            step = ti.min(step, 1.0 / (CROWD * ti.min(V * W / energy, bound)))
+            step, brake = safe_step(F, [g0, g1, g2, g3], V * w, ti.min(V * W / energy, bound), lam, step)
+            brake *= way / ti.max(W, 1e-30)
         own = g0 if c == 0 else (g1 if c == 1 else (g2 if c == 2 else g3))
-        return -V * step * (P @ own)
+        return -(V * step + brake) * (P @ own)
 
     def destroy(self) -> None:
         self.tree.destroy()

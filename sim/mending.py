@@ -92,7 +92,7 @@ class Mending:
 
     def _soften(self, inverted: np.ndarray) -> None:
         limp = self.status[0] > 0.0
-        materials = [p.body.material for p in self.parts]
+        materials = [p.material for p in self.parts]
         softest = np.array([min(1.0, LIMP / m.young) for m in materials])
         scale = np.where(limp, softest ** np.clip(self.status[0] / STIFFENING, 0.0, 1.0), 1.0)
         constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]

@@ -12,7 +12,7 @@ from assets.asset import DistanceGrid
 from scenes.scene import Material
 from sim.body import SoftBody, rest_volumes
 from sim.rigid_body import RigidBody
-from sim.stability import stiffness_bounds
+from sim.stability import bearable, stiffness_bounds, wave_speed
 
 
 class RestShape:
@@ -88,6 +88,11 @@ class RestShape:
         return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
 
     @cached_property
+    def length(self) -> float:
+        """Largest extent [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
     def edge(self) -> float:
         """Median edge length of the tets [m]."""
         x = self.vertices[self.solid]
@@ -133,9 +138,19 @@ class Part:
         return w
 
     @cached_property
+    def material(self) -> Material:
+        """The body's, as it is simulated (sim/stability.py)."""
+        return self.body.material if self.body.rigid else bearable(self.body.material, self.shape.length)
+
+    @cached_property
+    def crossing(self) -> float:
+        """Time [s] in which a pressure wave crosses the body; infinite for a rigid one."""
+        return np.inf if self.body.rigid else self.shape.length / wave_speed(self.material)
+
+    @cached_property
     def kappa(self) -> np.ndarray:
         """Stiffness bound of each tet [1/s^2], (T,)."""
-        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.w, self.body.material)
+        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.w, self.material)
 
     @cached_property
     def start(self) -> np.ndarray:

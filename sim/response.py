@@ -7,7 +7,9 @@ import taichi as ti
 
 REST = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY = 0.02  # [s] in which a deeper penetration decays
-WEDGED = 0.1  # of a contact's give: below, friction and stiffness together would jam it
+# Of what a contact gives without friction. Where a stiff body's vertex can only slide if it also rises, friction makes
+# the push that raises it larger, up to a jam; more than twice as large, it threw a plate of 1e8 Pa at 10 m/s.
+WEDGED = 0.5
 RECOVERY_SPEED = 1.0  # [m/s] at most; faster, it would throw what it frees
 # [m/s] at which friction is fully kinetic. Were it so at any speed, a soft block would let go far below mu_s: what
 # slips first, at its edge, would load the next with what it drops (Stribeck's curve has this shape too).
@@ -75,12 +77,11 @@ def respond_metric(phi, n, y, friction, dt, H, A):
         if lacking > 0.0:
             fallen = ti.min(lacking * A.trace() / (3.0 * CREEP * dt), 1.0)
             mu = friction[0] + fallen * (friction[1] - friction[0])
-            A_n = A @ n
-            along = n - mu * y_t / ti.max(y_t.norm(), 1e-20)
-            give = A_n.dot(along)
-            if give < WEDGED * n.dot(A_n):  # sliding would lift the vertex more than the contact itself: no friction
-                along, give = n, n.dot(A_n)
-            p = gap / give * along
+            A_n, u = A @ n, y_t / ti.max(y_t.norm(), 1e-20)
+            lift = A_n.dot(u)  # of the vertex, by a push along u: friction takes it away, the more so the larger mu is
+            mu = ti.min(mu, (1.0 - WEDGED) * n.dot(A_n) / ti.max(lift, 1e-30))
+            along = n - mu * u
+            p = gap / A_n.dot(along) * along
     return A @ p, p
 
 

@@ -102,7 +102,8 @@ class Solver(Editing, Boundaries):
         """Path, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
         kappas = assembly.kappas
         stiffest = assembly.parts[int(np.argmax(kappas))].body.name if assembly.parts else "nothing"
-        plan = choose_plan(float(kappas.max(initial=0.0)), stiffest=stiffest, **self._wanted)
+        how = {"stiffest": stiffest, "crossing": assembly.crossing}
+        plan = choose_plan(float(kappas.max(initial=0.0)), **how, **self._wanted)
         return replace(plan, substep=min(plan.substep, LONGEST_SUBSTEP)) if self._with_rigid else plan
 
     def _take(self, plan: Plan) -> None:

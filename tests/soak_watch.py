@@ -94,7 +94,7 @@ def energies(solver) -> tuple[float, float, float]:
 
 def elastic(part, x: np.ndarray) -> float:
     """Strain energy [J] of a body: V (mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2), summed over its tets."""
-    m = part.body.material
+    m = part.material
     mu = m.young / (2 * (1 + m.poisson))
     lam = m.young * m.poisson / ((1 + m.poisson) * (1 - 2 * m.poisson)) + mu
     corners = x[part.shape.tets]

@@ -91,7 +91,7 @@ def test_the_plan_takes_the_cheaper_path_and_what_is_forced():
 def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     """n . y' is the least; what sticks has no tangential motion, what slides is at the edge of the cone."""
     ti = ti_cpu
-    from sim.response import REST, respond_metric
+    from sim.response import REST, WEDGED, respond_metric
 
     N, friction = 256, 1.0
     rng = np.random.default_rng(3)
@@ -121,8 +121,13 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     slides = np.hypot(*(y + c)[:, [0, 2]].T) > 1e-4
     assert (touching & slides).sum() > 5 and (touching & ~slides).sum() > 5
     assert (tangential[touching & ~slides] <= friction * normal[touching & ~slides] * (1 + 1e-4)).all()
+    A, u = np.linalg.inv(H), y * [1, 0, 1]
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    most = (1 - WEDGED) * A[:, 1, 1] / np.maximum(np.einsum("ki,ki->k", A[:, 1], u), 1e-9)  # else it would jam
     cone = touching & slides & (tangential > 1e-6)
-    assert_allclose(tangential[cone], friction * normal[cone], rtol=1e-4)
+    assert (most[cone] < friction).any() and (most[cone] > friction).any()
+    assert_allclose(tangential[cone], np.minimum(friction, most)[cone] * normal[cone], rtol=1e-3)
+    assert (normal[touching] < -y[touching, 1] / (WEDGED * A[touching, 1, 1]) * 1.001)[slides[touching]].all()
     assert ((p * y)[cone][:, [0, 2]].sum(1) < 0).all()
 
 

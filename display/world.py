@@ -7,12 +7,14 @@ writes the splats' fields, shadow and renderer read them. Nothing passes through
 from __future__ import annotations
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
 from assets.order import morton_order
 from display.bodies import load_bodies
+from display.clock import Cost, moves
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
@@ -48,6 +50,8 @@ class World:
         self._drawn: tuple | None = None  # cameras of the picture; None if it is no longer what is there
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
+        self.cost = Cost()  # of simulating
+        self._hands: list[Hand] = []  # as of the last frame
         self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
@@ -93,9 +97,11 @@ class World:
         self.apply(frame.commands)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
+            begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
-            self.moving = self.solver.moved()
+            self.moving = self.solver.moved()  # waits for the device
+            self.cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
             self._bodies = self.solver.bodies()
@@ -113,7 +119,9 @@ class World:
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
         if not self.demo:
-            self._advance(frame.dt, frame.hands)
+            for dt, hands in moves(frame.dt, frame.step, self._hands, frame.hands):
+                self._advance(dt, hands)
+            self._hands = frame.hands
             self.time += frame.dt
             return
         self._owed += frame.dt

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time as clock
+import time
 from collections.abc import Iterator
 
 import numpy as np
 
 from assets.errors import BadInput
+from display.clock import Clock
 from display.frame import Frame
 from display.headset import graphics
 from display.headset.mirror import mirror
@@ -20,7 +21,6 @@ from display.headset.session import Lost, Session
 from display.surface import has_display
 from scenes.scene import Scene
 
-LONGEST_STEP = 0.1  # [s]; after a longer gap the world goes on where it was
 PATIENCE = 60.0  # [s] for a runtime that went away to come back
 STOPPING = 3.0  # [s] at most for a runtime to say goodbye
 SMALLEST, LARGEST = 16, 8192  # [px] a side, of an eye's picture
@@ -51,6 +51,7 @@ class Headset:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
+        self._clock = Clock()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -79,21 +80,21 @@ class Headset:
 
     def _leave(self) -> None:
         """End a running session as the specification wants it: ask, then follow the states."""
-        session, end = self._session, clock.monotonic() + STOPPING
+        session, end = self._session, time.monotonic() + STOPPING
         if not session.running or session.over == "lost":
             return
         session.leave()
         with contextlib.suppress(Lost, self._runtime.xr.exception.ResultException):
-            while session.over is None and clock.monotonic() < end:
+            while session.over is None and time.monotonic() < end:
                 session.poll()
                 if session.running:
                     session.end(session.wait().predicted_display_time, [])
                 else:
-                    clock.sleep(0.01)
+                    time.sleep(0.01)
 
     def frames(self) -> Iterator[Frame]:
         """Frames at the headset's pace until the user quits here or there."""
-        time, last = 0.0, None
+        clock = self._clock
         while not self._quit():
             session = self._session
             try:
@@ -103,27 +104,26 @@ class Headset:
                 if session.over == "lost":
                     raise Lost("the runtime ends it")
                 if not session.running:
-                    last = None
+                    clock.rest()
                     self._idle()
                     continue
                 # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
                 self._player.standpoint.y = 0.0 if session.standing else self._eye_height
                 state = session.wait()
                 shown = state.predicted_display_time
-                dt = 0.0 if last is None else min(max((shown - last) * 1e-9, 0.0), LONGEST_STEP)
-                last = shown
+                cost = 0.0 if self._world is None else self._world.cost.value
+                tick = clock.advance(shown, state.predicted_display_period, cost)
                 controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
                 head = session.locate(shown)[0][0]
                 hands, commands = self._player.advance(controllers, head, self._world)
-                time += dt
                 self._frame, self._rendered = state, bool(state.should_render)
                 commands, self._commands = {**self._commands, **commands}, {}
                 cameras = self._cameras if self._rendered else []
-                yield Frame(dt, time, cameras, hands, commands)
+                yield Frame(tick.dt, clock.time, cameras, hands, commands, tick.step)
                 if self._frame is not None:  # it was not presented
                     session.end(shown, [])
             except Lost:
-                last = None
+                clock.rest()
                 if not self._return():
                     return
 
@@ -156,7 +156,7 @@ class Headset:
         if self._world is not None:
             self._world.timings.rest()
         self._commands |= self._mirror.show(self._world)
-        clock.sleep(0.05)
+        time.sleep(0.05)
 
     def _quit(self) -> bool:
         return self._mirror.closing
@@ -166,15 +166,15 @@ class Headset:
         print("the headset's runtime went away; waiting for it to come back", file=sys.stderr, flush=True)
         self._session.close()
         self._runtime.close()
-        end = clock.monotonic() + PATIENCE
-        while clock.monotonic() < end and not self._quit():
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and not self._quit():
             try:
                 self._runtime = Runtime(self._needed, wait=0.0)
                 self._open()
             except (BadInput, self._runtime.xr.exception.ResultException):
                 self._runtime.close()
                 self._idle()
-                clock.sleep(0.5)
+                time.sleep(0.5)
                 continue
             print(f"{self._runtime.name} is back", file=sys.stderr, flush=True)
             return True

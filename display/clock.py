@@ -1,0 +1,145 @@
+"""The world's clock in a headset: it shows what will be true when the picture is seen.
+
+A runtime predicts when a frame will be displayed. The world is simulated up to that time, however many frames were
+missed, in equal steps no longer than the display's period (or STEP, if that is shorter): n steps that end exactly at
+the predicted time. So nothing is left over to be blended. A fixed step with a picture between the last two states
+would cost a second copy of all vertices and show what is held up to a step, 11 ms at 90 Hz, behind the hand; and
+runtimes predict whole periods, so that the steps are the period anyway. More, shorter steps cost nothing that could be
+measured: 50 ms of the ring toss took 60 to 68 ms on two CPU cores as one step, and 59 to 93 ms as 2 to 5 steps.
+
+Rule for machines that are too slow: a frame makes up for all the time that has passed, but for no more than
+max(SLOWEST, LONGEST (1 - cost)), where `cost` is how many seconds it takes to simulate one. Catching up with a gap of
+g takes cost g, in which cost g more passes, and so on: g / (1 - cost) in all. So every gap is made up for within
+LONGEST, and where simulating is slower than life (cost >= 1) a frame never takes on more than SLOWEST and the world
+goes slower instead. What it is behind by then is let go of, and counted in `dropped`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from scenes.scene import Hand
+
+STEP, SHORTEST = 1 / 60, 1 / 240  # [s] a step at most, whatever the display's period
+SLOWEST = 1 / 20  # [s] that a frame always makes up for
+LONGEST = 0.5  # [s] within which a gap is made up for
+LATE = 1.5  # periods between two frames, from which on the ones between were missed
+JUMP = 1.0  # [m] in a frame: the hand was not led there, it was found there
+SLACK = 0.25  # of a step: a prediction that trembles does not make one step two
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What a frame is to simulate [s], in steps of this length at most [s], and how many were missed before it."""
+
+    dt: float
+    step: float
+    missed: int
+
+
+class Clock:
+    """`advance` once a frame. `time` [s] is the sum of all ticks, `dropped` [s] what was never simulated."""
+
+    def __init__(self):
+        self.time = self.dropped = 0.0
+        self._last: int | None = None
+
+    def rest(self) -> None:
+        """Nothing is shown for a while; the world goes on where it was."""
+        self._last = None
+
+    def advance(self, shown: int, period: int, cost: float = 0.0) -> Tick:
+        """The next frame is displayed at `shown` [ns], the display's period is `period` [ns]."""
+        last, self._last = self._last, shown
+        step = min(max(period * 1e-9, SHORTEST), STEP)
+        if last is None or shown <= last:  # the first frame, or another clock
+            return Tick(0.0, step, 0)
+        passed = shown - last
+        missed = round(passed / period) - 1 if 0 < LATE * period < passed else 0
+        dt = min(passed * 1e-9, most(cost))
+        self.dropped += passed * 1e-9 - dt
+        self.time += dt
+        return Tick(dt, step, missed)
+
+
+def most(cost: float) -> float:
+    """The most that one frame makes up for [s], if simulating a second takes `cost` seconds."""
+    return max(SLOWEST, LONGEST * (1.0 - cost))
+
+
+class Cost:
+    """Seconds that it takes to simulate one: the median of the last frames, so that one hitch changes nothing."""
+
+    def __init__(self, count: int = 9):
+        self._samples: deque[float] = deque(maxlen=count)
+        self._first = True
+
+    def note(self, seconds: float, dt: float) -> None:
+        """It took `seconds` to simulate `dt` [s]. The first time holds the compilation and does not count."""
+        if self._first:
+            self._first = False
+        elif dt > 0.0:
+            self._samples.append(seconds / dt)
+
+    @property
+    def value(self) -> float:
+        return float(np.median(self._samples)) if self._samples else 0.0
+
+
+def moves(dt: float, step: float | None, before: list[Hand], now: list[Hand]) -> list[tuple[float, list[Hand]]]:
+    """The steps of a frame: how long each is [s] and where the hands are at its end.
+
+    step    the longest one may be [s]; None: one step, whatever its length
+    before  the hands at the frame's begin, `now` at its end; in between they are led evenly
+    """
+    n = 1 if step is None else max(1, math.ceil(dt / step - SLACK))
+    return [(dt / n, led(before, now, k / n)) for k in range(1, n)] + [(dt / n, now)]
+
+
+def led(before: list[Hand], now: list[Hand], share: float) -> list[Hand]:
+    """The hands at a share of the way; one that was not there before is where it is now."""
+    there = [*before, *[None] * len(now)]
+    return [between(a, b, share) for a, b in zip(there, now, strict=False)]
+
+
+def between(before: Hand | None, now: Hand | None, share: float) -> Hand | None:
+    """A hand at a share (0 to 1, less than 1) of the way between two poses.
+
+    Whatever numbers a hand has are blended, rotations along the shorter arc; what is no number (a grip) changes only
+    at the end. A hand that is suddenly JUMP away is there at once.
+    """
+    if before is None or now is None or not math.dist(before.position, now.position) < JUMP:
+        return now
+    fields = dataclasses.fields(now)
+    return dataclasses.replace(
+        before, **{f.name: blend(f.name, getattr(before, f.name), getattr(now, f.name), share) for f in fields}
+    )
+
+
+def blend(name: str, a, b, share: float):
+    """One field of a hand on the way from a to b; its kind stays."""
+    if a is b or a is None or b is None or isinstance(a, (int, str)):  # a truth value is an int
+        return a
+    x, y = np.asarray(a), np.asarray(b)
+    if x.shape != y.shape or x.dtype.kind not in "fi" or y.dtype.kind not in "fi":
+        return a
+    x, y = x.astype(np.float64), y.astype(np.float64)
+    turns = "rotation" in name and x.shape[-1:] == (4,)
+    if turns:
+        y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)
+    z = x + share * (y - x)
+    if turns:
+        z /= np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12)
+    if isinstance(a, np.ndarray):
+        return z.astype(a.dtype)
+    return like(a, z.tolist())
+
+
+def like(a, value):
+    """Nested lists as the tuples that `a` is made of."""
+    return type(a)(like(p, v) for p, v in zip(a, value, strict=True)) if isinstance(a, (tuple, list)) else value

@@ -35,10 +35,12 @@ SLACK = 0.25  # of a step: a prediction that trembles does not make one step two
 
 @dataclass(frozen=True)
 class Tick:
-    """What a frame is to simulate [s], in steps of this length at most [s], and how many were missed before it."""
+    """What a frame is to simulate [s], in steps of this length at most [s]; the display's period [s], and how many
+    frames were missed before this one."""
 
     dt: float
     step: float
+    period: float
     missed: int
 
 
@@ -53,23 +55,26 @@ class Clock:
         """Nothing is shown for a while; the world goes on where it was."""
         self._last = None
 
-    def advance(self, shown: int, period: int, cost: float = 0.0) -> Tick:
-        """The next frame is displayed at `shown` [ns], the display's period is `period` [ns]."""
+    def advance(self, shown: int, period: int, cost: float | None) -> Tick:
+        """The next frame is displayed at `shown` [ns], the display's period is `period` [ns]. `cost` is None while
+        nothing is known, as kernels are being compiled: what passes then is not counted."""
         last, self._last = self._last, shown
-        step = min(max(period * 1e-9, SHORTEST), STEP)
+        seconds = max(period * 1e-9, SHORTEST)
+        step = min(seconds, STEP)
         if last is None or shown <= last:  # the first frame, or another clock
-            return Tick(0.0, step, 0)
+            self.time += step
+            return Tick(step, step, seconds, 0)
         passed = shown - last
         missed = round(passed / period) - 1 if 0 < LATE * period < passed else 0
         dt = min(passed * 1e-9, most(cost))
-        self.dropped += passed * 1e-9 - dt
+        self.dropped += 0.0 if cost is None else passed * 1e-9 - dt
         self.time += dt
-        return Tick(dt, step, missed)
+        return Tick(dt, step, seconds, missed)
 
 
-def most(cost: float) -> float:
+def most(cost: float | None) -> float:
     """The most that one frame makes up for [s], if simulating a second takes `cost` seconds."""
-    return max(SLOWEST, LONGEST * (1.0 - cost))
+    return SLOWEST if cost is None else max(SLOWEST, LONGEST * (1.0 - cost))
 
 
 class Cost:
@@ -81,14 +86,14 @@ class Cost:
 
     def note(self, seconds: float, dt: float) -> None:
         """It took `seconds` to simulate `dt` [s]. The first time holds the compilation and does not count."""
-        if self._first:
-            self._first = False
-        elif dt > 0.0:
+        if dt > 0.0 and not self._first:
             self._samples.append(seconds / dt)
+        self._first &= dt <= 0.0
 
     @property
-    def value(self) -> float:
-        return float(np.median(self._samples)) if self._samples else 0.0
+    def value(self) -> float | None:
+        """None before the second time."""
+        return float(np.median(self._samples)) if self._samples else None
 
 
 def moves(dt: float, step: float | None, before: list[Hand], now: list[Hand]) -> list[tuple[float, list[Hand]]]:

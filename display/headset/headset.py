@@ -111,8 +111,8 @@ class Headset:
                 self._player.standpoint.y = 0.0 if session.standing else self._eye_height
                 state = session.wait()
                 shown = state.predicted_display_time
-                cost = 0.0 if self._world is None else self._world.cost.value
-                tick = clock.advance(shown, state.predicted_display_period, cost)
+                cost = None if self._world is None else self._world.cost.value
+                tick = self._tick = clock.advance(shown, state.predicted_display_period, cost)
                 controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
                 head = session.locate(shown)[0][0]
                 hands, commands = self._player.advance(controllers, head, self._world)
@@ -129,7 +129,11 @@ class Headset:
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""
-        located = self._session.locate(self._frame.predicted_display_time)
+        shown, session = self._frame.predicted_display_time, self._session
+        now = session.guarded(self._runtime.now)
+        if now is not None and self._world is not None:
+            self._world.timings.photon.append((shown - now) * 1e-9)
+        located = session.locate(shown)
         stage = self._player.standpoint.matrix
         return [eye_camera(*self.size, fov, stage @ eye) for eye, fov in located]
 
@@ -149,7 +153,9 @@ class Headset:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
             self._commands |= self._mirror.show(world)
-        world.timings.frame()
+        timings = world.timings
+        timings.budget, timings.dropped = self._tick.period, self._clock.dropped
+        timings.frame(self._tick.missed)
 
     def _idle(self) -> None:
         """Nobody wears the headset: the world stands still."""

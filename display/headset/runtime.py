@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 import time
@@ -10,6 +11,9 @@ import time
 from assets.errors import BadInput
 
 INSTEAD = "leave out --xr to play in a window"
+WISHED = [  # extensions that are used where they are
+    "XR_KHR_convert_timespec_time",
+]
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
 
 
@@ -28,7 +32,8 @@ def import_xr():
 class Runtime:
     """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
 
-    `graphics` names the extensions without which nothing can be drawn. Raises BadInput with one clear line.
+    `graphics` names the extensions without which nothing can be drawn; `enabled` are these and those of WISHED that are
+    there. Raises BadInput with one clear line.
     """
 
     def __init__(self, graphics: list[str], *, wait: float = WAIT):
@@ -40,10 +45,11 @@ class Runtime:
             raise no_runtime() from e
         if missing := [name for name in graphics if name not in there]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
+        self.enabled = [*graphics, *(name for name in WISHED if name in there)]
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
-                    enabled_extension_names=graphics,
+                    enabled_extension_names=self.enabled,
                     application_info=xr.ApplicationInfo("VR-GS", 1, "VR-GS", 1, xr.Version(1, 0, 34)),
                 )
             )
@@ -94,13 +100,24 @@ class Runtime:
         ]
         return xr.EnvironmentBlendMode.OPAQUE if xr.EnvironmentBlendMode.OPAQUE in modes else modes[0]
 
+    def now(self) -> int | None:
+        """The present as an XrTime [ns]; None where the runtime cannot tell (XR_KHR_convert_timespec_time)."""
+        if WISHED[0] not in self.enabled:
+            return None
+        xr, answer = self.xr, self.xr.Time()
+        address = xr.get_instance_proc_addr(self.instance, "xrConvertTimespecTimeToTimeKHR")
+        convert = ctypes.cast(address, xr.PFN_xrConvertTimespecTimeToTimeKHR)
+        present = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
+        result = xr.check_result(convert(self.instance, ctypes.byref(present), ctypes.byref(answer)))
+        if result.is_exception():
+            raise result
+        return answer.value
+
     def path(self, text: str):
         return self.xr.string_to_path(self.instance, text)
 
     def events(self):
         """What has happened since the last call, as XrEventData structures of their own type."""
-        import ctypes
-
         xr = self.xr
         kinds = {
             xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED: xr.EventDataSessionStateChanged,

@@ -37,10 +37,11 @@ LINEAR = FRAGMENT.replace(  # for a runtime that only has linear textures: what 
 
 
 class Eyes:
-    """One swapchain for each eye, all of `size` (width, height) [px]."""
+    """One swapchain for each eye, all of `size` (width, height) [px]; a smaller picture fills a part of its textures."""
 
     def __init__(self, runtime, session, gl, size: tuple[int, int], views: int):
         self.xr, self.size, self._gl = runtime.xr, size, gl
+        self.drawn = size  # of the last pictures
         xr = self.xr
         there = list(xr.enumerate_swapchain_formats(session))
         chosen = next((f for f in (SRGB8_ALPHA8, RGBA8) if f in there), None)
@@ -67,9 +68,11 @@ class Eyes:
             textures = [gl.external_texture(image.image, size, 4, 0, "f1") for image in images]
             self._targets.append([gl.framebuffer(color_attachments=[t]) for t in textures])
 
-    def draw(self, texture) -> None:
-        """Hand over the views of a picture, one below the other in a texture of the same width."""
-        xr, gl, (width, height) = self.xr, self._gl, self.size
+    def draw(self, texture, size: tuple[int, int] | None = None) -> None:
+        """Hand over the views of a picture, each of `size` [px] (or of the textures'), one below the other in a texture
+        of the same width."""
+        self.drawn = size or self.size
+        xr, gl, (width, height) = self.xr, self._gl, self.drawn
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
         for view, (chain, targets) in enumerate(zip(self._chains, self._targets, strict=True)):
             index = xr.acquire_swapchain_image(chain, xr.SwapchainImageAcquireInfo())
@@ -88,7 +91,7 @@ class Eyes:
         for at, chain, view in zip(shown, self._chains, views, strict=True):
             at.pose, at.fov, at.sub_image.swapchain = view.pose, view.fov, chain
             at.sub_image.image_rect.offset[:] = [0, 0]
-            at.sub_image.image_rect.extent[:] = list(self.size)
+            at.sub_image.image_rect.extent[:] = list(self.drawn)
         return xr.CompositionLayerProjection(space=space, views=shown)
 
     def close(self) -> None:

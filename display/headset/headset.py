@@ -16,6 +16,7 @@ from display.headset import graphics
 from display.headset.mirror import mirror
 from display.headset.player import Player
 from display.headset.poses import eye_camera
+from display.headset.resolution import Resolution
 from display.headset.runtime import Runtime
 from display.headset.session import Lost, Session
 from display.surface import has_display
@@ -29,7 +30,8 @@ SMALLEST, LARGEST = 16, 8192  # [px] a side, of an eye's picture
 class Headset:
     """A display: `for frame in headset.frames(): world.step(frame); headset.present(world)`.
 
-    `size` is that of one eye's picture [px]: the runtime's wish times `scale`. Raises BadInput, with one clear line,
+    `size` is that of one eye's picture [px]: the runtime's wish times `scale`; where the rate does not hold, smaller
+    ones are drawn (display/headset/resolution.py). Raises BadInput, with one clear line,
     where there is no runtime, no headset or no OpenGL.
     """
 
@@ -46,6 +48,7 @@ class Headset:
             graphics.check(self._runtime, self._mirror.gl)
             width, height = np.max(self._runtime.views, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), SMALLEST, LARGEST)) for side in (width, height))
+            self._resolution = Resolution(self.size)
             self._open()
         except BaseException:
             self.close()
@@ -110,6 +113,7 @@ class Headset:
                 # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
                 self._player.standpoint.y = 0.0 if session.standing else self._eye_height
                 state = session.wait()
+                self._begun = time.perf_counter()
                 shown = state.predicted_display_time
                 cost = None if self._world is None else self._world.cost.value
                 tick = self._tick = clock.advance(shown, state.predicted_display_period, cost)
@@ -135,7 +139,8 @@ class Headset:
             self._world.timings.photon.append((shown - now) * 1e-9)
         located = session.locate(shown)
         stage = self._player.standpoint.matrix
-        return [eye_camera(*self.size, fov, stage @ eye) for eye, fov in located]
+        size = self.size if self._world is None else self._world.renderer_size
+        return [eye_camera(*size, fov, stage @ eye) for eye, fov in located]
 
     def present(self, world) -> None:
         """Show the world's picture in the headset and on the desktop, and let the hands feel what they hold."""
@@ -146,7 +151,7 @@ class Headset:
                 layers = []
                 if self._rendered:
                     self._mirror.texture.upload(world.picture)
-                    layers = self._session.show(self._mirror.texture.texture)
+                    layers = self._session.show(self._mirror.texture.texture, world.renderer_size)
                 self._session.end(frame.predicted_display_time, layers)
                 self._player.feel(world, self._session.actions)
             except Lost:
@@ -156,6 +161,18 @@ class Headset:
         timings = world.timings
         timings.budget, timings.dropped = self._tick.period, self._clock.dropped
         timings.frame(self._tick.missed)
+        if self._rendered:
+            self._pace(world)
+
+    def _pace(self, world) -> None:
+        """Draw as many pixels from now on as hold the headset's rate, or as the user wants."""
+        share = self._mirror.share
+        if share is None:
+            self._resolution.note(time.perf_counter() - self._begun, self._tick.period)
+        else:
+            self._resolution.hold(share)
+        if world.renderer_size != self._resolution.size:
+            world.resize(*self._resolution.size)
 
     def _idle(self) -> None:
         """Nobody wears the headset: the world stands still."""

@@ -90,9 +90,9 @@ class Session:
             self._views = views  # else the head stays where it was seen last
         return [(matrix_of(v.pose), v.fov) for v in self._views]
 
-    def show(self, texture) -> list:
-        """Draw the picture, in which all eyes lie one below the other; the layers to end the frame with."""
-        self.guarded(lambda: self.eyes.draw(texture))
+    def show(self, texture, size: tuple[int, int]) -> list:
+        """Draw the picture, in which all eyes, of `size` [px], lie one below the other; the layers to end the frame."""
+        self.guarded(lambda: self.eyes.draw(texture, size))
         return [self.eyes.layer(self.space, self._views)]
 
     def end(self, time: int, layers: list) -> None:

@@ -31,7 +31,8 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 
 
 class World:
-    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo)."""
+    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `depth` the picture has
+    it in place of alpha."""
 
     def __init__(
         self,
@@ -43,6 +44,7 @@ class World:
         interaction: str = "physics",
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
+        depth: bool = False,
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -77,7 +79,7 @@ class World:
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
-        self.views, self.sort = views, sort
+        self.views, self.sort, self.outputs = views, sort, "deep" if depth else "rgba8"
         self.renderer: Renderer | None = None
         self.resize(width, height)
         self._bodies: list[BodyState] = self.solver.bodies()
@@ -87,7 +89,7 @@ class World:
         """Draw pictures of another size from now on."""
         if self.renderer is None:
             how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
-            self.renderer = Renderer(self.splats, width, height, **how)
+            self.renderer = Renderer(self.splats, width, height, outputs=self.outputs, **how)
         else:
             self.renderer.resize(width, height)
         self.renderer_size, self._drawn = (width, height), None

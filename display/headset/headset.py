@@ -75,6 +75,11 @@ class Headset:
         if self._mirror is not None:
             self._mirror.close()
 
+    @property
+    def depth(self) -> bool:
+        """Does the runtime take the depth of the picture?"""
+        return self._session.eyes.depth is not None
+
     def _open(self) -> None:
         """Begin a session; the runtime then says when to play."""
         runtime = self._runtime

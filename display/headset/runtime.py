@@ -13,6 +13,7 @@ from assets.errors import BadInput
 INSTEAD = "leave out --xr to play in a window"
 WISHED = [  # extensions that are used where they are
     "XR_KHR_convert_timespec_time",
+    "XR_KHR_composition_layer_depth",
 ]
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
 
@@ -102,7 +103,7 @@ class Runtime:
 
     def now(self) -> int | None:
         """The present as an XrTime [ns]; None where the runtime cannot tell (XR_KHR_convert_timespec_time)."""
-        if WISHED[0] not in self.enabled:
+        if "XR_KHR_convert_timespec_time" not in self.enabled:
             return None
         xr, answer = self.xr, self.xr.Time()
         address = xr.get_instance_proc_addr(self.instance, "xrConvertTimespecTimeToTimeKHR")

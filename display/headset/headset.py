@@ -13,12 +13,15 @@ from assets.errors import BadInput
 from display.clock import Clock
 from display.frame import Frame
 from display.headset import graphics
+from display.headset.depth import EXTENSION
 from display.headset.mirror import mirror
+from display.headset.news import News
 from display.headset.player import Player
 from display.headset.poses import eye_camera
 from display.headset.resolution import Resolution
-from display.headset.runtime import Runtime
+from display.headset.runtime import INSTEAD, Runtime
 from display.headset.session import Lost, Session
+from display.headset.tracking import Steady
 from display.surface import has_display
 from scenes.scene import Scene
 
@@ -40,7 +43,7 @@ class Headset:
     def __init__(
         self, scene: Scene, *, title: str = "VR-GS", window: tuple[int, int] = (1280, 720), scale: float = 1.0
     ):
-        self._session = self._mirror = None
+        self._session = self._mirror = self._deep = None
         self._needed = graphics.extensions(has_display())
         self._runtime = Runtime(self._needed)
         try:
@@ -54,7 +57,7 @@ class Headset:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
-        self._clock = Clock()
+        self._clock, self._steady, self._news = Clock(), Steady(), News()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -81,10 +84,17 @@ class Headset:
         return self._session.eyes.depth is not None
 
     def _open(self) -> None:
-        """Begin a session; the runtime then says when to play."""
+        """Begin a session; the runtime then says when to play. BadInput if it does not let us."""
         runtime = self._runtime
-        graphics.requirements(runtime)  # the specification wants it asked before each session
-        self._session = Session(runtime, self._mirror.gl, graphics.binding(runtime.xr, self._mirror.egl), self.size)
+        if self._deep is False and EXTENSION in runtime.enabled:  # another runtime than the one at the start
+            runtime.enabled.remove(EXTENSION)
+        try:
+            graphics.requirements(runtime)  # the specification wants it asked before each session
+            binding = graphics.binding(runtime.xr, self._mirror.egl)
+            self._session = Session(runtime, self._mirror.gl, binding, self.size)
+        except runtime.xr.exception.ResultException as e:
+            raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {INSTEAD}") from e
+        self._deep = self._deep or self.depth
 
     def _leave(self) -> None:
         """End a running session as the specification wants it: ask, then follow the states."""
@@ -102,47 +112,55 @@ class Headset:
 
     def frames(self) -> Iterator[Frame]:
         """Frames at the headset's pace until the user quits here or there."""
-        clock = self._clock
-        while not self._quit():
+        while not self._mirror.closing:
             session = self._session
             try:
                 session.poll()
                 if session.over == "exit":
+                    self._news.tell("the headset's system ends the play")
                     return
                 if session.over == "lost":
-                    raise Lost("the runtime ends it")
+                    raise Lost(session.why)
                 if not session.running:
-                    clock.rest()
-                    self._idle()
+                    self._rest()
                     continue
-                # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
-                self._player.standpoint.y = 0.0 if session.standing else self._eye_height
-                state = session.wait()
-                self._begun = time.perf_counter()
-                shown = state.predicted_display_time
-                cost = None if self._world is None else self._world.cost.value
-                tick = self._tick = clock.advance(shown, state.predicted_display_period, cost)
-                controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
-                head = session.locate(shown)[0][0]
-                hands, commands = self._player.advance(controllers, head, self._world)
-                self._frame, self._rendered = state, bool(state.should_render)
-                commands, self._commands = {**self._commands, **commands}, {}
-                cameras = self._cameras if self._rendered else []
-                yield Frame(tick.dt, clock.time, cameras, hands, commands, tick.step)
+                yield self._begin(session)
                 if self._frame is not None:  # it was not presented
-                    session.end(shown, [])
-            except Lost:
-                clock.rest()
-                if not self._return():
+                    session.end(self._frame.predicted_display_time, [])
+            except Lost as e:
+                self._clock.rest()
+                if not self._return(str(e)):
                     return
+
+    def _begin(self, session) -> Frame:
+        """Wait for the next frame, and see what the player does in it."""
+        # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
+        self._player.standpoint.y = 0.0 if session.standing else self._eye_height
+        state = session.wait()
+        self._begun = time.perf_counter()
+        shown, world = state.predicted_display_time, self._world
+        cost = None if world is None else world.cost.value
+        tick = self._tick = self._clock.advance(shown, state.predicted_display_period, cost)
+        controllers = session.guarded(lambda: session.actions.read(session.space, shown))
+        self._steady.lead(controllers, tick.dt)
+        head = session.locate(shown)[0][0]
+        hands, commands = self._player.advance(controllers, head, world)
+        self._frame, self._rendered = state, bool(state.should_render)
+        commands, self._commands = {**self._commands, **commands}, {}
+        self._news.frame(session)
+        return Frame(tick.dt, self._clock.time, self._cameras if self._rendered else [], hands, commands, tick.step)
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""
         shown, session = self._frame.predicted_display_time, self._session
-        now = session.guarded(self._runtime.now)
+        try:
+            now = session.guarded(self._runtime.now)
+            located = session.locate(shown)
+        except Lost:  # `frames` sees it, too; until then nothing is drawn
+            self._rendered = False
+            return []
         if now is not None and self._world is not None:
             self._world.timings.photon.append((shown - now) * 1e-9)
-        located = session.locate(shown)
         stage = self._player.standpoint.matrix
         size = self.size if self._world is None else self._world.renderer_size
         return [eye_camera(*size, fov, stage @ eye) for eye, fov in located]
@@ -158,7 +176,7 @@ class Headset:
                     self._mirror.texture.upload(world.picture)
                     layers = self._session.show(self._mirror.texture.texture, world.renderer_size)
                 self._session.end(frame.predicted_display_time, layers)
-                self._player.feel(world, self._session.actions)
+                self._session.guarded(lambda: self._player.feel(world, self._session.actions))
             except Lost:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
@@ -179,32 +197,35 @@ class Headset:
         if world.renderer_size != self._resolution.size:
             world.resize(*self._resolution.size)
 
-    def _idle(self) -> None:
+    def _rest(self) -> None:
         """Nobody wears the headset: the world stands still."""
+        self._clock.rest()
+        self._news.rest()
+        self._idle()
+
+    def _idle(self) -> None:
         if self._world is not None:
             self._world.timings.rest()
         self._commands |= self._mirror.show(self._world)
         time.sleep(0.05)
 
-    def _quit(self) -> bool:
-        return self._mirror.closing
-
-    def _return(self) -> bool:
-        """The runtime went away: wait for it, or for another, and go on playing; whether one came."""
-        print("the headset's runtime went away; waiting for it to come back", file=sys.stderr, flush=True)
+    def _return(self, why: str) -> bool:
+        """The runtime went away: wait for it, or for another, and go on playing; whether one came. BadInput if it has
+        done so too often."""
+        self._news.lost(self._runtime.name, why)
         self._session.close()
         self._runtime.close()
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and not self._quit():
+        while time.monotonic() < end and not self._mirror.closing:
             try:
                 self._runtime = Runtime(self._needed, wait=0.0)
                 self._open()
-            except (BadInput, self._runtime.xr.exception.ResultException):
+            except BadInput:
                 self._runtime.close()
                 self._idle()
                 time.sleep(0.5)
                 continue
-            print(f"{self._runtime.name} is back", file=sys.stderr, flush=True)
+            self._news.tell(f"{self._runtime.name} is back")
             return True
-        print("it did not come back; the play ends", file=sys.stderr, flush=True)
+        self._news.tell("it did not come back; the play ends")
         return False

@@ -56,11 +56,17 @@ class Runtime:
             )
         except (xr.RuntimeUnavailableError, xr.InitializationFailedError, xr.RuntimeFailureError) as e:
             raise no_runtime() from e
-        properties = xr.get_instance_properties(self.instance)
-        self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
+        except xr.exception.ResultException as e:
+            raise BadInput(f"--xr: the OpenXR runtime does not start ({type(e).__name__}); {INSTEAD}") from e
+        self.name = "the runtime"
         try:
+            properties = xr.get_instance_properties(self.instance)
+            self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
             self.system = self._headset(wait)
-            self.views = self._views()
+            self.views, self.blend = self._views(), self._blend_mode()
+        except xr.exception.ResultException as e:
+            self.close()
+            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); start it anew, or {INSTEAD}") from e
         except BaseException:
             self.close()
             raise
@@ -91,8 +97,7 @@ class Runtime:
         views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
         return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
 
-    @property
-    def blend_mode(self):
+    def _blend_mode(self):
         """Opaque where the headset has it; see-through glasses have others."""
         xr = self.xr
         stereo = xr.ViewConfigurationType.PRIMARY_STEREO
@@ -121,18 +126,18 @@ class Runtime:
         """What has happened since the last call, as XrEventData structures of their own type."""
         xr = self.xr
         kinds = {
-            xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED: xr.EventDataSessionStateChanged,
-            xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING: xr.EventDataInstanceLossPending,
-            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING: xr.EventDataReferenceSpaceChangePending,
+            xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED.value: xr.EventDataSessionStateChanged,
+            xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING.value: xr.EventDataInstanceLossPending,
+            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING.value: xr.EventDataReferenceSpaceChangePending,
         }
         while True:
             try:
                 event = xr.poll_event(self.instance)
             except xr.EventUnavailable:
                 return
-            kind = kinds.get(xr.StructureType(event.type))
+            kind = kinds.get(event._type)  # one that this module does not know is no error
             if kind is not None:
-                yield ctypes.cast(ctypes.byref(event), ctypes.POINTER(kind)).contents
+                yield kind.from_buffer_copy(event)
 
     def close(self) -> None:
         """Let the runtime go. Further calls do nothing."""

@@ -141,9 +141,9 @@ class Recording:
         self._world = world
         self._since += self._dt
         self._written += self._dt
-        if self._since >= SECOND or self.frames == 1:
+        if self._since >= SECOND - 1e-6 or self.frames == 1:
             self._state(world)
-        if self._written >= SECOND:
+        if self._written >= SECOND - 1e-6 or self.frames == 1:
             self._write()
 
     def _state(self, world) -> None:

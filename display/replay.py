@@ -79,13 +79,14 @@ class Replay:
         """The recorded frames, to be stepped and presented by the caller, until all are done or the display ends, with
         as many of the recorded cameras as the display has, for pictures of its size.
 
-        paced  at the pace of the display's time; else one for each of the display's frames
+        paced  at the pace of the display's time, and held by its pause; else one for each of the display's frames
         """
-        due = 0.0
+        due, held = 0.0, False
         for shown in display.frames():
             if self.done == len(self):
                 return
-            due += shown.dt
+            held ^= paced and "pause" in shown.commands
+            due += 0.0 if held else shown.dt
             now = self._frames[self.done]
             while paced and self.done + 1 < len(self) and due >= now.dt + self._frames[self.done + 1].dt:
                 world.step(replace(now, cameras=[]))  # more of them than pictures
@@ -189,7 +190,7 @@ def read_frames(file: Reader) -> list[Frame]:
     cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS, count))
     commands = read_commands(file, count)
     return [
-        Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, {}), float(step[k]) or None)
+        Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, {}), step=float(step[k]) or None)
         for k in range(count)
     ]
 

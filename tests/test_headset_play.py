@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from display.headset.poses import Standpoint
+from display.replay import Replay
 from scenes import ring_toss
 from tests.remote_headset import PORT, Player, monado, surroundings
 from tests.watched import Watched
@@ -57,7 +58,8 @@ class Play(Watched):
 @pytest.fixture(scope="module")
 def play(tmp_path_factory):
     with XServer(1600, 900) as screen, surroundings() as environment:
-        session = Play(screen, tmp_path_factory.mktemp("headset"), environment)
+        folder = tmp_path_factory.mktemp("headset")
+        session = Play(screen, folder, environment, "--record-input", str(folder / "play.h5"))
         yield session
         if session.process.poll() is None:
             session.process.kill()
@@ -121,6 +123,13 @@ def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
     assert numbers["frames"] == len(play.frames()) and numbers["finite"] is True
     assert 0 < numbers["motion_to_photon_ms"] < 10_000 and numbers["missed_frames"] >= 0
     assert "SESSION_NOT_RUNNING" not in play.errors.read_text()
+    recorded = Replay.load(play.stats.with_name("play.h5"))
+    assert len(recorded) == numbers["frames"] and recorded.about["arch"] == "cpu"
+    seen = [len(f.cameras) for f in recorded._frames]
+    assert set(seen) <= {0, 2} and max(seen) == 2
+    assert [[h.grip for h in f.hands] for f in recorded._frames] == [
+        [h["grip"] for h in frame["hands"]] for frame in play.frames()
+    ]
 
 
 def press(play, controller, button: str, effect) -> None:

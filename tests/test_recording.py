@@ -54,7 +54,7 @@ def some_frames(count=200, dt=1 / 90):
             k, {}
         )
         cameras = [dataclasses.replace(CAMERA, cx=30.0 + 0.01 * k)] * (k % 3)
-        frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, None if k % 2 else 1 / 90))
+        frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, step=None if k % 2 else 1 / 90))
     return frames
 
 
@@ -220,6 +220,13 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
     play_again(replay, [Frame(1 / 90, 0.0, [camera])] * 120, paced=False, world=other)
     text = replay.report()
     assert text.startswith("replayed 120 of 200 frames, largest difference 0.9") and text.endswith(" m")
+
+
+def test_a_replay_in_a_window_is_held_by_its_pause(tmp_path):
+    record(tmp_path / "play.h5", some_frames(20))
+    shown = [Frame(1 / 90, 0.0, [CAMERA], [], {"pause": True} if k in (5, 50) else {}) for k in range(80)]
+    world, presented = play_again(Replay.load(tmp_path / "play.h5"), shown, paced=True)
+    assert len(world.frames) == 20 and len(set(presented[5:50])) == 1
 
 
 def test_a_view_fills_a_picture_of_another_size():
@@ -410,7 +417,7 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, ti_cpu, capsys):
         ]
         commands = {12: {"interaction": "transform"}, 15: {"interaction": "physics"}, 28: {"pause": True}}.get(k, {})
         commands |= {29: {"step": True}, 31: {"pause": False}, 33: {"reset": True}, 36: {"demo": True}}.get(k, {})
-        frames.append(Frame(float(rng.uniform(0.005, 0.04)), t, [], hands, commands, None if k % 3 else 1 / 90))
+        frames.append(Frame(float(rng.uniform(0.005, 0.04)), t, [], hands, commands, step=None if k % 3 else 1 / 90))
     scene = ring_toss.build()
     world = World(scene, width=16, height=16)
     start = world.solver.x.to_numpy()

@@ -148,7 +148,8 @@ class Headset:
         self._frame, self._rendered = state, bool(state.should_render)
         commands, self._commands = {**self._commands, **commands}, {}
         self._news.frame(session)
-        return Frame(tick.dt, self._clock.time, self._cameras if self._rendered else [], hands, commands, tick.step)
+        cameras = self._cameras if self._rendered else []
+        return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step)
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""

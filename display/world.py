@@ -111,6 +111,7 @@ class World:
                 self.scene.game.update(self.time, self._bodies)
         else:
             self.moving = False
+        self._hands = frame.hands
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
         if cameras and seen != self._drawn:
@@ -123,7 +124,6 @@ class World:
         if not self.demo:
             for dt, hands in moves(frame.dt, frame.step, self._hands, frame.hands):
                 self._advance(dt, hands)
-            self._hands = frame.hands
             self.time += frame.dt
             return
         self._owed += frame.dt

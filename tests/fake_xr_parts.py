@@ -80,6 +80,8 @@ class Input:
         return location
 
     def apply_haptic_feedback(self, session, info, vibration):
+        if self.state != "FOCUSED":
+            raise self._real.SessionNotFocused
         self.pulses.append((self._hand(info.subaction_path), vibration.amplitude))
 
 

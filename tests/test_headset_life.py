@@ -195,7 +195,7 @@ def nothing(fake):
 
 def test_while_something_else_has_the_input_the_world_goes_on_and_hands_hold_on(wear, capsys):
     fake = Fake(script={5: ["VISIBLE"], 9: ["FOCUSED"]})
-    fake.squeeze["right"] = 1.0
+    fake.squeeze = {"left": 1.0, "right": 1.0}
 
     def each(k, headset, world):
         if k == 4:

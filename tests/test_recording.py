@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace as N
 
@@ -54,6 +56,7 @@ def some_frames(count=200, dt=1 / 90):
     return frames
 
 
+ROOT = Path(__file__).resolve().parents[1]
 ARGS = N(scene="ring_toss", body=None, stage=None, material=None, interaction="physics", seed=0)
 
 
@@ -239,6 +242,21 @@ def test_the_command_line_says_what_is_wrong(capsys, words, says):
     assert vrgs.main(words) == 2
     err = capsys.readouterr().err
     assert says in err and err.count("\n") == 1
+
+
+def test_the_program_records_itself_and_replays(tmp_path):
+    file, film = tmp_path / "play.h5", tmp_path / "again.png"
+    play = [sys.executable, ROOT / "vrgs.py", "--arch", "cpu", "--headless", "--size", "32x24"]
+    said = []
+    for words in (["--frames", 70, "--interaction", "transform", "--record-input", file],
+                  ["--replay", file, "--snapshot", film]):  # fmt: skip
+        done = subprocess.run([str(w) for w in (*play, *words)], capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr[-2000:]
+        said.append(done.stdout)
+    assert said == ["", "replayed 70 frames, largest difference 0 m\n"]
+    assert film.exists() and sorted(p.name for p in tmp_path.iterdir()) == ["again.png", "play.h5"]
+    replay = Replay.load(file)
+    assert replay.about["interaction"] == "transform" and sorted(replay._states) == [0, 60, 69]
 
 
 def test_what_was_played_is_played_again_bit_for_bit(tmp_path, ti_cpu, capsys):

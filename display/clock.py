@@ -120,31 +120,29 @@ def between(before: Hand | None, now: Hand | None, share: float) -> Hand | None:
     """
     if before is None or now is None or not math.dist(before.position, now.position) < JUMP:
         return now
-    fields = dataclasses.fields(now)
-    return dataclasses.replace(
-        before, **{f.name: blend(f.name, getattr(before, f.name), getattr(now, f.name), share) for f in fields}
-    )
+    return blend("", before, now, share)
 
 
 def blend(name: str, a, b, share: float):
-    """One field of a hand on the way from a to b; its kind stays."""
-    if a is b or a is None or b is None or isinstance(a, (int, str)):  # a truth value is an int
-        return a
-    x, y = np.asarray(a), np.asarray(b)
-    if x.shape != y.shape or x.dtype.kind not in "fi" or y.dtype.kind not in "fi":
-        return a
-    x, y = x.astype(np.float64), y.astype(np.float64)
+    """The field `name` of a hand on the way from a to b; its kind stays. What is not alike in both is as in a."""
+    if type(a) is type(b) and dataclasses.is_dataclass(a):
+        fields = ((f.name, getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+        return dataclasses.replace(a, **{name: blend(name, x, y, share) for name, x, y in fields})
+    if isinstance(a, float):
+        return a + share * (b - a) if isinstance(b, (int, float)) else a
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape and a.dtype.kind == "f":
+        return mixed(name, a, b, share).astype(a.dtype)
+    if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
+        if all(type(x) in (int, float) for x in (*a, *b)):
+            return tuple(mixed(name, np.array(a, np.float64), np.array(b, np.float64), share).tolist())
+        return tuple(blend(name, x, y, share) for x, y in zip(a, b, strict=True))
+    return a
+
+
+def mixed(name: str, x: np.ndarray, y: np.ndarray, share: float) -> np.ndarray:
+    """Numbers on the way from x to y; quaternions, (..., 4) of a field that is called rotation, stay such."""
     turns = "rotation" in name and x.shape[-1:] == (4,)
     if turns:
         y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)
     z = x + share * (y - x)
-    if turns:
-        z /= np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12)
-    if isinstance(a, np.ndarray):
-        return z.astype(a.dtype)
-    return like(a, z.tolist())
-
-
-def like(a, value):
-    """Nested lists as the tuples that `a` is made of."""
-    return type(a)(like(p, v) for p, v in zip(a, value, strict=True)) if isinstance(a, (tuple, list)) else value
+    return z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12) if turns else z

@@ -121,6 +121,15 @@ def test_a_hand_that_was_found_elsewhere_is_there_at_once():
     assert between(a, None, 0.5) is None and between(None, b, 0.5) is b
 
 
+@dataclass(frozen=True)
+class Touch:
+    """What a hand may push with."""
+
+    a: tuple
+    radius: float = 0.1
+    on: bool = False
+
+
 @dataclass
 class Rich(Hand):
     """A hand as it may become."""
@@ -131,6 +140,7 @@ class Rich(Hand):
     kind: str = "fist"
     number: int = 0
     pair: tuple = ((0.0, 1.0), (2.0, 3.0))
+    touch: tuple = ()
 
 
 def test_fields_that_a_hand_may_gain_are_led_too():
@@ -144,6 +154,10 @@ def test_fields_that_a_hand_may_gain_are_led_too():
     assert_allclose(half.joint_rotations, q)
     assert (half.tracked, half.kind, half.number) == (True, "fist", 0) and half.pair == ((1.0, 1.0), (2.0, 4.0))
     assert between(Rich(), b, 0.5).joints is None
+    a.touch, b.touch = (Touch((0, 0, 0)), Touch((1.0, 0.0, 0.0))), (Touch((1, 0, 0), 0.2, True), Touch((1.0, 2.0, 0.0)))
+    assert between(a, b, 0.5).touch == (Touch((0.5, 0.0, 0.0), pytest.approx(0.15)), Touch((1.0, 1.0, 0.0)))
+    b.touch = b.touch[:1]
+    assert between(a, b, 0.5).touch == a.touch
 
 
 @pytest.mark.parametrize("frames", [[1 / 90] * 27, [1 / 90] * 3 + [21 / 90] + [1 / 90] * 3])

@@ -70,7 +70,7 @@ class Fake(Input, Swapchains):
     def __getattribute__(self, name: str):
         """Functions of the runtime are written down, and fail where the script wants it."""
         found = object.__getattribute__(self, name)
-        if not isinstance(found, types.MethodType) or name.startswith("_") or name in ("enter", "lose"):
+        if not isinstance(found, types.MethodType) or name.startswith("_") or name in ("enter", "formats_made"):
             return found
 
         def call(*args, **kwargs):
@@ -125,6 +125,10 @@ class Fake(Input, Swapchains):
     def create_instance(self, info):
         self._begin_again()
         return self._handle("Instance")
+
+    def formats_made(self) -> list[int]:
+        """The formats of all swapchains there are."""
+        return [chain["format"] for chain in self.chains.values()]
 
     def destroy_instance(self, instance):
         self._destroy(instance)
@@ -232,24 +236,10 @@ class Fake(Input, Swapchains):
         layers = []
         for k in range(info.layer_count):
             layer = ctypes.cast(info.layers[k], ctypes.POINTER(self._real.CompositionLayerProjection)).contents
-            layers.append([self._view(layer.views[v]) for v in range(layer.view_count)])
+            if layer.type == self._real.StructureType.COMPOSITION_LAYER_PROJECTION:
+                layers.append([self._view(layer.views[v]) for v in range(layer.view_count)])
+            else:
+                layers.append(layer.type.name)
         if info.display_time != self.time:
             raise self._real.TimeInvalidError
         self.ended.append((self.frame, layers))
-
-    def _view(self, view) -> dict:
-        """A view of the projection layer: its rectangle, and that of its depth with near and far."""
-        seen = {"rectangle": self._rectangle(view.sub_image)}
-        if view.next:
-            kind = ctypes.POINTER(self._real.CompositionLayerDepthInfoKHR)
-            info = ctypes.cast(ctypes.c_void_p(view.next), kind).contents
-            assert info.type == self._real.StructureType.COMPOSITION_LAYER_DEPTH_INFO_KHR
-            seen |= {"depth": self._rectangle(info.sub_image), "near": info.near_z, "far": info.far_z}
-        return seen
-
-    def _rectangle(self, image) -> tuple[int, ...]:
-        chain = self.chains[self._number(image.swapchain)]
-        (x, y), (width, height) = tuple(image.image_rect.offset), tuple(image.image_rect.extent)
-        if x < 0 or y < 0 or x + width > chain["size"][0] or y + height > chain["size"][1] or chain["held"]:
-            raise self._real.SwapchainRectInvalidError
-        return x, y, width, height

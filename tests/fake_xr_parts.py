@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import types
 
 
@@ -124,6 +125,23 @@ class Swapchains:
         if not c["held"] or c["held"][0][1] != "waited":
             raise self._real.CallOrderInvalidError
         c["last"] = c["held"].pop(0)[0]
+
+    def _view(self, view) -> dict:
+        """A view of the projection layer: its rectangle, and that of its depth with near and far."""
+        seen = {"rectangle": self._rectangle(view.sub_image)}
+        if view.next:
+            kind = ctypes.POINTER(self._real.CompositionLayerDepthInfoKHR)
+            info = ctypes.cast(ctypes.c_void_p(view.next), kind).contents
+            assert info.type == self._real.StructureType.COMPOSITION_LAYER_DEPTH_INFO_KHR
+            seen |= {"depth": self._rectangle(info.sub_image), "near": info.near_z, "far": info.far_z}
+        return seen
+
+    def _rectangle(self, image) -> tuple[int, ...]:
+        chain = self.chains[self._number(image.swapchain)]
+        (x, y), (width, height) = tuple(image.image_rect.offset), tuple(image.image_rect.extent)
+        if x < 0 or y < 0 or x + width > chain["size"][0] or y + height > chain["size"][1] or chain["held"]:
+            raise self._real.SwapchainRectInvalidError
+        return x, y, width, height
 
 
 def fill(pose, rotation, position) -> None:

@@ -97,6 +97,10 @@ class Timings:
             rows.append((name, float(np.median(values)), float(values.max())))
         return rows
 
+    def latest(self, *names: str) -> float:
+        """How long these stages took when they last ran [s], all together."""
+        return sum((self._samples[name] or [self._first[name]])[-1] for name in names if name in self._samples)
+
     def as_dict(self) -> dict[str, dict[str, float]]:
         """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history.
 

@@ -89,6 +89,7 @@ def test_timings_tell_the_first_run_apart():
     assert timings.as_dict()["render"] == pytest.approx({"median_ms": 2.0, "worst_ms": 3.0, "first_ms": 5000.0})
     assert timings.as_dict()["once"] == pytest.approx({"median_ms": 500.0, "worst_ms": 500.0, "first_ms": 500.0})
     assert [row[0] for row in timings.recent()] == ["render", "once"]
+    assert timings.latest("render", "once", "never") == pytest.approx(timings._samples["render"][-1] + 0.5)
 
 
 def test_recent_timings_forget_what_is_long_ago():

@@ -53,7 +53,7 @@ def test_where_the_rate_does_not_hold_a_part_of_the_textures_is_drawn(wear):
     fake = Fake()
     fake.size = (640, 480)
     wear.time.work = 0.02
-    _, world = wear(fake, 60)
+    _, world = wear(fake, 60, lambda k, headset, world: world.timings.add("render", 0.015))
     assert world.sizes[-1] == (320, 240) and world.cameras[-1][0].width == 320
     view = fake.ended[58][1][0][1]
     assert view["rectangle"] == view["depth"] == (0, 0, 320, 240)

@@ -63,6 +63,16 @@ def test_where_pixels_are_not_the_burden_it_stops_at_the_least():
     assert np.all(np.diff(shares) <= 0.0)
 
 
+def test_what_is_slow_for_other_reasons_does_not_cost_pixels():
+    resolution = Resolution(FULL)
+    for _ in range(300):
+        resolution.note(3.0 * BUDGET, BUDGET, 0.5 * BUDGET)
+    assert resolution.share == 1.0
+    for _ in range(300):
+        resolution.note(3.0 * BUDGET, BUDGET, 1.5 * BUDGET)
+    assert resolution.share == LEAST
+
+
 def test_a_small_picture_is_never_drawn_larger_than_it_is():
     resolution = Resolution((17, 9))
     assert resolution.size == (17, 9)

@@ -192,7 +192,8 @@ class Headset:
         """Draw as many pixels from now on as hold the headset's rate, or as the user wants."""
         share = self._mirror.share
         if share is None:
-            self._resolution.note(time.perf_counter() - self._begun, self._tick.period)
+            drawing = world.timings.latest("render", "present")
+            self._resolution.note(time.perf_counter() - self._begun, self._tick.period, drawing)
         else:
             self._resolution.hold(share)
         if world.renderer_size != self._resolution.size:

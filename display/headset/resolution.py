@@ -4,7 +4,8 @@ A frame's work is a part that grows with the pixels and one that does not. One c
 smaller or UP larger. A frame that took `seconds` of a `budget` is too slow above HIGH of it, and has room below LOW. A
 larger picture takes at most (1 + UP)^2 as long, and LOW (1 + UP)^2 = 0.78 < HIGH: growing alone never makes a frame
 too slow, so nothing swings to and fro. Growing takes PATIENT frames that all had room, shrinking QUICK of the last
-FEW that were too slow: a single hitch, which no number of pixels would have spared, changes nothing.
+FEW that were too slow: a single hitch, which no number of pixels would have spared, changes nothing. Nor does what is
+slow for other reasons: where drawing is less than MATTERS of the work, fewer pixels would only be ugly.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ HIGH, LOW = 0.9, 0.7  # of the budget
 DOWN, UP = 0.15, 0.055  # of a side in one change
 FEW, QUICK = 6, 4  # frames; of which so many are too slow
 PATIENT = 45  # frames, half a second
+MATTERS = 0.2  # of a frame's work
 SETTLE = 3  # frames after a change that are not looked at: the first is not typical
 LEAST = 0.5  # of a side: coarser is not worth seeing
 GRAIN = 8  # [px] to which a side is rounded
@@ -39,15 +41,16 @@ class Resolution:
             return self.full
         return tuple(min(side, max(GRAIN, round(side * self.share / GRAIN) * GRAIN)) for side in self.full)
 
-    def note(self, seconds: float, budget: float) -> bool:
-        """A frame took `seconds` of work and had `budget` [s]; whether `size` is now another one."""
+    def note(self, seconds: float, budget: float, drawing: float | None = None) -> bool:
+        """A frame took `seconds` of work, of these `drawing` for pixels, and had `budget` [s]; whether `size` is now
+        another one."""
         if self._skip:
             self._skip -= 1
             return False
         load = seconds / budget
-        self._recent.append(load > HIGH)
+        self._recent.append(load > HIGH and (drawing is None or drawing > MATTERS * seconds))
         self._roomy = self._roomy + 1 if load < LOW else 0
-        if load > HIGH and sum(self._recent) >= QUICK:
+        if self._recent[-1] and sum(self._recent) >= QUICK:
             return self._go(max(1.0 - DOWN, (HIGH * 0.95 / load) ** 0.5))
         if self._roomy >= PATIENT:
             return self._go(1.0 + UP)

@@ -60,6 +60,9 @@ class World:
     def hand_forces(self):
         return [np.array([0.0, 20.0, 0.0]), np.zeros(3)]
 
+    def touch_forces(self):
+        return [np.zeros(3), np.zeros(3)]
+
 
 def worn(monkeypatch):
     """A fixture. wear(fake, frames): play so many frames; (headset, world). The clock of all is wear.time."""

@@ -24,6 +24,7 @@ import dataclasses
 import json
 import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -76,12 +77,13 @@ class Recording:
         self._layouts: dict[str, int] = {}
         self._new: dict[str, list] = {name: [] for name in DATASETS}
         self._since = self._written = 0.0  # [s] of recorded time
+        self._writer, self._closed = ThreadPoolExecutor(1), False
         self._file = h5py.File(self.part, "w")
         self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
         for name, (shape, kind) in DATASETS.items():
             rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
-            how = {"maxshape": (None, *shape), "chunks": (rows, *shape), "compression": "gzip", "compression_opts": 1}
-            self._file.create_dataset(name, (0, *shape), kind, shuffle=True, **how)
+            how = {"maxshape": (None, *shape), "chunks": (rows, *shape)}
+            self._file.create_dataset(name, (0, *shape), kind, **how)
 
     def __enter__(self) -> Recording:
         return self
@@ -154,33 +156,47 @@ class Recording:
         self._new["states/centroids"].extend(np.asarray(b.centroid, np.float64) for b in bodies)
 
     def _write(self) -> None:
-        """Append what is new. The file is whole before and after."""
+        """Hand over what is new to the thread that writes: 10 ms of it would miss a frame."""
         self._written = 0.0
+        texts = {"about": json.dumps(self.about), "layouts": f"[{', '.join(self._layouts)}]"}
+        new, self._new = self._new, {name: [] for name in DATASETS}
+        self._writer.submit(self._append, texts, new)
+
+    def _append(self, texts: dict[str, str], new: dict[str, list]) -> None:
+        """The file is whole before and after."""
         if self._file is None:
             return
         try:
-            self._file.attrs["about"] = json.dumps(self.about)
-            self._file.attrs["layouts"] = json.dumps([json.loads(text) for text in self._layouts])
-            for name, rows in self._new.items():
+            for key, text in texts.items():
+                self._file.attrs[key] = text
+            for name, rows in new.items():
                 if rows:
                     data = self._file[name]
                     data.resize(len(data) + len(rows), axis=0)
                     data[-len(rows) :] = np.array(rows, DATASETS[name][1])
-                    rows.clear()
             self._file.flush()
         except (OSError, RuntimeError) as e:
             print(f"{self.path}: nothing more is recorded ({' '.join(str(e).split())[:100]})", file=sys.stderr)
             self._file = None
 
+    def settle(self) -> None:
+        """Wait until all that was handed over is written."""
+        self._writer.submit(lambda: None).result()
+
     def close(self) -> None:
         """Write the rest, with how things are at the end, and give the file its name. Further calls do nothing."""
-        if self._file is None:
+        if self._closed:
             return
+        self._closed = True
         self._finish()
         self._write()
+        self._writer.shutdown()  # waits
         if self._file is not None:
             self._file.close()
-            os.replace(self.part, self.path)
+            if self.frames:
+                os.replace(self.part, self.path)
+            else:  # it never came to a play
+                self.part.unlink()
             self._file = None
 
     def _finish(self) -> None:

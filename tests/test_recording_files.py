@@ -22,6 +22,7 @@ DIES = """
 import sys; sys.path.insert(0, {root!r})
 from tests.test_recording import record, some_frames
 recording = record({path!r}, some_frames(460), close=False)
+recording.settle()
 print("written", flush=True)
 import time
 while True: time.sleep(1)
@@ -52,6 +53,12 @@ def test_the_end_of_a_play_that_fails_is_kept(tmp_path):
     assert len(Replay.load(tmp_path / "play.h5")) == 30
 
 
+def test_a_play_that_never_began_leaves_nothing(tmp_path):
+    with pytest.raises(BadInput), Recording(tmp_path / "play.h5"):
+        raise BadInput("no headset")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_where_nothing_can_be_written_a_line_says_so_at_once(tmp_path):
     with pytest.raises(BadInput, match="cannot write"):
         Recording(tmp_path / "nowhere" / "play.h5")
@@ -65,6 +72,7 @@ def test_a_disk_that_fills_up_does_not_end_the_play(tmp_path, capsys, monkeypatc
     def full():
         raise OSError("No space left on device")
 
+    recording.settle()
     monkeypatch.setattr(recording._file, "flush", full)
     world = Ball()
     for frame in some_frames(200):

@@ -45,10 +45,15 @@ def play(args) -> None:
     from assets.library import usual_material
     from scenes import registry
 
+    replay = open_replay(args)
     body = prepared_body(args)
     material = args.material or (usual_material(body) if body else None)
     scene = registry.load(args.scene, body=body, material=material, stage=prepared_stage(args))
-    with open_display(args, scene) as display, open_recorder(args, display) as recorder:
+    with (
+        open_display(args, scene, replay) as display,
+        open_recorder(args, display) as recorder,
+        open_recording(args) as inputs,
+    ):
         start_taichi(args.arch, args.seed)
         from display.stats import run_stats, write_stats
         from display.world import World
@@ -56,24 +61,56 @@ def play(args) -> None:
         width, height = display.size
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
+        how["depth"] = args.xr and display.depth
+        if replay:
+            how = replay.world_options(how)
         world = World(scene, width=width, height=height, views=views, **how)
-        if args.headless:
+        if args.headless and not replay:
             display.hands = world.scripted_hands
+        if inputs:
+            inputs.begin(args, how)
         frames = 0
         limit = None if args.headless else args.frames  # a headless display counts for itself
-        for frame in itertools.islice(display.frames(), limit):
-            world.step(frame)
+        given = replay.frames(display, world, paced=not args.headless) if replay else display.frames()
+        for frame in itertools.islice(given, limit):
+            world.step(inputs.note(frame) if inputs else frame)
             display.present(world)
             if recorder:
                 recorder.add(world, frame.time)
+            if inputs:
+                inputs.after(world)
             frames += 1
+        if replay:
+            print(replay.report())
         if args.stats:
             write_stats(args.stats, run_stats(world, frames))
         if args.headless:
             print(f"{frames} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 
 
-def open_display(args, scene):
+def open_replay(args):
+    """What is played again, or None; the options are then those of its recording."""
+    if not args.replay:
+        return None
+    if args.xr:
+        raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
+    from display.replay import Replay
+
+    replay = Replay.load(args.replay)
+    replay.set_options(args)
+    return replay
+
+
+def open_recording(args):
+    """What takes down the user's input, or None."""
+    if not args.record_input:
+        return contextlib.nullcontext()
+    from display.recording import Recording
+
+    return Recording(args.record_input)
+
+
+def open_display(args, scene, replay=None):
     """The window, or without a display or with --headless the recorder of files."""
     if args.stats:
         from display.video import claim
@@ -98,6 +135,7 @@ def open_display(args, scene):
     from display.headless import Headless
 
     frames = args.frames or (round(60 * scene.game.duration) if scene.game else 300)
+    frames = min(args.frames or len(replay), len(replay)) if replay else frames
     views = 2 if args.stereo else 1
     out = {"record": args.record, "snapshot": args.snapshot}
     return Headless(scene, width=width, height=height, frames=frames, views=views, every=2, **out)

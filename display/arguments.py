@@ -19,6 +19,8 @@ EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
   python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
+  python vrgs.py --xr --record-input play.h5            play in a headset, and keep what you do
+  python vrgs.py --replay play.h5                       see it again; with --headless --record play.mp4: film it
   python vrgs.py scenes                                 list the demos
   python vrgs.py view cat.ply                           look at a splat from all sides
   python vrgs.py render cat.ply --turntable --out cat.mp4
@@ -109,6 +111,9 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     p.add_argument("--record", type=Path, metavar="OUT.mp4", help="write a film")
     p.add_argument("--snapshot", type=Path, metavar="OUT.png", help="headless: write the last frame")
     p.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
+    again = p.add_mutually_exclusive_group()
+    again.add_argument("--record-input", type=Path, metavar="FILE.h5", help="write what you do, to be played again")
+    again.add_argument("--replay", type=Path, metavar="FILE.h5", help="play again what was recorded; compare the end")
     p.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     p.add_argument("--body", metavar="FILE", help="sandbox, just_dance: splat file or prepared asset to play with")
     p.add_argument("--stage", metavar="ROOM", help="sandbox: a room to play in, a splat or prepared with --static")

@@ -14,9 +14,9 @@ class Frame:
     """Advance the world by `dt` [s] with these `hands`, then draw it for `cameras` (one an eye).
 
     `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
-    `time` [s] is the sum of all dt so far. `commands` are the user's wishes between two frames,
-    see `World.apply`: {"reset": True}, {"light": Light}, {"interaction": "physics"|"transform"},
-    {"pause": bool}, {"step": True}, {"demo": bool}.
+    `time` [s] is the sum of all dt so far. `step` [s] is the longest that the world may go at once; without it dt is
+    one step. `commands` are the user's wishes between two frames, see `World.apply`: {"reset": True}, {"light": Light},
+    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}.
     """
 
     dt: float
@@ -24,3 +24,4 @@ class Frame:
     cameras: list[Camera] | Callable[[], list[Camera]]
     hands: list[Hand] = field(default_factory=list)
     commands: dict = field(default_factory=dict)
+    step: float | None = None

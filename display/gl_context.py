@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 
 def context_of(address: Callable[[str], int | None]):
-    """A moderngl context; `address` finds OpenGL's functions by their names, on every platform alike."""
+    """A moderngl context; `address` finds OpenGL's functions by their names, on every platform alike. It is kept as the
+    context's `extra`."""
     import moderngl
 
     class Loader:
@@ -25,4 +26,6 @@ def context_of(address: Callable[[str], int | None]):
             pass
 
     moderngl.init_context(Loader())
-    return moderngl.get_context()
+    context = moderngl.get_context()
+    context.extra = address
+    return context

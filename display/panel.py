@@ -32,6 +32,7 @@ class Panel:
         self.details = False  # is the list of stages on view
         self._read = -REFRESH
         self._fps, self._stages, self._stats = 0.0, [], {}
+        self._pace: list[str] = []
 
     def draw(self, world, *, visible: bool) -> dict:
         """One frame of the panel and of the score; commands as `World.apply` takes them."""
@@ -46,6 +47,7 @@ class Panel:
         if now - self._read >= REFRESH:
             self._read = now
             self._fps, self._stages, self._stats = world.timings.recent_fps(), world.timings.recent(), world.stats()
+            self._pace = pace(world.timings)
         edge = MARGIN * self.scale
         height = imgui.get_io().display_size.y - 2 * edge
         imgui.set_next_window_pos((edge, edge))
@@ -150,6 +152,8 @@ class Panel:
             for name, median, worst in self._stages:
                 self._row(imgui, name, f"{median:.2f}", f"{worst:.2f}")
             imgui.end_table()
+        for line in self._pace:
+            imgui.text_colored(theme.QUIET, line)
         names = [name for name in ("gaussians", "vertices", "tets", "substeps") if name in self._stats]
         counts = [f"{self._stats[name]:,} {name}" for name in names]
         for first in range(0, len(counts), 2):
@@ -198,3 +202,13 @@ class Panel:
             imgui.same_line(0, 12 * self.scale)
         imgui.text(message)
         imgui.end()
+
+
+def pace(timings) -> list[str]:
+    """Lines on how the frames came: the longest, those missed, time let go of, and from the head's motion to light."""
+    lines = [f"longest frame {1e3 * timings.worst:.0f} ms, {timings.missed:,} missed"]
+    if timings.to_light is not None:
+        lines.append(f"from motion to light {1e3 * timings.to_light:.0f} ms")
+    if timings.dropped >= 0.1:
+        lines.append(f"{timings.dropped:.1f} s left out: too slow for real time")
+    return lines

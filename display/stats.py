@@ -15,12 +15,17 @@ from assets.errors import BadInput
 
 def run_stats(world, frames: int) -> dict:
     """Statistics of a run of `frames` frames: the world's own, its timings and the process's memory."""
+    timings = world.timings
+    light = {} if timings.to_light is None else {"motion_to_photon_ms": 1e3 * timings.to_light}
     return {
         "frames": frames,
-        "fps": world.timings.fps,
-        "stages": world.timings.as_dict(),
+        "fps": timings.fps,
+        "stages": timings.as_dict(),
         **world.stats(),
-        "missed_frames": world.timings.missed,
+        "missed_frames": timings.missed,
+        "worst_frame_ms": 1e3 * timings.worst,
+        "dropped_seconds": timings.dropped,
+        **light,
         "peak_memory_mb": peak_memory_mb(),
     }
 

@@ -19,12 +19,15 @@ class Timings:
 
     A launch on a GPU returns before the work is done. With `exact` each stage waits for the device
     at its end, so that the time is counted where it is spent; without, stages may overlap and only
-    the whole frame is right. `budget` [s] is the time that a frame may take before it is missed.
+    the whole frame is right. `budget` [s] is the time that a frame may take before it is missed. `dropped` [s] is time
+    that has passed and was never simulated, `photon` [s] from a look at where the head is to its picture being lit.
     """
 
     def __init__(self, *, exact: bool = False, budget: float = 1 / 60):
         self.exact, self.budget = exact, budget
-        self.missed = 0  # frames that took longer than 1.5 budgets
+        self.missed = 0  # frames that took longer than 1.5 budgets, or as many as a headset says
+        self.dropped = 0.0
+        self.photon: deque[float] = deque(maxlen=HISTORY)
         self._first: dict[str, float] = {}
         self._samples: dict[str, deque[float]] = {}
         self._frames: deque[float] = deque(maxlen=HISTORY)
@@ -49,12 +52,13 @@ class Timings:
         else:
             self._samples[name].append(seconds)
 
-    def frame(self) -> None:
-        """Mark the end of a frame. The first one only starts the clock: it holds the compilation."""
+    def frame(self, missed: int | None = None) -> None:
+        """Mark the end of a frame. The first one only starts the clock: it holds the compilation. `missed`: how many
+        the display has missed before this one, if it knows; else that is told by the time."""
         now = perf_counter()
         if self._mark is not None:
             self._frames.append(now - self._mark)
-            self.missed += now - self._mark > 1.5 * self.budget
+            self.missed += now - self._mark > 1.5 * self.budget if missed is None else missed
         self._mark = now
 
     def rest(self) -> None:
@@ -65,6 +69,16 @@ class Timings:
     def fps(self) -> float:
         """Mean frames per second over the history, 0 before the second frame."""
         return len(self._frames) / sum(self._frames) if self._frames else 0.0
+
+    @property
+    def worst(self) -> float:
+        """The longest frame of the history [s], 0 before the second frame."""
+        return max(self._frames, default=0.0)
+
+    @property
+    def to_light(self) -> float | None:
+        """Median of `photon` [s]; None where the display cannot tell."""
+        return float(np.median(self.photon)) if self.photon else None
 
     def recent_fps(self) -> float:
         """Mean frames per second over the last second, or the last frame if that took longer."""
@@ -82,6 +96,10 @@ class Timings:
             values = np.array(last(samples, RECENT) or [self._first[name]]) * 1e3
             rows.append((name, float(np.median(values)), float(values.max())))
         return rows
+
+    def latest(self, *names: str) -> float:
+        """How long these stages took when they last ran [s], all together."""
+        return sum((self._samples[name] or [self._first[name]])[-1] for name in names if name in self._samples)
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history.

@@ -7,12 +7,14 @@ writes the splats' fields, shadow and renderer read them. Nothing passes through
 from __future__ import annotations
 
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
 from assets.order import morton_order
 from display.bodies import load_bodies
+from display.clock import Cost, moves
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
@@ -29,7 +31,8 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 
 
 class World:
-    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo)."""
+    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `depth` the picture has
+    it in place of alpha."""
 
     def __init__(
         self,
@@ -41,6 +44,7 @@ class World:
         interaction: str = "physics",
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
+        depth: bool = False,
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -48,6 +52,8 @@ class World:
         self._drawn: tuple | None = None  # cameras of the picture; None if it is no longer what is there
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
+        self.cost = Cost()  # of simulating
+        self._hands: list[Hand] = []  # as of the last frame
         self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
@@ -73,7 +79,7 @@ class World:
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
-        self.views, self.sort = views, sort
+        self.views, self.sort, self.outputs = views, sort, "deep" if depth else "rgba8"
         self.renderer: Renderer | None = None
         self.resize(width, height)
         self._bodies: list[BodyState] = self.solver.bodies()
@@ -83,7 +89,7 @@ class World:
         """Draw pictures of another size from now on."""
         if self.renderer is None:
             how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
-            self.renderer = Renderer(self.splats, width, height, **how)
+            self.renderer = Renderer(self.splats, width, height, outputs=self.outputs, **how)
         else:
             self.renderer.resize(width, height)
         self.renderer_size, self._drawn = (width, height), None
@@ -93,9 +99,11 @@ class World:
         self.apply(frame.commands)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
+            begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
-            self.moving = self.solver.moved()
+            self.moving = self.solver.moved()  # waits for the device
+            self.cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
             self._bodies = self.solver.bodies()
@@ -103,6 +111,7 @@ class World:
                 self.scene.game.update(self.time, self._bodies)
         else:
             self.moving = False
+        self._hands = frame.hands
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
         if cameras and seen != self._drawn:
@@ -113,7 +122,8 @@ class World:
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
         if not self.demo:
-            self._advance(frame.dt, frame.hands)
+            for dt, hands in moves(frame.dt, frame.step, self._hands, frame.hands):
+                self._advance(dt, hands)
             self.time += frame.dt
             return
         self._owed += frame.dt

@@ -8,6 +8,9 @@ from render.raster import Raster
 from render.resort import WINDOW
 from render.splats import Splats
 
+NEAR, FAR = 0.2, 100.0  # [m] of a depth of 0 and of 1; what is nearer counts as at NEAR
+SOLID = 0.5  # opacity from which a pixel is something that has a depth; what is less is at FAR
+
 
 @ti.data_oriented
 class Picture:
@@ -24,6 +27,29 @@ class Picture:
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
         c = rgb + (1.0 - alpha) * ti.Vector(self.background)
         packed = ti.u32(4278190080)  # alpha 255
+        for k in ti.static(range(3)):
+            level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
+            packed |= level << (8 * k)
+        out[v * (out.shape[0] // self.views) + y, x] = packed
+
+
+@ti.data_oriented
+class DeepPicture(Picture):
+    """The same, with the depth of what is seen in place of alpha, which is 255 anyway and would be sent along in vain.
+
+    A = 255 d,   d = FAR / (FAR - NEAR) (1 - NEAR / z),   z = (sum w z) / (sum w)          as OpenGL's depth buffer
+
+    One step of 8 bits is 0.02 in 1 / z: for a head that has moved by 2 cm half a step shifts a point by 0.0002 of the
+    distance to the picture's plane, 0.2 px where an eye has 1000 px to it. More bits would show nothing more.
+    """
+
+    @ti.func
+    def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
+        c = rgb + (1.0 - alpha) * ti.Vector(self.background)
+        d = 1.0
+        if alpha >= SOLID:
+            d = ti.min(ti.max(FAR / (FAR - NEAR) * (1.0 - NEAR * alpha / ti.max(depth, NEAR * alpha)), 0.0), 1.0)
+        packed = ti.cast(d * 255.0 + 0.5, ti.u32) << ti.u32(24)
         for k in ti.static(range(3)):
             level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
             packed |= level << (8 * k)
@@ -61,6 +87,7 @@ class Renderer:
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
     outputs="rgba8": `picture`, ti.ndarray u32 (views * height, width), row 0 on top, over `background`.
+    outputs="deep": the same with depth in place of alpha, see DeepPicture.
     outputs="float": fields `rgb` vec3, `alpha`, `depth` [m] of shape (views, height, width), no background.
     """
 
@@ -77,20 +104,21 @@ class Renderer:
         sort: str = "z",
         window: int = WINDOW,
     ):
-        if outputs not in ("rgba8", "float"):
-            raise ValueError(f"outputs must be 'rgba8' or 'float', not {outputs!r}")
+        if outputs not in ("rgba8", "deep", "float"):
+            raise ValueError(f"outputs must be 'rgba8', 'deep' or 'float', not {outputs!r}")
         self.width, self.height, self.views = width, height, views
-        if outputs == "rgba8":
+        if outputs != "float":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
-            self.sink, self._out = Picture(views, background), self.picture
+            self.sink = (DeepPicture if outputs == "deep" else Picture)(views, background)
+            self._out = self.picture
         else:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
-        how = {"antialias": antialias, "depth": outputs == "float", "sort": sort, "window": window}
+        how = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "window": window}
         self.raster = Raster(splats, width, height, views=views, sink=self.sink, **how)
 
     def resize(self, width: int, height: int) -> None:
-        """Draw another size [px] from now on; for outputs="rgba8". `picture` is a new array."""
+        """Draw another size [px] from now on; not for outputs="float". `picture` is a new array."""
         if not isinstance(self.sink, Picture):
             raise ValueError("float images keep the size they were made with")
         self.width, self.height = width, height

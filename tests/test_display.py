@@ -16,6 +16,7 @@ from assets.camera import look_at, perspective
 from assets.errors import BadInput
 from display.frame import Frame
 from display.headless import Progress
+from display.panel import pace
 from display.picture import fit, pixels_of, save_png, side_by_side
 from display.stats import peak_memory_mb, run_stats, write_stats
 from display.timing import Timings
@@ -88,6 +89,7 @@ def test_timings_tell_the_first_run_apart():
     assert timings.as_dict()["render"] == pytest.approx({"median_ms": 2.0, "worst_ms": 3.0, "first_ms": 5000.0})
     assert timings.as_dict()["once"] == pytest.approx({"median_ms": 500.0, "worst_ms": 500.0, "first_ms": 500.0})
     assert [row[0] for row in timings.recent()] == ["render", "once"]
+    assert timings.latest("render", "once", "never") == pytest.approx(timings._samples["render"][-1] + 0.5)
 
 
 def test_recent_timings_forget_what_is_long_ago():
@@ -121,6 +123,18 @@ def test_a_stage_is_timed_and_frames_are_counted():
     assert timings.missed == 2  # the pause is not a missed frame
 
 
+def test_a_display_that_knows_what_it_missed_is_believed():
+    timings = Timings(budget=10.0)
+    for missed in (5, 0, 2, 1):  # the first frame compiles
+        timings.frame(missed)
+    assert timings.missed == 3 and 0.0 < timings.worst < 1.0
+    timings._frames.append(0.2)
+    assert pace(timings) == ["longest frame 200 ms, 3 missed"]
+    timings.photon.extend([0.03, 0.02, 0.5])
+    timings.dropped = 1.25
+    assert pace(timings)[1:] == ["from motion to light 30 ms", "1.2 s left out: too slow for real time"]
+
+
 def test_exact_timings_wait_for_the_device(ti_cpu, monkeypatch):
     calls = []
     monkeypatch.setattr(ti_cpu, "sync", lambda: calls.append(1))
@@ -142,7 +156,8 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
     path = tmp_path / "stats.json"
     write_stats(path, run_stats(world, 3) | {"odd": np.float32("nan"), "many": np.arange(2), "flag": np.bool_(True)})
     stats = json.loads(path.read_text())
-    promised = "frames fps stages gaussians vertices tets substeps dt score finite missed_frames peak_memory_mb"
+    promised = "frames fps stages gaussians vertices tets substeps dt score finite peak_memory_mb"
+    promised += " missed_frames worst_frame_ms dropped_seconds"
     assert set(promised.split()) <= set(stats)
     assert stats["frames"] == 3 and stats["finite"] is True and stats["fps"] > 0
     assert {"median_ms", "worst_ms"} <= set(stats["stages"]["render"])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from display.headset.poses import Standpoint
+from display.replay import Replay
 from scenes import ring_toss
 from tests.remote_headset import PORT, Player, monado, surroundings
 from tests.watched import Watched
@@ -28,10 +29,10 @@ YELLOW = 1
 class Play(Watched):
     """The program in a headset, its log, and the player who wears it."""
 
-    def __init__(self, screen: XServer, folder: Path, environment: dict):
+    def __init__(self, screen: XServer, folder: Path, environment: dict, *options: str):
         self.screen, self.errors = screen, folder / "errors.txt"
         with open(self.errors, "w") as errors:
-            super().__init__(folder, "--xr", env={**screen.env, **environment}, stderr=errors)
+            super().__init__(folder, "--xr", *options, env={**screen.env, **environment}, stderr=errors)
         self.player = Player(int(environment[PORT]))
         self.player.send()
         scene = ring_toss.build()
@@ -57,7 +58,8 @@ class Play(Watched):
 @pytest.fixture(scope="module")
 def play(tmp_path_factory):
     with XServer(1600, 900) as screen, surroundings() as environment:
-        session = Play(screen, tmp_path_factory.mktemp("headset"), environment)
+        folder = tmp_path_factory.mktemp("headset")
+        session = Play(screen, folder, environment, "--record-input", str(folder / "play.h5"))
         yield session
         if session.process.poll() is None:
             session.process.kill()
@@ -115,12 +117,19 @@ def test_buttons_change_the_interaction_and_reset(play):
 
 
 def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
-    window = play.screen.wait_for_window("VR-GS: ring_toss")
-    play.screen.do("windowclose", window)
-    deadline = time.monotonic() + 60
-    while play.process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.2)
-    assert play.process.returncode is not None, "it does not end"
+    play.screen.close_window(play.screen.wait_for_window("VR-GS: ring_toss"))
+    assert play.process.wait(60) == 0
+    numbers = json.loads(play.stats.read_text())
+    assert numbers["frames"] == len(play.frames()) and numbers["finite"] is True
+    assert 0 < numbers["motion_to_photon_ms"] < 10_000 and numbers["missed_frames"] >= 0
+    assert "SESSION_NOT_RUNNING" not in play.errors.read_text()
+    recorded = Replay.load(play.stats.with_name("play.h5"))
+    assert len(recorded) == numbers["frames"] and recorded.about["arch"] == "cpu"
+    seen = [len(f.cameras) for f in recorded._frames]
+    assert set(seen) <= {0, 2} and max(seen) == 2
+    assert [[h.grip for h in f.hands] for f in recorded._frames] == [
+        [h["grip"] for h in frame["hands"]] for frame in play.frames()
+    ]
 
 
 def press(play, controller, button: str, effect) -> None:

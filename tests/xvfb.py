@@ -9,6 +9,7 @@ with XServer(1280, 800) as screen:
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import subprocess
@@ -24,6 +25,22 @@ NEEDS_XVFB = [  # as a module's `pytestmark`, or spread over a test's decorators
     pytest.mark.window,
     pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}"),
 ]
+
+
+class ClientMessage(ctypes.Structure):
+    """XClientMessageEvent, as long as any XEvent."""
+
+    _fields_ = [
+        ("type", ctypes.c_int),
+        ("serial", ctypes.c_ulong),
+        ("send_event", ctypes.c_int),
+        ("display", ctypes.c_void_p),
+        ("window", ctypes.c_ulong),
+        ("message_type", ctypes.c_ulong),
+        ("format", ctypes.c_int),
+        ("data", ctypes.c_long * 5),
+        ("rest", ctypes.c_long * 12),
+    ]
 
 
 class XServer:
@@ -69,6 +86,17 @@ class XServer:
                 return found[0]
             time.sleep(0.1)
         raise TimeoutError(f"no window named {title!r} after {seconds:.0f} s")
+
+    def close_window(self, window: str) -> None:
+        """Ask a program to close its window, as a click on its cross does; `xdotool windowclose` tears it away."""
+        x = ctypes.CDLL("libX11.so.6")
+        x.XOpenDisplay.restype = ctypes.c_void_p
+        x.XInternAtom.restype = ctypes.c_ulong
+        display = ctypes.c_void_p(x.XOpenDisplay(self.env["DISPLAY"].encode()))
+        message = ClientMessage(33, 0, 1, display, int(window), x.XInternAtom(display, b"WM_PROTOCOLS", 0), 32)
+        message.data[0] = x.XInternAtom(display, b"WM_DELETE_WINDOW", 0)
+        x.XSendEvent(display, ctypes.c_ulong(int(window)), 0, ctypes.c_long(0), ctypes.byref(message))
+        x.XCloseDisplay(display)
 
     def mouse_move(self, x: float, y: float) -> None:
         self.do("mousemove", round(x), round(y))

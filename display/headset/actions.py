@@ -158,4 +158,5 @@ class Actions:
             duration=int(seconds * 1e9), frequency=xr.FREQUENCY_UNSPECIFIED, amplitude=float(np.clip(strength, 0, 1))
         )
         where = xr.HapticActionInfo(action=self.actions["feel"], subaction_path=self.hands[h])
-        xr.apply_haptic_feedback(self.session, where, vibration)
+        with contextlib.suppress(xr.SessionNotFocused):  # nothing is felt while another program has the hands
+            xr.apply_haptic_feedback(self.session, where, vibration)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 
 from assets.errors import BadInput
+from display.headset.depth import Depth
 
 SRGB8_ALPHA8, RGBA8 = 0x8C43, 0x8058  # OpenGL's names of formats, best first
 VERTEX = """
@@ -24,23 +25,23 @@ uniform ivec2 rows;  // first row of this eye's picture, how many it has
 out vec4 colour;
 void main() {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    colour = vec4(texelFetch(picture, ivec2(at.x, rows.x + rows.y - 1 - at.y), 0).rgb, 1.0);
+    vec4 c = texelFetch(picture, ivec2(at.x, rows.x + rows.y - 1 - at.y), 0);
+    gl_FragDepth = c.a;  // where there is something to take it
+    colour = vec4(c.rgb, 1.0);
 }
 """
 LINEAR = FRAGMENT.replace(  # for a runtime that only has linear textures: what it will encode is decoded first
-    "colour = vec4(",
-    "vec3 c = ",
-).replace(
-    ".rgb, 1.0);\n}",
-    ".rgb;\n    colour = vec4(mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)), 1.0);\n}",
+    "c.rgb, 1.0)", "mix(c.rgb / 12.92, pow((c.rgb + 0.055) / 1.055, vec3(2.4)), step(0.04045, c.rgb)), 1.0)"
 )
 
 
 class Eyes:
-    """One swapchain for each eye, all of `size` (width, height) [px]."""
+    """One swapchain for each eye, all of `size` (width, height) [px], and one for its `depth` where the runtime takes
+    that. A smaller picture fills a part of the textures."""
 
     def __init__(self, runtime, session, gl, size: tuple[int, int], views: int):
         self.xr, self.size, self._gl = runtime.xr, size, gl
+        self.drawn = size  # of the last pictures
         xr = self.xr
         there = list(xr.enumerate_swapchain_formats(session))
         chosen = next((f for f in (SRGB8_ALPHA8, RGBA8) if f in there), None)
@@ -66,33 +67,45 @@ class Eyes:
             images = xr.enumerate_swapchain_images(chain, xr.SwapchainImageOpenGLKHR)
             textures = [gl.external_texture(image.image, size, 4, 0, "f1") for image in images]
             self._targets.append([gl.framebuffer(color_attachments=[t]) for t in textures])
+        self.depth = Depth.of(runtime, session, gl, size, views)
 
-    def draw(self, texture) -> None:
-        """Hand over the views of a picture, one below the other in a texture of the same width."""
-        xr, gl, (width, height) = self.xr, self._gl, self.size
+    def draw(self, texture, size: tuple[int, int] | None = None) -> None:
+        """Hand over the views of a picture, each of `size` [px] (or of the textures'), one below the other in a texture
+        of the same width."""
+        self.drawn = size or self.size
+        xr, gl, (width, height) = self.xr, self._gl, self.drawn
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
         for view, (chain, targets) in enumerate(zip(self._chains, self._targets, strict=True)):
             index = xr.acquire_swapchain_image(chain, xr.SwapchainImageAcquireInfo())
             xr.wait_swapchain_image(chain, xr.SwapchainImageWaitInfo(timeout=xr.INFINITE_DURATION))
             targets[index].use()
+            if self.depth is not None:
+                self.depth.begin(view, targets[index])
             gl.viewport = (0, 0, width, height)
             texture.use(0)
             self._program["rows"] = (view * height, height)
             self._triangle.render(gl.TRIANGLES, vertices=3)
+            if self.depth is not None:
+                self.depth.end(view)
             xr.release_swapchain_image(chain, xr.SwapchainImageReleaseInfo())
 
     def layer(self, space, views):
         """The projection layer of what was drawn for these XrViews."""
         xr = self.xr
         shown = [xr.CompositionLayerProjectionView() for _ in self._chains]
-        for at, chain, view in zip(shown, self._chains, views, strict=True):
+        for k, (at, chain, view) in enumerate(zip(shown, self._chains, views, strict=True)):
             at.pose, at.fov, at.sub_image.swapchain = view.pose, view.fov, chain
             at.sub_image.image_rect.offset[:] = [0, 0]
-            at.sub_image.image_rect.extent[:] = list(self.size)
+            at.sub_image.image_rect.extent[:] = list(self.drawn)
+            if self.depth is not None:
+                at.next = self.depth.chained(k, at.sub_image.image_rect)
         return xr.CompositionLayerProjection(space=space, views=shown)
 
     def close(self) -> None:
         """Give the textures back."""
+        if self.depth is not None:
+            self.depth.close()
+            self.depth = None
         for targets in self._targets:
             for target in targets:
                 target.release()

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time as clock
+import time
 from collections.abc import Iterator
 
 import numpy as np
 
 from assets.errors import BadInput
+from display.clock import Clock
 from display.frame import Frame
 from display.headset import graphics
+from display.headset.depth import EXTENSION
 from display.headset.mirror import mirror
+from display.headset.news import News
 from display.headset.player import Player
 from display.headset.poses import eye_camera
-from display.headset.runtime import Runtime
+from display.headset.resolution import Resolution
+from display.headset.runtime import INSTEAD, Runtime
 from display.headset.session import Lost, Session
+from display.headset.tracking import Steady
 from display.surface import has_display
 from scenes.scene import Scene
 
-LONGEST_STEP = 0.1  # [s]; after a longer gap the world goes on where it was
 PATIENCE = 60.0  # [s] for a runtime that went away to come back
 STOPPING = 3.0  # [s] at most for a runtime to say goodbye
 SMALLEST, LARGEST = 16, 8192  # [px] a side, of an eye's picture
@@ -29,7 +33,8 @@ SMALLEST, LARGEST = 16, 8192  # [px] a side, of an eye's picture
 class Headset:
     """A display: `for frame in headset.frames(): world.step(frame); headset.present(world)`.
 
-    `size` is that of one eye's picture [px]: the runtime's wish times `scale`. Raises BadInput, with one clear line,
+    `size` is that of one eye's picture [px]: the runtime's wish times `scale`; where the rate does not hold, smaller
+    ones are drawn (display/headset/resolution.py). Raises BadInput, with one clear line,
     where there is no runtime, no headset or no OpenGL.
     """
 
@@ -38,7 +43,7 @@ class Headset:
     def __init__(
         self, scene: Scene, *, title: str = "VR-GS", window: tuple[int, int] = (1280, 720), scale: float = 1.0
     ):
-        self._session = self._mirror = None
+        self._session = self._mirror = self._deep = None
         self._needed = graphics.extensions(has_display())
         self._runtime = Runtime(self._needed)
         try:
@@ -46,11 +51,13 @@ class Headset:
             graphics.check(self._runtime, self._mirror.gl)
             width, height = np.max(self._runtime.views, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), SMALLEST, LARGEST)) for side in (width, height))
+            self._resolution = Resolution(self.size)
             self._open()
         except BaseException:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
+        self._clock, self._steady, self._news = Clock(), Steady(), News()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -71,67 +78,93 @@ class Headset:
         if self._mirror is not None:
             self._mirror.close()
 
+    @property
+    def depth(self) -> bool:
+        """Does the runtime take the depth of the picture?"""
+        return self._session.eyes.depth is not None
+
     def _open(self) -> None:
-        """Begin a session; the runtime then says when to play."""
+        """Begin a session; the runtime then says when to play. BadInput if it does not let us."""
         runtime = self._runtime
-        graphics.requirements(runtime)  # the specification wants it asked before each session
-        self._session = Session(runtime, self._mirror.gl, graphics.binding(runtime.xr, self._mirror.egl), self.size)
+        if self._deep is False and EXTENSION in runtime.enabled:  # another runtime than the one at the start
+            runtime.enabled.remove(EXTENSION)
+        try:
+            graphics.requirements(runtime)  # the specification wants it asked before each session
+            binding = graphics.binding(runtime.xr, self._mirror.egl)
+            self._session = Session(runtime, self._mirror.gl, binding, self.size)
+        except runtime.xr.exception.ResultException as e:
+            raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {INSTEAD}") from e
+        self._deep = self._deep or self.depth
 
     def _leave(self) -> None:
         """End a running session as the specification wants it: ask, then follow the states."""
-        session, end = self._session, clock.monotonic() + STOPPING
+        session, end = self._session, time.monotonic() + STOPPING
         if not session.running or session.over == "lost":
             return
         session.leave()
         with contextlib.suppress(Lost, self._runtime.xr.exception.ResultException):
-            while session.over is None and clock.monotonic() < end:
+            while session.over is None and time.monotonic() < end:
                 session.poll()
                 if session.running:
                     session.end(session.wait().predicted_display_time, [])
                 else:
-                    clock.sleep(0.01)
+                    time.sleep(0.01)
 
     def frames(self) -> Iterator[Frame]:
         """Frames at the headset's pace until the user quits here or there."""
-        time, last = 0.0, None
-        while not self._quit():
+        while not self._mirror.closing:
             session = self._session
             try:
                 session.poll()
                 if session.over == "exit":
+                    self._news.tell("the headset's system ends the play")
                     return
                 if session.over == "lost":
-                    raise Lost("the runtime ends it")
+                    raise Lost(session.why)
                 if not session.running:
-                    last = None
-                    self._idle()
+                    self._rest()
                     continue
-                # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
-                self._player.standpoint.y = 0.0 if session.standing else self._eye_height
-                state = session.wait()
-                shown = state.predicted_display_time
-                dt = 0.0 if last is None else min(max((shown - last) * 1e-9, 0.0), LONGEST_STEP)
-                last = shown
-                controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
-                head = session.locate(shown)[0][0]
-                hands, commands = self._player.advance(controllers, head, self._world)
-                time += dt
-                self._frame, self._rendered = state, bool(state.should_render)
-                commands, self._commands = {**self._commands, **commands}, {}
-                cameras = self._cameras if self._rendered else []
-                yield Frame(dt, time, cameras, hands, commands)
+                yield self._begin(session)
                 if self._frame is not None:  # it was not presented
-                    session.end(shown, [])
-            except Lost:
-                last = None
-                if not self._return():
+                    session.end(self._frame.predicted_display_time, [])
+            except Lost as e:
+                self._clock.rest()
+                if not self._return(str(e)):
                     return
+
+    def _begin(self, session) -> Frame:
+        """Wait for the next frame, and see what the player does in it."""
+        # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
+        self._player.standpoint.y = 0.0 if session.standing else self._eye_height
+        state = session.wait()
+        self._begun = time.perf_counter()
+        shown, world = state.predicted_display_time, self._world
+        cost = None if world is None else world.cost.value
+        tick = self._tick = self._clock.advance(shown, state.predicted_display_period, cost)
+        controllers = session.guarded(lambda: session.actions.read(session.space, shown))
+        self._steady.lead(controllers, tick.dt)
+        head = session.locate(shown)[0][0]
+        hands, commands = self._player.advance(controllers, head, world)
+        self._frame, self._rendered = state, bool(state.should_render)
+        commands, self._commands = {**self._commands, **commands}, {}
+        self._news.frame(session)
+        cameras = self._cameras if self._rendered else []
+        return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step)
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""
-        located = self._session.locate(self._frame.predicted_display_time)
+        shown, session = self._frame.predicted_display_time, self._session
+        try:
+            now = session.guarded(self._runtime.now)
+            located = session.locate(shown)
+        except Lost:  # `frames` sees it, too; until then nothing is drawn
+            self._rendered = False
+            return []
+        if now is not None and self._world is not None:
+            self._world.timings.photon.append((shown - now) * 1e-9)
         stage = self._player.standpoint.matrix
-        return [eye_camera(*self.size, fov, stage @ eye) for eye, fov in located]
+        size = self.size if self._world is None else self._world.renderer_size
+        return [eye_camera(*size, fov, stage @ eye) for eye, fov in located]
 
     def present(self, world) -> None:
         """Show the world's picture in the headset and on the desktop, and let the hands feel what they hold."""
@@ -142,41 +175,59 @@ class Headset:
                 layers = []
                 if self._rendered:
                     self._mirror.texture.upload(world.picture)
-                    layers = self._session.show(self._mirror.texture.texture)
+                    layers = self._session.show(self._mirror.texture.texture, world.renderer_size)
                 self._session.end(frame.predicted_display_time, layers)
-                self._player.feel(world, self._session.actions)
+                self._session.guarded(lambda: self._player.feel(world, self._session.actions))
             except Lost:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
             self._commands |= self._mirror.show(world)
-        world.timings.frame()
+        timings = world.timings
+        timings.budget, timings.dropped = self._tick.period, self._clock.dropped
+        timings.frame(self._tick.missed)
+        if self._rendered:
+            self._pace(world)
+
+    def _pace(self, world) -> None:
+        """Draw as many pixels from now on as hold the headset's rate, or as the user wants."""
+        share = self._mirror.share
+        if share is None:
+            drawing = world.timings.latest("render", "present")
+            self._resolution.note(time.perf_counter() - self._begun, self._tick.period, drawing)
+        else:
+            self._resolution.hold(share)
+        if world.renderer_size != self._resolution.size:
+            world.resize(*self._resolution.size)
+
+    def _rest(self) -> None:
+        """Nobody wears the headset: the world stands still."""
+        self._clock.rest()
+        self._news.rest()
+        self._idle()
 
     def _idle(self) -> None:
-        """Nobody wears the headset: the world stands still."""
         if self._world is not None:
             self._world.timings.rest()
         self._commands |= self._mirror.show(self._world)
-        clock.sleep(0.05)
+        time.sleep(0.05)
 
-    def _quit(self) -> bool:
-        return self._mirror.closing
-
-    def _return(self) -> bool:
-        """The runtime went away: wait for it, or for another, and go on playing; whether one came."""
-        print("the headset's runtime went away; waiting for it to come back", file=sys.stderr, flush=True)
+    def _return(self, why: str) -> bool:
+        """The runtime went away: wait for it, or for another, and go on playing; whether one came. BadInput if it has
+        done so too often."""
+        self._news.lost(self._runtime.name, why)
         self._session.close()
         self._runtime.close()
-        end = clock.monotonic() + PATIENCE
-        while clock.monotonic() < end and not self._quit():
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and not self._mirror.closing:
             try:
                 self._runtime = Runtime(self._needed, wait=0.0)
                 self._open()
-            except (BadInput, self._runtime.xr.exception.ResultException):
+            except BadInput:
                 self._runtime.close()
                 self._idle()
-                clock.sleep(0.5)
+                time.sleep(0.5)
                 continue
-            print(f"{self._runtime.name} is back", file=sys.stderr, flush=True)
+            self._news.tell(f"{self._runtime.name} is back")
             return True
-        print("it did not come back; the play ends", file=sys.stderr, flush=True)
+        self._news.tell("it did not come back; the play ends")
         return False

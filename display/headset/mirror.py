@@ -34,6 +34,11 @@ class Mirror:
         """Has the user asked to close the window?"""
         return self._surface.closing
 
+    @property
+    def share(self) -> float | None:
+        """Of a side of the headset's pictures, as the user has chosen; None: as many pixels as hold the rate."""
+        return self._panel.resolution
+
     def show(self, world) -> dict:
         """Draw the picture that was last uploaded; the panel's commands. `world` may be None yet."""
         self._surface.begin()
@@ -51,7 +56,7 @@ class Mirror:
 class NoMirror:
     """OpenGL without a window, through EGL's surfaceless platform (EGL_MESA_platform_surfaceless)."""
 
-    closing = False
+    closing, share = False, None
 
     def __init__(self, views: int):
         try:

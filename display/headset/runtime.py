@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import sys
 import time
@@ -10,6 +11,10 @@ import time
 from assets.errors import BadInput
 
 INSTEAD = "leave out --xr to play in a window"
+WISHED = [  # extensions that are used where they are
+    "XR_KHR_convert_timespec_time",
+    "XR_KHR_composition_layer_depth",
+]
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
 
 
@@ -28,7 +33,8 @@ def import_xr():
 class Runtime:
     """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
 
-    `graphics` names the extensions without which nothing can be drawn. Raises BadInput with one clear line.
+    `graphics` names the extensions without which nothing can be drawn; `enabled` are these and those of WISHED that are
+    there. Raises BadInput with one clear line.
     """
 
     def __init__(self, graphics: list[str], *, wait: float = WAIT):
@@ -40,20 +46,27 @@ class Runtime:
             raise no_runtime() from e
         if missing := [name for name in graphics if name not in there]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
+        self.enabled = [*graphics, *(name for name in WISHED if name in there)]
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
-                    enabled_extension_names=graphics,
+                    enabled_extension_names=self.enabled,
                     application_info=xr.ApplicationInfo("VR-GS", 1, "VR-GS", 1, xr.Version(1, 0, 34)),
                 )
             )
         except (xr.RuntimeUnavailableError, xr.InitializationFailedError, xr.RuntimeFailureError) as e:
             raise no_runtime() from e
-        properties = xr.get_instance_properties(self.instance)
-        self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
+        except xr.exception.ResultException as e:
+            raise BadInput(f"--xr: the OpenXR runtime does not start ({type(e).__name__}); {INSTEAD}") from e
+        self.name = "the runtime"
         try:
+            properties = xr.get_instance_properties(self.instance)
+            self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
             self.system = self._headset(wait)
-            self.views = self._views()
+            self.views, self.blend = self._views(), self._blend_mode()
+        except xr.exception.ResultException as e:
+            self.close()
+            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); start it anew, or {INSTEAD}") from e
         except BaseException:
             self.close()
             raise
@@ -84,8 +97,7 @@ class Runtime:
         views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
         return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
 
-    @property
-    def blend_mode(self):
+    def _blend_mode(self):
         """Opaque where the headset has it; see-through glasses have others."""
         xr = self.xr
         stereo = xr.ViewConfigurationType.PRIMARY_STEREO
@@ -94,27 +106,38 @@ class Runtime:
         ]
         return xr.EnvironmentBlendMode.OPAQUE if xr.EnvironmentBlendMode.OPAQUE in modes else modes[0]
 
+    def now(self) -> int | None:
+        """The present as an XrTime [ns]; None where the runtime cannot tell (XR_KHR_convert_timespec_time)."""
+        if "XR_KHR_convert_timespec_time" not in self.enabled:
+            return None
+        xr, answer = self.xr, self.xr.Time()
+        address = xr.get_instance_proc_addr(self.instance, "xrConvertTimespecTimeToTimeKHR")
+        convert = ctypes.cast(address, xr.PFN_xrConvertTimespecTimeToTimeKHR)
+        present = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
+        result = xr.check_result(convert(self.instance, ctypes.byref(present), ctypes.byref(answer)))
+        if result.is_exception():
+            raise result
+        return answer.value
+
     def path(self, text: str):
         return self.xr.string_to_path(self.instance, text)
 
     def events(self):
         """What has happened since the last call, as XrEventData structures of their own type."""
-        import ctypes
-
         xr = self.xr
         kinds = {
-            xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED: xr.EventDataSessionStateChanged,
-            xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING: xr.EventDataInstanceLossPending,
-            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING: xr.EventDataReferenceSpaceChangePending,
+            xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED.value: xr.EventDataSessionStateChanged,
+            xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING.value: xr.EventDataInstanceLossPending,
+            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING.value: xr.EventDataReferenceSpaceChangePending,
         }
         while True:
             try:
                 event = xr.poll_event(self.instance)
             except xr.EventUnavailable:
                 return
-            kind = kinds.get(xr.StructureType(event.type))
+            kind = kinds.get(event._type)  # one that this module does not know is no error
             if kind is not None:
-                yield ctypes.cast(ctypes.byref(event), ctypes.POINTER(kind)).contents
+                yield kind.from_buffer_copy(event)
 
     def close(self) -> None:
         """Let the runtime go. Further calls do nothing."""

@@ -14,28 +14,45 @@ from display.headset.actions import Actions
 from display.headset.eyes import Eyes
 from display.headset.poses import matrix_of
 
+HEIGHT = 1.6  # [m] of a head over the floor, until it is seen
+
 
 class Lost(Exception):
     """The session or the runtime is gone; another one may come."""
 
 
 class Session:
-    """One session with its play space, eyes and actions. Raises Lost where the runtime goes away."""
+    """One session with its play space, eyes and actions.
+
+    `running`: frames are wanted. `focused`: the player's input is ours. `tracked`: it is known where the head is.
+    Raises Lost where the runtime goes away, or fails in a frame: then another session may do better.
+    """
 
     def __init__(self, runtime, gl, binding, size: tuple[int, int]):
         self.runtime, self.xr = runtime, runtime.xr
         xr = self.xr
-        self.running = False
+        self.running = self.focused = False
+        self.tracked = True
         self.over: str | None = None  # "exit": the user wants it so; "lost"
+        self.why = "it ends the session"  # if it is lost
         pointer = ctypes.cast(ctypes.pointer(binding), ctypes.c_void_p)
         self.handle = xr.create_session(runtime.instance, xr.SessionCreateInfo(system_id=runtime.system, next=pointer))
+        try:
+            self._furnish(gl, size)
+        except BaseException:
+            with contextlib.suppress(xr.exception.ResultException):
+                xr.destroy_session(self.handle)
+            raise
+        self._views = None  # of the frame that is drawn now
+
+    def _furnish(self, gl, size: tuple[int, int]) -> None:
+        xr, runtime = self.xr, self.runtime
         kinds = [xr.ReferenceSpaceType(k) for k in xr.enumerate_reference_spaces(self.handle)]
         self.standing = xr.ReferenceSpaceType.STAGE in kinds  # else y = 0 is where the head was, not the floor
         kind = xr.ReferenceSpaceType.STAGE if self.standing else xr.ReferenceSpaceType.LOCAL
         self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
         self.actions = Actions(runtime, self.handle)
         self.eyes = Eyes(runtime, self.handle, gl, size, len(runtime.views))
-        self._views = None  # of the frame that is drawn now
 
     def poll(self) -> None:
         """Follow what the runtime says has happened."""
@@ -49,6 +66,7 @@ class Session:
     def _enter(self, state) -> None:
         xr = self.xr
         S = xr.SessionState
+        self.focused = state == S.FOCUSED
         if state == S.READY:
             how = xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO)
             self.guarded(lambda: xr.begin_session(self.handle, how))
@@ -62,20 +80,23 @@ class Session:
             self.over, self.running = "lost", False
 
     def guarded(self, call):
-        """The call's result; Lost if the runtime says that session or instance are."""
-        xr = self.xr
+        """The call's result; Lost if the runtime says that session or instance are, or cannot do what it must."""
         try:
             return call()
-        except (xr.SessionLostError, xr.InstanceLostError, xr.SessionLossPending) as e:
-            self.over, self.running = "lost", False
-            raise Lost(str(e)) from e
+        except self.xr.exception.ResultException as e:
+            self.over, self.running, self.why = "lost", False, type(e).__name__
+            raise Lost(self.why) from e
 
     def wait(self):
         """Wait until the runtime wants the next frame, and begin it; its XrFrameState."""
         xr = self.xr
         state = self.guarded(lambda: xr.wait_frame(self.handle))
-        with contextlib.suppress(xr.FrameDiscarded):  # the last one was never ended; this one counts
-            self.guarded(lambda: xr.begin_frame(self.handle))
+
+        def begin():
+            with contextlib.suppress(xr.FrameDiscarded):  # the last one was never ended; this one counts
+                xr.begin_frame(self.handle)
+
+        self.guarded(begin)
         return state
 
     def locate(self, time: int) -> list[tuple[np.ndarray, object]]:
@@ -85,14 +106,24 @@ class Session:
             view_configuration_type=xr.ViewConfigurationType.PRIMARY_STEREO, display_time=time, space=self.space
         )
         state, views = self.guarded(lambda: xr.locate_views(self.handle, how))
-        both = xr.ViewStateFlags.ORIENTATION_VALID_BIT | xr.ViewStateFlags.POSITION_VALID_BIT
-        if state.view_state_flags & both == both or self._views is None:
-            self._views = views  # else the head stays where it was seen last
+        turned, placed = xr.ViewStateFlags.ORIENTATION_VALID_BIT, xr.ViewStateFlags.POSITION_VALID_BIT
+        known = state.view_state_flags & (turned | placed)
+        self.tracked = known == turned | placed
+        if self._views is None and not self.tracked:  # nobody has seen the head yet: it looks ahead
+            for view in views:
+                view.pose = xr.Posef()
+                view.pose.position.y = HEIGHT if self.standing else 0.0
+            self._views = views
+        elif self.tracked:
+            self._views = views
+        elif known == turned:  # else the head stays where it was seen last
+            for view, seen in zip(self._views, views, strict=True):
+                view.pose.orientation, view.fov = seen.pose.orientation, seen.fov
         return [(matrix_of(v.pose), v.fov) for v in self._views]
 
-    def show(self, texture) -> list:
-        """Draw the picture, in which all eyes lie one below the other; the layers to end the frame with."""
-        self.guarded(lambda: self.eyes.draw(texture))
+    def show(self, texture, size: tuple[int, int]) -> list:
+        """Draw the picture, in which all eyes, of `size` [px], lie one below the other; the layers to end the frame."""
+        self.guarded(lambda: self.eyes.draw(texture, size))
         return [self.eyes.layer(self.space, self._views)]
 
     def end(self, time: int, layers: list) -> None:
@@ -100,7 +131,7 @@ class Session:
         xr = self.xr
         how = xr.FrameEndInfo(
             display_time=time,
-            environment_blend_mode=self.runtime.blend_mode,
+            environment_blend_mode=self.runtime.blend,
             layers=[ctypes.byref(layer) for layer in layers],
         )
         self.guarded(lambda: xr.end_frame(self.handle, how))

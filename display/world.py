@@ -29,7 +29,10 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 
 
 class World:
-    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo)."""
+    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo).
+
+    With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies.
+    """
 
     def __init__(
         self,
@@ -41,6 +44,7 @@ class World:
         interaction: str = "physics",
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
+        fingers: bool = False,
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -63,6 +67,7 @@ class World:
             iterations=scene.iterations,
             collision_passes=scene.collision_passes,
             interaction=interaction,
+            fingers=fingers,
         )
         self.embedding = None
         if moving:
@@ -185,6 +190,10 @@ class World:
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand of the last frame on what it holds [N], (3,)."""
         return self.solver.hand_forces()
+
+    def touch_forces(self) -> list[np.ndarray]:
+        """Force of what each hand touches with on what it does not hold [N], (3,); [] without fingers."""
+        return self.solver.touch_forces()
 
     @property
     def score(self) -> int:

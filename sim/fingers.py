@@ -42,14 +42,9 @@ class Fingers(FingerContact):
         self.hands, self.count = max(hands, 1), max(hands, 1) * EACH
         self.size = self.count * (2 if self.coupled else 1)
         H, N = self.hands, self.count
-        vec, number, index = (
-            (lambda: ti.Vector.field(3, ti.f32)),
-            (lambda: ti.field(ti.f32)),
-            (lambda: ti.field(ti.i32)),
-        )
-        self.origin, self.way, self.low, self.high = vec(), vec(), vec(), vec()
-        self.radius, self.swift, self.share = number(), number(), number()
-        self.held, self.spared, self.overlaps, self.tet, self.mover = index(), index(), index(), index(), index()
+        self.origin, self.way, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(4))
+        self.radius, self.swift, self.share = (ti.field(ti.f32) for _ in range(3))
+        self.held, self.spared, self.overlaps, self.tet, self.mover = (ti.field(ti.i32) for _ in range(5))
         self.key, self.total = ti.field(ti.i64), ti.field(ti.i64)
         self.builder = ti.FieldsBuilder()
         self.builder.dense(ti.i, N).place(self.origin, self.way, self.radius, self.tet, self.mover, self.key)
@@ -63,14 +58,10 @@ class Fingers(FingerContact):
     def reset(self) -> None:
         """Touch nothing."""
         self.last, self.active = np.zeros((self.hands, CAPSULES, 7)), False
-        for field, value in (
-            (self.tet, -1),
-            (self.mover, -1),
-            (self.spared, -1),
-            (self.share, 1.0),
-            (self.radius, 0.0),
-        ):
-            field.fill(value)
+        for field in (self.tet, self.mover, self.spared):
+            field.fill(-1)
+        self.share.fill(1.0)
+        self.radius.fill(0.0)
 
     def begin_frame(self, hands: list[Hand | None], held: list[int]) -> None:
         """Let what the hands touch with go from where it was to where it is; what is new appears where it is."""

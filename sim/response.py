@@ -51,8 +51,8 @@ def press(old, phi, y, mass, dt, most):
 
         lambda = k dt^2 (-phi - (1 + PAD_TIME / dt) y),  0 <= lambda <= most,   y the motion along the normal [m]
 
-    in the step that solves it for what a push of 1 kg m moves (`mass`, inverse) as well. Damped like this nothing leaves
-    faster than PAD_DEPTH / PAD_TIME, however deep a finger appears. From afar it stops the approach, undamped.
+    in the step that solves it for what a push of 1 kg m moves (`mass`, inverse) as well. So nothing leaves faster than
+    PAD_DEPTH / PAD_TIME, however deep a finger appears. From afar it stops the approach, undamped.
     """
     give, lag = 1.0 / (PAD_STIFFNESS * dt * dt), 1.0
     if phi <= 0.0:

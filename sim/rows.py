@@ -161,10 +161,7 @@ class Rows:
             if mass > 0.0:
                 new_n = ti.max(old_n + (least(self.phi[r], self.state.dt[None]) - y_n) / mass, 0.0)
                 if ti.static(self.fingers):
-                    if r >= self.first_finger:
-                        dt = self.state.dt[None]
-                        most = self.most[r - self.first_finger] * dt * dt
-                        new_n = press(old_n, self.phi[r], y_n, mass, dt, most)
+                    new_n = self._pressed(r, old_n, y_n, mass, new_n)
                 new_t = (old - old_n * n) - y_t / ti.max(mass_t, 1e-20)
                 new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass_t, self.state.dt[None])
                 self.impulse[r] = new
@@ -199,9 +196,25 @@ class Rows:
                 d, t = self.movers.moved(self.end[r, e], passed)
                 y += self.side[r, e] * (d + t.cross(self.arm[r, e]))
         if ti.static(self.fingers):
-            if r >= self.first_finger:
-                y += self.drive[r - self.first_finger]
+            y += self._driven(r)
         return y
+
+    @ti.func
+    def _driven(self, r):
+        """How row r's finger moves in this substep [m]; 0 of other rows."""
+        way = ti.Vector([0.0, 0.0, 0.0])
+        if r >= self.first_finger:
+            way = self.drive[r - self.first_finger]
+        return way
+
+    @ti.func
+    def _pressed(self, r, old, y, mass, hard):
+        """Row r's new normal impulse: `hard`, or what a finger yields."""
+        new = hard
+        if r >= self.first_finger:
+            dt = self.state.dt[None]
+            new = press(old, self.phi[r], y, mass, dt, self.most[r - self.first_finger] * dt * dt)
+        return new
 
     @ti.func
     def _moved(self, r, e, passed: ti.template()):

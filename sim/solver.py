@@ -182,7 +182,7 @@ class Solver(Editing, Boundaries):
         return [force for c in self._constraints for force in c.hand_forces()]
 
     def touch_forces(self) -> list[np.ndarray]:
-        """Force of each hand's `touch` on what it does not hold [N], (3,) each, in the last substep; [] without fingers."""
+        """Force of each hand's `touch` on what it does not hold [N], (3,), in the last substep; [] without fingers."""
         return [force for c in self._contacts for force in c.touch_forces()]
 
     def bodies(self) -> list[BodyState]:

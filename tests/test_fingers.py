@@ -70,7 +70,7 @@ def test_resting_fingers_carry_the_weight_of_a_soft_and_of_a_rigid_body(solver):
     solver.restore({"x": solver.x.to_numpy()[:72] + [0, 0.1, 0], "v": np.zeros((72, 3))})
     solver.gravity = (0.0, -9.81, 0.0)
     rails = [Touch((x - 0.05, 0.09, z), (x + 0.05, 0.09, z), R) for x in (0.0, BRICK) for z in (-0.012, 0.012)]
-    for k in range(90):
+    for _ in range(90):
         solver.step(DT, [Hand(touch=tuple(rails[:2])), Hand(touch=tuple(rails[2:]))])
     forces = np.mean([sample(solver, rails) for _ in range(10)], axis=0)
     assert_allclose(forces[0, 1], WEIGHT, rtol=0.04)
@@ -117,9 +117,8 @@ def test_what_appears_inside_or_jumps_there_pushes_out_gently(solver):
     speeds = []
     for k in range(40):
         far = k < 5  # then 2 m away at once
-        touch = [
-            Touch((x + 0.015, y, -0.005), (x + 0.015, y, 0.005), R) for x in (0.0, BRICK) for y in [0.03 + 2 * far]
-        ]
+        y = 0.03 + 2 * far
+        touch = [Touch((x + 0.015, y, -0.005), (x + 0.015, y, 0.005), R) for x in (0.0, BRICK)]
         play(solver, 1, lambda _, t=touch: t)
         speeds.append(max(np.linalg.norm(b.velocity) for b in solver.bodies()))
     assert max(speeds[:5]) < 0.05

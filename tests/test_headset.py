@@ -155,17 +155,18 @@ def test_hands_feel_taking_hold_and_what_pulls(player):
     here = about_y(0.0)
     player.advance(both(right=Controller(grip=here, grab=1.0)), np.eye(4), WORLD)
     for force in (0.0, 5.0, 40.0, 0.01):
-        player.feel(N(hand_forces=lambda f=force: [np.zeros(3), np.array([0.0, f, 0.0])]), actions)
+        pull = [np.zeros(3), np.array([0.0, force, 0.0])]
+        player.feel(N(hand_forces=lambda p=pull: p, touch_forces=list), actions)
     assert [h for h, _ in felt] == [1, 1]
     assert 0 < felt[1][1] <= 1.0
-    player.feel(N(hand_forces=lambda: []), actions)
+    player.feel(N(hand_forces=list, touch_forces=list), actions)
 
 
 def test_every_profile_names_known_actions_for_both_hands():
     for inputs in PROFILES.values():
         assert "grab" in inputs and set(inputs) <= set(KINDS)
         assert all(isinstance(at, str) or len(at) == 2 for at in inputs.values())
-    assert set(POSES) | set(ANALOG) | {"upper", "lower"} == set(KINDS)
+    assert set(POSES) | set(ANALOG) | {"upper", "lower", "point"} == set(KINDS)
 
 
 def test_without_a_runtime_one_line_says_so(tmp_path):

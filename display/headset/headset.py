@@ -112,7 +112,7 @@ class Headset:
                 shown = state.predicted_display_time
                 dt = 0.0 if last is None else min(max((shown - last) * 1e-9, 0.0), LONGEST_STEP)
                 last = shown
-                controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
+                controllers = session.inputs(shown)
                 head = session.locate(shown)[0][0]
                 hands, commands = self._player.advance(controllers, head, self._world)
                 time += dt

@@ -8,7 +8,9 @@ import sys
 import time
 
 from assets.errors import BadInput
+from display.headset import hand_tracking
 
+OPTIONAL = (hand_tracking.EXTENSION,)  # extensions that are used where they are
 INSTEAD = "leave out --xr to play in a window"
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
 
@@ -28,7 +30,8 @@ def import_xr():
 class Runtime:
     """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
 
-    `graphics` names the extensions without which nothing can be drawn. Raises BadInput with one clear line.
+    `graphics` names the extensions without which nothing can be drawn; `has_hands`: hands are tracked. Raises BadInput
+    with one clear line.
     """
 
     def __init__(self, graphics: list[str], *, wait: float = WAIT):
@@ -40,10 +43,11 @@ class Runtime:
             raise no_runtime() from e
         if missing := [name for name in graphics if name not in there]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
+        wishes = [name for name in OPTIONAL if name in there]
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
-                    enabled_extension_names=graphics,
+                    enabled_extension_names=[*graphics, *wishes],
                     application_info=xr.ApplicationInfo("VR-GS", 1, "VR-GS", 1, xr.Version(1, 0, 34)),
                 )
             )
@@ -54,6 +58,9 @@ class Runtime:
         try:
             self.system = self._headset(wait)
             self.views = self._views()
+            self.has_hands = hand_tracking.EXTENSION in wishes and hand_tracking.supported(
+                xr, self.instance, self.system
+            )
         except BaseException:
             self.close()
             raise

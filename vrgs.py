@@ -56,7 +56,8 @@ def play(args) -> None:
         width, height = display.size
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
-        how["fingers"] = bool(args.xr)
+        if args.xr:
+            how |= {"fingers": True, "props": display.props()}
         world = World(scene, width=width, height=height, views=views, **how)
         if args.headless:
             display.hands = world.scripted_hands

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from assets.camera import Camera
 from scenes.scene import Hand
 
@@ -16,7 +18,8 @@ class Frame:
     `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
     `time` [s] is the sum of all dt so far. `commands` are the user's wishes between two frames,
     see `World.apply`: {"reset": True}, {"light": Light}, {"interaction": "physics"|"transform"},
-    {"pause": bool}, {"step": True}, {"demo": bool}.
+    {"pause": bool}, {"step": True}, {"demo": bool}. `parts` (P, 3, 4) are where the world's props are, see
+    render/props.py; None: where they were.
     """
 
     dt: float
@@ -24,3 +27,4 @@ class Frame:
     cameras: list[Camera] | Callable[[], list[Camera]]
     hands: list[Hand] = field(default_factory=list)
     commands: dict = field(default_factory=dict)
+    parts: np.ndarray | None = None

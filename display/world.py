@@ -16,6 +16,7 @@ from display.bodies import load_bodies
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
+from render.props import Props, Skin
 from render.renderer import Renderer
 from render.shadow import Shadow
 from render.sorts import MOVING_SORT
@@ -31,7 +32,8 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 class World:
     """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo).
 
-    With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies.
+    With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where frames put their
+    parts (`Frame.parts`), those that cast no shadow first.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class World:
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
         fingers: bool = False,
+        props: list[Skin] = (),
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -56,7 +59,10 @@ class World:
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
-        self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
+        glowing, solid = ([s for s in props if s.solid is casts] for casts in (False, True))
+        room = concatenate([room, *(s.gaussians for s in glowing)]) if glowing else room
+        all_of_it = [room, *(p.gaussians for _, p in moving), *(s.gaussians for s in solid)]
+        self.splats = Splats(concatenate(all_of_it))
         first = len(room)  # the shadow wants what moves behind all that does not
         grids = [grid for _, grids in static for grid in grids]
         self.solver = Solver(
@@ -76,6 +82,7 @@ class World:
                 parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
+        self.props = Props(self.splats, glowing, solid, first) if props else None
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
         self.views, self.sort = views, sort
@@ -96,6 +103,7 @@ class World:
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
         self.apply(frame.commands)
+        placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
             with self.timings.stage("simulate"):
@@ -103,11 +111,16 @@ class World:
             self.moving = self.solver.moved()
             if self.moving:
                 self._deform()
+                placed = False  # its shadow is cast, too
             self._bodies = self.solver.bodies()
             if self.scene.game is not None:
                 self.scene.game.update(self.time, self._bodies)
         else:
             self.moving = False
+        if placed:
+            self._drawn = None
+            with self.timings.stage("shadow"):
+                self.shadow.cast()
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
         if cameras and seen != self._drawn:

@@ -16,7 +16,7 @@ from scenes.scene import Light
 
 AWAY = 1e6  # [m] from the origin: hidden, and no caster of shadows
 C0 = 0.28209479  # SH of degree 0
-AMBIENT, SKY, SUN = 0.50, 0.16, 0.52  # shares of the colour: from everywhere, from above, from the light
+AMBIENT, SKY, SUN = 0.56, 0.14, 0.46  # shares of the colour: from everywhere, from above, from the light
 NEAREST = 0.15  # [m]; a light is at least so far away
 HIDDEN = np.tile(np.float32([0.0, 0.0, 0.0, 1e3 * AWAY]), (3, 1))  # no NaN: compilers may think that there is none
 
@@ -38,10 +38,15 @@ class Skin:
 
 @ti.data_oriented
 class Props:
-    """Moves the Gaussians of `skins`, which begin at `begins` in the splats; `parts` are numbered across all skins."""
+    """Moves the Gaussians of skins, whose parts are numbered across all of them.
 
-    def __init__(self, splats: Splats, skins: list[Skin], begins: list[int], parts: int):
-        self.splats, self.parts = splats, parts
+    In the splats those that are not solid end at `first`, and the solid ones at the end.
+    """
+
+    def __init__(self, splats: Splats, glowing: list[Skin], solid: list[Skin], first: int):
+        skins = [*glowing, *solid]
+        begins = [*runs(glowing, first), *runs(solid, splats.count)]
+        self.splats, self.parts = splats, 1 + max(int(s.part.max()) for s in skins)
         self.count = sum(len(s.gaussians) for s in skins)
         N = max(self.count, 1)
         self.target, self.part = ti.field(ti.i32), ti.Vector.field(4, ti.i32)
@@ -63,7 +68,7 @@ class Props:
             kind = np.int32 if f.dtype == ti.i32 else np.float32
             f.from_numpy(np.concatenate(values).astype(kind) if self.count else np.zeros((N, *f.shape[1:]), kind))
         self.shown = None  # what was placed last
-        self.place(np.tile(HIDDEN, (parts, 1, 1)), None)
+        self.place(np.tile(HIDDEN, (self.parts, 1, 1)), None)
 
     def place(self, poses: np.ndarray, light: Light | None) -> bool:
         """Put part k at x = poses[k] [x_bound, 1], (parts, 3, 4) [m]; not a number hides it. Whether that is new."""
@@ -117,3 +122,9 @@ class Props:
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
         self.tree.destroy()
+
+
+def runs(skins: list[Skin], end: int) -> list[int]:
+    """Where each of the skins begins, one after the other up to `end`."""
+    sizes = [len(s.gaussians) for s in skins]
+    return (end - sum(sizes) + np.concatenate([[0], np.cumsum(sizes)[:-1]])).astype(int).tolist() if sizes else []

@@ -12,51 +12,51 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from assets.gaussians import Gaussians, quat_of_matrix
+from assets.gaussians import Gaussians
 from display.headset.hand_pose import posed
 from display.headset.joints import COUNT, FINGERS, PALM, WRIST, Joints
 from render.props import Skin
 
 SPACING = 0.0034  # [m] between Gaussians
-SEEDS = 5  # points to choose from, for each that is taken
+WIDTH = 0.8  # spacings: standard deviation of a Gaussian, so that no gap shows the far side
+SEEDS = 6  # points to choose from, for each that is taken
 ROUND = 0.0035  # [m]: k
 FLAT = 0.0005  # [m], the thickness of a Gaussian
 REACH = 0.0035  # [m] over which the pull of a bone fades into the next one's
-COLOUR = np.array([0.80, 0.71, 0.64])  # a warm light grey
-NAIL, CREASE = np.array([0.90, 0.80, 0.75]), 0.10
-CUFF = 0.045  # [m] of forearm, which fades out
+COLOUR = np.array([0.87, 0.73, 0.63])  # light and warm, of nobody in particular
+NAIL, CREASE = np.array([0.96, 0.84, 0.77]), 0.10
+CUFF = 0.045  # [m] of forearm
 SPREAD = (0.0, 0.02, 0.02, 0.02, 0.02)  # bent, of the bound hand: fingers apart
-FLESH = 0.0075  # [m] that the skin lies outside of the bones' own radii nowhere exceeds
 LARGEST, SMALLEST = 1.6, 0.6  # of the model, a bone's length and thickness
 
 
-def skin(left: bool, first_part: int) -> Skin:
-    """The Gaussians of a hand; its joints are the parts from first_part on, and one more: the cuff goes with WRIST."""
+def skins() -> list[Skin]:
+    """The Gaussians of a left and of a right hand, whose joints are the parts 0..25 and 26..51."""
     joints = posed(SPREAD)
     x, n, owner = surface(joints)
     part, weight = weights(joints, x, owner)
     colour = paint(joints, x, n)
-    opacity = np.clip(1.0 - (x[:, 2] - 0.5 * CUFF) / (0.4 * CUFF), 0.0, 1.0) * 0.97
-    if left:
-        x, n = x * [-1, 1, 1], n * [-1, 1, 1]
-    keep = opacity > 0.02
-    x, n, part, weight, colour, opacity = (a[keep] for a in (x, n, part, weight, colour, opacity))
-    return Skin(discs(x, n, 0.60 * SPACING, FLAT, colour, opacity), n, part + first_part, weight)
+    opacity = np.full(len(x), 0.99)
+    result = []
+    for side, mirror in enumerate(((-1, 1, 1), (1, 1, 1))):
+        g = discs(x * mirror, n * mirror, WIDTH * SPACING, FLAT, colour, opacity)
+        result.append(Skin(g, n * mirror, part + COUNT * side, weight))
+    return result
 
 
 def discs(x, n, width: float, thickness: float, colour, opacity) -> Gaussians:
     """Flat Gaussians at x (N, 3), with normals n (N, 3); standard deviations [m]."""
-    quats = np.array([quat_of_matrix(frame(v)) for v in n])
+    quats = facing(n)
     scales = np.tile(np.log([width, width, thickness]), (len(x), 1))
     logit = np.log(opacity / np.maximum(1.0 - opacity, 1e-6))
     return Gaussians.of(x, quats, scales, logit, ((colour - 0.5) / 0.28209479)[:, None, :])
 
 
-def frame(n) -> np.ndarray:
-    """A rotation whose third column is n."""
-    side = np.cross(n, (0.0, 1.0, 0.0) if abs(n[1]) < 0.9 else (1.0, 0.0, 0.0))
-    side /= np.linalg.norm(side)
-    return np.column_stack([side, np.cross(n, side), n])
+def facing(n: np.ndarray) -> np.ndarray:
+    """Quaternions wxyz (N, 4) that turn z to the unit vectors n (N, 3), the shortest way."""
+    q = np.column_stack([1.0 + n[:, 2], -n[:, 1], n[:, 0], np.zeros(len(n))])
+    q[q[:, 0] < 1e-9] = 0.0, 1.0, 0.0, 0.0
+    return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 def limbs(joints: Joints) -> list[list[tuple]]:
@@ -99,10 +99,20 @@ def distance(groups, x) -> np.ndarray:
 
 
 def gradient(groups, x, step: float = 2e-4) -> np.ndarray:
-    """Unit gradient of `distance`, (N, 3), by central differences."""
-    g = [distance(groups, x + step * e) - distance(groups, x - step * e) for e in np.eye(3)]
-    g = np.array(g).T
+    """Unit gradient of `distance`, (N, 3), by differences at the corners of a tetrahedron."""
+    corners = np.array([[1, -1, -1], [-1, -1, 1], [-1, 1, -1], [1, 1, 1]], np.float64)
+    g = sum(distance(groups, x + step * c)[:, None] * c for c in corners)
     return g / np.maximum(np.linalg.norm(g, axis=1, keepdims=True), 1e-12)
+
+
+def apart(x, least: float) -> np.ndarray:
+    """Indices of points (N, 3) that are `least` [m] or more from one another, taken in order."""
+    taken, free = [], np.ones(len(x), bool)
+    for k, near in enumerate(cKDTree(x).query_ball_point(x, least)):
+        if free[k]:
+            taken.append(k)
+            free[near] = False
+    return np.array(taken)
 
 
 def surface(joints: Joints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -120,18 +130,16 @@ def surface(joints: Joints) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x, owner = np.concatenate(seeds), np.concatenate(owner)
     order = rng.permutation(len(x))
     x, owner = x[order], owner[order]
-    outside = distance(groups, x) > -0.004  # what is far inside another limb is no skin
+    outside = distance(groups, x) > -0.010  # what is deeper inside other limbs is no skin
     x, owner = x[outside], owner[outside]
-    for _ in range(2):
+    few = apart(x, 0.4 * SPACING)
+    x, owner = x[few], owner[few]
+    for _ in range(3):
         x = x - distance(groups, x)[:, None] * gradient(groups, x)
-    good = np.abs(distance(groups, x)) < 3e-4
+    good = np.abs(distance(groups, x)) < 4e-4
     x, owner = x[good], owner[good]
-    taken, free = [], np.ones(len(x), bool)
-    for k, near in enumerate(cKDTree(x).query_ball_point(x, SPACING * 0.9)):
-        if free[k]:
-            taken.append(k)
-            free[near] = False
-    x, owner = x[taken], owner[taken]
+    few = apart(x, 0.9 * SPACING)
+    x, owner = x[few], owner[few]
     return x, gradient(groups, x), owner
 
 

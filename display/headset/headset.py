@@ -71,6 +71,13 @@ class Headset:
         if self._mirror is not None:
             self._mirror.close()
 
+    @staticmethod
+    def props() -> list:
+        """What World should be able to draw besides the scene: the player's hands and what they hold."""
+        from display.headset import shown
+
+        return shown.skins()
+
     def _open(self) -> None:
         """Begin a session; the runtime then says when to play."""
         runtime = self._runtime
@@ -119,7 +126,7 @@ class Headset:
                 self._frame, self._rendered = state, bool(state.should_render)
                 commands, self._commands = {**self._commands, **commands}, {}
                 cameras = self._cameras if self._rendered else []
-                yield Frame(dt, time, cameras, hands, commands)
+                yield Frame(dt, time, cameras, hands, commands, self._player.parts(controllers))
                 if self._frame is not None:  # it was not presented
                     session.end(shown, [])
             except Lost:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from display.headset import poking
+from display.headset import poking, shown
 from display.headset.actions import LET_GO, PRESS, Controller
 from display.headset.poses import Standpoint, position_rotation
 from scenes.scene import Hand, Scene
@@ -31,9 +31,11 @@ class Player:
         self._places: list[np.ndarray | None] = [None, None]  # in the play space, as last tracked
         self._reach = [GRAB_REACH, GRAB_REACH]
         self._by_tip = [False, False]
+        self._seen = [Controller(), Controller()]
         self._pokes = [poking.Poke(), poking.Poke()]
         self._touch: list[tuple] = [(), ()]
         self._pushed = False
+        self.pointing: tuple[np.ndarray, np.ndarray] | None = None  # a ray in the world from (3,) to a spot (3,) [m]
         self._took, self._felt = [False, False], [0.0, 0.0]
 
     def advance(self, controllers: list[Controller], head: np.ndarray, world) -> tuple[list[Hand], dict]:
@@ -54,6 +56,18 @@ class Player:
                 hands.append(Hand())
         self._walk(controllers, head)
         return hands, self._buttons(*controllers, world) if world is not None else {}
+
+    def parts(self, controllers: list[Controller]) -> np.ndarray:
+        """Where what the player sees of himself is in the world (display/headset/shown.py). A side that is lost, but
+        holds something, stays in view."""
+        result = shown.hidden()
+        for h, c in enumerate(controllers):
+            if c.grip is not None or not self._grips[h]:
+                self._seen[h] = c
+            shown.side_of(result, h, self._seen[h], self.standpoint.matrix, self._pokes[h].out)
+        if self.pointing is not None:
+            shown.pointing(result, *self.pointing, floor=True)
+        return result
 
     def _buttons(self, left: Controller, right: Controller, world) -> dict:
         commands = {}
@@ -76,21 +90,26 @@ class Player:
         self._grips[h] = gripped
 
     def _walk(self, controllers: list[Controller], head: np.ndarray) -> None:
-        """Sideways on a stick turns by a step; forward goes to where that hand points on the floor."""
-        pushed = next((c for c in controllers if np.hypot(*c.stick) > (CENTERED if self._pushed else PUSHED)), None)
-        if pushed is None or self._pushed:
-            self._pushed = pushed is not None
-            return
-        self._pushed = True
-        x, y = pushed.stick
+        """Sideways on a stick turns by a step. Forward shows where that hand points on the floor, and let go of, goes
+        there; drawn back instead, it does not."""
         stage = self.standpoint.matrix
         place = (stage @ head)[:3, 3]
-        if abs(x) > abs(y):
+        pushed = next((c for c in controllers if np.hypot(*c.stick) > (CENTERED if self._pushed else PUSHED)), None)
+        if pushed is None:
+            if self.pointing is not None:
+                self.standpoint.go(self.pointing[1], place)
+            self._pushed, self.pointing = False, None
+            return
+        x, y = pushed.stick
+        if not self._pushed and abs(x) > abs(y):
             self.standpoint.turn(-np.sign(x) * TURN, place)
-        elif y > 0 and pushed.aim is not None:
-            spot = on_the_floor(stage @ pushed.aim)
-            if spot is not None:
-                self.standpoint.go(spot, place)
+        elif (self.pointing is not None or not self._pushed) and y > -CENTERED and pushed.aim is not None:
+            aim = stage @ pushed.aim
+            spot = on_the_floor(aim)
+            self.pointing = None if spot is None else (aim[:3, 3], spot)
+        else:
+            self.pointing = None
+        self._pushed = True
 
     def feel(self, world, actions) -> None:
         """A tap where a hand has just taken hold or touched, the pull of what it holds, the push of what it touches."""

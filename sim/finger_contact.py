@@ -92,8 +92,14 @@ class FingerContact:
 
     @ti.func
     def _place(self, p):
-        """Where spot p is when the next substep begins [m]."""
+        """Where spot p is at a search [m]: when the next substep begins."""
         return self.origin[p] + self._now() * self.way[p]
+
+    @ti.func
+    def _begin(self, p):
+        """Where spot p is when the substep in progress begins [m]."""
+        s = self.state
+        return self.origin[p] + ti.cast(s.tick[None], ti.f32) / ti.cast(s.substeps[None], ti.f32) * self.way[p]
 
     @ti.func
     def _find_mover(self, p, rows: ti.template()):
@@ -146,7 +152,7 @@ class FingerContact:
         usable = rows.claimed[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
         if det > FLAT * E1.dot(E2.cross(E3)):
             g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det
-            d = self._place(p) - x0
+            d = self._begin(p) - x0
             b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
             b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
             body = s.body_of_tet[t]
@@ -172,7 +178,7 @@ class FingerContact:
 
     @ti.func
     def _meet_mover(self, p, r, rows: ti.template()):
-        b, x = self.mover[p], self._place(p)
+        b, x = self.mover[p], self._begin(p)
         phi, n = self.shapes.distance(b, x, corner(0.0))
         usable = phi < 0.5 * FAR
         if usable:

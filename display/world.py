@@ -59,11 +59,10 @@ class World:
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
-        glowing, solid = ([s for s in props if s.solid is casts] for casts in (False, True))
-        room = concatenate([room, *(s.gaussians for s in glowing)]) if glowing else room
-        all_of_it = [room, *(p.gaussians for _, p in moving), *(s.gaussians for s in solid)]
-        self.splats = Splats(concatenate(all_of_it))
-        first = len(room)  # the shadow wants what moves behind all that does not
+        self.splats = Splats(concatenate([room, *(s.gaussians for s in props), *(p.gaussians for _, p in moving)]))
+        self.props = Props(self.splats, props, len(room)) if props else None
+        first = len(room) + sum(len(s.gaussians) for s in props)  # of the bodies
+        casts = len(room) + sum(len(s.gaussians) for s in props if not s.solid)  # what moves, and casts shadows
         grids = [grid for _, grids in static for grid in grids]
         self.solver = Solver(
             [body for body, _ in moving],
@@ -82,9 +81,8 @@ class World:
                 parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
-        self.props = Props(self.splats, glowing, solid, first) if props else None
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
-        self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
+        self.shadow = Shadow(self.splats, scene.light, (casts, self.splats.count))
         self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
         self.resize(width, height)
@@ -102,7 +100,7 @@ class World:
 
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
-        self.apply(frame.commands)
+        self.apply({**self._stretched(), **frame.commands})
         placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
@@ -127,6 +125,11 @@ class World:
             with self.timings.stage("render"):
                 self.renderer.render(cameras)
             self._drawn = seen
+
+    def _stretched(self) -> dict:
+        """The command to keep the size that two hands have given a body (sim/stretch.py), if they have let go of it."""
+        done = self.solver.stretched()
+        return {} if done is None else {"rescale": done}
 
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""

@@ -38,14 +38,10 @@ class Skin:
 
 @ti.data_oriented
 class Props:
-    """Moves the Gaussians of skins, whose parts are numbered across all of them.
+    """Moves the Gaussians of skins, which lie one after the other in the splats from `begin` on. Their parts are
+    numbered across all of them."""
 
-    In the splats those that are not solid end at `first`, and the solid ones at the end.
-    """
-
-    def __init__(self, splats: Splats, glowing: list[Skin], solid: list[Skin], first: int):
-        skins = [*glowing, *solid]
-        begins = [*runs(glowing, first), *runs(solid, splats.count)]
+    def __init__(self, splats: Splats, skins: list[Skin], begin: int):
         self.splats, self.parts = splats, 1 + max(int(s.part.max()) for s in skins)
         self.count = sum(len(s.gaussians) for s in skins)
         N = max(self.count, 1)
@@ -59,11 +55,12 @@ class Props:
             builder.dense(ti.i, N).place(f)
         self.tree = builder.finalize()
         columns = {f: [] for f in fields}
-        for skin, begin in zip(skins, begins, strict=True):
+        for skin in skins:
             g = skin.gaussians
             values = (begin + np.arange(len(g)), skin.part, skin.weight, covariances(g), g.means, skin.normal)
             for f, value in zip(fields, (*values, 0.5 + C0 * g.sh[:, 0], g.opacities), strict=True):
                 columns[f].append(value)
+            begin += len(g)
         for f, values in columns.items():
             kind = np.int32 if f.dtype == ti.i32 else np.float32
             f.from_numpy(np.concatenate(values).astype(kind) if self.count else np.zeros((N, *f.shape[1:]), kind))
@@ -122,9 +119,3 @@ class Props:
     def destroy(self) -> None:
         """Give the device memory back; the object must not be used after."""
         self.tree.destroy()
-
-
-def runs(skins: list[Skin], end: int) -> list[int]:
-    """Where each of the skins begins, one after the other up to `end`."""
-    sizes = [len(s.gaussians) for s in skins]
-    return (end - sum(sizes) + np.concatenate([[0], np.cumsum(sizes)[:-1]])).astype(int).tolist() if sizes else []

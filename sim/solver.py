@@ -143,6 +143,8 @@ class Solver(Editing, Boundaries):
         if self.interaction == "transform":
             self._step_transform(dt, hands)
             return
+        if self._transform.stretch.pairs:
+            self._transform.stretch.end()
         if dt == 0.0 or not self._parts:
             return
         n = max(self.collision_passes, math.ceil(dt / self._plan.substep - 1e-6))
@@ -184,6 +186,11 @@ class Solver(Editing, Boundaries):
     def touch_forces(self) -> list[np.ndarray]:
         """Force of each hand's `touch` on what it does not hold [N], (3,), in the last substep; [] without fingers."""
         return [force for c in self._contacts for force in c.touch_forces()]
+
+    def stretched(self) -> tuple[int, float] | None:
+        """With interaction "transform": a body that two hands have just made larger or smaller, and how many times, for
+        `rescale`; None if there is none, and each only once."""
+        return self._transform.stretch.take_finished()
 
     def bodies(self) -> list[BodyState]:
         """Centroid, velocity, bounds, axis of each body, and whether a hand holds it."""

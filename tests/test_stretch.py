@@ -26,6 +26,9 @@ def solver(ti_cpu):
 @pytest.fixture(autouse=True)
 def begin(solver):
     solver.reset()
+    if (size := np.ptp(solver.x.to_numpy()[: len(X), 0])) != SIDE:
+        solver.rescale(0, SIDE / size)
+    solver.reset()
     solver.interaction = "transform"
 
 

@@ -7,6 +7,7 @@ smin(d) = -k log sum exp(-d / k).
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
 from display.headset.hand_pose import posed
-from display.headset.joints import COUNT, FINGERS, PALM, WRIST, Joints
+from display.headset.joints import BONES, COUNT, FINGERS, PALM, WRIST, Joints
 from render.props import Skin
 
 SPACING = 0.0034  # [m] between Gaussians
@@ -27,6 +28,8 @@ COLOUR = np.array([0.87, 0.73, 0.63])  # light and warm, of nobody in particular
 NAIL, CREASE = np.array([0.96, 0.84, 0.77]), 0.10
 CUFF = 0.045  # [m] of forearm
 SPREAD = (0.0, 0.02, 0.02, 0.02, 0.02)  # bent, of the bound hand: fingers apart
+STARTS, ENDS = np.array(BONES).T
+ROOTS = [f[0] for f in FINGERS[1:]]
 LARGEST, SMALLEST = 1.6, 0.6  # of the model, a bone's length and thickness
 
 
@@ -191,14 +194,19 @@ def placed(joints: Joints | None, *, left: bool) -> np.ndarray:
     """
     if joints is None:
         return np.full((COUNT, 3, 4), np.nan)
-    bound = posed(SPREAD, left=left)
+    bound, thick, long = measures(left)
     scale = np.ones((COUNT, 3))
-    for f in FINGERS:
-        for j in f[:-1]:
-            ways = [np.linalg.norm(k.position[j + 1] - k.position[j]) for k in (joints, bound)]
-            thick = (joints.radius[j] + joints.radius[j + 1]) / (bound.radius[j] + bound.radius[j + 1])
-            scale[j] = thick, thick, ways[0] / ways[1]
+    scale[STARTS, :2] = ((joints.radius[STARTS] + joints.radius[ENDS]) / thick)[:, None]
+    scale[STARTS, 2] = np.linalg.norm(joints.position[ENDS] - joints.position[STARTS], axis=1) / long
     scale = np.clip(scale, SMALLEST, LARGEST)
-    scale[[PALM, WRIST]] = np.mean([scale[f[0], 2] for f in FINGERS[1:]])
+    scale[[PALM, WRIST]] = scale[ROOTS, 2].mean()
     A = joints.rotation @ (scale[:, :, None] * np.swapaxes(bound.rotation, 1, 2))
     return np.concatenate([A, (joints.position - np.einsum("jrc,jc->jr", A, bound.position))[..., None]], axis=2)
+
+
+@cache
+def measures(left: bool) -> tuple[Joints, np.ndarray, np.ndarray]:
+    """The bound hand, and of each of its bones the sum of the radii at its ends and its length [m], (19,)."""
+    bound = posed(SPREAD, left=left)
+    long = np.linalg.norm(bound.position[ENDS] - bound.position[STARTS], axis=1)
+    return bound, bound.radius[STARTS] + bound.radius[ENDS], long

@@ -17,6 +17,7 @@ PALM, WRIST, COUNT = 0, 1, 26
 FINGERS = (range(2, 6), range(6, 11), range(11, 16), range(16, 21), range(21, 26))  # thumb first, tips last
 THUMB_TIP, INDEX_KNUCKLE, INDEX_TIP = 5, 7, 10
 BONES = tuple((j, j + 1) for finger in FINGERS for j in finger[:-1])
+BONE_ENDS = np.array(BONES).T
 THINNEST, THICKEST = 0.004, 0.025  # [m], radii: a runtime may not know, or say nonsense
 PINCHED, PARTED = 0.015, 0.03  # [m] from thumb tip to index tip
 FIST, OPEN = np.radians(150.0), np.radians(105.0)  # a finger's bends together; a fist has 220 degrees, rest 60
@@ -39,19 +40,17 @@ class Joints:
 
 def bones(joints: Joints) -> np.ndarray:
     """The bones as capsules, (19, 7): two ends and a radius [m]."""
-    a, b = np.array(BONES).T
+    a, b = BONE_ENDS
     radius = np.clip(joints.radius, THINNEST, THICKEST)
     return np.column_stack([joints.position[a], joints.position[b], 0.5 * (radius[a] + radius[b])])
 
 
 def curls(joints: Joints) -> np.ndarray:
     """How far each finger is bent, thumb first, (5,) [rad]: the sum of the angles from bone to bone."""
-    result = []
-    for finger in FINGERS:
-        ways = np.diff(joints.position[list(finger)], axis=0)
-        ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
-        result.append(np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0)).sum())
-    return np.array(result)
+    ways = np.diff(joints.position, axis=0)
+    ways /= np.maximum(np.sqrt((ways**2).sum(1, keepdims=True)), 1e-9)
+    bends = np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0))  # number j: at joint j + 1
+    return np.array([bends[f[1] - 1 : f[-1] - 1].sum() for f in FINGERS])
 
 
 def pose_of(position: np.ndarray, rotation: np.ndarray) -> np.ndarray:

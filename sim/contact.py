@@ -113,7 +113,7 @@ class Contacts:
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
         self.hands.begin_frame(hands, dt, substeps > 0)
         if self.fingers is not None:
-            self.fingers.begin_frame(hands, self.hands.gripped())
+            self.fingers.begin_frame(hands, self.hands.gripped(), dt)
 
     def gripped(self) -> list[int]:
         return self.hands.gripped()

@@ -17,12 +17,13 @@ from scenes.scene import Hand
 from sim.assembly import MAX_BODIES
 from sim.broad import MARGIN, Bounds
 from sim.finger_contact import CAPSULES, EACH, SPOTS, FingerContact
-from sim.hands import FORCE, JUMP
+from sim.hands import FORCE
 from sim.response import PAD_DEPTH, PAD_TIME
 from sim.rows import Rows
 from sim.state import State, Upload
 
 THINNEST, THICKEST = 0.002, 0.05  # [m]; others count as these
+SWIFTEST = 10.0  # [m/s]; what is faster was lost, or held up, and is there at once instead of hitting what is between
 SLACK = 1.1  # by which a hand that pressed too hard, FORCE in all, may press more again from search to search
 
 
@@ -63,8 +64,8 @@ class Fingers(FingerContact):
         self.share.fill(1.0)
         self.radius.fill(0.0)
 
-    def begin_frame(self, hands: list[Hand | None], held: list[int]) -> None:
-        """Let what the hands touch with go from where it was to where it is; what is new appears where it is."""
+    def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
+        """Let what the hands touch with go in dt [s] to where it is now; what is new, or was too far, appears there."""
         now = np.stack([capsules_of(hands[h] if h < len(hands) else None) for h in range(self.hands)])
         stale, self.active = self.active, bool(now[..., 6].any())
         before, self.last = self.last, now
@@ -72,7 +73,7 @@ class Fingers(FingerContact):
             if stale:
                 self.reset()
             return
-        far = np.linalg.norm((now - before)[..., :6].reshape(*now.shape[:2], 2, 3), axis=-1).max(-1) > JUMP
+        far = np.linalg.norm((now - before)[..., :6].reshape(*now.shape[:2], 2, 3), axis=-1).max(-1) > SWIFTEST * dt
         new = far | (before[..., 6] == 0.0)
         before = np.where(new[..., None], now, before)
         starts, ends, radii = spots_of(before), spots_of(now), np.repeat(now[..., 6:], SPOTS, axis=2)

@@ -113,16 +113,16 @@ def test_a_finger_goes_right_through_and_harms_nothing(solver):
     assert all(b.low[1] > -1e-3 for b in solver.bodies())
 
 
-def test_what_appears_inside_or_jumps_there_pushes_out_gently(solver):
+@pytest.mark.parametrize("jump", [2.0, 0.3])
+def test_what_appears_inside_or_jumps_there_pushes_out_gently(solver, jump):
     speeds = []
     for k in range(40):
-        far = k < 5  # then 2 m away at once
-        y = 0.03 + 2 * far
+        y = 0.03 + jump * (k < 5)  # then that far away at once
         touch = [Touch((x + 0.015, y, -0.005), (x + 0.015, y, 0.005), R) for x in (0.0, BRICK)]
         play(solver, 1, lambda _, t=touch: t)
         speeds.append(max(np.linalg.norm(b.velocity) for b in solver.bodies()))
     assert max(speeds[:5]) < 0.05
-    assert max(speeds) < 1.5  # and not 120 m/s, at which it came
+    assert max(speeds) < 1.5  # and not 120 or 18 m/s, at which it came
     cube, brick = solver.bodies()
     assert cube.centroid[0] < -0.005 and brick.high[0] < BRICK + 0.015
     assert solver.stats["finite"] and least_volume(solver) > 0.1

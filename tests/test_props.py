@@ -140,4 +140,4 @@ def test_a_ray_goes_from_the_hand_to_the_spot():
     shown.pointing(parts, start, end, floor=True)
     assert_allclose(parts[shown.RAY] @ [0, 0, 0, 1], start)
     assert_allclose(parts[shown.RAY] @ [0, 0, -1, 1], end)
-    assert np.linalg.norm(parts[shown.SPOT][:, 3] - end) < 0.01
+    assert np.linalg.norm(parts[shown.SPOT][:, 3] - end) < 0.05

@@ -21,6 +21,7 @@ BODY, RING, FINGER = np.array([0.22, 0.23, 0.25]), np.array([0.36, 0.37, 0.40]),
 BEAM = np.array([1.0, 0.83, 0.45])
 POKE = 0.009  # [m] radius of the poking finger, as in poking.py
 SPOT_RADIUS, BEAM_RADIUS = 0.11, 0.0016  # [m]
+ABOVE = 0.03  # [m] of the spot over the floor, on which a carpet may lie
 STEPS = 40  # Gaussians along the ray
 FINE = 0.6 * SPACING  # [m] between Gaussians of what is thin
 
@@ -110,7 +111,7 @@ def ray() -> Skin:
 def spot() -> Skin:
     """A ring on the floor, around +y."""
     a = np.linspace(0, 2 * np.pi, 90, endpoint=False)
-    rings = [(SPOT_RADIUS, 0.85), (0.93 * SPOT_RADIUS, 0.5), (0.25 * SPOT_RADIUS, 0.6)]
+    rings = [(SPOT_RADIUS, 0.85), (0.9 * SPOT_RADIUS, 0.6), (0.2 * SPOT_RADIUS, 0.7)]
     x = np.concatenate([r * np.column_stack([np.cos(a), 0 * a, np.sin(a)]) for r, _ in rings])
     opacity = np.repeat([o for _, o in rings], len(a))
     n = np.tile([0.0, 1.0, 0.0], (len(x), 1))
@@ -145,7 +146,7 @@ def pointing(parts: np.ndarray, start: np.ndarray, end: np.ndarray, *, floor: bo
     side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-6 else np.array([1.0, 0.0, 0.0])
     parts[RAY] = np.column_stack([side, np.cross(back, side), length * back, start])
     if floor:
-        parts[SPOT] = np.column_stack([np.eye(3), end + [0.0, 0.004, 0.0]])
+        parts[SPOT] = np.column_stack([np.eye(3), end + [0.0, ABOVE, 0.0]])
 
 
 def shift(x: float, y: float, z: float) -> np.ndarray:

@@ -126,7 +126,7 @@ class Headset:
                 self._frame, self._rendered = state, bool(state.should_render)
                 commands, self._commands = {**self._commands, **commands}, {}
                 cameras = self._cameras if self._rendered else []
-                yield Frame(dt, time, cameras, hands, commands, self._player.parts(controllers))
+                yield Frame(dt, time, cameras, hands, commands, parts=self._player.parts(controllers))
                 if self._frame is not None:  # it was not presented
                     session.end(shown, [])
             except Lost:

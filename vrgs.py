@@ -56,9 +56,9 @@ def play(args) -> None:
         width, height = display.size
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
-        if args.xr:
-            how |= {"fingers": True, "props": display.props()}
-        world = World(scene, width=width, height=height, views=views, **how)
+        how["fingers"] = bool(args.xr)
+        props = display.props() if args.xr else []
+        world = World(scene, width=width, height=height, views=views, props=props, **how)
         if args.headless:
             display.hands = world.scripted_hands
         frames = 0

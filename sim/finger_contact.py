@@ -37,7 +37,13 @@ class FingerContact:
         """List the rows of spots that may touch something before the next search; after `widen`."""
         s = self.state
         for h in range(self.hands):
-            self._limit(h, rows)
+            self.pressed[h] = 0
+        for q in range(self.size):
+            strength = self._force(q, rows).norm()
+            if strength > 0.0:
+                ti.atomic_add(self.pressed[q % self.count // EACH], ti.cast(strength * 1e6, ti.i64))
+        for h in range(self.hands):
+            self._limit(h)
             self.overlaps[h] = 0
             if self.held[h] >= 0:
                 self.spared[h] = self.held[h]

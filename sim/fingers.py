@@ -34,7 +34,8 @@ class Fingers(FingerContact):
     origin vec3[N], way vec3[N] [m]: where a spot is at the frame's begin, and how far it goes in it
     radius f32[N] [m]: 0 is no spot;   held, spared i32[H]: the body that a hand holds, and passes through; -1 none
     low, high vec3[H C], swift f32[H] [m/s]: box of what a capsule may touch until the next search, a hand's speed
-    share f32[H]: of each spot's greatest force, lest the hand exceed FORCE;   total i64[H,3]: force sums [1e-6 N]
+    share f32[H]: of each spot's greatest force, lest the hand exceed FORCE, by what it `pressed` i64[H] with [1e-6 N]
+    total i64[H,3]: force sums [1e-6 N]
     """
 
     def __init__(self, state: State, pairs, bounds: Bounds, begin: int, *, hands: int, movers, shapes):
@@ -46,11 +47,11 @@ class Fingers(FingerContact):
         self.origin, self.way, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(4))
         self.radius, self.swift, self.share = (ti.field(ti.f32) for _ in range(3))
         self.held, self.spared, self.overlaps, self.tet, self.mover = (ti.field(ti.i32) for _ in range(5))
-        self.key, self.total = ti.field(ti.i64), ti.field(ti.i64)
+        self.key, self.total, self.pressed = (ti.field(ti.i64) for _ in range(3))
         self.builder = ti.FieldsBuilder()
         self.builder.dense(ti.i, N).place(self.origin, self.way, self.radius, self.tet, self.mover, self.key)
         self.builder.dense(ti.i, H * CAPSULES).place(self.low, self.high)
-        self.builder.dense(ti.i, H).place(self.swift, self.share, self.held, self.spared, self.overlaps)
+        self.builder.dense(ti.i, H).place(self.swift, self.share, self.held, self.spared, self.overlaps, self.pressed)
         self.builder.dense(ti.ij, (H, 3)).place(self.total)
         self.tree = self.builder.finalize()
         self._upload = Upload([self.origin, self.way, self.radius, self.held])
@@ -132,12 +133,9 @@ class Fingers(FingerContact):
                 ti.atomic_add(self.total[q % self.count // EACH, axis], ti.cast(force[axis] * 1e6, ti.i64))
 
     @ti.func
-    def _limit(self, h, rows: ti.template()):
+    def _limit(self, h):
         """Let a hand that pressed with more than FORCE press less."""
-        pressed = 0.0
-        for q in range(self.size):
-            if q % self.count // EACH == h:
-                pressed += self._force(q, rows).norm()
+        pressed = ti.cast(self.pressed[h], ti.f32) * 1e-6
         if pressed > FORCE:
             self.share[h] *= FORCE / pressed
         else:

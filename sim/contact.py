@@ -145,7 +145,7 @@ class Contacts:
         if self.anything:
             self.bounds.update()
             self.foresight.update()
-            if self.fingers is not None and self.fingers.active:
+            if self.fingers is not None and self.fingers.due:
                 self.fingers.widen()
             if self.folding is not None:
                 self.folding.update()
@@ -153,8 +153,8 @@ class Contacts:
             self.pairs.detect(self.rows)
             if self.coupled:
                 self.rigid.detect()
-            if self.fingers is not None and self.fingers.active:
-                self.fingers.find(self.rows)
+            if self.fingers is not None and self.fingers.due:
+                self.fingers.search(self.rows)
 
     @ti.kernel
     def _find(self):

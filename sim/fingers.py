@@ -55,6 +55,8 @@ class Fingers(FingerContact):
         self.builder.dense(ti.ij, (H, 3)).place(self.total)
         self.tree = self.builder.finalize()
         self._upload = Upload([self.origin, self.way, self.radius, self.held])
+        self._upload([np.zeros(0)] * 3 + [[-1] * H])
+        self._compiled = False
         self.reset()
 
     def reset(self) -> None:
@@ -64,6 +66,18 @@ class Fingers(FingerContact):
             field.fill(-1)
         self.share.fill(1.0)
         self.radius.fill(0.0)
+
+    @property
+    def due(self) -> bool:
+        """Whether there is anything to search for; the first time always, lest the first touch wait for compilers."""
+        return self.active or not self._compiled
+
+    def search(self, rows: Rows) -> None:
+        """List the rows of spots that may touch something before the next search; after `widen`."""
+        self.find(rows)
+        if not self._compiled:
+            self._sum(rows)
+            self._compiled = True
 
     def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
         """Let what the hands touch with go in dt [s] to where it is now; what is new, or was too far, appears there."""

@@ -61,10 +61,11 @@ def play(args) -> None:
         width, height = display.size
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
-        how["depth"] = args.xr and display.depth
+        how |= {"depth": args.xr and display.depth, "fingers": bool(args.xr)}
         if replay:
             how = replay.world_options(how)
-        world = World(scene, width=width, height=height, views=views, **how)
+        props = display.props() if args.xr else []
+        world = World(scene, width=width, height=height, views=views, props=props, **how)
         if args.headless and not replay:
             display.hands = world.scripted_hands
         if inputs:

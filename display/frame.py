@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from assets.camera import Camera
 from scenes.scene import Hand
 
@@ -16,7 +18,8 @@ class Frame:
     `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
     `time` [s] is the sum of all dt so far. `step` [s] is the longest that the world may go at once; without it dt is
     one step. `commands` are the user's wishes between two frames, see `World.apply`: {"reset": True}, {"light": Light},
-    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}.
+    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}. `parts` (P, 3, 4) are where
+    the world's props are, see render/props.py; None: where they were.
     """
 
     dt: float
@@ -25,3 +28,4 @@ class Frame:
     hands: list[Hand] = field(default_factory=list)
     commands: dict = field(default_factory=dict)
     step: float | None = None
+    parts: np.ndarray | None = None

@@ -18,6 +18,7 @@ from display.clock import Cost, moves
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
+from render.props import Props, Skin
 from render.renderer import Renderer
 from render.shadow import Shadow
 from render.sorts import MOVING_SORT
@@ -32,7 +33,11 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 
 class World:
     """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `depth` the picture has
-    it in place of alpha."""
+    it in place of alpha.
+
+    With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where frames put their
+    parts (`Frame.parts`), those that cast no shadow first.
+    """
 
     def __init__(
         self,
@@ -45,6 +50,8 @@ class World:
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
         depth: bool = False,
+        fingers: bool = False,
+        props: list[Skin] = (),
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -58,8 +65,10 @@ class World:
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
-        self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
-        first = len(room)  # the shadow wants what moves behind all that does not
+        self.splats = Splats(concatenate([room, *(s.gaussians for s in props), *(p.gaussians for _, p in moving)]))
+        self.props = Props(self.splats, props, len(room)) if props else None
+        first = len(room) + sum(len(s.gaussians) for s in props)  # of the bodies
+        casts = len(room) + sum(len(s.gaussians) for s in props if not s.solid)  # what moves, and casts shadows
         grids = [grid for _, grids in static for grid in grids]
         self.solver = Solver(
             [body for body, _ in moving],
@@ -69,6 +78,7 @@ class World:
             iterations=scene.iterations,
             collision_passes=scene.collision_passes,
             interaction=interaction,
+            fingers=fingers,
         )
         self.embedding = None
         if moving:
@@ -78,7 +88,7 @@ class World:
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
-        self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
+        self.shadow = Shadow(self.splats, scene.light, (casts, self.splats.count))
         self.views, self.sort, self.outputs = views, sort, "deep" if depth else "rgba8"
         self.renderer: Renderer | None = None
         self.resize(width, height)
@@ -96,7 +106,8 @@ class World:
 
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
-        self.apply(frame.commands)
+        self.apply({**self._stretched(), **frame.commands})
+        placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
             begin = perf_counter()
@@ -106,18 +117,28 @@ class World:
             self.cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
+                placed = False  # its shadow is cast, too
             self._bodies = self.solver.bodies()
             if self.scene.game is not None:
                 self.scene.game.update(self.time, self._bodies)
         else:
             self.moving = False
         self._hands = frame.hands
+        if placed:
+            self._drawn = None
+            with self.timings.stage("shadow"):
+                self.shadow.cast()
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
         if cameras and seen != self._drawn:
             with self.timings.stage("render"):
                 self.renderer.render(cameras)
             self._drawn = seen
+
+    def _stretched(self) -> dict:
+        """The command to keep the size that two hands have given a body (sim/stretch.py), if they have let go of it."""
+        done = self.solver.stretched()
+        return {} if done is None else {"rescale": done}
 
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
@@ -195,6 +216,10 @@ class World:
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand of the last frame on what it holds [N], (3,)."""
         return self.solver.hand_forces()
+
+    def touch_forces(self) -> list[np.ndarray]:
+        """Force of what each hand touches with on what it does not hold [N], (3,); [] without fingers."""
+        return self.solver.touch_forces()
 
     @property
     def score(self) -> int:

@@ -104,17 +104,29 @@ class Light:
     softness: float = 0.02
 
 
+@dataclass(frozen=True)
+class Touch:
+    """A piece of a hand that pushes: all points within `radius` [m] of the segment a-b [m], in the world."""
+
+    a: Vec3
+    b: Vec3
+    radius: float
+
+
 @dataclass
 class Hand:
     """A hand as a device or a script gives it: pose in the world, and whether it grips.
 
-    On the rising edge of `grip` the solver takes the vertices within `reach` [m].
+    On the rising edge of `grip` the solver takes the vertices within `reach` [m]. What the hand pushes with is `touch`,
+    always in the same order: each piece moves from where it was in the frame before. A hand passes through what it
+    holds. Only a solver that was made for it (`fingers`) feels them.
     """
 
     position: Vec3 = (0.0, 0.0, 0.0)
     rotation: Quat = IDENTITY
     grip: bool = False
     reach: float = 0.04
+    touch: tuple[Touch, ...] = ()
 
 
 @dataclass(frozen=True)

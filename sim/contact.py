@@ -16,6 +16,7 @@ from sim.assembly import Assembly, Room, fit
 from sim.broad import Bounds
 from sim.colliders import Colliders, Shape
 from sim.damping import Chunks
+from sim.fingers import Fingers
 from sim.folding import Folding, foldable
 from sim.forces import Forces
 from sim.foresight import Foresight
@@ -49,6 +50,7 @@ class Contacts:
         spacing: float | None = None,
         room: Room = Room(),
         movers: Movers | None = None,
+        fingers: bool = False,
     ):
         self.state = state
         self.samples = Samples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
@@ -59,7 +61,7 @@ class Contacts:
         meets = [foldable(p.shape) for p in first.parts if p.body.rigid or not p.body.loose]
         folds = self_contact and (room.grows or any(meets))
         self.folding = Folding(state, chunks, self.bounds) if folds else None
-        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, self.folding, room)
+        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, self.folding, room, fingers)
         self.anything = bool(shapes) or self.pairs.needed
         points = room.grows or self.samples.triangle_points(first) > 0
         self.has_pairs = self.pairs.needed or (bool(shapes) and points)
@@ -71,12 +73,18 @@ class Contacts:
             self.rigid = RigidContacts(state, movers, self.samples, self.colliders, shapes_of, self.bounds, size)
             size, later = size + self.rigid.size_of_rows, GROUPS
             self.anything = self.has_pairs = True
-        self.rows = Rows(state, size, movers)
+        self.fingered, self.fingers, self.begin_fingers = fingers, None, size
+        if fingers:
+            near = self.rigid.shapes if self.coupled else None
+            self.fingers = Fingers(state, self.pairs, self.bounds, size, hands=hands, movers=movers, shapes=near)
+            size += self.fingers.size
+            self.anything = self.has_pairs = True
+        self.rows = Rows(state, size, movers, size - self.begin_fingers)
         if self.coupled:
             self.rigid.rows = self.rows
             movers.grip.follow(self.hands)
         self.movers, self.forces = movers, Forces(state)
-        later += self.rows.capacity if self.soft else 0  # rows between rigid bodies alone are in groups
+        later += self.rows.capacity if self.soft or fingers else 0  # rows between rigid bodies alone are in groups
         self.stage_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
         self.nearby = Nearby(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
 
@@ -104,6 +112,8 @@ class Contacts:
 
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
         self.hands.begin_frame(hands, dt, substeps > 0)
+        if self.fingers is not None:
+            self.fingers.begin_frame(hands, self.hands.gripped(), dt)
 
     def gripped(self) -> list[int]:
         return self.hands.gripped()
@@ -118,8 +128,14 @@ class Contacts:
             forces = [f + g for f, g in zip(forces, self.movers.grip.forces(), strict=True)]
         return forces
 
+    def touch_forces(self) -> list:
+        """Force of each hand on what it touches and does not hold [N], (3,)."""
+        return [] if self.fingers is None else self.fingers.forces(self.rows)
+
     def reset(self) -> None:
         self.hands.reset()
+        if self.fingers is not None:
+            self.fingers.reset()
         self.rows.clear()
         self.nearby.clear()
         if self.coupled:
@@ -129,12 +145,16 @@ class Contacts:
         if self.anything:
             self.bounds.update()
             self.foresight.update()
+            if self.fingers is not None and self.fingers.due:
+                self.fingers.widen()
             if self.folding is not None:
                 self.folding.update()
             self._find()
             self.pairs.detect(self.rows)
             if self.coupled:
                 self.rigid.detect()
+            if self.fingers is not None and self.fingers.due:
+                self.fingers.search(self.rows)
 
     @ti.kernel
     def _find(self):
@@ -188,19 +208,20 @@ class Contacts:
             if ti.static(stage == 0):
                 if self.rows.seen[r] != 0:
                     self._claim(r, self.rows.seen[r] == 2, first)
-            elif ti.static(self.soft):
+            elif ti.static(self.soft or self.fingered):
                 alone = False
                 if ti.static(self.coupled):
-                    alone = self.rows.size[r] == 0 or (stage > 1 and self.rows.ends[r] == 0)
+                    in_group = self.rows.size[r] == 0 and r < self.begin_fingers
+                    alone = in_group or (stage > 1 and self.rows.ends[r] == 0)
                 if not alone:
                     self.rows.step(r, stage)
 
     @ti.func
     def _claim(self, r, usable, first: ti.template()):
-        if r >= self.begin_rigid and self.rows.size[r] == 0:
+        if self.begin_rigid <= r < self.begin_fingers and self.rows.size[r] == 0:
             if ti.static(self.coupled):
                 self.rigid.claim(r, usable, first)
-        elif ti.static(self.soft):
+        elif ti.static(self.soft or self.fingered):
             self.rows.claim(r, usable, first)
 
     @ti.func
@@ -211,7 +232,10 @@ class Contacts:
             seen = 0
             if self.state.tick[None] >= self.rows.wake[r]:
                 usable = False
-                if r >= self.begin_rigid:
+                if r >= self.begin_fingers:
+                    if ti.static(self.fingered):
+                        usable = self.fingers.meet(r, self.rows)
+                elif r >= self.begin_rigid:
                     if ti.static(self.coupled):
                         usable = self.rigid.meet(r)
                 elif ti.static(self.soft):
@@ -231,7 +255,7 @@ class Contacts:
     def stage_count(self, stage: ti.template()):
         """How many of a stage's elements there are at present."""
         groups = ti.static(GROUPS if self.coupled and stage > 0 else 0)
-        return groups + (self.rows.listed_count[None] if ti.static(stage == 0 or self.soft) else 0)
+        return groups + (self.rows.listed_count[None] if ti.static(stage == 0 or self.soft or self.fingered) else 0)
 
     @ti.func
     def settle_vertex(self, i, dx):
@@ -239,5 +263,5 @@ class Contacts:
 
     def destroy(self) -> None:
         parts = (self.samples, self.colliders, self.rows, self.hands, self.bounds, self.pairs, self.nearby)
-        for part in (*parts, self.foresight, self.forces, *filter(None, (self.folding, self.rigid))):
+        for part in (*parts, self.foresight, self.forces, *filter(None, (self.folding, self.rigid, self.fingers))):
             part.destroy()

@@ -48,12 +48,14 @@ class Pairs:
         bounds: Bounds,
         folding: Folding | None,
         room: Room = Room(),
+        fingers: bool = False,
     ):
         self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
         self.rigid = first.rigid or room.rigid
         self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
+        self.needed = self.needed or fingers  # these look for tets and distances, too
         self.needed = self.needed and (first.soft or room.grows)  # rigid bodies alone have no tets to be in
         self.grids = Grids(self._grids(first), room)
         self.hosts = Hosts(state, samples, self.spots, bounds, folding)

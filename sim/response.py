@@ -11,6 +11,9 @@ RECOVERY = 0.02  # [s] in which a deeper penetration decays
 # the push that raises it larger, up to a jam; more than twice as large, it threw a plate of 1e8 Pa at 10 m/s.
 WEDGED = 0.5
 RECOVERY_SPEED = 1.0  # [m/s] at most; faster, it would throw what it frees
+PAD_STIFFNESS = 1200.0  # [N/m] of a spot of skin (sim/fingers.py): a fingertip's few yield 1 mm to 3 N
+PAD_TIME = 0.01  # [s]: critical for 50 g on two spots, and what is lighter creeps out
+PAD_DEPTH = 0.008  # [m] that count: a finger's radius
 # [m/s] at which friction is fully kinetic. Were it so at any speed, a soft block would let go far below mu_s: what
 # slips first, at its edge, would load the next with what it drops (Stribeck's curve has this shape too).
 CREEP = 0.02
@@ -40,6 +43,22 @@ def grip(tangential, normal, friction, way, dt):
         fallen = ti.min(lacking * way / (CREEP * dt), 1.0)
         share = (friction[0] + fallen * (friction[1] - friction[0])) * normal / tangential
     return share
+
+
+@ti.func
+def press(old, phi, y, mass, dt, most):
+    """A fingertip's normal push [kg m], after `old`: a soft pad of stiffness PAD_STIFFNESS, damped in PAD_TIME.
+
+        lambda = k dt^2 (-phi - (1 + PAD_TIME / dt) y),  0 <= lambda <= most,   y the motion along the normal [m]
+
+    in the step that solves it for what a push of 1 kg m moves (`mass`, inverse) as well. So nothing leaves faster than
+    PAD_DEPTH / PAD_TIME, however deep a finger appears. From afar it stops the approach, undamped.
+    """
+    give, lag = 1.0 / (PAD_STIFFNESS * dt * dt), 1.0
+    if phi <= 0.0:
+        lag += PAD_TIME / dt
+    lacking = ti.min(-phi, PAD_DEPTH) - lag * y - give * old
+    return ti.math.clamp(old + lacking / (give + lag * mass), 0.0, most)
 
 
 @ti.func

@@ -16,7 +16,7 @@ are integers: their order, and the number of threads, do not matter.
 
 import taichi as ti
 
-from sim.response import grip, least
+from sim.response import grip, least, press
 from sim.state import State
 
 LENGTH = 2.0**44  # steps of the integer sums in a metre: 6e-14 m, and 5e5 m before overflow
@@ -38,10 +38,13 @@ class Rows:
     sums i64[V,1+passes,3], in 1/LENGTH m: what the impulses of the last substep move it by, and their changes in each
     pass over the rows, of which there is one without rigid bodies
     ends i32[R], end i32[R,2], arm vec3[R,2] [m], side f32[R,2]: rigid bodies of a row, and +1 or -1 for its coefficient
+    Of the last `fingers` rows, whose pushes are soft and bounded (sim/fingers.py): drive vec3 [m], how the finger moves
+    in this substep; most f32 [N], its greatest force.
     """
 
-    def __init__(self, state: State, capacity: int, movers=None):
+    def __init__(self, state: State, capacity: int, movers=None, fingers: int = 0):
         self.state, self.capacity, self.movers, self.coupled = state, capacity, movers, movers is not None
+        self.fingers, self.first_finger = fingers > 0, capacity - fingers
         self.passes = movers.passes if self.coupled else 1
         # side by side, the vertices' loads wait for memory once instead of one after the other; a CPU gains nothing
         self.unrolled = ti.cfg.arch == ti.cuda
@@ -66,6 +69,9 @@ class Rows:
             self.side, self.arm = ti.field(ti.f32), ti.Vector.field(3, ti.f32)
             self.builder.dense(ti.i, capacity).place(self.ends)
             self.builder.dense(ti.i, capacity).dense(ti.j, 2).place(self.end, self.side, self.arm)
+        if self.fingers:
+            self.drive, self.most = ti.Vector.field(3, ti.f32), ti.field(ti.f32)
+            self.builder.dense(ti.i, fingers).place(self.drive, self.most)
         self.builder.place(self.listed_count)
         self.tree = self.builder.finalize()
 
@@ -154,6 +160,8 @@ class Rows:
                     mass_t += self.movers.claims(b) * self.movers.inverse(b, arm, along)
             if mass > 0.0:
                 new_n = ti.max(old_n + (least(self.phi[r], self.state.dt[None]) - y_n) / mass, 0.0)
+                if ti.static(self.fingers):
+                    new_n = self._pressed(r, old_n, y_n, mass, new_n)
                 new_t = (old - old_n * n) - y_t / ti.max(mass_t, 1e-20)
                 new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass_t, self.state.dt[None])
                 self.impulse[r] = new
@@ -187,7 +195,26 @@ class Rows:
             for e in range(self.ends[r]):
                 d, t = self.movers.moved(self.end[r, e], passed)
                 y += self.side[r, e] * (d + t.cross(self.arm[r, e]))
+        if ti.static(self.fingers):
+            y += self._driven(r)
         return y
+
+    @ti.func
+    def _driven(self, r):
+        """How row r's finger moves in this substep [m]; 0 of other rows."""
+        way = ti.Vector([0.0, 0.0, 0.0])
+        if r >= self.first_finger:
+            way = self.drive[r - self.first_finger]
+        return way
+
+    @ti.func
+    def _pressed(self, r, old, y, mass, hard):
+        """Row r's new normal impulse: `hard`, or what a finger yields."""
+        new = hard
+        if r >= self.first_finger:
+            dt = self.state.dt[None]
+            new = press(old, self.phi[r], y, mass, dt, self.most[r - self.first_finger] * dt * dt)
+        return new
 
     @ti.func
     def _moved(self, r, e, passed: ti.template()):

@@ -42,7 +42,7 @@ class Solver(Editing, Boundaries):
     rigidly and nothing else moves.
     room says how much more than `bodies` there may come to be (see sim/assembly.py, and sim/editing.py for how).
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
-    a body passes through itself.
+    a body passes through itself. With fingers, what hands touch with (`Hand.touch`) pushes the bodies.
     """
 
     def __init__(
@@ -61,6 +61,7 @@ class Solver(Editing, Boundaries):
         frame_dt: float = 1 / 60,
         path: str = "auto",
         room: Room | float | None = None,
+        fingers: bool = False,
     ):
         room = Room.of(room)
         if not bodies and not room.grows:
@@ -90,6 +91,7 @@ class Solver(Editing, Boundaries):
             self._movers = Movers(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
             s.coupled, s.movers = True, self._movers
         options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
+        options["fingers"] = fingers
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
         self._contacts, self._constraints = contact, [*contact, *([self._movers] if self._with_rigid else [])]
         self._paths: dict = {}
@@ -141,6 +143,8 @@ class Solver(Editing, Boundaries):
         if self.interaction == "transform":
             self._step_transform(dt, hands)
             return
+        if self._transform.stretch.pairs:
+            self._transform.stretch.end()
         if dt == 0.0 or not self._parts:
             return
         n = max(self.collision_passes, math.ceil(dt / self._plan.substep - 1e-6))
@@ -178,6 +182,15 @@ class Solver(Editing, Boundaries):
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds [N], (3,) each, in the last substep; zero for an open hand."""
         return [force for c in self._constraints for force in c.hand_forces()]
+
+    def touch_forces(self) -> list[np.ndarray]:
+        """Force of each hand's `touch` on what it does not hold [N], (3,), in the last substep; [] without fingers."""
+        return [force for c in self._contacts for force in c.touch_forces()]
+
+    def stretched(self) -> tuple[int, float] | None:
+        """With interaction "transform": a body that two hands have just made larger or smaller, and how many times, for
+        `rescale`; None if there is none, and each only once."""
+        return self._transform.stretch.take_finished()
 
     def bodies(self) -> list[BodyState]:
         """Centroid, velocity, bounds, axis of each body, and whether a hand holds it."""

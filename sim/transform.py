@@ -6,14 +6,15 @@ import taichi as ti
 from assets.gaussians import matrices_of_quats
 from scenes.scene import Hand
 from sim.state import State
+from sim.stretch import Stretch
 
 
 @ti.data_oriented
 class Transform:
     """x = hand_now hand_at_grip^-1 x_at_grip for all vertices of a gripped body.
 
-    Always from the positions at the grip, so that nothing drifts however long a body is held. The first
-    hand that grips a body keeps it.
+    Always from the positions at the grip, so that nothing drifts however long a body is held. What two hands hold
+    follows both (sim/stretch.py).
     """
 
     def __init__(self, state: State):
@@ -22,10 +23,12 @@ class Transform:
         self.at_grip = ti.Vector.field(3, ti.f32)
         self.builder.dense(ti.i, state.V).place(self.at_grip)
         self.tree = self.builder.finalize()
+        self.stretch = Stretch(state)
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
 
     def step(self, hands: list[Hand | None], gripped: list[int]) -> None:
         """Move what the hands hold; gripped[h] is the body in hand h, -1 for none."""
+        gripped = self.stretch.step(hands, gripped)
         for h, hand in enumerate(hands):
             body = gripped[h] if h < len(gripped) else -1
             if body < 0:
@@ -42,9 +45,11 @@ class Transform:
 
     def reset(self) -> None:
         self.grips.clear()
+        self.stretch.reset()
 
     def destroy(self) -> None:
         self.tree.destroy()
+        self.stretch.destroy()
 
     @ti.kernel
     def _keep(self, body: ti.i32):

@@ -67,7 +67,7 @@ class Controller:
         self.trigger = self.squeeze = 0.0
         self.stick, self.curl = (0.0, 0.0), (0.0,) * 5
         self.pressed: set[str] = set()
-        self.active = self.tracked_hand = True
+        self.active, self.tracked_hand = True, False
 
     def packed(self) -> list:
         still = (0.0,) * 3

@@ -123,11 +123,24 @@ def test_the_stick_goes_where_the_hand_points(player):
     down[:3, :3] = [[1, 0, 0], [0, np.cos(-0.5), -np.sin(-0.5)], [0, np.sin(-0.5), np.cos(-0.5)]]
     down[:3, 3] = 0.2, 1.2, -0.1
     head = about_y(0.0, (0.3, 1.6, 0.2))
-    wanted = on_the_floor(player.standpoint.matrix @ down)
-    player.advance(both(right=Controller(aim=down, stick=(0.0, 1.0))), head, WORLD)
+    wanted, start = on_the_floor(player.standpoint.matrix @ down), player.standpoint.matrix
+    for _ in range(3):
+        player.advance(both(right=Controller(aim=down, stick=(0.0, 1.0))), head, WORLD)
+        assert_allclose(player.pointing[1], wanted)  # it is shown, and nobody moves yet
+        assert_allclose(player.standpoint.matrix, start)
+    player.advance(both(right=Controller(aim=down)), head, WORLD)
+    assert player.pointing is None
     after = (player.standpoint.matrix @ head)[:3, 3]
     assert_allclose(after[[0, 2]], wanted[[0, 2]], atol=1e-12)
     assert wanted[1] == pytest.approx(0.0)
+
+
+def test_a_stick_that_is_drawn_back_goes_nowhere(player):
+    down = about_y(0.0, (0.0, 1.0, 0.0)) @ matrix_of(pose((np.sin(-0.25), 0.0, 0.0, np.cos(-0.25))))
+    start = player.standpoint.matrix
+    for y in (1.0, -0.8, 0.9, 0.0):  # to and fro without rest
+        player.advance(both(right=Controller(aim=down, stick=(0.0, y))), np.eye(4), WORLD)
+    assert_allclose(player.standpoint.matrix, start)
 
 
 def test_pointing_at_the_horizon_does_not_go_far():
@@ -155,17 +168,18 @@ def test_hands_feel_taking_hold_and_what_pulls(player):
     here = about_y(0.0)
     player.advance(both(right=Controller(grip=here, grab=1.0)), np.eye(4), WORLD)
     for force in (0.0, 5.0, 40.0, 0.01):
-        player.feel(N(hand_forces=lambda f=force: [np.zeros(3), np.array([0.0, f, 0.0])]), actions)
+        pull = [np.zeros(3), np.array([0.0, force, 0.0])]
+        player.feel(N(hand_forces=lambda p=pull: p, touch_forces=list), actions)
     assert [h for h, _ in felt] == [1, 1]
     assert 0 < felt[1][1] <= 1.0
-    player.feel(N(hand_forces=lambda: []), actions)
+    player.feel(N(hand_forces=list, touch_forces=list), actions)
 
 
 def test_every_profile_names_known_actions_for_both_hands():
     for inputs in PROFILES.values():
         assert "grab" in inputs and set(inputs) <= set(KINDS)
         assert all(isinstance(at, str) or len(at) == 2 for at in inputs.values())
-    assert set(POSES) | set(ANALOG) | {"upper", "lower"} == set(KINDS)
+    assert set(POSES) | set(ANALOG) | {"upper", "lower", "point"} == set(KINDS)
 
 
 def test_without_a_runtime_one_line_says_so(tmp_path):

@@ -20,11 +20,13 @@ def watch(log) -> None:
         step(self, frame)
         bodies = [
             {"name": b.name, "centroid": b.centroid.tolist(), "velocity": b.velocity.tolist(), "held": b.held}
+            | {"size": (b.high - b.low).tolist()}
             for b in self.bodies()
         ]
         state = {"time": self.time, "score": self.score, "paused": self.paused, "bodies": bodies}
         state["hands"] = [{"position": h.position, "grip": h.grip} for h in frame.hands]
         state["interaction"] = self.interaction
+        state["touched"] = [float(abs(f).sum()) for f in self.touch_forces()]
         log.write(json.dumps(state) + "\n")
         log.flush()
 

@@ -14,8 +14,10 @@ from display.headset.poses import matrix_of
 
 SIDES = ("left", "right")
 PRESS, LET_GO = 0.6, 0.4  # of an analog input: two levels, so that a trembling finger does not flicker
+IDLE = 0.15  # of an analog input: less may be a finger's weight
 KINDS = {"grip": "POSE_INPUT", "aim": "POSE_INPUT", "grab": "FLOAT_INPUT", "pinch": "FLOAT_INPUT"}
 KINDS |= {"stick": "VECTOR2F_INPUT", "upper": "BOOLEAN_INPUT", "lower": "BOOLEAN_INPUT", "feel": "VIBRATION_OUTPUT"}
+KINDS |= {"point": "BOOLEAN_INPUT"}
 NAMES = {
     "grip": "Hand",
     "aim": "Pointing",
@@ -25,16 +27,23 @@ NAMES = {
     "upper": "Interaction (left), reset (right)",
     "lower": "Demonstration (left), pause (right)",
     "feel": "Touch",
+    "point": "Stretch out a finger",
 }
 POSES = {"grip": "input/grip/pose", "aim": "input/aim/pose", "feel": "output/haptic"}
 ANALOG = {"grab": "input/squeeze/value", "pinch": "input/trigger/value", "stick": "input/thumbstick"}
 PROFILES = {  # action: input of both hands, or (left, right)
     "oculus/touch_controller": {
         **ANALOG,
+        "point": "input/trigger/touch",
         "upper": ("input/y/click", "input/b/click"),
         "lower": ("input/x/click", "input/a/click"),
     },
-    "valve/index_controller": {**ANALOG, "upper": "input/b/click", "lower": "input/a/click"},
+    "valve/index_controller": {
+        **ANALOG,
+        "point": "input/trigger/touch",
+        "upper": "input/b/click",
+        "lower": "input/a/click",
+    },
     "htc/vive_controller": {
         "grab": "input/squeeze/click",
         "pinch": "input/trigger/value",
@@ -53,7 +62,11 @@ PROFILES = {  # action: input of both hands, or (left, right)
 
 @dataclass
 class Controller:
-    """A hand's controller in a frame. Poses (4, 4) in the play space, None while they are not tracked."""
+    """A hand's controller in a frame. Poses (4, 4) in the play space, None while they are not tracked.
+
+    A hand without a controller counts as one (display/headset/hand_tracking.py); then `fingers` (n, 7) are its bones,
+    two ends and radius [m], and `tip` (3,) is where finger and thumb meet [m], in the play space.
+    """
 
     grip: np.ndarray | None = None
     aim: np.ndarray | None = None
@@ -61,6 +74,15 @@ class Controller:
     pinch: float = 0.0
     stick: tuple[float, float] = (0.0, 0.0)
     pressed: set[str] = field(default_factory=set)  # buttons that went down since the last frame
+    point: bool = False  # a finger lies on the trigger
+    fingers: np.ndarray | None = None
+    tip: np.ndarray | None = None
+    joints: object | None = None  # hand_tracking.Joints
+
+    @property
+    def used(self) -> bool:
+        """Whether the user does anything with it but hold it."""
+        return max(self.grab, self.pinch) > IDLE or np.hypot(*self.stick) > IDLE or bool(self.pressed)
 
 
 class Actions:
@@ -134,6 +156,7 @@ class Actions:
             setattr(c, name, float(self._state("float", name, h).current_state))
         at = self._state("vector2f", "stick", h).current_state
         c.stick = (float(at.x), float(at.y))
+        c.point = bool(self._state("boolean", "point", h).current_state)
         for name in ("upper", "lower"):
             state = self._state("boolean", name, h)
             if state.current_state and state.changed_since_last_sync:

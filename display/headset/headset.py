@@ -83,6 +83,13 @@ class Headset:
         """Does the runtime take the depth of the picture?"""
         return self._session.eyes.depth is not None
 
+    @staticmethod
+    def props() -> list:
+        """What World should be able to draw besides the scene: the player's hands and what they hold."""
+        from display.headset import shown
+
+        return shown.skins()
+
     def _open(self) -> None:
         """Begin a session; the runtime then says when to play. BadInput if it does not let us."""
         runtime = self._runtime
@@ -141,7 +148,7 @@ class Headset:
         shown, world = state.predicted_display_time, self._world
         cost = None if world is None else world.cost.value
         tick = self._tick = self._clock.advance(shown, state.predicted_display_period, cost)
-        controllers = session.guarded(lambda: session.actions.read(session.space, shown))
+        controllers = session.inputs(shown)
         self._steady.lead(controllers, tick.dt)
         head = session.locate(shown)[0][0]
         hands, commands = self._player.advance(controllers, head, world)
@@ -149,7 +156,8 @@ class Headset:
         commands, self._commands = {**self._commands, **commands}, {}
         self._news.frame(session)
         cameras = self._cameras if self._rendered else []
-        return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step)
+        parts = self._player.parts(controllers)
+        return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step, parts=parts)
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""

@@ -9,11 +9,13 @@ import sys
 import time
 
 from assets.errors import BadInput
+from display.headset import hand_tracking
 
 INSTEAD = "leave out --xr to play in a window"
 WISHED = [  # extensions that are used where they are
     "XR_KHR_convert_timespec_time",
     "XR_KHR_composition_layer_depth",
+    hand_tracking.EXTENSION,
 ]
 WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
 
@@ -34,7 +36,7 @@ class Runtime:
     """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
 
     `graphics` names the extensions without which nothing can be drawn; `enabled` are these and those of WISHED that are
-    there. Raises BadInput with one clear line.
+    there; `has_hands`: hands are tracked. Raises BadInput with one clear line.
     """
 
     def __init__(self, graphics: list[str], *, wait: float = WAIT):
@@ -64,6 +66,7 @@ class Runtime:
             self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
             self.system = self._headset(wait)
             self.views, self.blend = self._views(), self._blend_mode()
+            self.has_hands = self._has_hands()
         except xr.exception.ResultException as e:
             self.close()
             raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); start it anew, or {INSTEAD}") from e
@@ -86,6 +89,10 @@ class Runtime:
                     print(f"{self.name}: waiting {wait:.0f} s for a headset", file=sys.stderr, flush=True)
                     told = True
                 time.sleep(0.5)
+
+    def _has_hands(self) -> bool:
+        asked = hand_tracking.EXTENSION in self.enabled
+        return asked and hand_tracking.supported(self.xr, self.instance, self.system)
 
     def _views(self) -> list[tuple[int, int]]:
         xr = self.xr

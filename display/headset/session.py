@@ -12,6 +12,7 @@ import numpy as np
 
 from display.headset.actions import Actions
 from display.headset.eyes import Eyes
+from display.headset.hand_tracking import HandTracking, Sides
 from display.headset.poses import matrix_of
 
 HEIGHT = 1.6  # [m] of a head over the floor, until it is seen
@@ -53,6 +54,22 @@ class Session:
         self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
         self.actions = Actions(runtime, self.handle)
         self.eyes = Eyes(runtime, self.handle, gl, size, len(runtime.views))
+        self.hands, self._sides = self._hands(), Sides()
+
+    def _hands(self) -> HandTracking | None:
+        """The hands' trackers; none where a runtime that promised them does not give them."""
+        try:
+            return HandTracking(self.runtime, self.handle) if self.runtime.has_hands else None
+        except self.xr.exception.ResultException:
+            return None
+
+    def inputs(self, time: int) -> list:
+        """What plays on each side at `time` [XrTime], a controller or a hand: display/headset/hand_tracking.py."""
+        return self.guarded(lambda: self._inputs(time))
+
+    def _inputs(self, time: int) -> list:
+        hands = self.hands.read(self.space, time) if self.hands is not None else [None, None]
+        return self._sides.choose(self.actions.read(self.space, time), hands, time * 1e-9)
 
     def poll(self) -> None:
         """Follow what the runtime says has happened."""
@@ -148,6 +165,8 @@ class Session:
         if self.handle is None:
             return
         self.eyes.close()
+        if self.hands is not None:
+            self.hands.close()
         handle, self.handle = self.handle, None
         with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
             self.xr.destroy_session(handle)

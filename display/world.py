@@ -13,6 +13,8 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from assets.order import morton_order
 from display.bodies import load_bodies
+from display.cast import Cast
+from display.editing import Editor
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
@@ -21,6 +23,7 @@ from render.shadow import Shadow
 from render.sorts import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import BodyState, Hand, Light, Scene
+from sim.assembly import Room
 from sim.embedding import Embedding
 from sim.solver import Solver
 
@@ -48,22 +51,14 @@ class World:
         self._drawn: tuple | None = None  # cameras of the picture; None if it is no longer what is there
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
-        self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
+        self.owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
         room = concatenate([g for g, _ in static]) if static else NOTHING
         room = room.select(morton_order(room.means))
         self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
         first = len(room)  # the shadow wants what moves behind all that does not
-        grids = [grid for _, grids in static for grid in grids]
-        self.solver = Solver(
-            [body for body, _ in moving],
-            [*scene.colliders, *grids],
-            gravity=scene.gravity,
-            substep=scene.substep,
-            iterations=scene.iterations,
-            collision_passes=scene.collision_passes,
-            interaction=interaction,
-        )
+        self._colliders = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
+        self.solver = self.make_solver([body for body, _ in moving], None, interaction)
         self.embedding = None
         if moving:
             parts, offset = [], first
@@ -72,35 +67,68 @@ class World:
                 offset += len(part.gaussians)
             self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
-        self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
+        self.shadow = self.make_shadow(self.splats, first)
         self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
         self.resize(width, height)
-        self._bodies: list[BodyState] = self.solver.bodies()
-        self._deform()
+        self.editor = Editor(self, Cast(self, first))
+        self.refresh()
+
+    def make_solver(self, bodies: list, room: Room | None, interaction: str | None = None) -> Solver:
+        """A solver of the scene for these bodies."""
+        scene = self.scene
+        return Solver(
+            bodies,
+            self._colliders,
+            gravity=scene.gravity,
+            substep=scene.substep,
+            iterations=scene.iterations,
+            collision_passes=scene.collision_passes,
+            interaction=interaction or self.interaction,
+            room=room,
+        )
+
+    def make_shadow(self, splats: Splats, first: int) -> Shadow:
+        """The shadow of the Gaussians from `first` on, which move."""
+        return Shadow(splats, self.light, (first, splats.count))
+
+    def make_renderer(self, splats: Splats) -> Renderer:
+        """What draws pictures of the size that is wanted now."""
+        how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
+        return Renderer(splats, *self.renderer_size, **how)
+
+    def take(self, solver: Solver, splats: Splats, embedding: Embedding, shadow: Shadow, renderer: Renderer) -> None:
+        """Go on with these, which hold the same as those before."""
+        self.solver, self.splats, self.embedding = solver, splats, embedding
+        self.shadow, self.renderer, self._drawn = shadow, renderer, None
+        for motion in self.motions:
+            motion.solver = solver
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
+        self.renderer_size, self._drawn = (width, height), None
         if self.renderer is None:
-            how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
-            self.renderer = Renderer(self.splats, width, height, **how)
+            self.renderer = self.make_renderer(self.splats)
         else:
             self.renderer.resize(width, height)
-        self.renderer_size, self._drawn = (width, height), None
 
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
+        self.editor.begin()
         self.apply(frame.commands)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
+            before = None if self.demo else self.editor.before_step(frame.hands)
             with self.timings.stage("simulate"):
                 self._simulate(frame)
             self.moving = self.solver.moved()
             if self.moving:
                 self._deform()
-            self._bodies = self.solver.bodies()
+            bodies, self._bodies = self._bodies, self.solver.bodies()
+            if not self.demo:
+                self.editor.after_step(before, bodies, self._bodies)
             if self.scene.game is not None:
-                self.scene.game.update(self.time, self._bodies)
+                self.scene.game.update(self.time, self.editor.cast.of_the_scene(self._bodies))
         else:
             self.moving = False
         cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
@@ -116,9 +144,9 @@ class World:
             self._advance(frame.dt, frame.hands)
             self.time += frame.dt
             return
-        self._owed += frame.dt
-        while self._owed >= SCRIPT_DT:
-            self._owed -= SCRIPT_DT
+        self.owed += frame.dt
+        while self.owed >= SCRIPT_DT:
+            self.owed -= SCRIPT_DT
             self.time += SCRIPT_DT
             self._advance(SCRIPT_DT, self.scripted_hands(self.time))
 
@@ -141,28 +169,39 @@ class World:
         if "demo" in commands:
             self.demo = bool(commands["demo"])
         if commands.get("reset") or commands.get("demo"):  # a script begins at the beginning
-            self.solver.reset()
-            self.time = self._owed = 0.0
-            for motion in self.motions:
-                motion.reset()
-            if self.scene.game is not None:
-                self.scene.game.reset()
-            self._bodies = self.solver.bodies()
-            self._deform()
+            self.editor.record("reset")
+            self.editor.reset()
         if isinstance(commands.get("light"), Light):
-            self.light = commands["light"]
-            self.shadow.set_light(self.light)
-            self._drawn = None
-            with self.timings.stage("shadow"):
-                self.shadow.cast()
+            self.editor.record("light")
+            self.set_light(commands["light"])
         if "interaction" in commands:
+            self.settle()
             self.solver.interaction = commands["interaction"]
+        self.editor.apply(commands)
         if "pause" in commands:
             self.paused = bool(commands["pause"])
 
+    def refresh(self) -> None:
+        """Bodies are where they were not: take note, and draw them there."""
+        self._bodies = self.solver.bodies()
+        self._deform()
+
+    def set_light(self, light: Light) -> None:
+        """Another light from now on."""
+        self.light, self._drawn = light, None
+        self.shadow.set_light(light)
+        with self.timings.stage("shadow"):
+            self.shadow.cast()
+
+    def settle(self) -> None:
+        """What moves by itself and was carried off while time stood still goes on from there."""
+        if self.motions and self.interaction == "transform":
+            self.motions = [motion.settled() for motion in self.motions]
+
     def scripted_hands(self, time: float) -> list[Hand]:
         """What the scene's own player does at `time` [s]."""
-        return self.scene.game.hands(time, self._bodies) if self.scene.game is not None else []
+        bodies = self.editor.cast.of_the_scene(self._bodies)
+        return self.scene.game.hands(time, bodies) if self.scene.game is not None else []
 
     @property
     def picture(self):
@@ -181,6 +220,16 @@ class World:
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest simulated body, and its index."""
         return self.solver.pick(origin, direction)
+
+    @property
+    def selected(self) -> int | None:
+        """The body that was last held or pointed out."""
+        return self.editor.selected
+
+    @property
+    def notice(self) -> str:
+        """What the user should know of the last command, for some seconds; else nothing."""
+        return self.editor.notice
 
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand of the last frame on what it holds [N], (3,)."""

@@ -56,6 +56,7 @@ def play(args) -> None:
         width, height = display.size
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
+        how["room"] = args.xr  # nobody who wears a headset should wait for it in there
         world = World(scene, width=width, height=height, views=views, **how)
         if args.headless:
             display.hands = world.scripted_hands

@@ -20,6 +20,9 @@ from sim.assembly import MAX_BODIES, NoRoom, Room
 from sim.embedding import Run
 
 ROOM = 4.0  # times what the scene has: of vertices and Gaussians
+MORE = Room(bodies=MAX_BODIES, factor=ROOM)
+FULL = "There is no room for that: remove something first."
+MAKING = "Making room for more bodies: some seconds, once."
 GONE = 1e3  # [m] to the side, where the game sees what was taken away
 
 
@@ -31,14 +34,18 @@ class Member:
     own: bool = True
 
 
+class NotYet(Exception):
+    """It will take seconds: the user should see why before it begins."""
+
+
 class Cast:
     """The members in the order of the solver's bodies. `world` has solver, splats, embedding, shadow and renderer."""
 
-    def __init__(self, world, first: int):
+    def __init__(self, world, first: int, *, grown: bool = False):
         self.world, self.first = world, first  # first: index of the first Gaussian that moves
         self.parts = world.solver.parts  # as the scene has them
         self.scene = self.members = tuple(Member(k) for k in range(len(self.parts)))
-        self.grown = False
+        self.grown = self.announced = grown  # is there room for more; was it said that it will be made
         begins = [run.gaussian for run in world.embedding.runs] if world.embedding is not None else []
         self._counts = np.diff([*begins, world.splats.count], prepend=first)[1:]  # Gaussians of each
         self._packed: list[dict] | None = None
@@ -62,17 +69,21 @@ class Cast:
         return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
 
     def with_room(self, edit):
-        """The result of a change of the solver's bodies; with more room, if that is what it takes. BadInput."""
+        """The result of a change of the solver's bodies; with more room, if that is what it takes. BadInput, and NotYet
+        the first time that room is wanted."""
         try:
             return edit()
         except NoRoom as e:
             if self.grown or len(self.members) >= MAX_BODIES:
-                raise NoRoom("There is no room for more: remove something first.") from e
+                raise NoRoom(FULL) from e
+        if not self.announced:
+            self.announced = True
+            raise NotYet
         self._grow()
         try:
             return edit()
         except NoRoom as e:
-            raise NoRoom("There is no room for something so large.") from e
+            raise NoRoom(FULL) from e
 
     def follow(self, members: tuple[Member, ...]) -> None:
         """Let the picture show these members where the solver has them."""
@@ -110,10 +121,10 @@ class Cast:
         """Make solver and picture anew, with room for more; the old ones stay if there is no memory for that."""
         world, old = self.world, self.world.solver
         self._read()
-        print("making room for more bodies (once)", file=sys.stderr, flush=True)
+        print(MAKING, file=sys.stderr, flush=True)
         snapshot, made = old.snapshot(), []
         try:
-            solver = world.make_solver([p.body for p in self.parts], Room(bodies=MAX_BODIES, factor=ROOM))
+            solver = world.make_solver([p.body for p in self.parts], MORE)
             made.append(solver)
             solver.restore(snapshot)
             splats = world.splats.larger(self.first + int(np.ceil(ROOM * self._counts.sum())))
@@ -133,5 +144,8 @@ class Cast:
         for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
             thing.destroy()
         self.grown = True
-        world.take(solver, splats, embedding, shadow, renderer)
+        world.solver, world.splats, world.embedding = solver, splats, embedding
+        world.shadow, world.renderer = shadow, renderer
+        for motion in world.motions:
+            motion.solver = solver
         self.follow(self.members)

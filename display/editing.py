@@ -9,7 +9,7 @@ import numpy as np
 
 from assets.errors import BadInput
 from assets.gaussians import matrices_of_quats
-from display.cast import Cast
+from display.cast import MAKING, Cast, NotYet
 from display.history import History, Step
 from display.moment import Moment, bring_back, moment_of, step_of
 from scenes.scene import BodyState, Hand, Material
@@ -30,6 +30,7 @@ class Editor:
         self._motions = tuple(world.motions)  # as the scene has them
         self._last: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
+        self._pending: dict = {}  # for the next frame
         self._gripped: list[bool] = []
         self._notice: tuple[str, float] = ("", 0.0)
 
@@ -49,12 +50,17 @@ class Editor:
 
     def apply(self, commands: dict) -> None:
         """Carry out what is asked for; what cannot be is said, and changes nothing."""
+        commands, self._pending = {**self._pending, **commands}, {}
         for name in COMMANDS:
             if name in commands and commands[name] is not False:
                 try:
+                    self._notice = ("", 0.0)
                     getattr(self, f"_{name}")(commands[name])
                 except BadInput as e:
                     self.say(str(e))
+                except NotYet:
+                    self.say(MAKING)
+                    self._pending[name] = commands[name]
 
     # history
 

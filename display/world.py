@@ -6,6 +6,7 @@ writes the splats' fields, shadow and renderer read them. Nothing passes through
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from assets.order import morton_order
 from display.bodies import load_bodies
-from display.cast import Cast
+from display.cast import MORE, ROOM, Cast
 from display.editing import Editor
 from display.frame import Frame
 from display.motion import Motion
@@ -32,7 +33,8 @@ NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.z
 
 
 class World:
-    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo)."""
+    """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `room` there is
+    room for copies of bodies; else it is made for the first one, which takes seconds (display/cast.py)."""
 
     def __init__(
         self,
@@ -44,6 +46,7 @@ class World:
         interaction: str = "physics",
         embedding: str = "two-level",
         sort: str = MOVING_SORT,
+        room: bool = False,
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
@@ -53,25 +56,30 @@ class World:
         self.time = 0.0  # [s], of the simulation since the last reset
         self.owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
-        room = concatenate([g for g, _ in static]) if static else NOTHING
-        room = room.select(morton_order(room.means))
-        self.splats = Splats(concatenate([room, *(p.gaussians for _, p in moving)]))
-        first = len(room)  # the shadow wants what moves behind all that does not
+        still = concatenate([g for g, _ in static]) if static else NOTHING
+        still = still.select(morton_order(still.means))
+        first = len(still)  # the shadow wants what moves behind all that does not
+        times = ROOM if room and moving else 1.0
+        count = sum(len(p.gaussians) for _, p in moving)
+        self.splats = Splats(
+            concatenate([still, *(p.gaussians for _, p in moving)]), room=first + math.ceil(times * count)
+        )
         self._colliders = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
-        self.solver = self.make_solver([body for body, _ in moving], None, interaction)
+        self.solver = self.make_solver([body for body, _ in moving], MORE if room and moving else None, interaction)
         self.embedding = None
         if moving:
             parts, offset = [], first
             for (_, part), vertices in zip(moving, self.solver.vertex_offset, strict=False):
                 parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
                 offset += len(part.gaussians)
-            self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
+            how = {"scheme": embedding, "with_rotation": self.splats.coefficients > 1, "room": times}
+            self.embedding = Embedding(parts, **how)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = self.make_shadow(self.splats, first)
         self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
         self.resize(width, height)
-        self.editor = Editor(self, Cast(self, first))
+        self.editor = Editor(self, Cast(self, first, grown=room and bool(moving)))
         self.refresh()
 
     def make_solver(self, bodies: list, room: Room | None, interaction: str | None = None) -> Solver:
@@ -96,13 +104,6 @@ class World:
         """What draws pictures of the size that is wanted now."""
         how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
         return Renderer(splats, *self.renderer_size, **how)
-
-    def take(self, solver: Solver, splats: Splats, embedding: Embedding, shadow: Shadow, renderer: Renderer) -> None:
-        """Go on with these, which hold the same as those before."""
-        self.solver, self.splats, self.embedding = solver, splats, embedding
-        self.shadow, self.renderer, self._drawn = shadow, renderer, None
-        for motion in self.motions:
-            motion.solver = solver
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""

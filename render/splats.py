@@ -51,6 +51,8 @@ class Splats:
         self.sh.from_numpy(self._padded(gaussians.sh))
         colored_by_view = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
         self.banded = (int(colored_by_view[0]), int(colored_by_view[-1]) + 1) if colored_by_view.size else (0, 0)
+        if room > self.count and self.banded[1]:
+            self.banded = (self.banded[0], self.capacity)
         self._start = gaussians.means  # where they were at the start [m], for the host
         self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
         self.light.fill(1.0)

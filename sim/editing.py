@@ -147,7 +147,7 @@ class Editing:
         self._rescue.run(1)
         self._driven.reset()
         self._forget(snapshot.get("grips", ()))
-        self._transform.reset()
+        self._transform.reset(held=editing)
 
     @property
     def parts(self) -> tuple[Part, ...]:

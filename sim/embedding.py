@@ -46,10 +46,17 @@ class Embedding:
 
     `scheme="one-level"` is the paper's ablation: gradient and weights of the tet that holds the centre.
     Without `with_rotation` (colours of SH degree 0) no polar rotation is computed.
-    Raises BadInput if a local tetrahedron is flat.
+    There is room for `room` times as much. Raises BadInput if a local tetrahedron is flat.
     """
 
-    def __init__(self, parts: list[EmbeddedPart], *, scheme: str = "two-level", with_rotation: bool = True) -> None:
+    def __init__(
+        self,
+        parts: list[EmbeddedPart],
+        *,
+        scheme: str = "two-level",
+        with_rotation: bool = True,
+        room: float = 1.0,
+    ) -> None:
         if scheme not in ("two-level", "one-level"):
             raise ValueError(f"scheme must be two-level or one-level, not {scheme!r}")
         self.with_rotation = with_rotation
@@ -65,7 +72,7 @@ class Embedding:
         self._lengths = [lengths(p) for p in packed]
         ends = np.cumsum([(0, 0), *self._lengths], axis=0)
         self._where = [tuple(at) for at in ends[:-1].tolist()]
-        self._upload([p for p in packed if len(p["target"])])
+        self._upload([p for p in packed if len(p["target"])], room)
 
     def deform(self, x, mean, cov, rotation=None) -> None:
         """Out: mean [m], cov (xx, xy, xz, yy, yz, zz) [m^2] and rotation (wxyz) of the Gaussians of all parts.
@@ -115,7 +122,7 @@ class Embedding:
                 if ti.static(self.with_rotation):
                     rotation[g] = polar_quaternion(F)
 
-    def _upload(self, parts: list[dict]) -> None:
+    def _upload(self, parts: list[dict], room: float) -> None:
         """Join the parts' slices and put them into fields of rounded sizes (compiled kernels are reused)."""
         base = np.cumsum([0] + [len(p["vertex"]) // LANES for p in parts])
         written = 12 + 24 + (16 if self.with_rotation else 0)
@@ -123,9 +130,9 @@ class Embedding:
         self.bytes = int(20 * LANES * base[-1] + (4 + 4 + 24) * lanes + written * self.count)
         pieces = np.concatenate([p["begin"][:-1] + b for p, b in zip(parts, base[:-1], strict=True)])
         join = {n: np.concatenate([p[n] for p in parts]) for n in ("target", "anchor", "vertex", "factor", "rest_cov")}
-        rows = _rounded(len(pieces))
+        rows = _rounded(int(np.ceil(room * len(pieces))))
         join["begin"] = np.concatenate([pieces, np.full(rows + 1 - len(pieces), base[-1])]).astype(np.int32)
-        self._place(rows, _rounded(int(base[-1])))
+        self._place(rows, _rounded(int(np.ceil(room * base[-1]))))
         for name, size in self._sizes.items():
             values = np.full(size, -1 if name == "target" else 0, join[name].dtype)
             values[: len(join[name])] = join[name]

@@ -22,8 +22,8 @@ NAMES = {
     "grab": "Grab",
     "pinch": "Pinch",
     "stick": "Turn and go",
-    "upper": "Interaction (left), reset (right)",
-    "lower": "Demonstration (left), pause (right)",
+    "upper": "Interaction (left), undo (right)",
+    "lower": "Panel (left), redo (right)",
     "feel": "Touch",
 }
 POSES = {"grip": "input/grip/pose", "aim": "input/aim/pose", "feel": "output/haptic"}

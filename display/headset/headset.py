@@ -13,10 +13,11 @@ from assets.errors import BadInput
 from display.frame import Frame
 from display.headset import graphics
 from display.headset.mirror import mirror
-from display.headset.player import Player
+from display.headset.player import TAP, Player
 from display.headset.poses import eye_camera
 from display.headset.runtime import Runtime
 from display.headset.session import Lost, Session
+from display.headset.wrist_panel import WristPanel
 from display.surface import has_display
 from scenes.scene import Scene
 
@@ -51,6 +52,7 @@ class Headset:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
+        self._wrist = WristPanel()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -114,7 +116,9 @@ class Headset:
                 last = shown
                 controllers = session.guarded(lambda s=session, t=shown: s.actions.read(s.space, t))
                 head = session.locate(shown)[0][0]
+                asked = self._wrist.advance(controllers, head, self._player.standpoint.matrix, self._world)
                 hands, commands = self._player.advance(controllers, head, self._world)
+                commands |= asked
                 time += dt
                 self._frame, self._rendered = state, bool(state.should_render)
                 commands, self._commands = {**self._commands, **commands}, {}
@@ -143,8 +147,11 @@ class Headset:
                 if self._rendered:
                     self._mirror.texture.upload(world.picture)
                     layers = self._session.show(self._mirror.texture.texture)
+                    layers += self._session.show_panel(self._wrist, world)
                 self._session.end(frame.predicted_display_time, layers)
                 self._player.feel(world, self._session.actions)
+                if self._wrist.clicked:
+                    self._session.actions.pulse(1, *TAP)
             except Lost:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):

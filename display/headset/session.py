@@ -12,6 +12,8 @@ import numpy as np
 
 from display.headset.actions import Actions
 from display.headset.eyes import Eyes
+from display.headset.panel_layer import PanelLayer
+from display.headset.panel_paint import content_of
 from display.headset.poses import matrix_of
 
 
@@ -35,6 +37,7 @@ class Session:
         self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
         self.actions = Actions(runtime, self.handle)
         self.eyes = Eyes(runtime, self.handle, gl, size, len(runtime.views))
+        self.panel = PanelLayer(runtime, self.handle, gl)
         self._views = None  # of the frame that is drawn now
 
     def poll(self) -> None:
@@ -95,6 +98,13 @@ class Session:
         self.guarded(lambda: self.eyes.draw(texture))
         return [self.eyes.layer(self.space, self._views)]
 
+    def show_panel(self, panel, world) -> list:
+        """The layer of the panel over the left hand (a WristPanel), if it is to be seen."""
+        if panel.pose is None:
+            return []
+        self.guarded(lambda: self.panel.show(content_of(world, panel)))
+        return [self.panel.layer(self.space, panel.pose)]
+
     def end(self, time: int, layers: list) -> None:
         """End the frame that `wait` began, with or without something to show."""
         xr = self.xr
@@ -117,6 +127,7 @@ class Session:
         if self.handle is None:
             return
         self.eyes.close()
+        self.panel.close()
         handle, self.handle = self.handle, None
         with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
             self.xr.destroy_session(handle)

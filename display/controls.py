@@ -186,7 +186,7 @@ class Controls:
 
 def editing(name: str, body: int | None) -> dict:
     """The command of a key or button for a body; None: for the one held last."""
-    half = np.cos(TURNED / 2), np.sin(TURNED / 2)
+    half = float(np.cos(TURNED / 2)), float(np.sin(TURNED / 2))
     return {
         "c": {"duplicate": body},
         "delete": {"remove": body},

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.gaussians import quat_of_matrix
 from display.headset.poses import Standpoint
+from display.headset.wrist_panel import BUTTONS, PIXELS, WIDTH, pose_of
 from scenes import ring_toss
 from tests.remote_headset import PORT, Player, monado, surroundings
 from tests.watched import Watched
@@ -52,6 +54,15 @@ class Play(Watched):
             controller.position = tuple((start + (to - start) * k / steps).tolist())
             self.player.send()
             time.sleep(seconds / steps)
+
+    def in_world(self, point) -> np.ndarray:
+        """Where a point of the play space is in the world [m]."""
+        return (self.stage @ [*point, 1.0])[:3]
+
+    def rest(self, frames: int = 2) -> None:
+        """Let some frames pass."""
+        after = len(self.frames()) + frames
+        self.until(lambda f: len(self.frames()) >= after)
 
 
 @pytest.fixture(scope="module")
@@ -107,11 +118,65 @@ def test_both_eyes_see_the_room_and_turn_with_the_head(play):
     assert np.abs(aside[0].astype(int) - ahead[0]).mean() > 10
 
 
-def test_buttons_change_the_interaction_and_reset(play):
+def test_buttons_change_the_interaction_and_take_the_throw_back(play):
     play.player.rotation = (0.0, 0.0, 0.0, 1.0)
     press(play, play.player.left, "b_click", lambda f: f["interaction"] == "transform")
     press(play, play.player.left, "b_click", lambda f: f["interaction"] == "physics")
-    press(play, play.player.right, "b_click", lambda f: f["time"] < 0.5)
+    x, _, z = np.array(ring_toss.build().bodies[2 + YELLOW].position)
+
+    def away(frame):
+        return np.hypot(place(frame, YELLOW)[0] - x, place(frame, YELLOW)[2] - z)
+
+    assert away(play.frames()[-1]) > 0.1
+    press(play, play.player.right, "b_click", lambda f: away(f) < 0.02)
+    press(play, play.player.right, "a_click", lambda f: away(f) > 0.1)
+
+
+def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
+    left, right = play.player.left, play.player.right
+    left.position, left.rotation = (-0.05, 1.15, -0.45), (0.0, 0.0, 0.0, 1.0)
+    right.position, right.rotation, right.trigger = (0.4, 1.1, 0.3), (0.0, 0.0, 0.0, 1.0), 0.0
+    play.player.send()
+    assert orange(play) < 20
+    left.pressed = {"a_click"}
+    play.player.send()
+    play.rest()
+    left.pressed = set()
+    play.player.send()
+    play.rest()
+    assert orange(play) > 100  # "Physics" is lit
+    copies = play.until(lambda f: True)
+    point(play, "c")
+    right.trigger = 1.0
+    play.player.send()
+    copied = play.until(lambda f: len(f["bodies"]) > len(copies["bodies"]))
+    assert len(copied["bodies"]) == 4 and not any(b["held"] for b in copied["bodies"])
+    right.trigger = 0.0
+    play.player.send()
+    play.rest()
+    point(play, "undo")
+    right.trigger = 1.0
+    play.player.send()
+    play.until(lambda f: len(f["bodies"]) == 3)
+    right.trigger = 0.0
+    play.player.send()
+    play.rest()
+
+    point(play, "light")
+    before = play.frames()[-1]["light"]
+    right.trigger = 1.0
+    play.player.send()
+    play.until(lambda f: f["light"] != before)
+    play.move(right, (0.2, 1.5, -0.3), seconds=0.5, steps=5)
+    there = play.in_world((0.2, 1.5, -0.3))
+    lit = play.until(lambda f: np.linalg.norm(np.subtract(f["light"], there)) < 0.1)
+    assert not any(b["held"] for b in lit["bodies"])
+    right.trigger = 0.0
+    play.player.send()
+    play.rest()
+    play.move(right, (0.4, 1.1, 0.3), seconds=0.5, steps=5)
+    play.rest()
+    assert np.linalg.norm(np.subtract(play.frames()[-1]["light"], there)) < 0.1
 
 
 def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
@@ -123,6 +188,34 @@ def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
     assert play.process.returncode is not None, "it does not end"
 
 
+def place(frame: dict, body: int) -> list[float]:
+    """Where a body is [m]."""
+    return frame["bodies"][body]["centroid"]
+
+
+def orange(play) -> int:
+    """Pixels of the panel's accent in what the left eye sees."""
+    eye = compositor(play.screen)[0].astype(int)
+    red, green, blue = (eye[..., k] for k in range(3))
+    return int(((abs(red - 250) < 12) & (abs(green - 168) < 16) & (abs(blue - 61) < 25)).sum())
+
+
+def point(play, name: str) -> None:
+    """Let the right hand point at a button of the panel, from before it."""
+    left, right = play.player.left, play.player.right
+    hand, head = np.eye(4), np.eye(4)
+    hand[:3, 3], head[:3, 3] = left.position, play.player.position
+    panel = pose_of(hand, head)
+    x, y, w, h = next(b.box for b in BUTTONS if b.name == name)
+    scale = WIDTH / PIXELS[0]
+    at = [(x + w / 2 - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - y - h / 2) * scale, 0.15]
+    right.position = tuple((panel[:3, 3] + panel[:3, :3] @ at).tolist())
+    w, x, y, z = quat_of_matrix(panel[:3, :3])
+    right.rotation = (x, y, z, w)
+    play.player.send()
+    play.rest()
+
+
 def press(play, controller, button: str, effect) -> None:
     """Hold a button down until a frame shows its effect, then let go for two frames."""
     controller.pressed = {button}
@@ -130,8 +223,7 @@ def press(play, controller, button: str, effect) -> None:
     play.until(effect)
     controller.pressed = set()
     play.player.send()
-    after = len(play.frames()) + 2
-    play.until(lambda f: len(play.frames()) >= after)
+    play.rest()
 
 
 def compositor(screen) -> list[np.ndarray]:

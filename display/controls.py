@@ -150,6 +150,8 @@ class Controls:
         body = None if hit is None else hit[1]
         if name == "delete":
             self._drop()
+        if name in ("comma", "period") and self._shift and at is not None:
+            return editing(name, body, at[2].world_to_camera[0, :3])
         return editing(name, body)
 
     def lighting(self, world, u: float, v: float, camera: Camera) -> dict:
@@ -184,14 +186,15 @@ class Controls:
         return self.hand.hands(camera, dt if running else 0.0)
 
 
-def editing(name: str, body: int | None) -> dict:
-    """The command of a key or button for a body; None: for the one held last."""
-    half = float(np.cos(TURNED / 2)), float(np.sin(TURNED / 2))
+def editing(name: str, body: int | None, axis=(0.0, 1.0, 0.0)) -> dict:
+    """The command of a key or button for a body; None: for the one held last. `axis` (3,): it is turned about."""
+    half = TURNED / 2
+    turn = (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
     return {
         "c": {"duplicate": body},
         "delete": {"remove": body},
         "plus": {"rescale": (body, LARGER)},
         "minus": {"rescale": (body, 1 / LARGER)},
-        "comma": {"rotate": (body, (half[0], 0.0, half[1], 0.0))},
-        "period": {"rotate": (body, (half[0], 0.0, -half[1], 0.0))},
+        "comma": {"rotate": (body, turn)},
+        "period": {"rotate": (body, (turn[0], *(-t for t in turn[1:])))},
     }.get(name, {})

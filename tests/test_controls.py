@@ -304,6 +304,9 @@ def test_turning_keys_turn_both_ways_about_the_vertical(controls):
     assert_allclose(np.linalg.norm(one), 1.0)
     assert_allclose(one, np.multiply(other, [1, 1, -1, 1]))
     assert one[1] == one[3] == 0.0 and 2 * np.arcsin(one[2]) == pytest.approx(np.pi / 12)
+    controls.key("shift", True, Target())
+    _, over = controls.key("comma", True, Target(), (5.0, 5.0, CAMERA))["rotate"]
+    assert_allclose(over[1:], np.sin(np.pi / 24) * CAMERA.world_to_camera[0, :3])
 
 
 def test_undo_and_redo_let_go_of_what_is_dragged(controls):

@@ -176,6 +176,7 @@ class World:
             self.editor.record("light")
             self.set_light(commands["light"])
         if "interaction" in commands:
+            self.editor.commit()
             self.settle()
             self.solver.interaction = commands["interaction"]
         self.editor.apply(commands)

@@ -257,6 +257,32 @@ def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
     assert_allclose(play.world.bodies()[2].centroid, copy.centroid, atol=1e-6)  # time stands still
 
 
+def test_a_body_drawn_larger_by_two_hands_follows_them_and_is_that_size_afterwards(play):
+    play.do(duplicate=RED)  # room is made
+    play.do(reset=True, interaction="transform")
+    play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
+    motion, count = play.motion(), len(play.world.editor.history.done)
+    parts, start = play.world.solver.parts, play.world.bodies()[BLUE]
+    for k in range(1, 6):
+        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), rescale=(BLUE, 1.1))
+        body = play.world.bodies()[BLUE]
+        assert body.held and play.world.solver.parts == parts  # what takes long waits
+        grown, before = body.high - body.low, start.high - start.low
+        assert_allclose(grown[[0, 2]], 1.1**k * before[[0, 2]], rtol=1e-3)
+    assert body.low[1] > start.low[1] + 0.2
+    shown = play.shown(BLUE)
+    play.do(interaction="physics")
+    assert play.world.solver.parts[BLUE].shape.factor == pytest.approx(1.1**5)
+    assert_allclose(play.shown(BLUE), shown, atol=1e-5)
+    assert len(play.world.editor.history.done) == count + 1
+    play.step(40)
+    rest = play.world.bodies()[BLUE]
+    assert_allclose((rest.high - rest.low)[[0, 2]], grown[[0, 2]], rtol=0.05)  # it is that large, and lies on the floor
+    assert 0.0 < rest.low[1] + 5e-3 < 0.03 and np.abs(rest.velocity).max() < 0.2
+    play.do(undo=True)
+    equal(motion, play.motion())
+
+
 def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
     from taichi.lang import impl
 

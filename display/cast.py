@@ -15,6 +15,7 @@ import taichi as ti
 
 from assets.errors import BadInput
 from display.device import is_out_of_memory
+from render.shadow import Shadow
 from scenes.scene import BodyState
 from sim.assembly import MAX_BODIES, NoRoom, Room
 from sim.embedding import Run
@@ -131,7 +132,7 @@ class Cast:
             made.append(splats)
             embedding = world.embedding.larger(self._packed, ROOM)
             made.append(embedding)
-            shadow = world.make_shadow(splats, self.first)
+            shadow = Shadow(splats, world.light, (world.shadow.begin, splats.count))
             made.append(shadow)
             renderer = world.make_renderer(splats)
         except (MemoryError, RuntimeError) as e:

@@ -8,7 +8,7 @@ import numpy as np
 
 from assets.errors import BadInput
 from assets.gaussians import matrices_of_quats
-from display.cast import Cast, NotYet
+from display.cast import Cast
 from scenes.scene import BodyState, Material
 
 GAP = 0.01  # [m] between a body and its copy
@@ -22,7 +22,6 @@ class Changes:
 
     cast: Cast
     selected: int | None
-    _stretched: dict[int, float]  # bodies that are as many times as large as the solver knows
 
     def _index(self, k) -> int:
         """The body that is meant; None or True: the selected one."""
@@ -69,7 +68,7 @@ class Changes:
     def _rescale(self, asked) -> None:
         k, factor = asked
         k, w = self._index(k), self.world
-        now, body = w.solver.parts[k].shape.factor * self._stretched.get(k, 1.0), w.bodies()[k]
+        now, body = w.solver.parts[k].shape.factor, w.bodies()[k]
         if abs(factor - 1.0) < SAME:
             return
         if not np.isfinite(factor) or factor <= 0.0:
@@ -81,11 +80,7 @@ class Changes:
             raise BadInput(f"It is as {'large' if asked[1] > 1.0 else 'small'} as it can be.")
         foot = body.centroid if body.held else np.array([body.centroid[0], body.low[1], body.centroid[2]])
         before = self._before("rescale")
-        if w.interaction == "transform":  # two hands may draw it to another size in each frame
-            w.solver.stretch(k, factor, about=foot)
-            self._stretched[k] = self._stretched.get(k, 1.0) * factor
-        else:
-            self.cast.with_room(lambda: w.solver.rescale(k, factor, about=foot))
+        self.cast.with_room(lambda: w.solver.rescale(k, factor, about=foot))
         self._keep("rescale", before)
         self._move(k, scaling(factor, foot))
 
@@ -121,27 +116,6 @@ class Changes:
         w.motions = [m.moved(by) if m.body == k else m for m in w.motions]
         self.cast.follow(self.cast.members)
         w.refresh()
-
-    def commit(self) -> None:
-        """Let the solver know to which sizes bodies were drawn while time stood still."""
-        if not self._stretched:
-            return
-        for k, factor in self._stretched.items():
-            try:
-                self.cast.with_room(lambda k=k, factor=factor: self._adopt(k, factor))
-            except NotYet:
-                self.cast.with_room(lambda k=k, factor=factor: self._adopt(k, factor))
-            except BadInput as e:  # then it has its old size again
-                self.say(str(e))
-                self._move(k, scaling(1.0 / factor, self.world.bodies()[k].centroid))
-        self._stretched = {}
-        self.cast.follow(self.cast.members)
-        self.world.refresh()
-
-    def _adopt(self, k: int, factor: float) -> None:
-        solver, center = self.world.solver, self.world.bodies()[k].centroid
-        solver.stretch(k, 1.0 / factor, about=center)  # stays so, if it cannot have that size
-        solver.rescale(k, factor, about=center)
 
 
 def scaling(factor: float, about: np.ndarray) -> np.ndarray:

@@ -26,7 +26,6 @@ class Editor(Changes):
         self._last: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
         self._pending: dict = {}  # for the next frame
-        self._stretched: dict[int, float] = {}  # bodies that are as many times as large as the solver knows
         self._gripped: list[bool] = []
         self._notice: tuple[str, float] = ("", 0.0)
 
@@ -43,8 +42,6 @@ class Editor(Changes):
     def begin(self) -> None:
         """A frame begins."""
         self._frame += 1
-        if self._frame - self._last[1] > TOGETHER["rescale"]:
-            self.commit()
 
     def apply(self, commands: dict) -> None:
         """Carry out what is asked for; what cannot be is said, and changes nothing."""
@@ -71,7 +68,6 @@ class Editor(Changes):
         last, at = self._last
         if action == last and self._frame - at <= TOGETHER.get(action, -1):
             return None
-        self.commit()
         return self._light_step() if action == "light" else step_of(action, self._moment())
 
     def _keep(self, action: str, step: Step | None) -> None:
@@ -90,11 +86,9 @@ class Editor(Changes):
         return self._light_step() if step.action == "light" else step_of(step.action, self._moment())
 
     def _undo(self, wanted) -> None:
-        self.commit()
         self._return(self.history.back(self._now), "Nothing to undo.")
 
     def _redo(self, wanted) -> None:
-        self.commit()
         self._return(self.history.forth(self._now), "Nothing to redo.")
 
     def _return(self, step: Step | None, nothing: str) -> None:
@@ -117,7 +111,6 @@ class Editor(Changes):
         self._gripped = grips
         if not any(g and not b for g, b in zip(grips, before, strict=False)):
             return None
-        self.commit()
         return self._moment()
 
     def after_step(self, moment: Moment | None, before: list[BodyState], bodies: list[BodyState]) -> None:
@@ -131,7 +124,6 @@ class Editor(Changes):
     def reset(self) -> None:
         """The scene's own bodies at their starts, and no others; its game begins anew."""
         w, game = self.world, self.world.scene.game
-        self._stretched = {}
         changed = self.cast.changed
         w.solver.reset(self.cast.parts if changed else None)
         w.time = w.owed = 0.0

@@ -75,7 +75,7 @@ class World:
             how = {"scheme": embedding, "with_rotation": self.splats.coefficients > 1, "room": times}
             self.embedding = Embedding(parts, **how)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
-        self.shadow = self.make_shadow(self.splats, first)
+        self.shadow = Shadow(self.splats, scene.light, (first, self.splats.count))
         self.views, self.sort = views, sort
         self.renderer: Renderer | None = None
         self.resize(width, height)
@@ -95,10 +95,6 @@ class World:
             interaction=interaction or self.interaction,
             room=room,
         )
-
-    def make_shadow(self, splats: Splats, first: int) -> Shadow:
-        """The shadow of the Gaussians from `first` on, which move."""
-        return Shadow(splats, self.light, (first, splats.count))
 
     def make_renderer(self, splats: Splats) -> Renderer:
         """What draws pictures of the size that is wanted now."""
@@ -176,7 +172,6 @@ class World:
             self.editor.record("light")
             self.set_light(commands["light"])
         if "interaction" in commands:
-            self.editor.commit()
             self.settle()
             self.solver.interaction = commands["interaction"]
         self.editor.apply(commands)

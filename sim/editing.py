@@ -98,17 +98,6 @@ class Editing:
         motions[i][3] = m[3]
         self._change(parts, motions, [g.shifted(i, shift) for g in self._grips()])
 
-    def stretch(self, i: int, factor: float, *, about) -> None:
-        """Put the vertices of body i `factor` times as far from a point (3,) [m]: while time stands still, and until
-        `rescale` says that this is its size, which takes much longer."""
-        i = self._index(i)
-        motions = self._motions()
-        m = motions[i].astype(np.float64)
-        x = m[0] + m[1]
-        shift = (factor - 1.0) * (x - np.asarray(about, np.float64))
-        motions[i] = motion(x + shift, m[2] + m[3])
-        self._change(self._parts, motions, [g.shifted(i, shift) for g in self._grips()])
-
     def displace(self, i: int, matrix: np.ndarray) -> None:
         """Put body i elsewhere as it is, by a rigid motion (4, 4) of the world; its velocities turn with it."""
         i, M = self._index(i), np.asarray(matrix, np.float64)

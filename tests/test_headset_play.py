@@ -24,7 +24,7 @@ from tests.xvfb import NEEDS_XVFB, XServer
 TESTS = Path(__file__).resolve().parent
 WHY = "no OpenXR runtime to play in: build it with `sh tests/monado.sh`"
 pytestmark = [*NEEDS_XVFB, pytest.mark.skipif(monado() is None, reason=WHY)]
-YELLOW = 1
+RED, YELLOW = 0, 1
 
 
 class Play(Watched):
@@ -147,22 +147,17 @@ def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
     play.player.send()
     play.rest()
     assert orange(play) > before + 100
-    copies = play.until(lambda f: True)
+    rim = np.add(place(play.frames()[-1], RED), [0.0, 0.4, ring_toss.RING_RADIUS])
+    right.position, right.rotation = play.in_play_space(rim), (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # straight down
+    play.player.send()
+    play.rest()
+    pull(play, lambda f: "select" in f["commands"])
     point(play, "c")
-    right.trigger = 1.0
-    play.player.send()
-    copied = play.until(lambda f: len(f["bodies"]) > len(copies["bodies"]))
-    assert len(copied["bodies"]) == 4 and not any(b["held"] for b in copied["bodies"])
-    right.trigger = 0.0
-    play.player.send()
-    play.rest()
+    pull(play, lambda f: len(f["bodies"]) == 4)
+    copied = play.frames()[-1]["bodies"]
+    assert copied[3]["name"] == copied[RED]["name"] and not any(b["held"] for b in copied)
     point(play, "undo")
-    right.trigger = 1.0
-    play.player.send()
-    play.until(lambda f: len(f["bodies"]) == 3)
-    right.trigger = 0.0
-    play.player.send()
-    play.rest()
+    pull(play, lambda f: len(f["bodies"]) == 3)
 
     point(play, "light")
     before = play.frames()[-1]["light"]
@@ -214,6 +209,16 @@ def point(play, name: str) -> None:
     right.position = tuple((panel[:3, 3] + panel[:3, :3] @ at).tolist())
     w, x, y, z = quat_of_matrix(panel[:3, :3])
     right.rotation = (x, y, z, w)
+    play.player.send()
+    play.rest()
+
+
+def pull(play, effect) -> None:
+    """Hold the right trigger until a frame shows its effect, then let go."""
+    play.player.right.trigger = 1.0
+    play.player.send()
+    play.until(effect)
+    play.player.right.trigger = 0.0
     play.player.send()
     play.rest()
 

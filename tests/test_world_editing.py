@@ -124,6 +124,22 @@ def test_a_hand_that_takes_nothing_is_no_action(play):
     assert play.world.editor.history.done == []
 
 
+def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play):
+    from sim.trees import trees_of
+
+    play = Play() if play.world.editor.cast.grown else play
+    world = play.world
+    solver, tree = world.solver, world.splats.tree
+    motion = play.motion()
+    assert len(trees_of(solver)) > 20
+    world.apply({"duplicate": RED})
+    assert world.notice.startswith("Making room") and world.solver is solver and len(world.bodies()) == 2
+    world.apply({})
+    assert len(world.bodies()) == 3 and world.solver is not solver
+    assert trees_of(solver) == [] and tree.destroyed
+    equal([a[: len(b)] for a, b in zip(play.motion(), motion, strict=True)], motion)
+
+
 def test_a_copy_looks_like_its_original_and_stands_above_it(play):
     before, gaussians = play.picture(), play.world.splats.count
     own = play.world.editor.cast._counts[BLUE]
@@ -257,24 +273,22 @@ def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
     assert_allclose(play.world.bodies()[2].centroid, copy.centroid, atol=1e-6)  # time stands still
 
 
-def test_a_body_drawn_larger_by_two_hands_follows_them_and_is_that_size_afterwards(play):
+def test_a_held_body_follows_the_hand_through_changes_of_its_size(play):
+    """A change in each frame of a drag: none of the hand's way is lost, and all of it is one action."""
     play.do(duplicate=RED)  # room is made
     play.do(reset=True, interaction="transform")
     play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
     motion, count = play.motion(), len(play.world.editor.history.done)
-    parts, start = play.world.solver.parts, play.world.bodies()[BLUE]
+    start = play.world.bodies()[BLUE]
     for k in range(1, 6):
         play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), rescale=(BLUE, 1.1))
         body = play.world.bodies()[BLUE]
-        assert body.held and play.world.solver.parts == parts  # what takes long waits
+        assert body.held
         grown, before = body.high - body.low, start.high - start.low
-        assert_allclose(grown[[0, 2]], 1.1**k * before[[0, 2]], rtol=1e-3)
-    assert body.low[1] > start.low[1] + 0.2
-    shown = play.shown(BLUE)
-    play.do(interaction="physics")
-    assert play.world.solver.parts[BLUE].shape.factor == pytest.approx(1.1**5)
-    assert_allclose(play.shown(BLUE), shown, atol=1e-5)
+        assert_allclose(grown, 1.1**k * before, rtol=1e-3)
+        assert_allclose(body.centroid - start.centroid, [0.02 * k, 0.05 * k, 0.0], atol=1e-5)
     assert len(play.world.editor.history.done) == count + 1
+    play.do(interaction="physics")
     play.step(40)
     rest = play.world.bodies()[BLUE]
     assert_allclose((rest.high - rest.low)[[0, 2]], grown[[0, 2]], rtol=0.05)  # it is that large, and lies on the floor
@@ -324,19 +338,3 @@ def test_what_cannot_be_is_said_in_one_line(play, command):
     assert play.world.notice and "\n" not in play.world.notice
     equal(motion, play.motion())
     assert len(play.world.editor.history.done) == steps
-
-
-def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(ti_cpu):
-    from sim.trees import trees_of
-
-    play = Play()
-    world = play.world
-    solver, tree = world.solver, world.splats.tree
-    motion = play.motion()
-    assert len(trees_of(solver)) > 20
-    world.apply({"duplicate": RED})
-    assert world.notice.startswith("Making room") and world.solver is solver and len(world.bodies()) == 2
-    world.apply({})
-    assert len(world.bodies()) == 3 and world.solver is not solver
-    assert trees_of(solver) == [] and tree.destroyed
-    equal([a[: len(b)] for a, b in zip(play.motion(), motion, strict=True)], motion)

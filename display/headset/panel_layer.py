@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
+from time import monotonic
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from display.headset.panel_paint import Content, paint, prepare
 from display.headset.poses import position_rotation
 from display.headset.wrist_panel import PIXELS, WIDTH
 
+REFRESH = 0.5  # [s] between two readings of the rate
 FRAGMENT = """
 #version 330
 uniform sampler2D picture;
@@ -55,10 +58,16 @@ class PanelLayer:
             gl.framebuffer(color_attachments=[gl.external_texture(image.image, PIXELS, 4, 0, "f1")]) for image in images
         ]
         self._shown: Content | None = None
+        self._read = 0.0  # [s] when its rate was read
         prepare()
 
     def show(self, content: Content) -> None:
-        """Let the panel look like this."""
+        """Let the panel look like this; its rate is read less often than it changes."""
+        now = monotonic()
+        if self._shown is not None and now - self._read < REFRESH:
+            content = replace(content, rate=self._shown.rate)
+        else:
+            self._read = now
         if content == self._shown:
             return
         xr, gl = self.xr, self._gl

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from assets.camera import Camera
-from display.mouse_hand import MouseHand
+from display.mouse_hand import NEAREST, MouseHand
 from display.orbit import Orbit
 from scenes.scene import Hand
 
@@ -32,9 +34,15 @@ HELP = [
     ("R", "reset the scene"),
     ("T", "physics or transform"),
     ("P", "watch a demonstration"),
+    ("Ctrl+Z  /  Ctrl+Y", "undo  /  redo"),
+    ("C  /  Del", "copy  /  remove a body"),
+    ("+  -  ,  .", "larger, smaller, turn it"),
+    ("L", "light to the cursor"),
     ("F1  /  Esc", "hide this  /  quit"),
 ]
-CAMERA_HELP = [("Drag", "turn around it"), *HELP[3:8], HELP[12]]  # where there is nothing but to look
+CAMERA_HELP = [("Drag", "turn around it"), *HELP[3:8], HELP[-1]]  # where there is nothing but to look
+LARGER = 1.25  # times, of a key or a button
+TURNED = np.pi / 12  # [rad] about the vertical axis
 
 
 class Controls:
@@ -48,6 +56,7 @@ class Controls:
         self._button: str | None = None
         self._walking: set[str] = set()
         self._shift = False
+        self._lit: tuple | None = None  # where the light was put last, while its key is down
 
     def press(self, button: str, u: float, v: float, camera: Camera, world) -> None:
         """A mouse button goes down over the picture. `world` may be None: nothing to grab yet."""
@@ -101,8 +110,9 @@ class Controls:
         else:
             self.orbit.zoom(notches)
 
-    def key(self, name: str, down: bool, world) -> dict:
-        """A key goes down or up. Returns commands for the world."""
+    def key(self, name: str, down: bool, world, at: tuple[float, float, Camera] | None = None) -> dict:
+        """A key goes down or up, with the cursor over (u, v) [px] of a camera's picture. Returns commands for the
+        world."""
         if name == "shift":
             self._shift = down
         elif name in WALKING:
@@ -125,14 +135,47 @@ class Controls:
             return {"demo": not world.demo}
         elif down and name == "t" and world is not None:
             return {"interaction": "transform" if world.interaction == "physics" else "physics"}
+        elif name == "l":
+            self._lit = () if down else None
+        elif down and world is not None and world.light is not None:
+            return self._edit(name, world, at)
         return {}
+
+    def _edit(self, name: str, world, at) -> dict:
+        """Commands that change bodies: what is held, else what is under the cursor, else what was held last."""
+        if name in ("ctrl+z", "ctrl+y", "u"):
+            self._drop()
+            return {"redo": True} if name == "ctrl+y" or self._shift else {"undo": True}
+        hit = world.pick(*at[2].ray(*at[:2])) if at is not None and self.drag != "grab" else None
+        body = None if hit is None else hit[1]
+        if name == "delete":
+            self._drop()
+        if name in ("comma", "period") and self._shift and at is not None:
+            return editing(name, body, at[2].world_to_camera[0, :3])
+        return editing(name, body)
+
+    def lighting(self, world, u: float, v: float, camera: Camera) -> dict:
+        """While its key is down, the light follows the cursor, as far from the camera's plane as it is."""
+        if self._lit is None or self._lit == (u, v) or world is None or world.light is None:
+            return {}
+        self._lit = (u, v)
+        origin, direction = camera.ray(u, v)
+        forward = camera.world_to_camera[2, :3]
+        depth = float(forward @ (np.array(world.light.position) - origin))
+        if depth < NEAREST:  # it is behind the camera: then it is put where one looks to
+            depth = self.orbit.distance
+        place = origin + direction * depth / float(direction @ forward)
+        return {"light": replace(world.light, position=tuple(map(float, place)))}
 
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""
+        self._drop()
+        self._walking.clear()
+        self._shift, self._lit = False, None
+
+    def _drop(self) -> None:
         self.hand.drop()
         self.drag = self._button = None
-        self._walking.clear()
-        self._shift = False
 
     def advance(self, camera: Camera, dt: float, *, running: bool = True) -> list[Hand]:
         """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run."""
@@ -141,3 +184,17 @@ class Controls:
             speed = max(WALK_LEAST, WALK * self.orbit.distance) * (HURRY if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
         return self.hand.hands(camera, dt if running else 0.0)
+
+
+def editing(name: str, body: int | None, axis=(0.0, 1.0, 0.0)) -> dict:
+    """The command of a key or button for a body; None: for the one held last. `axis` (3,): it is turned about."""
+    half = TURNED / 2
+    turn = (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
+    return {
+        "c": {"duplicate": body},
+        "delete": {"remove": body},
+        "plus": {"rescale": (body, LARGER)},
+        "minus": {"rescale": (body, 1 / LARGER)},
+        "comma": {"rotate": (body, turn)},
+        "period": {"rotate": (body, (turn[0], *(-t for t in turn[1:])))},
+    }.get(name, {})

@@ -18,8 +18,11 @@ class Frame:
     `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
     `time` [s] is the sum of all dt so far. `step` [s] is the longest that the world may go at once; without it dt is
     one step. `commands` are the user's wishes between two frames, see `World.apply`: {"reset": True}, {"light": Light},
-    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}. `parts` (P, 3, 4) are where
-    the world's props are, see render/props.py; None: where they were.
+    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}; and of bodies, by index, or
+    None for the one last held (display/editing.py): {"undo": True}, {"redo": True}, {"select": index},
+    {"duplicate": index}, {"remove": index}, {"rescale": (index, factor)}, {"rotate": (index, wxyz)},
+    {"material": (index, name or Material)}. `parts` (P, 3, 4) are where the world's props are, see render/props.py;
+    None: where they were.
     """
 
     dt: float

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from assets.animation import Animation
@@ -9,6 +11,9 @@ from assets.gaussians import matrices_of_quats
 from scenes.scene import Body
 from sim.skinning import Skinning
 from sim.solver import LONGEST_FRAME, Solver
+from sim.summary import best_rotation
+
+UNMOVED = 1e-4  # [m]; rounding
 
 
 class Motion:
@@ -39,8 +44,31 @@ class Motion:
         if self.solver.interaction == "transform":  # time stands still
             return
         self.time += min(dt, LONGEST_FRAME)
-        self.skinning.pose(self.world_from_body @ self.animation.matrices(self.time), self.solver.targets)
+        self._pose()
         self.solver.drive_surface(self.body)
+
+    def _pose(self) -> None:
+        matrices = self.world_from_body @ self.animation.matrices(self.time)
+        self.skinning.pose(matrices, self.solver.targets, self.solver.vertex_offset[self.body])
+
+    def moved(self, by: np.ndarray, body: int | None = None) -> Motion:
+        """The same motion at another place, `by` (4, 4) of an affine map of the world; also that of a copy `body`."""
+        other = copy(self)
+        other.world_from_body = by @ self.world_from_body
+        other.body = self.body if body is None else body
+        return other
+
+    def settled(self) -> Motion:
+        """The motion where a hand has put the body while time stood still."""
+        self._pose()
+        led = self.animation.vertices[self.animation.driven] + self.solver.vertex_offset[self.body]
+        there, here = (f.to_numpy()[led].astype(np.float64) for f in (self.solver.targets, self.solver.x))
+        if np.abs(here - there).max() < UNMOVED:
+            return self
+        by = np.eye(4)
+        by[:3, :3] = best_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
+        by[:3, 3] = here.mean(0) - by[:3, :3] @ there.mean(0)
+        return self.moved(by)
 
     def reset(self) -> None:
         """At rest again."""

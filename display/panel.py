@@ -7,8 +7,9 @@ from time import perf_counter
 
 import numpy as np
 
+from assets.materials import MATERIALS
 from display import theme
-from display.controls import CAMERA_HELP, HELP
+from display.controls import CAMERA_HELP, HELP, editing
 from scenes.scene import Light, Scene
 
 MARGIN = 12.0  # [px] from the window's edge
@@ -19,6 +20,15 @@ LIGHT_RANGE = 4.0  # [m] around the scene's target
 INTERACTIONS = {
     "Physics": "Bodies deform, collide and fall.",
     "Transform": "A body that you hold moves as it is; nothing deforms.",
+}
+EDITS = {
+    "Undo": ({"undo": True}, "Take back what was done last (Ctrl+Z)."),
+    "Redo": ({"redo": True}, "Do it again (Ctrl+Y)."),
+    "Copy": (editing("c", None), "Another one like the body that was held last (C)."),
+    "Remove": (editing("delete", None), "Take it away (Del)."),
+    "Smaller": (editing("minus", None), "(-)"),
+    "Larger": (editing("plus", None), "(+)"),
+    "Turn": (editing("period", None), "About the vertical (, and .)"),
 }
 RESOLUTIONS = {"Auto": None, "Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # share of the window's pixels a side
 
@@ -38,7 +48,7 @@ class Panel:
         """One frame of the panel and of the score; commands as `World.apply` takes them."""
         from imgui_bundle import imgui
 
-        if self.scene.game is not None:
+        if world.light is not None and (self.scene.game is not None or world.notice):
             self._score(imgui, world, visible)
         if not visible:
             self.details = False
@@ -57,6 +67,8 @@ class Panel:
         imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
         self._title(imgui)
         commands = self._buttons(imgui, world) if world.light is not None else {}
+        if world.light is not None and imgui.collapsing_header("Edit", imgui.TreeNodeFlags_.default_open):
+            commands |= self._edit(imgui, world)
         if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
             commands |= self._light(imgui, world.light)
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
@@ -94,6 +106,29 @@ class Panel:
         chosen = self._choice(imgui, list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS)
         if chosen.lower() != world.interaction:
             commands["interaction"] = chosen.lower()
+        return commands
+
+    def _edit(self, imgui, world) -> dict:
+        """Undo, redo, and what can be done to the body that was held last."""
+        commands, gap = {}, imgui.get_style().item_spacing.x
+        quarter = ((WIDTH * self.scale - 3 * gap) / 4, 0)
+        for k, (name, (command, tip)) in enumerate(EDITS.items()):
+            if k % 4:
+                imgui.same_line()
+            if imgui.button(name, quarter):
+                commands |= command
+            imgui.set_item_tooltip(tip)
+        bodies, selected = world.bodies(), world.selected
+        known = selected is not None and selected < len(bodies)
+        imgui.text_colored(theme.QUIET, bodies[selected].name if known else "Hold a body to choose it.")
+        if known:
+            imgui.same_line(WIDTH * self.scale * 0.5)
+            imgui.set_next_item_width(WIDTH * self.scale * 0.5 + imgui.get_style().window_padding.x)
+            if imgui.begin_combo("##material", "Material"):
+                for name in MATERIALS:
+                    if imgui.selectable(name, False)[0]:
+                        commands["material"] = (selected, name)
+                imgui.end_combo()
         return commands
 
     def _choice(self, imgui, names: list[str], current: str, tips: dict[str, str] | None = None) -> str:
@@ -185,7 +220,7 @@ class Panel:
 
     def _score(self, imgui, world, beside_panel: bool) -> None:
         """Score and message at the top: in the middle, or right of the panel in a small window."""
-        score, message = str(world.score), world.message
+        score, message = ("", "") if self.scene.game is None else (str(world.score), world.message)
         if score in message.split():  # the game says it itself
             score = ""
         text = f"{score}   {message}".strip()
@@ -200,7 +235,10 @@ class Panel:
         if score:
             imgui.text_colored(theme.ACCENT, score)
             imgui.same_line(0, 12 * self.scale)
-        imgui.text(message)
+        if message:
+            imgui.text(message)
+        if world.notice:
+            imgui.text_colored(theme.ACCENT, world.notice)
         imgui.end()
 
 

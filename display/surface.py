@@ -10,7 +10,9 @@ from display import theme
 from display.gl_context import context_of
 
 INSTEAD = "run with --headless instead"
-KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space"]
+KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space", "delete"]
+LABELS = {"u": "u", "c": "c", "l": "l", "+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
+CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on them: it is not everywhere in the same place
 
 
 def import_glfw():
@@ -71,10 +73,14 @@ class Surface:
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
         keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in KEYS}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
+        keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus"}
 
         def key(window, code, scancode, action, mods):
-            if code in keys and action != glfw.REPEAT:
-                add(("key", keys[code], action == glfw.PRESS))
+            label = (glfw.get_key_name(code, scancode) or "").lower()
+            ctrl = mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER)
+            name = CTRL.get(label) if ctrl and label in CTRL else keys.get(code) or LABELS.get(label)
+            if name is not None and action != glfw.REPEAT:
+                add(("key", name, action == glfw.PRESS))
 
         def button(window, code, action, mods):
             if code in buttons:

@@ -157,10 +157,10 @@ class Window:
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
             elif kind == "key" and not (what[1] and io.want_text_input):
-                commands |= controls.key(*what, self._world)
+                commands |= controls.key(*what, self._world, (*self._cursor, self._camera))
             elif kind == "blur":
                 controls.let_go()
-        return commands
+        return commands | controls.lighting(self._world, *self._cursor, self._camera)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""

@@ -6,6 +6,7 @@ writes the splats' fields, shadow and renderer read them. Nothing passes through
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from time import perf_counter
 
@@ -14,7 +15,9 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from assets.order import morton_order
 from display.bodies import load_bodies
+from display.cast import MORE, ROOM, Cast
 from display.clock import Cost, moves
+from display.editing import Editor
 from display.frame import Frame
 from display.motion import Motion
 from display.timing import Timings
@@ -24,6 +27,7 @@ from render.shadow import Shadow
 from render.sorts import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import BodyState, Hand, Light, Scene
+from sim.assembly import Room
 from sim.embedding import Embedding
 from sim.solver import Solver
 
@@ -35,8 +39,9 @@ class World:
     """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `depth` the picture has
     it in place of alpha.
 
-    With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where frames put their
-    parts (`Frame.parts`), those that cast no shadow first.
+    With `room` there is room for copies of bodies; else it is made for the first one, which takes seconds
+    (display/cast.py). With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where
+    frames put their parts (`Frame.parts`), those that cast no shadow first; with them there is always room.
     """
 
     def __init__(
@@ -51,6 +56,7 @@ class World:
         sort: str = MOVING_SORT,
         depth: bool = False,
         fingers: bool = False,
+        room: bool = False,
         props: list[Skin] = (),
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
@@ -61,55 +67,75 @@ class World:
         self.time = 0.0  # [s], of the simulation since the last reset
         self.cost = Cost()  # of simulating
         self._hands: list[Hand] = []  # as of the last frame
-        self._owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
+        self.owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
-        room = concatenate([g for g, _ in static]) if static else NOTHING
-        room = room.select(morton_order(room.means))
-        self.splats = Splats(concatenate([room, *(s.gaussians for s in props), *(p.gaussians for _, p in moving)]))
-        self.props = Props(self.splats, props, len(room)) if props else None
-        first = len(room) + sum(len(s.gaussians) for s in props)  # of the bodies
-        casts = len(room) + sum(len(s.gaussians) for s in props if not s.solid)  # what moves, and casts shadows
-        grids = [grid for _, grids in static for grid in grids]
-        self.solver = Solver(
-            [body for body, _ in moving],
-            [*scene.colliders, *grids],
-            gravity=scene.gravity,
-            substep=scene.substep,
-            iterations=scene.iterations,
-            collision_passes=scene.collision_passes,
-            interaction=interaction,
-            fingers=fingers,
+        still = concatenate([g for g, _ in static]) if static else NOTHING
+        still = still.select(morton_order(still.means))
+        first = len(still) + sum(len(s.gaussians) for s in props)  # of the bodies
+        casts = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # what moves, and casts shadows
+        grown = bool((room or props) and moving)
+        count = sum(len(p.gaussians) for _, p in moving)
+        times = ROOM if grown else 1.0
+        self.splats = Splats(
+            concatenate([still, *(s.gaussians for s in props), *(p.gaussians for _, p in moving)]),
+            room=first + math.ceil(times * count),
         )
+        self.props = Props(self.splats, props, len(still)) if props else None
+        self._colliders = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
+        self._fingers = fingers
+        self.solver = self.make_solver([body for body, _ in moving], MORE if grown else None, interaction)
         self.embedding = None
         if moving:
             parts, offset = [], first
             for (_, part), vertices in zip(moving, self.solver.vertex_offset, strict=False):
                 parts.append(replace(part, vertex_offset=vertices, gaussian_offset=offset))
                 offset += len(part.gaussians)
-            self.embedding = Embedding(parts, scheme=embedding, with_rotation=self.splats.coefficients > 1)
+            how = {"scheme": embedding, "with_rotation": self.splats.coefficients > 1, "room": times}
+            self.embedding = Embedding(parts, **how)
         self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
         self.shadow = Shadow(self.splats, scene.light, (casts, self.splats.count))
         self.views, self.sort, self.outputs = views, sort, "deep" if depth else "rgba8"
         self.renderer: Renderer | None = None
         self.resize(width, height)
-        self._bodies: list[BodyState] = self.solver.bodies()
-        self._deform()
+        self.editor = Editor(self, Cast(self, first, grown=grown))
+        self.refresh()
+
+    def make_solver(self, bodies: list, room: Room | None, interaction: str | None = None) -> Solver:
+        """A solver of the scene for these bodies."""
+        scene = self.scene
+        return Solver(
+            bodies,
+            self._colliders,
+            gravity=scene.gravity,
+            substep=scene.substep,
+            iterations=scene.iterations,
+            collision_passes=scene.collision_passes,
+            interaction=interaction or self.interaction,
+            fingers=self._fingers,
+            room=room,
+        )
+
+    def make_renderer(self, splats: Splats) -> Renderer:
+        """What draws pictures of the size that is wanted now."""
+        how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
+        return Renderer(splats, *self.renderer_size, outputs=self.outputs, **how)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
+        self.renderer_size, self._drawn = (width, height), None
         if self.renderer is None:
-            how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
-            self.renderer = Renderer(self.splats, width, height, outputs=self.outputs, **how)
+            self.renderer = self.make_renderer(self.splats)
         else:
             self.renderer.resize(width, height)
-        self.renderer_size, self._drawn = (width, height), None
 
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
+        self.editor.begin()
         self.apply({**self._stretched(), **frame.commands})
         placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
         advance = not self.paused or frame.commands.get("step", False)
         if advance:
+            before = None if self.demo else self.editor.before_step(frame.hands)
             begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
@@ -118,9 +144,11 @@ class World:
             if self.moving:
                 self._deform()
                 placed = False  # its shadow is cast, too
-            self._bodies = self.solver.bodies()
+            bodies, self._bodies = self._bodies, self.solver.bodies()
+            if not self.demo:
+                self.editor.after_step(before, bodies, self._bodies)
             if self.scene.game is not None:
-                self.scene.game.update(self.time, self._bodies)
+                self.scene.game.update(self.time, self.editor.cast.of_the_scene(self._bodies))
         else:
             self.moving = False
         self._hands = frame.hands
@@ -147,9 +175,9 @@ class World:
                 self._advance(dt, hands)
             self.time += frame.dt
             return
-        self._owed += frame.dt
-        while self._owed >= SCRIPT_DT:
-            self._owed -= SCRIPT_DT
+        self.owed += frame.dt
+        while self.owed >= SCRIPT_DT:
+            self.owed -= SCRIPT_DT
             self.time += SCRIPT_DT
             self._advance(SCRIPT_DT, self.scripted_hands(self.time))
 
@@ -172,28 +200,39 @@ class World:
         if "demo" in commands:
             self.demo = bool(commands["demo"])
         if commands.get("reset") or commands.get("demo"):  # a script begins at the beginning
-            self.solver.reset()
-            self.time = self._owed = 0.0
-            for motion in self.motions:
-                motion.reset()
-            if self.scene.game is not None:
-                self.scene.game.reset()
-            self._bodies = self.solver.bodies()
-            self._deform()
+            self.editor.record("reset")
+            self.editor.reset()
         if isinstance(commands.get("light"), Light):
-            self.light = commands["light"]
-            self.shadow.set_light(self.light)
-            self._drawn = None
-            with self.timings.stage("shadow"):
-                self.shadow.cast()
+            self.editor.record("light")
+            self.set_light(commands["light"])
         if "interaction" in commands:
+            self.settle()
             self.solver.interaction = commands["interaction"]
+        self.editor.apply(commands)
         if "pause" in commands:
             self.paused = bool(commands["pause"])
 
+    def refresh(self) -> None:
+        """Bodies are where they were not: take note, and draw them there."""
+        self._bodies = self.solver.bodies()
+        self._deform()
+
+    def set_light(self, light: Light) -> None:
+        """Another light from now on."""
+        self.light, self._drawn = light, None
+        self.shadow.set_light(light)
+        with self.timings.stage("shadow"):
+            self.shadow.cast()
+
+    def settle(self) -> None:
+        """What moves by itself and was carried off while time stood still goes on from there."""
+        if self.motions and self.interaction == "transform":
+            self.motions = [motion.settled() for motion in self.motions]
+
     def scripted_hands(self, time: float) -> list[Hand]:
         """What the scene's own player does at `time` [s]."""
-        return self.scene.game.hands(time, self._bodies) if self.scene.game is not None else []
+        bodies = self.editor.cast.of_the_scene(self._bodies)
+        return self.scene.game.hands(time, bodies) if self.scene.game is not None else []
 
     @property
     def picture(self):
@@ -212,6 +251,16 @@ class World:
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest simulated body, and its index."""
         return self.solver.pick(origin, direction)
+
+    @property
+    def selected(self) -> int | None:
+        """The body that was last held or pointed out."""
+        return self.editor.selected
+
+    @property
+    def notice(self) -> str:
+        """What the user should know of the last command, for some seconds; else nothing."""
+        return self.editor.notice
 
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand of the last frame on what it holds [N], (3,)."""

@@ -42,7 +42,7 @@ class DepthMap:
 class Shadow:
     """Writes `splats.light`, 1 - strength (1 - visibility), when `cast()` is called.
 
-    Gaussians [begin, end) = `dynamic` move. The map of static casters is drawn once per light, in
+    Gaussians [begin, end) = `dynamic` move; `end` may change. The map of static casters is drawn once per light, in
     a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to
     them on the device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that
     were captured with them and are darkened by dynamic casters alone, and only where the light
@@ -96,9 +96,9 @@ class Shadow:
             self._expose(light.softness)
             self._static_is_drawn = True
         if self.begin < self.end:
-            self._aim_dynamic(*self._eye.tolist(), light.softness)
+            self._aim_dynamic(*self._eye.tolist(), light.softness, self.end)
             self.raster.draw(DYNAMIC, self.begin, self.end)
-            self._receive(light.strength, light.softness)
+            self._receive(light.strength, light.softness, self.end)
         else:
             self.splats.light.fill(1.0)
 
@@ -114,11 +114,11 @@ class Shadow:
         self.raster.projection.near[0] = near
 
     @ti.kernel
-    def _aim_dynamic(self, eye_x: ti.f32, eye_y: ti.f32, eye_z: ti.f32, softness: ti.f32):
+    def _aim_dynamic(self, eye_x: ti.f32, eye_y: ti.f32, eye_z: ti.f32, softness: ti.f32, end: ti.i32):
         """Fit the cone to the box of all that moves, two sigmas included; no texel finer than the filter needs."""
         self.low[None] = vec3(1e6)
         self.high[None] = vec3(-1e6)
-        for g in range(self.begin, self.end):
+        for g in range(self.begin, end):
             mean, s = self.splats.mean[g], self.splats.cov[g]
             margin = 2.0 * ti.sqrt(ti.max(vec3(s[0], s[3], s[5]), 0.0)) + softness
             if ti.abs(mean).max() < 1e5:  # what flew away or is not a number must not blind the light
@@ -197,8 +197,8 @@ class Shadow:
             self.exposed[g] = 1.0 - self._shade(STATIC, self.splats.mean[g], softness, FAR_BIAS, FAR_BIAS)
 
     @ti.kernel
-    def _receive(self, strength: ti.f32, softness: ti.f32):
-        for g in range(self.splats.count):
+    def _receive(self, strength: ti.f32, softness: ti.f32, end: ti.i32):
+        for g in range(end):
             mean, s = self.splats.mean[g], self.splats.cov[g]
             size = ti.sqrt(ti.max((s[0] + s[3] + s[5]) / 3.0, 0.0))
             darkness = 0.0

@@ -60,10 +60,14 @@ class Room:
         return self != Room()
 
 
+class NoRoom(BadInput):
+    """What the fields hold does not suffice."""
+
+
 def fit(what: str, need: int, capacity: int) -> None:
-    """BadInput if `need` things do not fit."""
+    """NoRoom if `need` things do not fit."""
     if need > capacity:
-        raise BadInput(f"no room for {need} {what}: there is room for {capacity} (see Room)")
+        raise NoRoom(f"no room for {need} {what}: there is room for {capacity} (see Room)")
 
 
 class Assembly:

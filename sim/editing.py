@@ -56,11 +56,12 @@ class Editing:
         del motions[i], parts[i]
         self._change(parts, motions, [g.moved(index) for g in self._grips()])
 
-    def duplicate(self, i: int, *, position=None, rotation=None) -> int:
+    def duplicate(self, i: int, *, position=None, rotation=None, aside=None) -> int:
         """A copy of body i as it is deformed and moves now; its index.
 
         Its frame is put at `position` [m] with `rotation` (wxyz), where None is body i's; with neither given the copy
-        stands beside it, along x. The frame of a deformed body is that of the rotation nearest to its shape.
+        stands beside it, along x, or by `aside` (3,) [m]. The frame of a deformed body is that of the rotation nearest
+        to its shape.
         """
         i = self._index(i)
         part, m = self._parts[i], self._motions()[i].astype(np.float64)
@@ -69,8 +70,8 @@ class Editing:
         R = best_rotation(((x - c) * part.mass[:, None]).T @ (rest - center))
         origin = c - R @ center
         if position is None:
-            aside = (np.ptp(x[:, 0]) + ASIDE) if rotation is None else 0.0
-            position = origin + [aside, 0.0, 0.0]
+            beside = (np.ptp(x[:, 0]) + ASIDE) if rotation is None else 0.0
+            position = origin + ([beside, 0.0, 0.0] if aside is None else np.asarray(aside, np.float64))
         turn = np.eye(3)
         if rotation is not None:
             q = np.asarray(rotation, np.float64)
@@ -96,6 +97,19 @@ class Editing:
         parts[i], motions[i] = parts[i].scaled(factor), motion(x + shift, m[2] + m[3])
         motions[i][3] = m[3]
         self._change(parts, motions, [g.shifted(i, shift) for g in self._grips()])
+
+    def displace(self, i: int, matrix: np.ndarray) -> None:
+        """Put body i elsewhere as it is, by a rigid motion (4, 4) of the world; its velocities turn with it."""
+        i, M = self._index(i), np.asarray(matrix, np.float64)
+        R = M[:3, :3]
+        if M.shape != (4, 4) or not np.isfinite(M).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
+            raise BadInput(f"{self._parts[i].body.name}: cannot be moved by what is no rigid motion")
+        motions = self._motions()
+        m = motions[i].astype(np.float64)
+        x = m[0] + m[1]
+        shift = x @ (R.T - np.eye(3)) + M[:3, 3]
+        motions[i] = motion(x + shift, (m[2] + m[3]) @ R.T)
+        self._change(self._parts, motions, [g.shifted(i, shift) for g in self._grips()])
 
     def set_material(self, i: int, material: Material) -> None:
         """Let body i be of another material from now on."""
@@ -133,11 +147,17 @@ class Editing:
         self._rescue.run(1)
         self._driven.reset()
         self._forget(snapshot.get("grips", ()))
-        self._transform.reset()
+        self._transform.reset(held=editing)
 
-    def reset(self) -> None:
-        """All bodies back to their starts; grips and contacts are forgotten."""
-        self._change(self._parts, [p.start for p in self._parts], [])
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The bodies that there are, with their shapes."""
+        return tuple(self._parts)
+
+    def reset(self, parts: tuple[Part, ...] | None = None) -> None:
+        """All bodies, or those that these `parts` were, back at their starts; grips and contacts are forgotten."""
+        parts = self._parts if parts is None else list(parts)
+        self._change(parts, [p.start for p in parts], [])
         self._mending.reset()
 
     def _forget(self, grips=None) -> None:

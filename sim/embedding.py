@@ -5,38 +5,30 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from assets.errors import BadInput
-from assets.gaussians import Gaussians, matrices_of_quats
-from assets.locate import Locator
+from sim.packing import LANES, EmbeddedPart, merge, one_level, pack, two_level
 from sim.polar import polar_quaternion
 
-LANES = 32  # Gaussians side by side in a slice: one warp reads 128 contiguous bytes at a time
-WINDOW = 4096  # Gaussians sorted by their number of vertices within this many: full warps, writes stay close
-CHUNK = 1 << 16  # Gaussians prepared at once: bounds the float64 intermediates to about 200 MB
 MOST_STRETCH = 4.0  # of a Gaussian, root mean square over its axes: so far its neighbours hide the gaps
-FLATTEST = 1e-9  # 6 volumes over the longest edge cubed; below this float32 weights do not span space
+NOTHING = {
+    **{name: np.zeros(0, np.int32) for name in ("target", "anchor", "vertex")},
+    **{name: np.zeros(0, np.float32) for name in ("factor", "rest_cov")},
+    "begin": np.zeros(1, np.int32),
+}  # a part without Gaussians
 
 
 @dataclass(frozen=True)
-class EmbeddedPart:
-    """The Gaussians of one body and how its cage holds them. Body frame: asset frame times scale.
+class Run:
+    """A part as it is carried: where its vertices and Gaussians begin, and how many times its first size it has."""
 
-    host           cage tet of each local corner, (N, 4)
-    weights        barycentric weights of the corners in it, (N, 4, 4): row k = corner k
-    gaussians      N Gaussians [m]
-    rest           rest vertices of the cage [m], (V, 3)
-    tets           (T, 4), indices into `rest`
-    vertex_offset  index of the body's first vertex among the solver's
-    gaussian_offset index of its first Gaussian among the splats
-    """
+    part: int
+    vertex: int
+    gaussian: int
+    scale: float = 1.0
 
-    host: np.ndarray
-    weights: np.ndarray
-    gaussians: Gaussians
-    rest: np.ndarray
-    tets: np.ndarray
-    vertex_offset: int = 0
-    gaussian_offset: int = 0
+
+def lengths(part: dict) -> tuple[int, int]:
+    """How many slices and slots a packed part has."""
+    return len(part["target"]) // LANES, len(part["vertex"]) // LANES
 
 
 @ti.data_oriented
@@ -54,21 +46,33 @@ class Embedding:
 
     `scheme="one-level"` is the paper's ablation: gradient and weights of the tet that holds the centre.
     Without `with_rotation` (colours of SH degree 0) no polar rotation is computed.
-    Raises BadInput if a local tetrahedron is flat.
+    There is room for `room` times as much. Raises BadInput if a local tetrahedron is flat.
     """
 
-    def __init__(self, parts: list[EmbeddedPart], *, scheme: str = "two-level", with_rotation: bool = True) -> None:
+    def __init__(
+        self,
+        parts: list[EmbeddedPart],
+        *,
+        scheme: str = "two-level",
+        with_rotation: bool = True,
+        room: float = 1.0,
+    ) -> None:
         if scheme not in ("two-level", "one-level"):
             raise ValueError(f"scheme must be two-level or one-level, not {scheme!r}")
         self.with_rotation = with_rotation
         self.count = sum(len(p.gaussians) for p in parts)
         self.bytes = 0  # that a call of `deform` moves, but for the vertices, which stay in a cache
         self._tree = None
+        self.runs = [Run(k, p.vertex_offset, p.gaussian_offset) for k, p in enumerate(parts)]
+        self._lengths, self._where = [], []
         if self.count == 0:
             return
-        collect = _two_level if scheme == "two-level" else _one_level
-        packed = [_pack(p, *_merge(p, collect)) for p in parts if len(p.gaussians)]
-        self._upload(packed)
+        collect = two_level if scheme == "two-level" else one_level
+        packed = [pack(p, *merge(p, collect)) if len(p.gaussians) else dict(NOTHING) for p in parts]
+        self._lengths = [lengths(p) for p in packed]
+        ends = np.cumsum([(0, 0), *self._lengths], axis=0)
+        self._where = [tuple(at) for at in ends[:-1].tolist()]
+        self._upload([p for p in packed if len(p["target"])], room)
 
     def deform(self, x, mean, cov, rotation=None) -> None:
         """Out: mean [m], cov (xx, xy, xz, yy, yz, zz) [m^2] and rotation (wxyz) of the Gaussians of all parts.
@@ -118,132 +122,127 @@ class Embedding:
                 if ti.static(self.with_rotation):
                     rotation[g] = polar_quaternion(F)
 
-    def _upload(self, packed: list[dict]) -> None:
+    def _upload(self, parts: list[dict], room: float) -> None:
         """Join the parts' slices and put them into fields of rounded sizes (compiled kernels are reused)."""
-        base = np.cumsum([0] + [len(p["vertex"]) // LANES for p in packed])
+        base = np.cumsum([0] + [len(p["vertex"]) // LANES for p in parts])
         written = 12 + 24 + (16 if self.with_rotation else 0)
-        lanes = sum(len(p["target"]) for p in packed)
+        lanes = sum(len(p["target"]) for p in parts)
         self.bytes = int(20 * LANES * base[-1] + (4 + 4 + 24) * lanes + written * self.count)
-        pieces = np.concatenate([p["begin"][:-1] + b for p, b in zip(packed, base[:-1], strict=True)])
-        join = {n: np.concatenate([p[n] for p in packed]) for n in ("target", "anchor", "vertex", "factor", "rest_cov")}
-        rows = _rounded(len(pieces))
+        pieces = np.concatenate([p["begin"][:-1] + b for p, b in zip(parts, base[:-1], strict=True)])
+        join = {n: np.concatenate([p[n] for p in parts]) for n in ("target", "anchor", "vertex", "factor", "rest_cov")}
+        rows = _rounded(int(np.ceil(room * len(pieces))))
         join["begin"] = np.concatenate([pieces, np.full(rows + 1 - len(pieces), base[-1])]).astype(np.int32)
-        sizes = {"target": rows * LANES, "anchor": rows * LANES, "rest_cov": rows * 6 * LANES, "begin": rows + 1}
-        slots = _rounded(int(base[-1]))
-        sizes |= {"vertex": slots * LANES, "factor": slots * 4 * LANES}
-        builder = ti.FieldsBuilder()
-        for name, size in sizes.items():
-            field = ti.field(ti.f32 if join[name].dtype == np.float32 else ti.i32)
-            builder.dense(ti.i, size).place(field)
-            setattr(self, name, field)
-        self._tree = builder.finalize()
-        for name, size in sizes.items():
+        self._place(rows, _rounded(int(np.ceil(room * base[-1]))))
+        for name, size in self._sizes.items():
             values = np.full(size, -1 if name == "target" else 0, join[name].dtype)
             values[: len(join[name])] = join[name]
             getattr(self, name).from_numpy(values)
+
+    def _place(self, rows: int, slots: int) -> None:
+        """Fields for so many slices and slots of vertices."""
+        self._sizes = {"target": rows * LANES, "anchor": rows * LANES, "rest_cov": rows * 6 * LANES, "begin": rows + 1}
+        self._sizes |= {"vertex": slots * LANES, "factor": slots * 4 * LANES}
+        builder = ti.FieldsBuilder()
+        for name, size in self._sizes.items():
+            field = ti.field(ti.f32 if name in ("rest_cov", "factor") else ti.i32)
+            builder.dense(ti.i, size).place(field)
+            setattr(self, name, field)
+        self._tree = builder.finalize()
+
+    def read(self) -> list[dict]:
+        """The parts as they are packed, on the host; vertices and Gaussians counted from each one's own first."""
+        if self._tree is None:
+            return [dict(NOTHING) for _ in self.runs]
+        whole = {name: getattr(self, name).to_numpy() for name in self._sizes}
+        parts, row, slot = [], 0, 0
+        for run, (rows, slots) in zip(self.runs, self._lengths, strict=True):
+            at, slot_at = slice(row * LANES, (row + rows) * LANES), slice(slot * LANES, (slot + slots) * LANES)
+            target = whole["target"][at]
+            part = {
+                "target": np.where(target >= 0, target - run.gaussian, -1).astype(np.int32),
+                "anchor": whole["anchor"][at] - np.int32(run.vertex),
+                "rest_cov": whole["rest_cov"][6 * at.start : 6 * at.stop],
+                "begin": whole["begin"][row : row + rows + 1] - np.int32(slot),
+                "vertex": whole["vertex"][slot_at] - np.int32(run.vertex),
+                "factor": whole["factor"][4 * slot_at.start : 4 * slot_at.stop],
+            }
+            parts.append({name: np.ascontiguousarray(values) for name, values in part.items()})
+            row, slot = row + rows, slot + slots
+        return parts
+
+    def larger(self, parts: list[dict], times: float) -> "Embedding":
+        """An empty one with room for `times` as much as these `parts` are."""
+        other = Embedding([], with_rotation=self.with_rotation)
+        rows, slots = (sum(n) for n in zip(*map(lengths, parts), strict=True))
+        other._place(_rounded(int(np.ceil(rows * times))), _rounded(int(np.ceil(slots * times))))
+        other.target.fill(-1)
+        return other
+
+    def fits(self, runs: list[Run], parts: list[dict]) -> bool:
+        """Whether there is room for these."""
+        rows, slots = (sum(n) for n in zip((0, 0), *(lengths(parts[r.part]) for r in runs), strict=True))
+        return self._tree is not None and rows < self._sizes["begin"] and slots * LANES <= self._sizes["vertex"]
+
+    def load(self, runs: list[Run], parts: list[dict]) -> None:
+        """Carry these runs of `parts` (of `read`), which fit, and nothing else; what stays in place is not written."""
+        before, row, slot = self.runs, 0, 0
+        where, self._lengths = [], []
+        for k, run in enumerate(runs):
+            rows, slots = lengths(parts[run.part])
+            where.append((row, slot))
+            if rows and not (k < len(before) and before[k] == run and self._where[k] == (row, slot)):
+                p = parts[run.part]
+                self._put_slices(
+                    row,
+                    slot,
+                    run.vertex,
+                    run.gaussian,
+                    run.scale**2,
+                    p["target"],
+                    p["anchor"],
+                    p["begin"],
+                    p["rest_cov"],
+                )
+                self._put_slots(slot, run.vertex, 1.0 / run.scale, p["vertex"], p["factor"])
+            self._lengths.append((rows, slots))
+            row, slot = row + rows, slot + slots
+        self._clear(row * LANES)
+        self.runs, self._where = list(runs), where
+        self.count = sum(int((parts[r.part]["target"] >= 0).sum()) for r in runs)
+
+    @ti.kernel
+    def _put_slices(
+        self, row: ti.i32, slot: ti.i32, first_vertex: ti.i32, first_gaussian: ti.i32, size: ti.f32,
+        target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1),
+        rest_cov: ti.types.ndarray(ti.f32, 1),
+    ):  # fmt: skip
+        for i in range(target.shape[0]):
+            self.target[row * LANES + i] = target[i] + first_gaussian if target[i] >= 0 else -1
+            self.anchor[row * LANES + i] = anchor[i] + first_vertex
+        for i in range(begin.shape[0]):
+            self.begin[row + i] = begin[i] + slot
+        for i in range(rest_cov.shape[0]):
+            self.rest_cov[row * 6 * LANES + i] = rest_cov[i] * size
+
+    @ti.kernel
+    def _put_slots(
+        self, slot: ti.i32, first_vertex: ti.i32, shrink: ti.f32,
+        vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
+    ):  # fmt: skip
+        """Gradients [1/m], three of the four factors of a vertex, shrink as the body grows."""
+        for i in range(vertex.shape[0]):
+            self.vertex[slot * LANES + i] = vertex[i] + first_vertex
+        for i in range(factor.shape[0]):
+            self.factor[slot * 4 * LANES + i] = factor[i] * (shrink if i // LANES % 4 < 3 else 1.0)
+
+    @ti.kernel
+    def _clear(self, first: ti.i32):
+        for i in self.target:
+            if i >= first:
+                self.target[i] = -1
 
 
 def _rounded(n: int) -> int:
     """Next of 4, 5, 6, 7 times a power of two: at most a quarter more."""
     step = 1 << max(0, n.bit_length() - 3)
     return max(1, -(-n // step) * step)
-
-
-def rest_covariances(gaussians: Gaussians) -> np.ndarray:
-    """Sigma_0 = R S S R^T as (xx, xy, xz, yy, yz, zz) [m^2], float64 (N, 6)."""
-    A = matrices_of_quats(gaussians.quats) * np.exp(np.asarray(gaussians.log_scales, np.float64))[:, None]
-    S = A @ np.moveaxis(A, 1, 2)
-    return S[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-
-
-def _two_level(part: EmbeddedPart, rows: slice, locator: Locator | None):
-    """Vertices (n, 16), weights m (n, 16) and gradients g [1/m] (n, 16, 3) of the local tetrahedra."""
-    vertex = part.tets[part.host[rows]]
-    W = np.asarray(part.weights[rows], np.float64)
-    W = W / W.sum(2, keepdims=True)  # float32 rows sum to 1 only within rounding
-    y = np.einsum("nkj,nkjc->nkc", W, np.asarray(part.rest, np.float64)[vertex])
-    d1, d2, d3 = np.moveaxis(y[:, 1:] - y[:, :1], 1, 0)  # columns of D
-    cofactors = np.stack([np.cross(d2, d3), np.cross(d3, d1), np.cross(d1, d2)], 1)
-    volume = np.einsum("ni,ni->n", d1, cofactors[:, 0])
-    longest = np.max([np.einsum("ni,ni->n", d, d) for d in (d1, d2, d3)], axis=0)
-    flat = np.abs(volume) <= FLATTEST * longest**1.5
-    if flat.any():
-        where = rows.start + int(np.flatnonzero(flat)[0])
-        raise BadInput(f"embedding: the local tetrahedron of Gaussian {where} (and {flat.sum() - 1} more) is flat")
-    inverse = cofactors / volume[:, None, None]
-    corner = np.concatenate([-inverse.sum(1, keepdims=True), inverse], 1)  # F = sum_k y_k corner_k^T
-    g = (W[..., None] * corner[:, :, None]).reshape(len(W), 16, 3)
-    offset = part.gaussians.means[rows] - y.mean(1)  # the centre need not be the centroid: clamped corners
-    m = W.reshape(len(W), 16) / 4 + np.einsum("nvc,nc->nv", g, offset)
-    return vertex.reshape(len(W), 16), m, g
-
-
-def _one_level(part: EmbeddedPart, rows: slice, locator: Locator):
-    """The same of the single tet that holds the centre, or the nearest: (n, 4), (n, 4), (n, 4, 3)."""
-    means = np.asarray(part.gaussians.means[rows], np.float64)
-    host = locator.find(means)
-    out = host < 0
-    if out.any():
-        host[out] = locator.nearest(means[out])[0]
-    return locator.tets[host], locator.weights(host, means), locator.gradients(host)
-
-
-def _merge(part: EmbeddedPart, collect) -> tuple[np.ndarray, ...]:
-    """Sum up the entries of equal vertices: row (E,) ascending, vertex (E,), factors (E, 4) = (g, m)."""
-    locator = Locator(part.rest, part.tets) if collect is _one_level else None
-    found = []
-    for start in range(0, len(part.gaussians), CHUNK):
-        vertex, m, g = collect(part, slice(start, start + CHUNK), locator)
-        n, width = vertex.shape
-        order = np.argsort(vertex, 1, kind="stable")
-        order = (order + width * np.arange(n)[:, None]).ravel()
-        vertex = vertex.ravel()[order]
-        factors = np.concatenate([g, m[..., None]], 2).reshape(-1, 4)[order]
-        row = np.repeat(np.arange(n), width)
-        first = np.flatnonzero(np.r_[True, (np.diff(vertex) != 0) | (np.diff(row) != 0)])
-        found.append((row[first] + start, vertex[first], np.add.reduceat(factors, first, 0).astype(np.float32)))
-    return tuple(np.concatenate(a) for a in zip(*found, strict=True))
-
-
-def _pack(part: EmbeddedPart, row: np.ndarray, vertex: np.ndarray, factors: np.ndarray) -> dict:
-    """Lay the entries out in slices of LANES Gaussians, slot by slot: a sorted, sliced ELLPACK matrix."""
-    n = len(part.gaussians)
-    # The anchor, the vertex of the largest weight, needs no factors: the weights sum to 1, the gradients to 0.
-    starts = np.searchsorted(row, np.arange(n))
-    most = np.maximum.reduceat(factors[:, 3], starts)
-    heaviest = np.flatnonzero(factors[:, 3] == most[row])
-    heaviest = heaviest[np.searchsorted(row[heaviest], np.arange(n))]
-    anchor = vertex[heaviest]
-    row, vertex, factors = (np.delete(a, heaviest, 0) for a in (row, vertex, factors))
-    counts = np.bincount(row, minlength=n)
-    order = np.lexsort((counts, np.arange(n) // WINDOW))
-    pieces = -(-n // LANES)
-    target = np.full(pieces * LANES, -1)
-    target[:n] = order
-    padded = np.zeros(pieces * LANES, np.int64)
-    padded[:n] = counts[order]
-    begin = np.r_[0, padded.reshape(-1, LANES).max(1).cumsum()]
-    place = np.empty(n, np.int64)
-    place[order] = np.arange(n)
-    at = place[row]  # where each entry's Gaussian stands
-    rank = np.arange(len(row)) - (counts.cumsum() - counts)[row]
-    slot, lane = begin[at // LANES] + rank, at % LANES
-    anchors = np.where(target >= 0, anchor[target], 0)
-    # An empty slot points at the anchor with factors 0.
-    owner = np.repeat(np.arange(pieces), np.diff(begin))
-    vertices = anchors.reshape(-1, LANES)[owner]
-    vertices[slot, lane] = vertex
-    table = np.zeros(begin[-1] * 4 * LANES, np.float32)
-    for c in range(4):
-        table[slot * (4 * LANES) + c * LANES + lane] = factors[:, c]
-    cov = np.zeros((pieces * LANES, 6), np.float32)
-    cov[:n] = rest_covariances(part.gaussians)[order]
-    shift = np.where(target >= 0, part.gaussian_offset, 0)
-    return {
-        "target": (target + shift).astype(np.int32),
-        "anchor": (anchors + part.vertex_offset).astype(np.int32),
-        "begin": begin,
-        "vertex": (vertices + part.vertex_offset).astype(np.int32).ravel(),
-        "factor": table,
-        "rest_cov": np.ascontiguousarray(np.moveaxis(cov.reshape(-1, LANES, 6), 1, 2)).ravel(),
-    }

@@ -70,6 +70,12 @@ class RestShape:
         kind = {"rigid": root.rigid, "boxed": root.boxed}
         return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
 
+    @property
+    def bytes(self) -> int:
+        """What it takes in memory, roughly: distances take the most."""
+        kept = sum(v.values.nbytes for v in self._kept.values() if isinstance(v, DistanceGrid))
+        return 10 * self.vertices.nbytes + kept + (0 if self.sdf is None else self.sdf.values.nbytes)
+
     @cached_property
     def inverse(self) -> np.ndarray:
         """D_m^-1 of each tet [1/m], (T, 3, 3)."""

@@ -17,20 +17,23 @@ class Skinning:
 
     def __init__(self, first: int, vertices, points, joints, weights, count: int):
         D = len(vertices)
+        self.first = first
         self.index, self.joint = ti.field(ti.i32, D), ti.Vector.field(4, ti.i32, D)
         self.point, self.weight = ti.Vector.field(3, ti.f32, D), ti.Vector.field(4, ti.f32, D)
         self.matrix = ti.Matrix.field(3, 4, ti.f32, count)
-        self.index.from_numpy((np.asarray(vertices) + first).astype(np.int32))
+        self.index.from_numpy(np.asarray(vertices, np.int32))
         self.point.from_numpy(np.asarray(points, np.float32))
         self.joint.from_numpy(np.asarray(joints, np.int32))
         self.weight.from_numpy(np.asarray(weights, np.float32))
 
-    def pose(self, matrices: np.ndarray, targets) -> None:
-        """Write where the vertices are by matrices (J, 4, 4) to the field `targets` vec3[V]."""
-        self._pose(np.ascontiguousarray(matrices[:, :3], np.float32), targets)
+    def pose(self, matrices: np.ndarray, targets, first: int | None = None) -> None:
+        """Write where the vertices are by matrices (J, 4, 4) to the field `targets` vec3[V]; `first`: of a copy of the
+        body, its first vertex."""
+        first = self.first if first is None else first
+        self._pose(np.ascontiguousarray(matrices[:, :3], np.float32), first, targets)
 
     @ti.kernel
-    def _pose(self, matrices: ti.types.ndarray(ti.f32, 3), targets: ti.template()):
+    def _pose(self, matrices: ti.types.ndarray(ti.f32, 3), first: ti.i32, targets: ti.template()):
         for j in self.matrix:
             for a, b in ti.static(ti.ndrange(3, 4)):
                 self.matrix[j][a, b] = matrices[j, a, b]
@@ -40,4 +43,4 @@ class Skinning:
             for k in ti.static(range(4)):
                 M = self.matrix[self.joint[i][k]]
                 y += self.weight[i][k] * (M @ ti.Vector([x[0], x[1], x[2], 1.0]))
-            targets[self.index[i]] = y
+            targets[first + self.index[i]] = y

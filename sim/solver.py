@@ -28,6 +28,7 @@ from sim.state import State
 from sim.substep import jacobi
 from sim.summary import Summary
 from sim.transform import Transform
+from sim.trees import trees_of
 
 LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
@@ -214,6 +215,11 @@ class Solver(Editing, Boundaries):
     def moved(self) -> bool:
         """Whether any vertex moved more than 1e-5 m since this last returned True."""
         return self._summary.moved()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the solver must not be used after."""
+        for tree in trees_of(self):
+            tree.destroy()
 
     @property
     def interaction(self) -> str:

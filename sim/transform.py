@@ -25,6 +25,8 @@ class Transform:
         self.tree = self.builder.finalize()
         self.stretch = Stretch(state)
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
+        self._poses: dict[int, np.ndarray] = {}  # hand -> world_from_hand after the last step, of those that hold
+        self._held: dict[int, np.ndarray] = {}  # the same of those that go on holding what was changed
 
     def step(self, hands: list[Hand | None], gripped: list[int]) -> None:
         """Move what the hands hold; gripped[h] is the body in hand h, -1 for none."""
@@ -34,7 +36,8 @@ class Transform:
             if body < 0:
                 self.grips.pop(h, None)
             elif self.grips.get(h, (-1,))[0] != body:
-                self.grips[h] = (body, np.linalg.inv(world_from_hand(hand)))
+                begin = self._held.get(h)
+                self.grips[h] = (body, np.linalg.inv(world_from_hand(hand) if begin is None else begin))
                 self._keep(body)
         moved = set()
         for h, (body, hand_from_world) in sorted(self.grips.items()):
@@ -42,10 +45,14 @@ class Transform:
                 M = world_from_hand(hands[h]) @ hand_from_world
                 self._move(body, ti.Matrix(M[:3, :3].tolist()), ti.Vector(M[:3, 3].tolist()))
                 moved.add(body)
+        self._held = {}
+        self._poses = {h: world_from_hand(hands[h]) for h in self.grips if h < len(hands)}
 
-    def reset(self) -> None:
+    def reset(self, *, held: bool = False) -> None:
+        """Bodies are elsewhere; those that are `held` go on from there with the hands, where these were."""
         self.grips.clear()
         self.stretch.reset()
+        self._held = self._poses if held else {}
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -84,7 +84,7 @@ class FakeWorld:
     def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
         self.scene, self.light, self.views = scene, scene.light, views
         self.timings, self.paused, self.interaction, self.moving = Timings(), False, "physics", False
-        self.steps = 0
+        self.steps, self.selected, self.notice = 0, None, ""
         self.resize(width, height)
         self._reset()
 

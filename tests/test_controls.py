@@ -1,16 +1,18 @@
 """Camera, hand, mouse and keys of a display, without a window."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fake_world import RADIUS, FakeWorld
 from numpy.testing import assert_allclose
 
 from assets.camera import look_at, perspective
-from display.controls import HELP, WALKING, Controls
+from display.controls import HELP, LARGER, WALKING, Controls
 from display.mouse_hand import FASTEST, MouseHand
 from display.orbit import STEEPEST, Orbit
 from display.window import project
-from scenes.scene import Hand
+from scenes.scene import Hand, Light
 
 WIDTH, HEIGHT = 320, 180
 CAMERA = perspective(WIDTH, HEIGHT, 0.9, look_at((0, 0, 3), (0, 0, 0)))
@@ -28,7 +30,7 @@ class Target:
     """A world for the controls: a ball of 0.3 m at the origin."""
 
     pick, bodies = FakeWorld.pick, FakeWorld.bodies
-    paused, demo, interaction = False, False, "physics"
+    paused, demo, interaction, light = False, False, "physics", Light((0.0, 2.0, 0.0))
 
     def __init__(self):
         self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
@@ -270,3 +272,71 @@ def test_reset_lets_go_of_what_is_held(controls):
 def test_the_help_names_every_walking_key():
     text = " ".join(keys for keys, _ in HELP).lower().split()
     assert set(WALKING) <= {word.strip(",") for word in text}
+
+
+# editing
+
+
+@pytest.mark.parametrize(
+    ("key", "command"),
+    [
+        ("c", {"duplicate": 0}),
+        ("delete", {"remove": 0}),
+        ("plus", {"rescale": (0, LARGER)}),
+        ("minus", {"rescale": (0, 1 / LARGER)}),
+    ],
+)
+def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, key, command):
+    (name, wanted), *_ = command.items()
+    world = Target()
+    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == command
+    last = None if wanted == 0 else (None, wanted[1])
+    assert controls.key(key, True, world, (5.0, 5.0, CAMERA)) == {name: last}  # the sky
+    assert controls.key(key, True, world) == {name: last}
+    assert controls.key(key, False, world, (*CENTRE, CAMERA)) == {}
+    assert controls.key(key, True, None, (*CENTRE, CAMERA)) == {}
+    controls.press("left", *CENTRE, CAMERA, world)
+    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == {name: last}  # the one that is held
+
+
+def test_turning_keys_turn_both_ways_about_the_vertical(controls):
+    (_, one), (_, other) = (controls.key(k, True, Target())["rotate"] for k in ("comma", "period"))
+    assert_allclose(np.linalg.norm(one), 1.0)
+    assert_allclose(one, np.multiply(other, [1, 1, -1, 1]))
+    assert one[1] == one[3] == 0.0 and 2 * np.arcsin(one[2]) == pytest.approx(np.pi / 12)
+    controls.key("shift", True, Target())
+    _, over = controls.key("comma", True, Target(), (5.0, 5.0, CAMERA))["rotate"]
+    assert_allclose(over[1:], np.sin(np.pi / 24) * CAMERA.world_to_camera[0, :3])
+
+
+def test_undo_and_redo_let_go_of_what_is_dragged(controls):
+    world = Target()
+    controls.press("left", *CENTRE, CAMERA, world)
+    assert controls.drag == "grab"
+    assert controls.key("ctrl+z", True, world) == {"undo": True}
+    assert controls.drag is None and not controls.hand.gripping
+    assert controls.key("ctrl+y", True, world) == {"redo": True}
+    assert controls.key("u", True, world) == {"undo": True}
+    controls.key("shift", True, world)
+    assert controls.key("u", True, world) == {"redo": True}
+    assert controls.key("ctrl+z", True, world) == {"redo": True}
+
+
+def test_the_light_follows_the_cursor_while_its_key_is_down(controls):
+    world = Target()
+    world.light = Light((0.5, 1.0, 1.0), target=(0.0, 0.0, 0.0), strength=0.4)
+    assert controls.lighting(world, 40.0, 30.0, CAMERA) == {}
+    controls.key("l", True, world)
+    light = controls.lighting(world, 40.0, 30.0, CAMERA)["light"]
+    assert_allclose(project(CAMERA, np.array(light.position)), (40.0, 30.0))
+    assert light.position[2] == pytest.approx(1.0)  # as far from the camera as it was
+    assert (light.strength, light.target) == (0.4, (0.0, 0.0, 0.0))
+    assert controls.lighting(world, 40.0, 30.0, CAMERA) == {}  # nothing new
+    assert "light" in controls.lighting(world, 50.0, 30.0, CAMERA)
+    controls.key("l", False, world)
+    assert controls.lighting(world, 60.0, 30.0, CAMERA) == {}
+    world.light = replace(world.light, position=(0.0, 0.0, 7.0))  # behind the camera
+    controls.key("l", True, world)
+    light = controls.lighting(world, 60.0, 30.0, CAMERA)["light"]
+    assert_allclose(project(CAMERA, np.array(light.position)), (60.0, 30.0))
+    assert light.position[2] == pytest.approx(0.0)  # in the plane of what one looks at

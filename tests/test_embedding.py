@@ -1,5 +1,7 @@
 """The run-time stage of the two-level embedding, against float64 and against the analytic deformation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -148,6 +150,54 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
     assert_allclose(got[10:47], a.means, atol=5e-7)
     assert_allclose(got[60:110], b.means + [0, 2, 0], atol=1e-6)
     assert (got[:10] == -7).all() and (got[47:60] == -7).all() and (got[110:] == -7).all()
+    stage.destroy()
+
+
+@pytest.mark.parametrize("larger", [False, True])
+def test_parts_come_go_move_and_grow(ti_cpu, larger):
+    """A copy five times as large carries Gaussians five times as large, farther than stretch alone may go."""
+    from sim.embedding import EmbeddedPart, Embedding, Run
+
+    ti, rng = ti_cpu, np.random.default_rng(4)
+    a, b = random_gaussians(rng, 37), random_gaussians(rng, 50)
+    n, room = len(BAR[0]), 1.0 if larger else 4.0
+    parts = [EmbeddedPart(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
+    parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
+    stage = Embedding(parts, with_rotation=False, room=room)
+    packed = stage.read()
+    if larger:
+        assert not stage.fits([Run(0, 0, 10), Run(1, n, 47), Run(1, 2 * n, 97)] * 3, packed)
+        stage = stage.larger(packed, 4.0)
+    bodies = [BAR[0], BAR[0] + [0, 2, 0], 5 * BAR[0] - [3, 0, 0]]
+    x = ti.Vector.field(3, ti.f32, 3 * n)
+    mean, cov = ti.Vector.field(3, ti.f32, 150), ti.Vector.field(6, ti.f32, 150)
+
+    def check(*carried):
+        """(Gaussians, body, size): which parts are where."""
+        runs, first, wanted = [], 10, [np.full((10, 3), -7.0)]
+        for k, (g, _, size) in enumerate(carried):
+            runs.append(Run(0 if g is a else 1, k * n, first, size))
+            first += len(g)
+        assert stage.fits(runs, packed)
+        stage.load(runs, packed)
+        points = [bodies[body] for _, body, _ in carried]
+        x.from_numpy(np.concatenate([*points, *[BAR[0]] * (3 - len(points))]).astype(np.float32))
+        mean.fill(-7.0)
+        stage.deform(x, mean, cov)
+        for g, body, size in carried:
+            wanted.append(size * g.means + bodies[body][0] - size * BAR[0][0])
+        wanted.append(np.full((150 - first, 3), -7.0))
+        assert_allclose(mean.to_numpy(), np.concatenate(wanted), atol=3e-6)
+        sizes = np.concatenate([np.full(len(g), size) for g, _, size in carried])
+        rest = np.concatenate([covariances(g) for g, _, _ in carried]) * sizes[:, None, None] ** 2
+        assert_allclose(symmetric(cov.to_numpy()[10:first]), rest, rtol=2e-3, atol=1e-7)
+        assert stage.count == first - 10
+
+    check((a, 0, 1.0), (b, 1, 1.0))
+    check((a, 0, 1.0), (b, 1, 1.0), (a, 2, 5.0))
+    check((b, 1, 1.0), (a, 2, 5.0))
+    check((b, 2, 5.0), (a, 0, 1.0), (b, 1, 1.0))
+    check((a, 0, 1.0), (b, 1, 1.0))
     stage.destroy()
 
 

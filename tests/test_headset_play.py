@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from assets.gaussians import quat_of_matrix
 from display.headset.poses import Standpoint
+from display.headset.wrist_panel import BUTTONS, PIXELS, WIDTH, pose_of
 from display.replay import Replay
 from scenes import ring_toss
 from tests.remote_headset import PORT, Player, monado, surroundings
@@ -23,7 +25,7 @@ from tests.xvfb import NEEDS_XVFB, XServer
 TESTS = Path(__file__).resolve().parent
 WHY = "no OpenXR runtime to play in: build it with `sh tests/monado.sh`"
 pytestmark = [*NEEDS_XVFB, pytest.mark.skipif(monado() is None, reason=WHY)]
-YELLOW = 1
+RED, YELLOW = 0, 1
 
 
 class Play(Watched):
@@ -53,6 +55,15 @@ class Play(Watched):
             controller.position = tuple((start + (to - start) * k / steps).tolist())
             self.player.send()
             time.sleep(seconds / steps)
+
+    def in_world(self, point) -> np.ndarray:
+        """Where a point of the play space is in the world [m]."""
+        return (self.stage @ [*point, 1.0])[:3]
+
+    def rest(self, frames: int = 2) -> None:
+        """Let some frames pass."""
+        after = len(self.frames()) + frames
+        self.until(lambda f: len(self.frames()) >= after)
 
 
 @pytest.fixture(scope="module")
@@ -109,11 +120,62 @@ def test_both_eyes_see_the_room_and_turn_with_the_head(play):
     assert np.abs(aside[0].astype(int) - ahead[0]).mean() > 10
 
 
-def test_buttons_change_the_interaction_and_reset(play):
+def test_buttons_change_the_interaction_and_take_the_throw_back(play):
     play.player.rotation = (0.0, 0.0, 0.0, 1.0)
     press(play, play.player.left, "b_click", lambda f: f["interaction"] == "transform")
     press(play, play.player.left, "b_click", lambda f: f["interaction"] == "physics")
-    press(play, play.player.right, "b_click", lambda f: f["time"] < 0.5)
+    x, _, z = np.array(ring_toss.build().bodies[2 + YELLOW].position)
+
+    def away(frame):
+        return np.hypot(place(frame, YELLOW)[0] - x, place(frame, YELLOW)[2] - z)
+
+    assert away(play.frames()[-1]) > 0.1
+    press(play, play.player.right, "b_click", lambda f: away(f) < 0.02)
+    press(play, play.player.right, "a_click", lambda f: away(f) > 0.1)
+
+
+def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
+    left, right = play.player.left, play.player.right
+    left.position, left.rotation = (-0.05, 1.15, -0.45), (0.0, 0.0, 0.0, 1.0)
+    right.position, right.rotation, right.trigger = (0.4, 1.1, 0.3), (0.0, 0.0, 0.0, 1.0), 0.0
+    play.player.send()
+    play.until(lambda f: f["time"] > 0.1, seconds=300)
+    play.rest()
+    before = orange(play)
+    left.pressed = {"a_click"}
+    play.player.send()
+    play.until(lambda f: orange(play) > before + 100)  # "Physics" is lit
+    left.pressed = set()
+    play.player.send()
+    play.rest()
+    assert orange(play) > before + 100
+    rim = np.add(place(play.frames()[-1], RED), [0.0, 0.4, ring_toss.RING_RADIUS])
+    right.position, right.rotation = play.in_play_space(rim), (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))  # straight down
+    play.player.send()
+    play.rest()
+    pull(play, lambda f: "select" in f["commands"])
+    point(play, "c")
+    pull(play, lambda f: len(f["bodies"]) == 4)
+    copied = play.frames()[-1]["bodies"]
+    assert copied[3]["name"] == copied[RED]["name"] and not any(b["held"] for b in copied)
+    point(play, "undo")
+    pull(play, lambda f: len(f["bodies"]) == 3)
+
+    point(play, "light")
+    before = play.frames()[-1]["light"]
+    right.trigger = 1.0
+    play.player.send()
+    play.until(lambda f: f["light"] != before)
+    play.move(right, (0.2, 1.5, -0.3), seconds=0.5, steps=5)
+    there = play.in_world((0.2, 1.5, -0.3))
+    lit = play.until(lambda f: np.linalg.norm(np.subtract(f["light"], there)) < 0.1)
+    assert not any(b["held"] for b in lit["bodies"])
+    right.trigger = 0.0
+    play.player.send()
+    play.rest()
+    play.move(right, (0.4, 1.1, 0.3), seconds=0.5, steps=5)
+    play.rest()
+    assert np.linalg.norm(np.subtract(play.frames()[-1]["light"], there)) < 0.1
 
 
 def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
@@ -132,6 +194,44 @@ def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
     ]
 
 
+def place(frame: dict, body: int) -> list[float]:
+    """Where a body is [m]."""
+    return frame["bodies"][body]["centroid"]
+
+
+def orange(play) -> int:
+    """Pixels of the panel's accent in what the left eye sees."""
+    eye = compositor(play.screen)[0].astype(int)
+    red, green, blue = (eye[..., k] for k in range(3))
+    return int(((abs(red - 250) < 12) & (abs(green - 168) < 16) & (abs(blue - 61) < 25)).sum())
+
+
+def point(play, name: str) -> None:
+    """Let the right hand point at a button of the panel, from before it."""
+    left, right = play.player.left, play.player.right
+    hand, head = np.eye(4), np.eye(4)
+    hand[:3, 3], head[:3, 3] = left.position, play.player.position
+    panel = pose_of(hand, head)
+    x, y, w, h = next(b.box for b in BUTTONS if b.name == name)
+    scale = WIDTH / PIXELS[0]
+    at = [(x + w / 2 - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - y - h / 2) * scale, 0.15]
+    right.position = tuple((panel[:3, 3] + panel[:3, :3] @ at).tolist())
+    w, x, y, z = quat_of_matrix(panel[:3, :3])
+    right.rotation = (x, y, z, w)
+    play.player.send()
+    play.rest()
+
+
+def pull(play, effect) -> None:
+    """Hold the right trigger until a frame shows its effect, then let go."""
+    play.player.right.trigger = 1.0
+    play.player.send()
+    play.until(effect)
+    play.player.right.trigger = 0.0
+    play.player.send()
+    play.rest()
+
+
 def press(play, controller, button: str, effect) -> None:
     """Hold a button down until a frame shows its effect, then let go for two frames."""
     controller.pressed = {button}
@@ -139,8 +239,7 @@ def press(play, controller, button: str, effect) -> None:
     play.until(effect)
     controller.pressed = set()
     play.player.send()
-    after = len(play.frames()) + 2
-    play.until(lambda f: len(play.frames()) >= after)
+    play.rest()
 
 
 def compositor(screen) -> list[np.ndarray]:

@@ -75,6 +75,84 @@ def test_a_hand_does_not_stop_the_dance(stage):
     assert least_volumes(asset.cage.tets, np.stack([rest, x])).min() > 0.2 and world.stats()["finite"]
 
 
+def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
+    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
+    place = np.array(world.scene.bodies[2].position)
+    led, first = a.vertices[a.driven], world.solver.vertex_offset[body]
+    wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
+    x = world.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
+    return x[led], wanted @ move[:3, :3].T + move[:3, 3]
+
+
+def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage):
+    from display.frame import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    for k in range(12):
+        world.step(Frame(DT, (k + 1) * DT, []))
+    grip = 0.5 * (world.bodies()[0].low + world.bodies()[0].high)
+    world.apply({"interaction": "transform"})
+    half = (np.cos(0.25), 0.0, np.sin(0.25), 0.0)
+    for k in range(5):
+        hand = Hand(tuple(grip + [0.05 * k, 0.0, 0.02 * k]), half if k else (1.0, 0.0, 0.0, 0.0), True, 0.2)
+        world.step(Frame(DT, 0.0, [], [hand]))
+        assert world.bodies()[0].held
+    R = np.array([[np.cos(0.5), 0.0, np.sin(0.5)], [0.0, 1.0, 0.0], [-np.sin(0.5), 0.0, np.cos(0.5)]])
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = R, grip + [0.2, 0.0, 0.08] - R @ grip
+    world.apply({"interaction": "physics"})
+    for k in range(6):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 0, (13 + k) * DT, move), atol=1e-4)
+    assert world.stats()["finite"] and np.abs(world.bodies()[0].velocity).max() < 2.0  # nothing snapped
+    world.apply({"undo": True})
+    world.step(Frame(DT, 0.0, []))
+    assert_allclose(*led_and_wanted(world, asset, 0, 13 * DT, np.eye(4)), atol=1e-4)
+    assert world.interaction == "physics"
+
+
+def test_a_copy_dances_along_at_its_size_and_goes(stage):
+    from display.frame import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    for k in range(6):
+        world.step(Frame(DT, (k + 1) * DT, []))
+    world.apply({"duplicate": 0})
+    world.apply({})  # room is made
+    world.shadow.cast = lambda: None
+    aside = world.bodies()[2].centroid - world.bodies()[0].centroid
+    assert abs(aside[1]) < 1e-5 and np.hypot(aside[0], aside[2]) > 0.1  # beside it, on the table
+    move = np.eye(4)
+    move[:3, 3] = aside
+    body = world.bodies()[2]
+    foot = np.array([body.centroid[0], body.low[1], body.centroid[2]])
+    for k in range(4):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 2, (7 + k) * DT, move), atol=1e-4)
+    body = world.bodies()[2]
+    foot = np.array([body.centroid[0], body.low[1], body.centroid[2]])
+    world.apply({"rescale": (2, 0.8)})
+    assert not world.notice
+    scale = np.diag([0.8, 0.8, 0.8, 1.0])
+    scale[:3, 3] = 0.2 * foot
+    world.apply({"remove": 1})  # the ring: the copy is body 1 now
+    for k in range(4):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 1, (11 + k) * DT, scale @ move), atol=1e-4)
+        assert_allclose(*led_and_wanted(world, asset, 0, (11 + k) * DT, np.eye(4)), atol=1e-4)
+    world.apply({"remove": 0})
+    world.step(Frame(DT, 0.0, []))
+    assert_allclose(*led_and_wanted(world, asset, 0, 15 * DT, scale @ move), atol=1e-4)
+    assert world.stats()["finite"] and len(world.motions) == 1
+    world.apply({"reset": True})
+    world.step(Frame(DT, 0.0, []))
+    assert len(world.bodies()) == 2
+    assert_allclose(*led_and_wanted(world, asset, 0, DT, np.eye(4)), atol=1e-4)
+
+
 def test_what_stands_still_cannot_dance():
     with pytest.raises(BadInput, match="does not move by itself"):
         registry.load("just_dance", body="ring_red")

@@ -194,6 +194,19 @@ def test_t_switches_between_physics_and_transform(session):
     session.until(lambda f: f["interaction"] == "physics")
 
 
+def test_editing_keys_and_buttons_reach_the_world(session):
+    keys = {"ctrl+z": "undo", "ctrl+shift+z": "redo", "u": "undo", "ctrl+d": "duplicate", "Delete": "remove"}
+    for key, command in {**keys, "plus": "rescale", "minus": "rescale", "period": "rotate"}.items():
+        before = len(session.frames())
+        session.screen.key(key)
+        session.until(lambda f, c=command, n=before: any(c in g["commands"] for g in session.frames()[n:]))
+    assert session.frames()[-1]["eye"] == [0, 0, 3]  # no key walks
+    before = len(session.frames())
+    session.screen.click(54, 156)
+    session.until(lambda f: any("undo" in g["commands"] for g in session.frames()[before:]))
+    session.screen.mouse_move(*FREE)
+
+
 def test_the_panel_has_the_mouse_while_it_is_under_it(session):
     """Its buttons work, and a drag on it neither turns the camera nor grabs."""
     session.screen.click(64, 69)
@@ -204,7 +217,7 @@ def test_the_panel_has_the_mouse_while_it_is_under_it(session):
     session.until(lambda f: f["interaction"] == "transform")
     session.screen.click(88, 98)
     session.until(lambda f: f["interaction"] == "physics")
-    session.screen.drag((64, 185), (30, 185), seconds=0.3)  # the slider of the light's x
+    session.screen.drag((64, 294), (30, 294), seconds=0.3)  # the slider of the light's x
     lit = session.until(lambda f: f["light"][0] < -2.0)
     assert lit["eye"] == [0, 0, 3] and not lit["grip"]
     session.screen.wheel(2)

@@ -25,8 +25,9 @@ def watch(log) -> None:
         ]
         state = {"time": self.time, "score": self.score, "paused": self.paused, "bodies": bodies}
         state["hands"] = [{"position": h.position, "grip": h.grip} for h in frame.hands]
-        state["interaction"] = self.interaction
         state["touched"] = [float(abs(f).sum()) for f in self.touch_forces()]
+        state["interaction"], state["commands"] = self.interaction, sorted(frame.commands)
+        state["light"] = self.light.position
         log.write(json.dumps(state) + "\n")
         log.flush()
 

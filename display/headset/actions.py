@@ -24,8 +24,8 @@ NAMES = {
     "grab": "Grab",
     "pinch": "Pinch",
     "stick": "Turn and go",
-    "upper": "Interaction (left), reset (right)",
-    "lower": "Demonstration (left), pause (right)",
+    "upper": "Interaction (left), undo (right)",
+    "lower": "Panel (left), redo (right)",
     "feel": "Touch",
     "point": "Stretch out a finger",
 }

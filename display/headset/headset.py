@@ -16,12 +16,13 @@ from display.headset import graphics
 from display.headset.depth import EXTENSION
 from display.headset.mirror import mirror
 from display.headset.news import News
-from display.headset.player import Player
+from display.headset.player import TAP, Player
 from display.headset.poses import eye_camera
 from display.headset.resolution import Resolution
 from display.headset.runtime import INSTEAD, Runtime
 from display.headset.session import Lost, Session
 from display.headset.tracking import Steady
+from display.headset.wrist_panel import WristPanel
 from display.surface import has_display
 from scenes.scene import Scene
 
@@ -57,7 +58,7 @@ class Headset:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
-        self._clock, self._steady, self._news = Clock(), Steady(), News()
+        self._clock, self._steady, self._news, self._wrist = Clock(), Steady(), News(), WristPanel()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
@@ -151,9 +152,10 @@ class Headset:
         controllers = session.inputs(shown)
         self._steady.lead(controllers, tick.dt)
         head = session.locate(shown)[0][0]
+        asked = self._wrist.advance(controllers, head, self._player.standpoint.matrix, world)
         hands, commands = self._player.advance(controllers, head, world)
         self._frame, self._rendered = state, bool(state.should_render)
-        commands, self._commands = {**self._commands, **commands}, {}
+        commands, self._commands = {**self._commands, **commands, **asked}, {}
         self._news.frame(session)
         cameras = self._cameras if self._rendered else []
         parts = self._player.parts(controllers)
@@ -184,8 +186,9 @@ class Headset:
                 if self._rendered:
                     self._mirror.texture.upload(world.picture)
                     layers = self._session.show(self._mirror.texture.texture, world.renderer_size)
+                    layers += self._session.show_panel(self._wrist, world)
                 self._session.end(frame.predicted_display_time, layers)
-                self._session.guarded(lambda: self._player.feel(world, self._session.actions))
+                self._session.guarded(lambda: self._feel(world))
             except Lost:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
@@ -195,6 +198,11 @@ class Headset:
         timings.frame(self._tick.missed)
         if self._rendered:
             self._pace(world)
+
+    def _feel(self, world) -> None:
+        self._player.feel(world, self._session.actions)
+        if self._wrist.clicked:
+            self._session.actions.pulse(1, *TAP)
 
     def _pace(self, world) -> None:
         """Draw as many pixels from now on as hold the headset's rate, or as the user wants."""

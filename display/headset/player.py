@@ -73,12 +73,10 @@ class Player:
         commands = {}
         if "upper" in left.pressed:
             commands["interaction"] = "transform" if world.interaction == "physics" else "physics"
-        if "lower" in left.pressed:
-            commands["demo"] = not world.demo
         if "upper" in right.pressed:
-            commands["reset"] = True
+            commands["undo"] = True
         if "lower" in right.pressed:
-            commands["pause"] = not world.paused
+            commands["redo"] = True
         return commands
 
     def _grip(self, h: int, c: Controller) -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from display.headset.actions import Actions
 from display.headset.eyes import Eyes
 from display.headset.hand_tracking import HandTracking, Sides
+from display.headset.panel_layer import PanelLayer
+from display.headset.panel_paint import content_of
 from display.headset.poses import matrix_of
 
 HEIGHT = 1.6  # [m] of a head over the floor, until it is seen
@@ -55,6 +57,7 @@ class Session:
         self.actions = Actions(runtime, self.handle)
         self.eyes = Eyes(runtime, self.handle, gl, size, len(runtime.views))
         self.hands, self._sides = self._hands(), Sides()
+        self.panel = PanelLayer(runtime, self.handle, gl)
 
     def _hands(self) -> HandTracking | None:
         """The hands' trackers; none where a runtime that promised them does not give them."""
@@ -143,6 +146,13 @@ class Session:
         self.guarded(lambda: self.eyes.draw(texture, size))
         return [self.eyes.layer(self.space, self._views)]
 
+    def show_panel(self, panel, world) -> list:
+        """The layer of the panel over the left hand (a WristPanel), if it is to be seen."""
+        if panel.pose is None:
+            return []
+        self.guarded(lambda: self.panel.show(content_of(world, panel)))
+        return [self.panel.layer(self.space, panel.pose)]
+
     def end(self, time: int, layers: list) -> None:
         """End the frame that `wait` began, with or without something to show."""
         xr = self.xr
@@ -167,6 +177,7 @@ class Session:
         self.eyes.close()
         if self.hands is not None:
             self.hands.close()
+        self.panel.close()
         handle, self.handle = self.handle, None
         with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
             self.xr.destroy_session(handle)

@@ -19,7 +19,8 @@ from display.studio import framing
 from prepare.pipeline import prepare
 from render.renderer import Renderer
 from render.splats import Splats
-from sim.embedding import EmbeddedPart, Embedding, rest_covariances
+from sim.embedding import EmbeddedPart, Embedding
+from sim.packing import rest_covariances
 from tests.stages import brick
 
 SCHEMES = ("one-level", "two-level")

@@ -187,10 +187,11 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")
     what = "sim: the solver, 400 substeps a frame; render: a headset's picture, both eyes; "
+    what += "frame: a headset's whole frame, ring toss; "
     what += "scaling: a picture's time against Gaussians and against pixels; "
     what += "popping: what flickers when the head turns, by ways to sort; "
     what += "embedding: finding hosts, carrying Gaussians, one level against two"
-    c.add_argument("subject", choices=("sim", "render", "scaling", "popping", "embedding"), help=what)
+    c.add_argument("subject", choices=("sim", "render", "frame", "scaling", "popping", "embedding"), help=what)
     room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
     c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room); embedding: a body")
     c.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help="embedding: (default 1000000)")

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 
 from assets.errors import BadInput
+from display.interop import CudaTexture, NoInterop
 
 VERTEX = """
 #version 330
@@ -80,8 +82,9 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
 class PictureTexture:
     """The picture as an OpenGL texture of the current context, and how it fills a window.
 
-    `upload` is the one place where the picture leaves Taichi: it passes through the host. Of several `views`, which lie
-    one below the other, `draw` shows the first.
+    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device (display/interop.py), or
+    passes through the host, which is said once, where OpenGL runs elsewhere. Of several `views`, which lie one below
+    the other, `draw` shows the first.
     """
 
     def __init__(self, gl, views: int = 1):
@@ -89,7 +92,8 @@ class PictureTexture:
         self._program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
         self._triangle = gl.vertex_array(self._program, [])
         self._program["views"] = views
-        self._texture = None
+        self._texture = self._shared = None
+        self.through_host: bool | None = None  # does the picture pass through the host; None before the first
 
     @property
     def texture(self):
@@ -103,14 +107,40 @@ class PictureTexture:
 
     def upload(self, picture) -> None:
         """Take over a finished picture, a ti.ndarray u32 (H, W); its size may change."""
-        pixels = pixels_of(picture)
-        size = (pixels.shape[1], pixels.shape[0])
-        if self.size != size:
-            if self._texture is not None:
-                self._texture.release()
-            self._texture = self._gl.texture(size, 4)
+        height, width = picture.shape
+        if self.size != (width, height):
+            self.release()
+            self._texture = self._gl.texture((width, height), 4)
             self._texture.repeat_x = self._texture.repeat_y = False
-        self._texture.write(pixels)
+        if not self._share(picture):
+            self._texture.write(pixels_of(picture))
+
+    def _share(self, picture) -> bool:
+        """Whether the picture went over on the device."""
+        import taichi as ti
+        from taichi.lang import impl
+
+        if self.through_host is None:
+            self.through_host = ti.cfg.arch != ti.cuda
+        if self.through_host:
+            return False
+        ti.sync()  # Taichi draws in a stream of its own
+        try:
+            self._shared = self._shared or CudaTexture(self._texture)
+            self._shared.write(impl.get_runtime().prog.get_ndarray_data_ptr_as_int(picture.arr))
+        except NoInterop as e:
+            self.through_host = True
+            print(f"pictures pass through the host: OpenGL does not share the GPU ({e})", file=sys.stderr, flush=True)
+            return False
+        return True
+
+    def release(self) -> None:
+        """Give the texture back. Further calls do nothing."""
+        if self._shared is not None:
+            self._shared.close()
+        if self._texture is not None:
+            self._texture.release()
+        self._texture = self._shared = None
 
     def draw(self, frame: tuple[int, int]) -> None:
         """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs."""

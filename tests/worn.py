@@ -43,7 +43,8 @@ class Time:
 class World:
     """What a headset needs of a world: it notes its frames."""
 
-    demo, paused, interaction = False, False, "physics"
+    demo, paused, interaction, light, selected = False, False, "physics", None, None
+    score, message, notice = 0, "", ""
 
     def __init__(self, size):
         self.timings, self.cost, self.renderer_size, self.sizes = Timings(), Cost(), size, []
@@ -56,6 +57,12 @@ class World:
     def resize(self, *size):
         self.renderer_size = size
         self.sizes.append(size)
+
+    def bodies(self):
+        return []
+
+    def pick(self, origin, direction):
+        return None
 
     def hand_forces(self):
         return [np.array([0.0, 20.0, 0.0]), np.zeros(3)]

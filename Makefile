@@ -1,6 +1,6 @@
 # make play   set everything up and play the ring toss (without a display: record it)
 # make test   set everything up and run the tests
-# make soak   30 simulated minutes of random handling (an hour or more; for the night)
+# make soak   for the night: the long tests, then 30 simulated minutes of random handling (hours)
 # make build  model the shipped assets anew, from code
 # make lint   check style
 
@@ -16,6 +16,7 @@ test: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0
 
 soak: $(VENV)/.ready-tests
+	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 -m long
 	@$(PYTHON) -m tests.soak --minutes 30
 
 build: $(VENV)/.ready

@@ -95,6 +95,7 @@ def momentum(solver, bodies):
     return p, L
 
 
+@pytest.mark.long
 def test_a_free_collision_of_soft_and_rigid_conserves_momentum(place):
     solver, where = started(place, (0.0, 0.0, 0.0))
     pair = where["collision"]

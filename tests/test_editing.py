@@ -79,6 +79,7 @@ def edit_everything(solver):
     solver.remove(k - 1)
 
 
+@pytest.mark.long
 def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
     edit_everything(solver)
     compiled, materialize = [], Kernel.materialize

@@ -54,6 +54,7 @@ def found(rings, speed):
     return points, contacts.samples.body.to_numpy()[:n], host, contacts.pairs.hosts.hash.cell[None], x
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("speed", [3.0, 12.0])
 def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed):
     points, body, host, cell, x = found(rings, speed)

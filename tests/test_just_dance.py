@@ -113,6 +113,7 @@ def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage
     assert world.interaction == "physics"
 
 
+@pytest.mark.long
 def test_a_copy_dances_along_at_its_size_and_goes(stage):
     from display.frame import Frame
 

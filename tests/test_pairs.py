@@ -144,6 +144,7 @@ def test_distance_and_normal_in_a_deformed_host(cubes):
     assert_allclose(normal[above], np.tile(g / np.linalg.norm(g), (above.sum(), 1)), atol=2e-3)
 
 
+@pytest.mark.long
 def test_rings_stack_on_a_peg_and_rest(ti_cpu):
     """Three rings dropped over a peg, each onto the last, repeatably."""
     x, tets, surface = torus(0.08, 0.016, 16, 2)

@@ -69,7 +69,7 @@ def test_a_ring_is_grabbed_lifted_and_thrown(play):
     lifted = play.screen.pixels()[:HEIGHT, :WIDTH].astype(int)
     assert not yellow(lifted, rim), "the picture still shows the ring where it lay"
 
-    play.screen.drag(rim - [0, 70], rim - [0, 100], seconds=0.3)
+    play.screen.drag(rim - [0, 70], rim - [60, 100], seconds=0.3)
     thrown = play.until(lambda f: not f["bodies"][YELLOW]["held"])
     rest = play.until(lambda f: f["time"] > thrown["time"] + 1.5, seconds=120)
     assert np.linalg.norm(np.subtract(rest["bodies"][YELLOW]["centroid"], centre)) > 0.05

@@ -63,10 +63,12 @@ def test_a_free_fall_is_exact_in_fp32(free):
     assert_allclose(box.centroid[1] - 3, -0.5 * 9.81 * 0.5 * (0.5 + free.stats["dt"]), rtol=1e-4)
 
 
+@pytest.mark.long
 def test_rebounds_reach_e_squared(place):
     check(physics_contact.rigid_bounce(place))
 
 
+@pytest.mark.long
 def test_stacks_stand(place):
     check(physics_contact.rigid_stack(place))
 

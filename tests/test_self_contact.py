@@ -64,6 +64,7 @@ def apart(x):
     return x[UPPER, 1].mean() - x[LOWER, 1].mean()
 
 
+@pytest.mark.long
 def test_a_body_in_its_rest_shape_meets_nothing(bar):
     """At rest, thrown at 8 m/s, and spinning at 20 rad/s."""
     for v in (0.0 * BAR, 0.0 * BAR + (8, -3, 1), np.cross([0, 3, 20], BAR)):

@@ -82,6 +82,7 @@ def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
     np.testing.assert_allclose(turned(30.0).position, CAMERA.position, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
     """Large translucent Gaussians of many colours, where the order matters."""
     from assets.gaussians import Gaussians

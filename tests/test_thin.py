@@ -102,5 +102,6 @@ def test_bodies_thrown_at_each_other_do_not_pass(plates):
             assert now[a][:, 1].mean() > now[b][:, 1].mean()
 
 
+@pytest.mark.long
 def test_rings_stay_on_their_pegs(ti_cpu):
     assert linked_throws(8, 5.0, around=16, seconds=0.5) == 8

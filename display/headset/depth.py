@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 
+from display.headset.swapchain import format_of, swapchain
 from render.renderer import FAR, NEAR
 
 EXTENSION = "XR_KHR_composition_layer_depth"
@@ -25,8 +26,7 @@ class Depth:
         """None where the runtime does not take depth."""
         if EXTENSION not in runtime.enabled:
             return None
-        there = list(runtime.xr.enumerate_swapchain_formats(session))
-        chosen = next((f for f in FORMATS if f in there), None)
+        chosen = format_of(runtime.xr, session, FORMATS)
         return None if chosen is None else cls(runtime.xr, session, gl, chosen, size, views)
 
     def __init__(self, xr, session, gl, chosen: int, size: tuple[int, int], views: int):
@@ -34,19 +34,9 @@ class Depth:
         address = gl.extra("glFramebufferTexture2D")  # moderngl attaches no depth texture that is not its own
         kind = ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint, ctypes.c_uint, ctypes.c_uint, ctypes.c_int)
         self._attach = kind(address)
-        how = xr.SwapchainCreateInfo(
-            usage_flags=xr.SwapchainUsageFlags.DEPTH_STENCIL_ATTACHMENT_BIT | xr.SwapchainUsageFlags.SAMPLED_BIT,
-            format=chosen,
-            sample_count=1,
-            width=size[0],
-            height=size[1],
-            face_count=1,
-            array_size=1,
-            mip_count=1,
-        )
         self._chains, self._textures, self._infos = [], [], []
         for _ in range(views):
-            chain = xr.create_swapchain(session, how)
+            chain = swapchain(xr, session, size, chosen, depth=True)
             self._chains.append(chain)
             images = xr.enumerate_swapchain_images(chain, xr.SwapchainImageOpenGLKHR)
             self._textures.append([image.image for image in images])

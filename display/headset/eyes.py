@@ -10,8 +10,8 @@ import contextlib
 
 from assets.errors import BadInput
 from display.headset.depth import Depth
+from display.headset.swapchain import RGBA8, SRGB8_ALPHA8, format_of, swapchain
 
-SRGB8_ALPHA8, RGBA8 = 0x8C43, 0x8058  # OpenGL's names of formats, best first
 VERTEX = """
 #version 330
 void main() {  // one triangle that covers the viewport
@@ -43,26 +43,14 @@ class Eyes:
         self.xr, self.size, self._gl = runtime.xr, size, gl
         self.drawn = size  # of the last pictures
         xr = self.xr
-        there = list(xr.enumerate_swapchain_formats(session))
-        chosen = next((f for f in (SRGB8_ALPHA8, RGBA8) if f in there), None)
+        chosen = format_of(xr, session, (SRGB8_ALPHA8, RGBA8))
         if chosen is None:
             raise BadInput(f"--xr: {runtime.name} has neither sRGB nor plain textures of 8 bits")
-        flags = xr.SwapchainUsageFlags
-        how = xr.SwapchainCreateInfo(
-            usage_flags=flags.COLOR_ATTACHMENT_BIT | flags.SAMPLED_BIT,
-            format=chosen,
-            sample_count=1,
-            width=size[0],
-            height=size[1],
-            face_count=1,
-            array_size=1,
-            mip_count=1,
-        )
         self._program = gl.program(VERTEX, FRAGMENT if chosen == SRGB8_ALPHA8 else LINEAR)
         self._triangle = gl.vertex_array(self._program, [])
         self._chains, self._targets = [], []
         for _ in range(views):
-            chain = xr.create_swapchain(session, how)
+            chain = swapchain(xr, session, size, chosen)
             self._chains.append(chain)
             images = xr.enumerate_swapchain_images(chain, xr.SwapchainImageOpenGLKHR)
             textures = [gl.external_texture(image.image, size, 4, 0, "f1") for image in images]

@@ -8,9 +8,10 @@ from time import monotonic
 
 import numpy as np
 
-from display.headset.eyes import RGBA8, SRGB8_ALPHA8, VERTEX
+from display.headset.eyes import VERTEX
 from display.headset.panel_paint import Content, paint, prepare
 from display.headset.poses import position_rotation
+from display.headset.swapchain import RGBA8, SRGB8_ALPHA8, format_of, swapchain
 from display.headset.wrist_panel import PIXELS, WIDTH
 
 REFRESH = 0.5  # [s] between two readings of the rate
@@ -36,23 +37,11 @@ class PanelLayer:
     def __init__(self, runtime, session, gl):
         self.xr, self._gl = runtime.xr, gl
         xr = self.xr
-        there = list(xr.enumerate_swapchain_formats(session))
-        chosen = SRGB8_ALPHA8 if SRGB8_ALPHA8 in there else RGBA8
-        flags = xr.SwapchainUsageFlags
-        how = xr.SwapchainCreateInfo(
-            usage_flags=flags.COLOR_ATTACHMENT_BIT | flags.SAMPLED_BIT,
-            format=chosen,
-            sample_count=1,
-            width=PIXELS[0],
-            height=PIXELS[1],
-            face_count=1,
-            array_size=1,
-            mip_count=1,
-        )
+        chosen = format_of(xr, session, (SRGB8_ALPHA8,)) or RGBA8
         self._program = gl.program(VERTEX, FRAGMENT if chosen == SRGB8_ALPHA8 else DECODED)
         self._triangle = gl.vertex_array(self._program, [])
         self._texture = gl.texture(PIXELS, 4)
-        self._chain = xr.create_swapchain(session, how)
+        self._chain = swapchain(xr, session, PIXELS, chosen)
         images = xr.enumerate_swapchain_images(self._chain, xr.SwapchainImageOpenGLKHR)
         self._targets = [
             gl.framebuffer(color_attachments=[gl.external_texture(image.image, PIXELS, 4, 0, "f1")]) for image in images

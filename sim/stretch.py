@@ -10,9 +10,9 @@ other hand holds it on), and `finished` says by how much it is to be rescaled.
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
 
 from scenes.scene import Hand
+from sim.moved import Moved
 from sim.state import State
 
 LEAST, MOST = 0.25, 4.0  # times as large, in one go
@@ -32,16 +32,11 @@ class Pair:
     middle: np.ndarray = None  # m, (3,)
 
 
-@ti.data_oriented
 class Stretch:
-    """start vec3[V] [m]: the vertices of such bodies when the second hand took them."""
+    """What two hands hold; `moved` has the vertices of such bodies as they were when the second hand took them."""
 
     def __init__(self, state: State):
-        self.state = state
-        self.builder = ti.FieldsBuilder()
-        self.start = ti.Vector.field(3, ti.f32)
-        self.builder.dense(ti.i, state.V).place(self.start)
-        self.tree = self.builder.finalize()
+        self.state, self.moved = state, Moved(state)
         self.reset()
 
     def reset(self) -> None:
@@ -67,7 +62,7 @@ class Stretch:
                 if np.linalg.norm(places[1] - places[0]) < CLOSEST:
                     continue
                 self.pairs[body] = Pair(*by[:2], places)
-                self._keep(body)
+                self.moved.keep(body)
             self._follow(body, places)
             for h in by:
                 alone[h] = -1
@@ -84,7 +79,7 @@ class Stretch:
 
     def _place(self, body: int, factor: float, R: np.ndarray, origin: np.ndarray, to: np.ndarray) -> None:
         A = factor * R
-        self._move(body, ti.Matrix(A.tolist()), ti.Vector((to - A @ origin).tolist()))
+        self.moved.to(body, A, to - A @ origin)
 
     def end(self) -> None:
         """Both hands let go of all."""
@@ -96,7 +91,7 @@ class Stretch:
         pair, s = self.pairs.pop(body), self.state
         n = s.sizes.vertices
         mine = s.body_of_vertex.to_numpy()[:n] == body
-        x, mass = self.start.to_numpy()[:n][mine].astype(np.float64), s.mass.to_numpy()[:n][mine]
+        x, mass = self.moved.start.to_numpy()[:n][mine].astype(np.float64), s.mass.to_numpy()[:n][mine]
         stay = np.average(x, axis=0, weights=mass)
         if not alone:  # its foot, as it is turned now
             up = pair.turn.T @ (0.0, 1.0, 0.0)
@@ -111,25 +106,8 @@ class Stretch:
         finished, self.finished = self.finished, None
         return finished
 
-    @ti.kernel
-    def _keep(self, body: ti.i32):
-        s = self.state
-        for i in range(s.V):
-            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
-                self.start[i] = s.x[i]
-
-    @ti.kernel
-    def _move(self, body: ti.i32, A: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
-        s = self.state
-        for i in range(s.V):
-            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
-                s.x[i] = A @ self.start[i] + t
-                s.carry[i].fill(0.0)
-                s.v[i].fill(0.0)
-                s.v_carry[i].fill(0.0)
-
     def destroy(self) -> None:
-        self.tree.destroy()
+        self.moved.destroy()
 
 
 def turn_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,15 +1,14 @@
 """Rigid editing: gripped bodies follow the hand exactly and nothing else moves (interaction = "transform")."""
 
 import numpy as np
-import taichi as ti
 
 from assets.gaussians import matrices_of_quats
 from scenes.scene import Hand
+from sim.moved import Moved
 from sim.state import State
 from sim.stretch import Stretch
 
 
-@ti.data_oriented
 class Transform:
     """x = hand_now hand_at_grip^-1 x_at_grip for all vertices of a gripped body.
 
@@ -18,11 +17,7 @@ class Transform:
     """
 
     def __init__(self, state: State):
-        self.state = state
-        self.builder = ti.FieldsBuilder()
-        self.at_grip = ti.Vector.field(3, ti.f32)
-        self.builder.dense(ti.i, state.V).place(self.at_grip)
-        self.tree = self.builder.finalize()
+        self.moved = Moved(state)
         self.stretch = Stretch(state)
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
         self._poses: dict[int, np.ndarray] = {}  # hand -> world_from_hand after the last step, of those that hold
@@ -38,12 +33,12 @@ class Transform:
             elif self.grips.get(h, (-1,))[0] != body:
                 begin = self._held.get(h)
                 self.grips[h] = (body, np.linalg.inv(world_from_hand(hand) if begin is None else begin))
-                self._keep(body)
+                self.moved.keep(body)
         moved = set()
         for h, (body, hand_from_world) in sorted(self.grips.items()):
             if body not in moved and h < len(hands):
                 M = world_from_hand(hands[h]) @ hand_from_world
-                self._move(body, ti.Matrix(M[:3, :3].tolist()), ti.Vector(M[:3, 3].tolist()))
+                self.moved.to(body, M[:3, :3], M[:3, 3])
                 moved.add(body)
         self._held = {}
         self._poses = {h: world_from_hand(hands[h]) for h in self.grips if h < len(hands)}
@@ -55,25 +50,8 @@ class Transform:
         self._held = self._poses if held else {}
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self.moved.destroy()
         self.stretch.destroy()
-
-    @ti.kernel
-    def _keep(self, body: ti.i32):
-        s = self.state
-        for i in range(s.V):
-            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
-                self.at_grip[i] = s.x[i]
-
-    @ti.kernel
-    def _move(self, body: ti.i32, R: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
-        s = self.state
-        for i in range(s.V):
-            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
-                s.x[i] = R @ self.at_grip[i] + t
-                s.carry[i].fill(0.0)
-                s.v[i].fill(0.0)
-                s.v_carry[i].fill(0.0)
 
 
 def world_from_hand(hand: Hand) -> np.ndarray:

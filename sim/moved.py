@@ -1,0 +1,42 @@
+"""Bodies that are moved as a whole, from where they once were, so that nothing drifts however often."""
+
+import taichi as ti
+
+from sim.state import State
+
+
+@ti.data_oriented
+class Moved:
+    """start vec3[V] [m]: where the vertices of such a body were when it was kept."""
+
+    def __init__(self, state: State):
+        self.state = state
+        self.builder = ti.FieldsBuilder()
+        self.start = ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.i, state.V).place(self.start)
+        self.tree = self.builder.finalize()
+
+    @ti.kernel
+    def keep(self, body: ti.i32):
+        """Its places from now on are measured from where it is."""
+        s = self.state
+        for i in range(s.V):
+            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
+                self.start[i] = s.x[i]
+
+    def to(self, body: int, A, t) -> None:
+        """Put it at A start + t, A (3, 3), t (3,) [m], at rest."""
+        self._to(body, ti.Matrix(A.tolist()), ti.Vector(t.tolist()))
+
+    @ti.kernel
+    def _to(self, body: ti.i32, A: ti.types.matrix(3, 3, ti.f32), t: ti.types.vector(3, ti.f32)):
+        s = self.state
+        for i in range(s.V):
+            if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
+                s.x[i] = A @ self.start[i] + t
+                s.carry[i].fill(0.0)
+                s.v[i].fill(0.0)
+                s.v_carry[i].fill(0.0)
+
+    def destroy(self) -> None:
+        self.tree.destroy()

@@ -23,9 +23,8 @@ from sim.assembly import Room
 from sim.hands import FORCE
 from sim.solver import Solver
 from tests.soak_acts import ARENA, MOST_BODIES, NODES, SIZES, Hands, Ranges, body, edit, generator, population
-from tests.soak_watch import Failure, Watch, inverted
+from tests.soak_watch import FRAME, Failure, Watch, inverted
 
-FRAME = 1 / 60  # [s]
 HANDLING, SETTLING = 6.0, 3.0  # [s]
 EDITS_PER_SECOND = 0.7
 RECOVERY = (2.0, 12.0)  # [s] at least, at most

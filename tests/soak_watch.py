@@ -6,9 +6,11 @@ import numpy as np
 
 from tests.soak_acts import ARENA
 
+FRAME = 1 / 60  # [s] between two calls of `stepped`
 DEEPEST = 0.03  # [m] that a vertex may be behind floor or wall: a hand presses it there
 GAIN = 0.02  # of the energy of motion and deformation, by rounding and by contacts, between two looks
 LIFT = 0.01  # [m] of all weight: what contacts that began a little deep may raise it
+OUT = 0.5  # [m/s] at least with which what an edit put behind floor or wall comes back: half of RECOVERY_SPEED
 PUSH = 1.0  # [m/s] with which bodies that an edit put into each other, or into the floor, may part
 
 
@@ -25,6 +27,7 @@ class Watch:
     def __init__(self, solver):
         self.solver, self.budget, self.edited = solver, 0.0, []
         self.led: set[int] = set()
+        self.put, self.frames = 0.0, 0  # [m] behind floor or wall by the last edit; frames since
         self.rescued = solver.stats["rescued"]
         self.moving, self.potential, self.weight = energies(solver)
 
@@ -33,6 +36,7 @@ class Watch:
 
     def stepped(self) -> None:
         """A frame has passed: what is led to its shape, lying, may be lifted by its own height (sim/mending.py)."""
+        self.frames += 1
         limp = self.solver._mending.status[0] > 0.0
         self.led |= {k for k, soft in enumerate(limp) if soft}
 
@@ -44,6 +48,7 @@ class Watch:
         self.moving, self.potential, self.weight = energies(self.solver)
         self.budget += self.weight / 9.81 * PUSH**2 / 2
         self.led.clear()
+        self.put, self.frames = max(behind(self.solver, self.solver.snapshot()), 0.0), 0
         self.edited.append(what)
 
     def look(self, time: float) -> None:
@@ -54,9 +59,8 @@ class Watch:
         if rescued := self.solver.stats["rescued"] - self.rescued:
             self.rescued += rescued
             raise Failure(f"{rescued} bodies were not finite; edits so far: {', '.join(self.edited) or 'none'}")
-        skin = q["x"][surface(self.solver, q)]  # an inner vertex of a body that cannot carry itself may hang lower
-        out = max(-skin[:, 1].min(), np.abs(skin[:, [0, 2]]).max() - ARENA)
-        if out > DEEPEST:
+        out = behind(self.solver, q)
+        if out > DEEPEST + max(self.put - OUT * self.frames * FRAME, 0.0):
             raise Failure(f"{1000 * out:.0f} mm behind floor or wall; edits so far: {', '.join(self.edited) or 'none'}")
         for part in (q["bodies"][k] for k in self.led):
             height = np.ptp(part.shape.vertices, axis=0).max()
@@ -69,6 +73,12 @@ class Watch:
             raise Failure(f"gained {gained:.3g} J of {moving:.3g} J, {allowed:.3g} J explained; edits: {self.edited}")
         self.moving, self.potential, self.weight = moving, potential, weight
         self.budget = max(self.budget - gained, 0.0)
+
+
+def behind(solver, snapshot: dict) -> float:
+    """How far any surface is behind floor or wall [m]: an inner vertex of what cannot carry itself may hang lower."""
+    skin = snapshot["x"][surface(solver, snapshot)]
+    return float(max(-skin[:, 1].min(), np.abs(skin[:, [0, 2]]).max() - ARENA))
 
 
 def surface(solver, snapshot: dict) -> np.ndarray:

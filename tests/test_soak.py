@@ -68,6 +68,19 @@ def test_the_watch_sees_what_must_not_be(solver):
         watched(solver, lambda x, v: x.__isub__([0.0, 0.7, 0.0]))
 
 
+def test_what_an_edit_put_into_a_wall_has_time_to_come_out(solver):
+    solver.reset()
+    watch, q = Watch(solver), solver.snapshot()
+    x = q["x"].astype(np.float64) - [0.0, 0.7, 0.0]
+    solver.restore({"x": x, "v": np.zeros_like(x)})
+    watch.changed("duplicate 0")
+    watch.look(0.0)
+    for _ in range(120):
+        watch.stepped()
+    with pytest.raises(Failure, match="behind floor or wall"):
+        watch.look(2.0)
+
+
 def test_energy_and_inversion_are_those_of_the_shape():
     part = Part.of(bar("bar", 1e5, 0.0, 0.0), [])
     assert abs(elastic(part, BAR)) < 1e-9

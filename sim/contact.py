@@ -190,8 +190,8 @@ class Contacts:
         return self.hands.pull(i, dx) - dx
 
     @ti.func
-    def project_vertex_metric(self, i, dx, H, A):
-        return self.nearby.push_out_metric(i, dx, H, A)
+    def project_vertex_metric(self, i, dx, H, A, prior):
+        return self.nearby.push_out_metric(i, dx, H, A, prior)
 
     @ti.func
     def project_stage(self, stage: ti.template(), k, first: ti.template()):

@@ -148,7 +148,7 @@ class DescentSubsteps:
         A = inverse(H)
         d, reaction, hold = s.dx[i] + A @ f, ti.Vector([0.0, 0.0, 0.0]), 0.0
         for c in ti.static(self.on_vertex):
-            d, p, h = c.project_vertex_metric(i, d, H, A)
+            d, p, h = c.project_vertex_metric(i, d, H, A, self.reaction[i])
             reaction += p
             hold = ti.max(hold, h)
         s.dx[i] = d

@@ -15,7 +15,7 @@ from sim.stability import lame
 
 MODES = 24  # of a body: six rigid, and a bar's bending, twist and stretch to about the third overtone
 CELLS = 4  # of the lattice along the body's longest side
-NEGLIGIBLE = 1e-8  # of the mean mass of a lattice node: what only touches the body has no say
+NEGLIGIBLE = 1e-6  # of the heaviest motion's mass, at which a motion of the lattice moves next to no vertex
 
 
 def lattice_weights(x: np.ndarray) -> sp.csr_matrix:
@@ -57,11 +57,16 @@ def softest_modes(x, tets, masses, movable, mu: float, lame_1: float) -> tuple[n
     for k in range(3):
         for l in range(3):
             K[k, :, l] = lame_1 * products[k][l] + mu * products[l][k] + (mu * laplace if k == l else 0.0)
-    M = (P.T @ sp.diags(np.asarray(masses)) @ P).toarray()
-    M += NEGLIGIBLE * np.trace(M) / n * np.eye(n)
-    squares, Q = sl.eigh(K.reshape(3 * n, 3 * n), np.kron(np.eye(3), M), subset_by_index=(0, min(MODES, 3 * n) - 1))
+    # The lattice of a coarse mesh has motions that move no vertex. Without mass or stiffness they would come first, and
+    # be all the modes of a body of some thirty vertices: so only what moves the body is looked at, at unit mass.
+    weight, W = np.linalg.eigh((P.T @ sp.diags(np.asarray(masses)) @ P).toarray())
+    kept = weight > NEGLIGIBLE * weight[-1]
+    W = W[:, kept] / np.sqrt(weight[kept])
+    r = W.shape[1]
+    K = np.einsum("na,knlm,mb->kalb", W, K, W, optimize=True).reshape(3 * r, 3 * r)
+    squares, Q = sl.eigh(K, subset_by_index=(0, min(MODES, 3 * r) - 1))
     for k in range(3):
-        U[:, : len(squares), k] = P @ Q[k * n : (k + 1) * n]
+        U[:, : len(squares), k] = P @ (W @ Q[k * r : (k + 1) * r])
     all_squares[: len(squares)] = np.maximum(squares, 0.0)
     return U, all_squares
 

@@ -8,7 +8,7 @@ import taichi as ti
 from sim.colliders import Colliders
 from sim.forces import Forces
 from sim.grids import FAR, corner
-from sim.response import respond, respond_metric
+from sim.response import FIRM, least, respond, respond_metric
 from sim.rows import Rows
 from sim.samples import Samples
 from sim.state import State
@@ -86,13 +86,17 @@ class Nearby:
         return d
 
     @ti.func
-    def push_out_metric(self, i, dx, H, A):
-        """Vertex i out of all shapes near it in the metric of H = A^-1; the force of that [N], and n . H n."""
+    def push_out_metric(self, i, dx, H, A, prior):
+        """Vertex i out of all shapes near it in the metric of H = A^-1; the force of that [N], and how it yields [N/m].
+
+        prior [N]: that force in the last sweep.
+        """
         s = self.state
         d, reaction, hold = dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
         p = self.samples.of_vertex[i]
         if p >= 0 and self.near_count[p] > 0 and s.tick[None] + 1 >= self.rows.wake[p]:  # every sweep
             clear = FAR
+            firm = FIRM * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.near_count[p]):
                 shape = self.near[p, k]
                 phi, n = self.colliders.distance(shape, s.x[i])
@@ -101,11 +105,13 @@ class Nearby:
                 else:
                     phi += self.samples.skin[p] + n.dot(s.carry[i])
                     mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
-                    c, force = respond_metric(phi, n, d - s.carry[i], mu, s.dt[None], H, A)
+                    y = d - s.carry[i]
+                    c, force = respond_metric(phi, n, y, mu, s.dt[None], H, A, prior, firm)
                     if force.norm_sqr() > 0.0:
                         d += c
                         reaction += force
-                        hold = ti.max(hold, n.dot(H @ n))
+                        lacking = least(phi, s.dt[None]) - n.dot(y)
+                        hold = ti.max(hold, ti.min(n.dot(H @ n), n.dot(force) / lacking))
                     clear = ti.min(clear, phi)
             self.forces.note(i, s.dt[None] ** 2 / s.mass[i] * reaction, True)
             self.rows.rest(p, clear, self.paces[self.samples.body[p]])

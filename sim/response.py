@@ -10,6 +10,10 @@ RECOVERY = 0.02  # [s] in which a deeper penetration decays
 # Of what a contact gives without friction. Where a stiff body's vertex can only slide if it also rises, friction makes
 # the push that raises it larger, up to a jam; more than twice as large, it threw a plate of 1e8 Pa at 10 m/s.
 WEDGED = 0.5
+# [body mass / dt^2] with which a shape meets a vertex on the descent path, on top of the force it had: a push grows to
+# its full size over a few sweeps. At once, the corner of a light stiff body would be held against the way of the whole
+# body before the sweeps have told the body, and store more energy than the body has. What rests is not moved by that.
+FIRM = 0.5
 RECOVERY_SPEED = 1.0  # [m/s] at most; faster, it would throw what it frees
 PAD_STIFFNESS = 1200.0  # [N/m] of a spot of skin (sim/fingers.py): a fingertip's few yield 1 mm to 3 N
 PAD_TIME = 0.01  # [s]: critical for 50 g on two spots, and what is lighter creeps out
@@ -78,8 +82,10 @@ def respond(phi, n, y, friction, dt):
 
 
 @ti.func
-def respond_metric(phi, n, y, friction, dt, H, A):
+def respond_metric(phi, n, y, friction, dt, H, A, prior, firm):
     """Correction A p [m] of the motion y [m] of one vertex, and its force p [N], in the metric H [N/m] = A^-1.
+
+    The normal push is at most n . prior + firm gap, the gap being what y lacks; so y' may be short of the least.
 
     p = H (y' - y) holds the vertex at y', which is y's normal part raised to the least. If that needs more than
     friction = (mu_s, mu_k) allows, it slides: p = p_n (n - mu u), u the direction of sliding, p_n from
@@ -89,6 +95,7 @@ def respond_metric(phi, n, y, friction, dt, H, A):
     y_n = n.dot(y)
     gap = least(phi, dt) - y_n
     if gap > 0.0:
+        gap = ti.min(gap, n.dot(A @ n) * (ti.max(n.dot(prior), 0.0) + firm * gap))
         y_t = y - y_n * n
         p = H @ (gap * n - y_t)
         p_n = n.dot(p)

@@ -29,10 +29,10 @@ and handed to the Solver. It provides
     @ti.func push_vertex(self, i, dx) -> vec3
                                 descent path (sim/descent.py) instead of project_vertex, once at the substep's begin:
                                 displacement that hands give a vertex with increment dx if it moved freely
-    @ti.func project_vertex_metric(self, i, dx, H, A) -> dx, reaction, hold
+    @ti.func project_vertex_metric(self, i, dx, H, A, prior) -> dx, reaction, hold
                                 descent path instead of project_vertex, in each sweep: vertex i against static shapes in
-                                the metric H [N/m] = A^-1; also the force that this took [N], and the stiffness [N/m]
-                                with which the vertex is held where it touches, else 0
+                                the metric H [N/m] = A^-1; also the force that this took [N], in the last sweep `prior`,
+                                and the stiffness [N/m] with which the vertex is held where it touches, else 0
     stage_sizes                 ints, fixed at construction: elements of each stage of the pairs
     @ti.func project_stage(self, stage: ti.template(), k, first: ti.template())
                                 element k < stage_sizes[stage] of a stage. All elements of a stage are done before any

@@ -63,6 +63,25 @@ def test_the_modes_are_the_rigid_ones_and_the_softest():
             assert np.sqrt(squares[:6]).max() < 1e-3 * np.sqrt(squares[6])
 
 
+@pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 1, 3), (6, 1, 1), (9, 9, 1)])
+def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
+    """The lattice then moves in ways that no vertex follows; once those were all the modes of such a body."""
+    x, tets, surface = box((0.08, 0.02, 0.06), cells)
+    x = x - x.mean(0)
+    material = Material(1e7, 0.3, 1000.0)
+    mass = SoftBody("box", x, tets, surface, material).masses()
+    mu, lam = lame(material)
+    U, squares = softest_modes(x, tets, mass, np.ones(len(x), bool), mu, lam - mu)
+    flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+    count = min(MODES, 3 * len(x))
+    assert_allclose(flat.T @ flat, np.diag(np.arange(MODES) < count), atol=1e-9)
+    for axis in np.eye(3):
+        for motion in (np.tile(axis, (len(x), 1)), np.cross(axis, x)):
+            wanted = (np.sqrt(mass)[:, None] * motion).ravel()
+            assert_allclose(flat[:, :6] @ (flat[:, :6].T @ wanted), wanted, atol=1e-9)
+    assert np.sqrt(squares[:6]).max() < 1e-3 * np.sqrt(squares[6])
+
+
 def test_the_plan_takes_the_cheaper_path_and_what_is_forced():
     few, many = ((0.3 * 60 * n) ** 2 for n in (100, 1000))  # kappa of so many substeps a frame
     plan = choose_plan(few, frame_dt=DT)
@@ -100,18 +119,19 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     y = rng.normal(size=(N, 3))
     fields = [ti.Matrix.field(3, 3, ti.f32, N) for _ in range(2)] + [ti.Vector.field(3, ti.f32, N) for _ in range(3)]
     h, a, motion, corrected, force = fields
+    prior = ti.Vector.field(3, ti.f32, ())
 
     @ti.kernel
-    def solve():
+    def solve(firm: ti.f32):
         for k in range(N):
             up = ti.Vector([0.0, 1.0, 0.0])
             corrected[k], force[k] = respond_metric(
-                -REST, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k]
+                -REST, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k], prior[None], firm
             )
 
     for field, value in ((h, H), (a, np.linalg.inv(H)), (motion, y)):
         field.from_numpy(value.astype(np.float32))
-    solve()
+    solve(1e9)
     c, p = corrected.to_numpy(), force.to_numpy()
     touching = y[:, 1] < 0
     assert_array_equal(c[~touching], 0)
@@ -129,6 +149,14 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     assert_allclose(tangential[cone], np.minimum(friction, most)[cone] * normal[cone], rtol=1e-3)
     assert (normal[touching] < -y[touching, 1] / (WEDGED * A[touching, 1, 1]) * 1.001)[slides[touching]].all()
     assert ((p * y)[cone][:, [0, 2]].sum(1) < 0).all()
+    # A push that begins has at most a given stiffness; one that was there before goes on.
+    for before in (0.0, 0.2):
+        prior[None] = (0.0, before, 0.0)
+        solve(0.5)
+        raised, gap = corrected.to_numpy()[:, 1], np.maximum(-y[:, 1], 0)
+        most = A[:, 1, 1] * (before * touching + 0.5 * gap)
+        assert 20 < (touching & (most < gap)).sum() < touching.sum()
+        assert_allclose(raised, np.minimum(gap, most), rtol=1e-3, atol=1e-5)
 
 
 class Twin:

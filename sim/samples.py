@@ -10,13 +10,16 @@ from assets.asset import DistanceGrid
 from scenes.scene import Capsule
 from sim.assembly import Assembly, Room, fit, stacked
 from sim.colliders import Shape, StaticGrid
-from sim.parts import RestShape
+from sim.parts import Part, RestShape
 from sim.state import State, Upload, capacity
 
 FINEST, COARSEST = 0.004, 0.02  # [m] spacing that is worth its cost; spacing that still finds a finger
 CLOSE = 0.75  # [spacings] between points that are thinned out: so far apart at least, one spacing at most on average
 RIGID = 0.1  # of the size of a rigid body, the finest spacing of its samples
 MOST = 6000  # samples a body; a longer list is thinned by a larger spacing
+# Of E, the pressure of a body's own weight at its foot, above which its inner vertices are samples too: it cannot carry
+# them, and they would hang through the floor by many times its size.
+LIMP = 0.5
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,9 @@ class SurfacePoints:
 
     ids: np.ndarray
     weights: np.ndarray
+
+    def joined(self, other: "SurfacePoints") -> "SurfacePoints":
+        return SurfacePoints(np.concatenate([self.ids, other.ids]), np.concatenate([self.weights, other.weights]))
 
 
 def spacing_for(shapes: list[Shape]) -> float:
@@ -108,6 +114,18 @@ def skin_of(shape: RestShape, spacing: float) -> np.ndarray:
     return skin(shape.once(points_of, spacing), shape.vertices, shape.sdf)
 
 
+def inner_of(shape: RestShape) -> SurfacePoints:
+    """The vertices that are not on the surface."""
+    inside = np.setdiff1d(np.arange(len(shape.vertices)), shape.surface)
+    return SurfacePoints(np.repeat(inside[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(inside), 1)))
+
+
+def limp(part: Part) -> bool:
+    """Whether a body cannot carry itself on Earth."""
+    m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
+    return not part.shape.rigid and m.density * 9.81 * height > LIMP * m.young
+
+
 @ti.data_oriented
 class Samples:
     """Samples of all bodies on the device.
@@ -119,7 +137,9 @@ class Samples:
 
     def __init__(self, state: State, first: Assembly, spacing: float, room: Room = Room()):
         self.state, self.spacing = state, spacing
-        self.capacity = capacity(room.sized("samples", sum(len(p.ids) for p in self._points(first))))
+        count = sum(len(p.ids) for p in self._points(first))
+        inner = sum(len(p.shape.once(inner_of).ids) for p in first.parts if limp(p))
+        self.capacity = capacity(room.sized("samples", count + inner))
         self.builder = ti.FieldsBuilder()
         self.ids, self.weight = ti.Vector.field(3, ti.i32), ti.Vector.field(3, ti.f32)
         self.body, self.single, self.skin = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.f32)
@@ -144,16 +164,23 @@ class Samples:
         return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(assembly))
 
     def load(self, assembly: Assembly) -> None:
-        """Take the samples of these bodies."""
+        """Take the samples of these bodies; inner vertices of limp ones too, as far as there is room."""
         points = self._points(assembly)
+        skins = [s.once(skin_of, self.spacing) for s in assembly.shapes]
+        left = self.capacity - sum(len(p.ids) for p in points)
+        for k, part in enumerate(assembly.parts):
+            inner = part.shape.once(inner_of)
+            if limp(part) and len(inner.ids) <= left:
+                left -= len(inner.ids)
+                points[k] = points[k].joined(inner)
+                skins[k] = np.r_[skins[k], np.zeros(len(inner.ids))]
         ids = [p.ids + o for p, o in zip(points, assembly.vertex_begin, strict=False)]
         self.host_ids, self.host_weights = stacked(ids, 3), stacked([p.weights for p in points], 3)
         single = self.host_weights[:, 0] == 1.0
         of_vertex = np.full(self.state.V, -1)
         of_vertex[self.host_ids[single, 0]] = np.flatnonzero(single)
         body = np.repeat(np.arange(len(points)), [len(p.ids) for p in points])
-        skins = stacked([s.once(skin_of, self.spacing) for s in assembly.shapes])
-        self._upload([self.host_ids, self.host_weights, single, of_vertex, body, skins, len(body)])
+        self._upload([self.host_ids, self.host_weights, single, of_vertex, body, stacked(skins), len(body)])
 
     @ti.func
     def blend(self, p, field: ti.template()):

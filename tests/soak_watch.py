@@ -76,16 +76,9 @@ class Watch:
 
 
 def behind(solver, snapshot: dict) -> float:
-    """How far any surface is behind floor or wall [m]: an inner vertex of what cannot carry itself may hang lower."""
-    skin = snapshot["x"][surface(solver, snapshot)]
-    return float(max(-skin[:, 1].min(), np.abs(skin[:, [0, 2]]).max() - ARENA))
-
-
-def surface(solver, snapshot: dict) -> np.ndarray:
-    """Indices of all vertices on bodies' surfaces."""
-    return np.concatenate(
-        [np.unique(p.shape.surface) + o for p, o in zip(snapshot["bodies"], solver.vertex_offset, strict=False)]
-    )
+    """How far any vertex is behind floor or wall [m]."""
+    x = snapshot["x"][: solver.vertex_offset[len(snapshot["bodies"])]]
+    return float(max(-x[:, 1].min(), np.abs(x[:, [0, 2]]).max() - ARENA))
 
 
 def energies(solver) -> tuple[float, float, float]:

@@ -150,6 +150,7 @@ def test_the_other_hand_feels_what_one_hand_holds(solver):
     assert others[0] > 0.3
 
 
+@pytest.mark.long
 def test_without_touches_all_moves_as_without_fingers(solver, ti_cpu):
     plain = Solver(bodies(), [TABLE])
     for k in range(25):

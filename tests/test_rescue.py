@@ -19,7 +19,7 @@ def two(young: float) -> Solver:
     return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], room=2.0)
 
 
-@pytest.mark.parametrize("young, path", [(5e4, "jacobi"), (1e8, "descent")])
+@pytest.mark.parametrize("young, path", [(5e4, "jacobi"), pytest.param(1e8, "descent", marks=pytest.mark.long)])
 def test_a_body_that_is_not_finite_goes_back_and_rests(ti_cpu, young, path):
     solver, runs = two(young), []
     assert solver.stats["path"] == path

@@ -42,6 +42,7 @@ def test_the_scripted_hand_wins_the_ring_toss(tmp_path):
     assert cv2.imread(str(picture)).std() > 20  # a picture, not a flat colour
 
 
+@pytest.mark.long
 def test_a_fixed_seed_repeats_a_cpu_run_exactly(tmp_path):
     films = []
     for i in range(2):

@@ -55,7 +55,8 @@ def widened(shape: Shape, cell: float, tube: float = THIN) -> np.ndarray:
 
     What is thinner (a tail, a horn, a rim) becomes what lies within `tube` cells of its middle.
     """
-    away = shape.from_ridge(FINENESS * tube * cell)  # the true half width may be one step less
+    reach = (tube + 2) * cell  # farther out the wider part is not nearer than two cells
+    away = shape.from_ridge(FINENESS * tube * cell, reach)  # the true half width may be one step less
     return shape.phi if away is None else np.minimum(shape.phi, away - tube * cell)
 
 

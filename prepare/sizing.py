@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import gaussian_laplace, maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 from assets.errors import BadInput
 from prepare.distance import distance
@@ -42,7 +42,8 @@ class Shape:
         for k in reversed(range(steps + 1)):
             r = NARROWEST * FINENESS**k
             deep = phi < -r  # what a ball of this radius, pushed about inside, cannot reach is thinner
-            self.half_width[inside & (distance(deep) > (1 + POINTED) * r) if deep.any() else inside] = r
+            reach = (1 + POINTED) * r
+            self.half_width[inside & (distance(deep, reach) > reach) if deep.any() else inside] = r
 
     def halved(self, reach: float) -> Shape:
         """The shape at every other node, in cells twice as wide; only where phi is below `reach` of these."""
@@ -57,21 +58,25 @@ class Shape:
         """Sum of the principal curvatures, absolute (X, Y, Z), of the shape smoothed over a share of a cell."""
         k = round(max(0.0, 2 * float(np.log2(NOISE * cell))))
         sigma = 2 ** (k / 2)
-        phi = self._whole
-        return self._once(k, lambda: np.abs(gaussian_laplace(phi.clip(-5 * sigma, 5 * sigma), sigma, truncate=3)))
+
+        def make() -> np.ndarray:
+            smooth = gaussian_filter(self._whole.clip(-5 * sigma, 5 * sigma), sigma, truncate=3)
+            return np.abs(laplacian(smooth))
+
+        return self._once(k, make)
 
     def thinner(self, width: float) -> np.ndarray:
         """Which places (X, Y, Z) belong to parts whose half width is less than this."""
         return self.half_width < np.float32(width)
 
-    def from_thin(self, width: float) -> np.ndarray | None:
-        """Distance (X, Y, Z) from what is `thinner`; None where nothing is."""
-        return self._once(("thin", self.step(width)), lambda: self._distance(self.thinner(width)))
+    def from_thin(self, width: float, reach: float) -> np.ndarray | None:
+        """Distance (X, Y, Z) from what is `thinner`, infinite beyond `reach` or more; None where nothing is."""
+        return self._distance("thin", width, reach, lambda: self.thinner(width))
 
-    def from_ridge(self, width: float) -> np.ndarray | None:
-        """Distance (X, Y, Z) from the middle of what is `thinner`: a distance has a ridge there. None without one."""
+    def from_ridge(self, width: float, reach: float) -> np.ndarray | None:
+        """As from_thin, but from the middle of what is thinner: a distance has a ridge there."""
 
-        def middle() -> np.ndarray | None:
+        def middle() -> np.ndarray:
             phi, where = self._whole, np.argwhere(self.thinner(width))
             slope = np.zeros(len(where))
             for axis in range(3):
@@ -81,16 +86,19 @@ class Shape:
                 slope += (0.5 * (phi[tuple(high.T)] - phi[tuple(low.T)])) ** 2
             ridge = np.zeros(phi.shape, bool)
             ridge[tuple(where[slope < RIDGE**2].T)] = True
-            return self._distance(ridge)
+            return ridge
 
-        return self._once(("ridge", self.step(width)), middle)
+        return self._distance("ridge", width, reach, middle)
 
-    def step(self, width: float) -> int:
-        """How many of the half widths that are told apart are less than this."""
-        return int((self.widths < np.float32(width)).sum())
+    def _distance(self, name: str, width: float, reach: float, mask_of: Callable[[], np.ndarray]) -> np.ndarray | None:
+        """The distance from a mask that changes only where `width` passes one of the widths that are told apart."""
+        octave = int(np.ceil(2 * np.log2(reach)))  # half of one: another cell of about the same width finds it made
 
-    def _distance(self, mask: np.ndarray) -> np.ndarray | None:
-        return distance(mask) if mask.any() else None
+        def make() -> np.ndarray | None:
+            mask = mask_of()
+            return distance(mask, 2 ** (octave / 2)) if mask.any() else None
+
+        return self._once((name, int((self.widths < np.float32(width)).sum()), octave), make)
 
     def _once(self, key, make: Callable[[], np.ndarray | None]) -> np.ndarray | None:
         """What `make` makes, at the places that are asked for; made when it is first asked for."""
@@ -98,6 +106,17 @@ class Shape:
             made = make()
             self._kept[key] = made if made is None or self.only is None else made.reshape(-1)[self.only]
         return self._kept[key]
+
+
+def laplacian(f: np.ndarray) -> np.ndarray:
+    """Laplacian (X, Y, Z) of smooth values, by differences of fourth order; 0 at the border, two nodes wide."""
+    out = np.zeros_like(f)
+    inner = out[2:-2, 2:-2, 2:-2]
+    for axis in range(3):
+        for step, weight in ((-2, -1 / 12), (-1, 4 / 3), (0, -5 / 2), (1, 4 / 3), (2, -1 / 12)):
+            around = tuple(slice(2 + step * (a == axis), n - 2 + step * (a == axis)) for a, n in enumerate(f.shape))
+            inner += np.float32(weight) * f[around]
+    return out
 
 
 def levels_of(shape: Shape, cell: float, finer: int, coarser: int) -> np.ndarray:
@@ -115,10 +134,11 @@ def levels_of(shape: Shape, cell: float, finer: int, coarser: int) -> np.ndarray
         curved = (np.abs(phi) < cell) & (shape.curvature(cell) * cell > BEND)
         levels[curved] = coarser + 1
     for k in range(1, finer + 1):
-        away = shape.from_thin(0.5 * ACROSS * cell / 2 ** (k - 1))
+        band = BAND * cell / 2**k
+        away = shape.from_thin(0.5 * ACROSS * cell / 2 ** (k - 1), band)
         if away is None:
             break
-        levels[(away < BAND * cell / 2**k) & (levels < coarser + k)] = coarser + k
+        levels[(away < band) & (levels < coarser + k)] = coarser + k
     return levels
 
 

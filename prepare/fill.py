@@ -112,12 +112,12 @@ def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.nd
     for axis in range(3):
         for sign in (1, -1):
             ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from where the ray ends
-            enters = ray & ~np.roll(ray, 1, axis)
-            enters[(slice(None),) * axis + (0,)] = ray[(slice(None),) * axis + (0,)]
-            crossings = np.cumsum(enters, axis, dtype=np.uint16)
+            enters = ray.copy()
+            np.moveaxis(enters, axis, 0)[1:] &= ~np.moveaxis(ray, axis, 0)[:-1]
+            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most CELLS_MAX / 2
             crossings = np.flip(crossings, axis) if sign > 0 else crossings
             hits += crossings > 0
-            odd |= crossings % 2 == 1
+            odd |= (crossings & 1).view(bool)
             if up == (axis, sign):
                 capped = crossings > 0
     return ~shell & (hits >= 5) & odd & capped

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes, gaussian_filter, label, map_coordinates
+from scipy.ndimage import gaussian_filter, label, map_coordinates
 
 from assets.asset import DistanceGrid
 from assets.errors import BadInput
@@ -31,7 +31,7 @@ def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
     """
     if not solid.any():
         raise BadInput("nothing is opaque enough to be solid; there is no surface")
-    closed = binary_fill_holes(solid | ~within_two(~within_two(solid)))  # dents narrower than 4 cells are noise
+    closed = without_holes(solid | ~within_two(~within_two(solid)))  # dents narrower than 4 cells are noise
     numbers, count = label(closed)
     if count == 1:
         return smoothed(closed)[None]
@@ -39,6 +39,17 @@ def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
     order = np.argsort(-sizes, kind="stable")
     kept = [k for k in order if sizes[k] >= least * sizes[order[0]]] if least < 1 else order[:1]
     return np.stack([smoothed(numbers == k) for k in kept])
+
+
+def without_holes(solid: np.ndarray) -> np.ndarray:
+    """The solid cells, and what they enclose."""
+    numbers, count = label(~solid)
+    open_ = np.zeros(count + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            open_[np.unique(np.take(numbers, end, axis))] = True
+    open_[0] = True  # number 0 are the solid cells
+    return solid if open_.all() else solid | ~open_[numbers]
 
 
 def smoothed(closed: np.ndarray) -> np.ndarray:

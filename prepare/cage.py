@@ -24,7 +24,8 @@ CLOSE = 0.05  # stop looking for a better cell here
 TRIES = 6  # stuffings; one or two are usual
 SURELY = 1.25  # times the vertices, by an estimate that may be a tenth too high: more than TOLERANCE too many
 HALVINGS = 9  # of the range of cells
-PRIOR = (1.2, 1.8, 2.8)  # vertices of a cage over those of the estimate, by how often cells are halved
+PRIOR = (1.2, 2.6, 2.3)  # vertices of a cage over those of the estimate, by how often cells are halved
+FEWEST = (1.2, 1.8, 2.8)  # and of the widest cells, about the least
 OUTSIDE = 0.3  # cells; nodes up to there have about as many vertices as the cuts add
 ANGLE_MIN = 12.0  # [degrees] the smallest dihedral angle of a cage that is taken
 INSIDE_MIN = 0.995  # of the points must lie in it
@@ -87,17 +88,18 @@ def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, t
     limit = high
     half, ratio = shape.halved(OUTSIDE * limit / 2 * 2**coarser), PRIOR[finer]
     fewest = estimate(half, limit / 2, finer, coarser)
-    best, best_error = None, np.inf
+    best, best_error, tried = None, np.inf, False
     for attempt in range(TRIES):
         report(attempt / TRIES)
-        if finer and high == limit and ratio * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
+        sure = ratio if attempt else FEWEST[finer]
+        if finer and high == limit and sure * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
             break  # even the widest cells are too many: a stuffing more would only tell by how much
         a, b = low, high
         for _ in range(HALVINGS):
             cell = (a * b) ** 0.5
             a, b = (cell, b) if ratio * estimate(half, cell / 2, finer, coarser) > vertices else (a, cell)
-        if high == limit and cell > 0.95 * limit:
-            cell = limit
+        if high == limit and cell > 0.95 * limit and not tried:
+            cell, tried = limit, True  # too few there is not yet known
         elif cell > 0.99 * high or cell < 1.01 * low:  # the estimate is off: halve what is known instead
             cell = (low * high) ** 0.5
         try:

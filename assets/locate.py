@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
+
+from assets.faces import alone, cross, faces_of, keys_of
 
 INSIDE = -1e-7  # a barycentric coordinate this small still counts as inside: float32 rounding of a face
 CHUNK = 1 << 18  # points handled at once: a few tens of MB
 MOST_PAIRS = 20_000_000  # (cell, tet) pairs of the grid: bounds its memory on badly graded meshes
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # outward when the volume is positive
 SPLIT = 4  # a boundary triangle is searched through SPLIT^2 samples: the distance is right to an eighth of its edge
 
 
@@ -25,14 +28,16 @@ class Locator:
     def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
         self.vertices = np.asarray(vertices, np.float64)
         self.tets = np.asarray(tets, np.int64)
-        x = self.vertices[self.tets]
+        x = self.vertices.take(self.tets, axis=0)
         self.first = x[:, 0]
-        gradients = np.linalg.inv(np.moveaxis(x[:, 1:] - x[:, :1], 1, 2))  # rows: of the weights 1 to 3
-        self.slopes = np.ascontiguousarray(gradients)
-        edge = np.cbrt(np.abs(np.linalg.det(x[:, 1:] - x[:, :1])) * np.sqrt(2))  # of the regular tet of that volume
+        a, b, c = np.moveaxis(x[:, 1:] - x[:, :1], 1, 0)
+        normals = np.stack([cross(b, c), cross(c, a), cross(a, b)], 1)
+        six = np.einsum("ni,ni->n", normals[:, 0], a)  # times the volume
+        self.slopes = normals / six[:, None, None]  # rows: gradients of the weights 1 to 3
+        edge = np.cbrt(np.abs(six) * np.sqrt(2))  # of the regular tet of that volume
         count = np.bincount(self.tets.ravel(), minlength=len(self.vertices))
         self.edge = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices)) / np.maximum(count, 1)
-        self._build_grid(x)
+        self._lay_grid(x.min(1), x.max(1))
         self._tree = None
 
     def weights(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -70,7 +75,7 @@ class Locator:
 
         if self._tree is None:
             samples, self._owner = self.boundary_samples()
-            self._tree = cKDTree(samples)
+            self._tree = cKDTree(samples, balanced_tree=False, compact_nodes=False)  # built in a third of the time
         _, which = self._tree.query(points, workers=-1)
         return self._owner[which], self._tree.data[which]
 
@@ -86,27 +91,33 @@ class Locator:
             keep = ~inside & (at < end)
             left, at, end, p = left[keep], at[keep], end[keep], p[keep]
 
-    def _build_grid(self, x: np.ndarray) -> None:
-        low, high = x.min(1), x.max(1)
+    def _lay_grid(self, low: np.ndarray, high: np.ndarray) -> None:
+        """Cells over the boxes low (T, 3) to high (T, 3) [m] of the tets; begin, extent (T, 3): cells of each box."""
         self.origin = low.min(0) - 1e-6
         cell = 0.5 * (high - low).mean()
         while True:
-            first = np.floor((low - self.origin) / cell).astype(np.int64)
-            extent = np.floor((high - self.origin) / cell).astype(np.int64) - first + 1
+            begin = np.floor((low - self.origin) / cell).astype(np.int64)
+            extent = np.floor((high - self.origin) / cell).astype(np.int64) - begin + 1
             if extent.prod(1).sum() <= MOST_PAIRS:
                 break
             cell *= 1.5
-        self.cell = cell
-        self.shape = tuple((first + extent).max(0))
+        self.cell, self.begin, self.extent = cell, begin, extent
+        self.shape = tuple((begin + extent).max(0))
+
+    @cached_property
+    def _lists(self) -> tuple[np.ndarray, np.ndarray]:
+        """candidates and start, made when they are first asked for."""
+        first, extent, cell = self.begin, self.extent, self.cell
         counts = extent.prod(1)
-        tet = np.repeat(np.arange(len(x), dtype=np.int32), counts)
+        tet = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         rank = np.arange(counts.sum(), dtype=np.int32) - np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
         ey, ez = extent[:, 1].astype(np.int32)[tet], extent[:, 2].astype(np.int32)[tet]
         column = rank // ez
         step = column // ey, column % ey, rank - column * ez
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
-        g = self.gradients(np.arange(len(x)))
-        corner = self.weights(np.arange(len(x)), self.origin + cell * (first + 0.5)) + 0.5 * cell * np.abs(g).sum(2)
+        every = np.arange(len(counts))
+        g = self.gradients(every)
+        corner = self.weights(every, self.origin + cell * (first + 0.5)) + 0.5 * cell * np.abs(g).sum(2)
         may = np.ones(len(tet), bool)
         for k in range(4):
             most = corner[tet, k]
@@ -116,14 +127,22 @@ class Locator:
         tet = tet[may].astype(np.int64)
         flat = np.ravel_multi_index((first[tet] + np.stack([a[may] for a in step], 1)).T, self.shape)
         order = np.argsort(flat, kind="stable")
-        self.candidates = tet[order]
-        self.start = np.searchsorted(flat[order], np.arange(np.prod(self.shape) + 1))
+        return tet[order], np.searchsorted(flat[order], np.arange(np.prod(self.shape) + 1))
+
+    @property
+    def candidates(self) -> np.ndarray:
+        """Tets that may touch a cell, cell after cell."""
+        return self._lists[0]
+
+    @property
+    def start(self) -> np.ndarray:
+        """Where in `candidates` the tets of each cell begin, and the end."""
+        return self._lists[1]
 
     def boundary_samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Points [m] (B, 3) all over the boundary, SPLIT^2 a triangle, and the tet of each (B,)."""
-        faces = self.tets[:, FACES].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
-        boundary = first[count == 1]
+        faces = faces_of(self.tets)
+        boundary = alone(keys_of(faces))
         a, b, c = np.moveaxis(self.vertices[faces[boundary]], 1, 0)
         samples = []
         for i in range(SPLIT):  # centroids of the SPLIT^2 small triangles

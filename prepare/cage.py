@@ -10,9 +10,10 @@ import numpy as np
 from assets.asset import Cage
 from assets.errors import BadInput
 from assets.locate import Locator
-from prepare.distance import distance
+from prepare.descent import Descent
+from prepare.inside import Points
 from prepare.levelset import volume_of
-from prepare.quality import dihedral_angles, volumes
+from prepare.quality import smallest_angle, volumes
 from prepare.relax import STEPS, relax
 from prepare.sizing import FINENESS, Shape, lattice_of, levels_of
 from prepare.stuffing import stuff_lattice
@@ -23,7 +24,8 @@ CLOSE = 0.05  # stop looking for a better cell here
 TRIES = 6  # stuffings; one or two are usual
 SURELY = 1.25  # times the vertices, by an estimate that may be a tenth too high: more than TOLERANCE too many
 HALVINGS = 9  # of the range of cells
-PRIOR = (1.2, 1.8, 2.8)  # vertices of a cage over those of the estimate, by how often cells are halved
+PRIOR = (1.2, 2.6, 2.3)  # vertices of a cage over those of the estimate, by how often cells are halved
+FEWEST = (1.2, 1.8, 2.8)  # and of the widest cells, about the least
 OUTSIDE = 0.3  # cells; nodes up to there have about as many vertices as the cuts add
 ANGLE_MIN = 12.0  # [degrees] the smallest dihedral angle of a cage that is taken
 INSIDE_MIN = 0.995  # of the points must lie in it
@@ -37,7 +39,6 @@ FINER, COARSER = 2, 2  # levels of an adaptive cage below and above the cell of 
 THIN = 0.45  # cells; half the width below which a part slips between the lattice's vertices: it is made so wide
 GROWTH = (0.005, 0.005, 0.01, 0.018, 0.025)  # of the volume; tried in turn until enough is inside
 MORE_GROWTH = (0.05, 0.1, 0.2)  # where the volume need not be exact
-RIDGE = 0.8  # a distance has slope 1 but on its ridges
 BESIDE = 0.03  # of a tet's edge: so far beyond a point that is to be inside
 LOST = 0.95  # of the points: with fewer inside a part is missing, which growing does not bring back
 TUBES = (THIN, 0.6)  # cells; tried in turn where parts of the shape are lost
@@ -55,20 +56,9 @@ def widened(shape: Shape, cell: float, tube: float = THIN) -> np.ndarray:
 
     What is thinner (a tail, a horn, a rim) becomes what lies within `tube` cells of its middle.
     """
-    phi = shape.phi
-    thin = shape.half_width < FINENESS * tube * cell  # the true half width may be one step less
-    if not thin.any():
-        return phi
-    where = np.argwhere(thin)
-    slope = np.zeros(len(where))
-    for axis in range(3):
-        low, high = where.copy(), where.copy()
-        low[:, axis] = (low[:, axis] - 1).clip(0)
-        high[:, axis] = (high[:, axis] + 1).clip(max=phi.shape[axis] - 1)
-        slope += (0.5 * (phi[tuple(high.T)] - phi[tuple(low.T)])) ** 2
-    middle = np.zeros(phi.shape, bool)  # there the distance has a ridge
-    middle[tuple(where[slope < RIDGE**2].T)] = True
-    return np.minimum(phi, distance(middle) - tube * cell) if middle.any() else phi
+    reach = (tube + 2) * cell  # farther out the wider part is not nearer than two cells
+    away = shape.from_ridge(FINENESS * tube * cell, reach)  # the true half width may be one step less
+    return shape.phi if away is None else np.minimum(shape.phi, away - tube * cell)
 
 
 @dataclass(frozen=True)
@@ -94,21 +84,22 @@ def sized(shape: Shape, vertices: int, first: float, finer: int, coarser: int, t
 
     A cell is guessed from an estimate at every other node, which the counts of real cages correct.
     """
-    half, ratio = shape.halved(), PRIOR[finer]
     low, high = 0.3 * first, (COARSEST if finer else 2.0) * first
     limit = high
+    half, ratio = shape.halved(OUTSIDE * limit / 2 * 2**coarser), PRIOR[finer]
     fewest = estimate(half, limit / 2, finer, coarser)
-    best, best_error = None, np.inf
+    best, best_error, tried = None, np.inf, False
     for attempt in range(TRIES):
         report(attempt / TRIES)
-        if finer and high == limit and ratio * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
+        sure = ratio if attempt else FEWEST[finer]
+        if finer and high == limit and sure * fewest > (1 + TOLERANCE if attempt else SURELY) * vertices:
             break  # even the widest cells are too many: a stuffing more would only tell by how much
         a, b = low, high
         for _ in range(HALVINGS):
             cell = (a * b) ** 0.5
             a, b = (cell, b) if ratio * estimate(half, cell / 2, finer, coarser) > vertices else (a, cell)
-        if high == limit and cell > 0.95 * limit:
-            cell = limit
+        if high == limit and cell > 0.95 * limit and not tried:
+            cell, tried = limit, True  # too few there is not yet known
         elif cell > 0.99 * high or cell < 1.01 * low:  # the estimate is off: halve what is known instead
             cell = (low * high) ** 0.5
         try:
@@ -190,21 +181,22 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
     cage, steps = found.cage, STEPS
     if not (volumes(cage.vertices, cage.tets) > 0).all():
         return cage, fault(cage, filled, 0.0, vertices, exact)
-    lift = None
+    lift, held, place = None, Points(points), (found.phi, np.zeros(3), 1.0)
+    descent = Descent(cage.tets, len(cage.vertices), *place)
     for growth in GROWTH + (() if exact else MORE_GROWTH):
-        cage = relax(cage, found.phi, np.zeros(3), 1.0, volume=whole * (1 + growth), lift=lift, steps=steps)
-        locator = Locator(cage.vertices, cage.tets)
-        outside = points[locator.find(points) < 0]
+        cage = relax(cage, *place, volume=whole * (1 + growth), lift=lift, steps=steps, descent=descent)
+        outside = points[held.hosts(cage.vertices, cage.tets) < 0]
         share = 1 - len(outside) / max(len(points), 1)
         reason = fault(cage, filled, share, vertices, exact)
         if "inside" not in reason or share < LOST:
             break
-        lift, steps = lifted(cage, locator, outside), STEPS // 3
+        lift, steps = lifted(cage, outside), STEPS // 3
     return cage, reason
 
 
-def lifted(cage: Cage, locator: Locator, outside: np.ndarray) -> np.ndarray:
+def lifted(cage: Cage, outside: np.ndarray) -> np.ndarray:
     """How far out each vertex (V,) should go to take in the points (N, 3) that lie outside."""
+    locator = Locator(cage.vertices, cage.tets)
     host, foot = locator.nearest(outside)
     depth = np.linalg.norm(outside - foot, axis=1) + locator.size(host, foot) * BESIDE
     lift = np.zeros(len(cage.vertices))
@@ -220,7 +212,7 @@ def fault(cage: Cage, filled: float, share: float, vertices: int, exact: bool | 
     volume = volumes(cage.vertices, cage.tets)
     if not (volume > 0).all():
         return f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume"
-    angle = float(dihedral_angles(cage.vertices, cage.tets).min())
+    angle = smallest_angle(cage.vertices, cage.tets)
     if angle < ANGLE_MIN:
         return f"the cage is not sound: its smallest dihedral angle is {angle:.1f} degrees"
     if share < INSIDE_MIN:
@@ -232,5 +224,5 @@ def fault(cage: Cage, filled: float, share: float, vertices: int, exact: bool | 
 
 
 def share_inside(cage: Cage, points: np.ndarray) -> float:
-    """Share of the points (N, 3) that lie in a tet."""
-    return float((Locator(cage.vertices, cage.tets).find(points) >= 0).mean()) if len(points) else 1.0
+    """Share of the points (N, 3) that lie in a tet. Taichi must be running."""
+    return Points(points).share(cage.vertices, cage.tets)

@@ -6,9 +6,9 @@ axes hit the shell in five of six directions and one of them crosses it an odd n
 
 import numpy as np
 import taichi as ti
-from scipy.ndimage import binary_closing, generate_binary_structure
 
 from assets.gaussians import Gaussians, matrices_of_quats
+from prepare.dilation import across_edges
 
 LEAF, BLOCKS = 8, 32  # the tree spans 256 cells an axis; memory is taken by blocks of 8^3 that hold something
 CELLS_MAX = LEAF * BLOCKS
@@ -16,7 +16,6 @@ DENSE = 0.5  # summed opacity; the surface is seen about where half of the light
 BLUR = 0.5  # cells; standard deviation added to each Gaussian, so that none falls between the nodes
 REACH = 3.0  # standard deviations splatted
 REACH_CELLS = 12.0  # and at most this far: a smear must not cost more than thousands of others
-EIGENVALUE_MIN = 1e-8  # cells^2
 
 
 @ti.data_oriented
@@ -32,13 +31,17 @@ class OpacityGrid:
         self.leaf.place(self.density)
         builder.finalize()
 
-    def splat(self, means, covariances, opacities, shape) -> np.ndarray:
-        """Density (X, Y, Z) float32 of Gaussians given in cells: node (i, j, k) lies at (i, j, k)."""
+    def splat(self, means, axes, variances, opacities, shape) -> np.ndarray:
+        """Density (X, Y, Z) float32 of Gaussians given in cells: node (i, j, k) lies at (i, j, k).
+
+        axes (N, 3, 3)  rotations, whose columns are the principal axes; variances (N, 3) along these
+        """
         if max(shape) > CELLS_MAX:
             raise ValueError(f"a grid of {shape} nodes; at most {CELLS_MAX} an axis")
-        variance = np.einsum("nii->ni", covariances)
-        radius = np.minimum(REACH * np.sqrt(variance), REACH_CELLS)
-        inverse = np.linalg.inv(covariances)[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        spread = np.einsum("nik,nk->ni", axes**2, variances)
+        radius = np.minimum(REACH * np.sqrt(spread), REACH_CELLS)
+        scaled = axes / variances[:, None]
+        inverse = np.stack([(scaled[:, i] * axes[:, j]).sum(1) for i in range(3) for j in range(i, 3)], 1)
         out = np.zeros(shape, np.float32)
         self._clear()
         f32 = [np.ascontiguousarray(a, np.float32) for a in (means, inverse, opacities, radius)]
@@ -93,9 +96,9 @@ def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: 
     global _grid
     if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or it went with ti.reset
         _grid = OpacityGrid()
-    axes = matrices_of_quats(gaussians.quats) * (np.exp(gaussians.log_scales.astype(np.float64)) / spacing)[:, None]
-    covariances = axes @ np.swapaxes(axes, 1, 2) + max(BLUR**2, EIGENVALUE_MIN) * np.eye(3)
-    return _grid.splat((gaussians.means - origin) / spacing, covariances, gaussians.opacities, shape)
+    variances = (np.exp(gaussians.log_scales.astype(np.float64)) / spacing) ** 2 + BLUR**2
+    axes = matrices_of_quats(gaussians.quats)
+    return _grid.splat((gaussians.means - origin) / spacing, axes, variances, gaussians.opacities, shape)
 
 
 def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.ndarray:
@@ -109,12 +112,12 @@ def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.nd
     for axis in range(3):
         for sign in (1, -1):
             ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from where the ray ends
-            enters = ray & ~np.roll(ray, 1, axis)
-            enters[(slice(None),) * axis + (0,)] = ray[(slice(None),) * axis + (0,)]
-            crossings = np.cumsum(enters, axis, dtype=np.uint16)
+            enters = ray.copy()
+            np.moveaxis(enters, axis, 0)[1:] &= ~np.moveaxis(ray, axis, 0)[:-1]
+            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most CELLS_MAX / 2
             crossings = np.flip(crossings, axis) if sign > 0 else crossings
             hits += crossings > 0
-            odd |= crossings % 2 == 1
+            odd |= (crossings & 1).view(bool)
             if up == (axis, sign):
                 capped = crossings > 0
     return ~shell & (hits >= 5) & odd & capped
@@ -122,7 +125,6 @@ def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.nd
 
 def solid_cells(density: np.ndarray) -> np.ndarray:
     """Solid cells (X, Y, Z) bool: the dense shell with its hairline gaps closed, and its interior."""
-    near = generate_binary_structure(3, 2)
     shell = np.pad(density > DENSE, 2)  # closing must not see the border
-    shell = binary_closing(shell, near, iterations=1)[2:-2, 2:-2, 2:-2]
+    shell = ~across_edges(~across_edges(shell))[2:-2, 2:-2, 2:-2]
     return shell | interior(shell)

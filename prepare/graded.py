@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets.errors import BadInput
+from prepare.dilation import all_around
 
 LATTICE_MAX = 20_000_000  # cells of the finest size; about 1 GB of host memory
 
@@ -41,7 +42,7 @@ def refined(want: np.ndarray, levels: int) -> list[np.ndarray]:
         want = _blocks(want).max((1, 3, 5))
         here = want > level
         if divided:  # the neighbours of what is divided further must exist
-            here |= _blocks(_grown(divided[-1])).any((1, 3, 5))
+            here |= _blocks(all_around(divided[-1])).any((1, 3, 5))
         divided.append(here)
     return divided[::-1]
 
@@ -49,17 +50,6 @@ def refined(want: np.ndarray, levels: int) -> list[np.ndarray]:
 def _blocks(a: np.ndarray) -> np.ndarray:
     x, y, z = (n // 2 for n in a.shape)
     return a.reshape(x, 2, y, 2, z, 2)
-
-
-def _grown(a: np.ndarray) -> np.ndarray:
-    """a (X, Y, Z) bool and all 26 neighbours of what it holds."""
-    for axis in range(3):
-        b = np.moveaxis(a.copy(), axis, 0)
-        view = np.moveaxis(a, axis, 0)
-        b[1:] |= view[:-1]
-        b[:-1] |= view[1:]
-        a = np.moveaxis(b, 0, axis)
-    return a
 
 
 def _twice(a: np.ndarray) -> np.ndarray:
@@ -86,7 +76,7 @@ def graded_lattice(want: np.ndarray, levels: int, near: np.ndarray | None = None
     exists = np.ones(divided[0].shape if levels else want.shape, bool)
     for level in range(levels + 1):
         split = divided[level] if level < levels else np.zeros(exists.shape, bool)
-        found += _level(exists & _grown(matters[level]), split, 2 << (levels - level))
+        found += _level(exists & all_around(matters[level]), split, 2 << (levels - level))
         exists = _twice(split)
     corners = np.concatenate([f[0] for f in found])
     width = np.concatenate([np.full(len(f[0]), f[1]) for f in found])

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_fill_holes, gaussian_filter, label, map_coordinates
+from scipy.ndimage import gaussian_filter, label, map_coordinates
 
 from assets.asset import DistanceGrid
 from assets.errors import BadInput
-from prepare.distance import distance, squared_distance
+from prepare.dilation import within_two
+from prepare.distance import distance
 
-CLOSING = 2.0  # cells; dents narrower than twice this are noise of the shell
 SMOOTHING = 1.2  # cells; hides the staircase of the cells
 DRIFT = (-0.6, 0.3)  # cells; how far smoothing may move the surface out and in, so that thin parts survive
 GRID_NODES = 56  # of the contact grid on the longest side: half a centimetre on a toy
@@ -19,7 +19,8 @@ GRID_MARGIN = 3  # nodes around the shape
 
 def distance_cells(solid: np.ndarray) -> np.ndarray:
     """Signed distance [cells] to the boundary between solid and empty cells, negative inside."""
-    return np.where(solid, 0.5 - distance(~solid), distance(solid) - 0.5)
+    inner = distance(~solid, reach=max(solid.shape))  # next to nothing is far inside
+    return np.where(solid, 0.5 - inner, distance(solid) - 0.5)
 
 
 def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
@@ -30,9 +31,7 @@ def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
     """
     if not solid.any():
         raise BadInput("nothing is opaque enough to be solid; there is no surface")
-    closed = squared_distance(solid) <= CLOSING**2
-    closed = solid | (squared_distance(~closed) > CLOSING**2)
-    closed = binary_fill_holes(closed)
+    closed = without_holes(solid | ~within_two(~within_two(solid)))  # dents narrower than 4 cells are noise
     numbers, count = label(closed)
     if count == 1:
         return smoothed(closed)[None]
@@ -40,6 +39,17 @@ def level_sets(solid: np.ndarray, least: float = 1.0) -> np.ndarray:
     order = np.argsort(-sizes, kind="stable")
     kept = [k for k in order if sizes[k] >= least * sizes[order[0]]] if least < 1 else order[:1]
     return np.stack([smoothed(numbers == k) for k in kept])
+
+
+def without_holes(solid: np.ndarray) -> np.ndarray:
+    """The solid cells, and what they enclose."""
+    numbers, count = label(~solid)
+    open_ = np.zeros(count + 1, bool)
+    for axis in range(3):
+        for end in (0, -1):
+            open_[np.unique(np.take(numbers, end, axis))] = True
+    open_[0] = True  # number 0 are the solid cells
+    return solid if open_.all() else solid | ~open_[numbers]
 
 
 def smoothed(closed: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prepare.quality import OUTWARD
+from assets.faces import OUTWARD
 
 GOAL = 14.0  # [degrees] tets with smaller angles are worked on
 ROUNDS = 8
@@ -38,9 +38,11 @@ def polish(x: np.ndarray, tets: np.ndarray, surface, outer: np.ndarray, level: n
     x = x.copy()
     on = np.full(len(x), -1)
     on[outer] = np.arange(len(outer))
+    angle = smallest(x[tets])
+    if angle.min() >= GOAL:
+        return x
     order = np.argsort(tets.ravel(), kind="stable")
     first = np.concatenate([[0], np.bincount(tets.ravel(), minlength=len(x)).cumsum()])
-    angle = smallest(x[tets])
     for _ in range(ROUNDS):
         bad = np.flatnonzero(angle < GOAL)
         if not len(bad):

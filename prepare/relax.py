@@ -11,13 +11,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from assets.asset import Cage
+from prepare.descent import Descent
 from prepare.polish import polish
-from prepare.quality import dihedral_angles, volumes
-from prepare.stiffness import Stiffness
+from prepare.quality import smallest_angle, volumes
 
 STEPS = 30  # 20 bring most of the substep, the others better angles
-MOST = 0.35  # lattice cells a vertex may travel
-FIRST_STEP, LAST_STEP = 0.05, 1e-4  # lattice cells
 FURTHEST = 0.2  # lattice cells the surface may be moved for the volume
 SMALL = 0.05  # quantile of the volumes; where cells are alike the surface's cut ones, a quarter of the others
 ANGLE = 12.0  # [degrees] the result is taken only if no dihedral angle fell below this, or below the smallest before
@@ -56,51 +54,37 @@ def area(x: np.ndarray, surface: np.ndarray) -> float:
 
 
 def relax(
-    cage: Cage, values: np.ndarray, origin, spacing: float, *, volume=None, lift=None, steps: int = STEPS
+    cage: Cage,
+    values: np.ndarray,
+    origin,
+    spacing: float,
+    *,
+    volume: float | None = None,
+    lift: np.ndarray | None = None,
+    steps: int = STEPS,
+    descent: Descent | None = None,
 ) -> Cage:
-    """The same tets with vertices moved, by at most MOST cells, for a longer stable substep. Taichi must be running.
+    """The same tets with vertices moved, for a longer stable substep. Taichi must be running.
 
     values, origin, spacing  the signed distance that the cage was stuffed from
     volume                   the surface is moved along its normal until the cage is about so large; None: it stays
     lift                     how far out each vertex (V,) of the surface goes before that; None: not at all
+    descent                  of these tets and this distance, where several cages are relaxed; None: made here
     """
     x = cage.vertices.astype(np.float64)
     tets = cage.tets
     surface = Surface(values, np.asarray(origin, np.float64), spacing)
-    outer = np.unique(cage.surface)
+    outer = np.flatnonzero(np.bincount(cage.surface.ravel()))
     size = sizes(x, tets)[:, None]
     level = surface.at(x[outer])
     if lift is not None:
         x, level = _moved(x, cage, surface, outer, level, lift[outer])
     if volume is not None:
         x, level = _grown(x, cage, surface, outer, level, volume, size)
-    start, step = x, FIRST_STEP
-    stiffness = Stiffness(tets, len(x))
-    kappa = stiffness.at(x)[2]
-    own = volumes(x, tets)
-    small = 4 * np.quantile(own, SMALL)  # where cells differ in size, the smallest have the largest kappa
-    unit = float(np.median(kappa * np.maximum(1, own / small) ** (2 / 3)))
-    total, gradient, _ = stiffness.at(x, unit)
-    for _ in range(steps):
-        length = np.linalg.norm(gradient, axis=1, keepdims=True) * size
-        # Vertices of the worst twentieth take the full step, the others one in proportion.
-        direction = gradient * size / np.maximum(length, np.percentile(length, 95))
-        while step > LAST_STEP:
-            moved = x - step * size * direction
-            moved[outer] = surface.back(moved[outer], level)
-            away = moved - start
-            far = np.linalg.norm(away, axis=1, keepdims=True)
-            moved = start + away * np.minimum(1, MOST * size / np.maximum(far, 1e-300))
-            found = stiffness.at(moved, unit)
-            if found[0] < total:
-                break
-            step /= 2
-        else:
-            break
-        x, (total, gradient, _) = moved, found
-        step = min(1.5 * step, 2 * FIRST_STEP)
-    smallest = min(ANGLE, dihedral_angles(start, tets).min())
-    if dihedral_angles(x, tets).min() < smallest:
+    small = 4 * np.quantile(volumes(x, tets), SMALL)  # where cells differ in size, the smallest have the largest kappa
+    descent = descent or Descent(tets, len(x), surface.values, surface.origin, spacing)
+    start, x = x, descent.run(x, outer, level, size[:, 0], small, steps)
+    if smallest_angle(x, tets) < min(ANGLE, smallest_angle(start, tets)):
         x = start
     if volume is not None:
         x, level = _grown(x, cage, surface, outer, level, volume, size)

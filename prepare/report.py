@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
-from assets.locate import Locator
 from prepare.drawing import png_of
+from prepare.inside import Points
 from prepare.quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
 from prepare.report_pictures import (
     Made,
@@ -55,7 +55,7 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
     opaque = g.opacities > OPAQUE
     points = g.means[opaque if opaque.any() else slice(None)].astype(np.float64)
     points = points[:: len(points) // POINTS + 1]
-    inside = Locator(cage.vertices, cage.tets).find(points) >= 0
+    inside = Points(points).hosts(cage.vertices, cage.tets) >= 0
     to_cage = distance_to_surface(points, cage.vertices, cage.surface)
     from scipy.spatial import cKDTree
 

@@ -100,7 +100,8 @@ def animated(
         frames[0][:, 0, 1] += lift
         shapes[1:, :, 1] += lift
     surface = np.unique(cage.surface)
-    driven = firm(cage.vertices, strong, cage.tets, surface, shapes, core)
+    leader = np.where(np.isin(joints[:, 0], own.parents), joints[:, 0], -1)
+    driven = firm(cage.vertices, strong, cage.tets, surface, shapes, core, leader)
     led = np.union1d(surface, np.flatnonzero(driven))
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)

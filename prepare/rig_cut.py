@@ -13,18 +13,19 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from assets.asset import Cage
-from assets.locate import FACES
+from assets.faces import faces_of, keys_of
 
 ROUNDS = 20  # in which what was cut off is given to its neighbours; each one ends some pieces
 
 
 def facing(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inner faces: the two tets of each (n, 2) and its vertices (n, 3); and the boundary's triangles, outward."""
-    faces = tets[:, FACES].reshape(-1, 3)
-    key = np.sort(faces, axis=1)
-    order = np.lexsort(key.T)
-    same = (key[order[1:]] == key[order[:-1]]).all(1)
-    first, second = order[:-1][same], order[1:][same]
+    faces = faces_of(tets)
+    key = keys_of(faces)
+    order = np.argsort(key)
+    same = key[order[1:]] == key[order[:-1]]
+    pair = np.sort([order[:-1][same], order[1:][same]], axis=0)
+    first, second = pair[:, np.argsort(pair[0])]
     alone = np.ones(len(faces), bool)
     alone[first] = alone[second] = False
     return np.stack([first // 4, second // 4], 1), faces[first], faces[alone]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import coo_matrix, diags
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
 from assets.animation import MOST
@@ -60,12 +60,14 @@ def firm(
     surface: np.ndarray,
     shapes: np.ndarray,
     core: np.ndarray | None = None,
+    leader: np.ndarray | None = None,
 ) -> np.ndarray:
     """Which vertices are driven, (V,) bool: those of the surface that one joint leads, not near what this crushes.
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   where skinning puts all vertices in some frames, the first at rest (F, V, 3)
     core     vertices in the bones, (V,) bool: they are driven too, lest the flesh about them crumple by its inertia
+    leader   first joint of each vertex, (V,); -1 where that leads no other: a foot is held, however little leads it
     """
     driven = np.zeros(len(weights), bool) if core is None else core.copy()
     driven[surface] = True
@@ -78,7 +80,32 @@ def firm(
     if len(tight):
         reach = ABOUT * np.ptp(x, axis=0).max()
         driven &= dijkstra(graph, directed=False, indices=tight, min_only=True, limit=reach) > reach
+        loose = islands(x, ends, driven, reach, leader)
+        loose[np.setdiff1d(np.arange(len(x)), surface)] = False  # in coarse cages what is in a bone does lie alone
+        driven &= ~loose
     return driven
+
+
+def islands(
+    x: np.ndarray, ends: np.ndarray, driven: np.ndarray, reach: float, leader: np.ndarray | None = None
+) -> np.ndarray:
+    """Mask (V,) of driven vertices in patches less than `reach` [m] across, round which none is driven; twice as large
+    if a patch is the only one of its joint.
+
+    Such a patch in an armpit is dragged through flesh that is free to go elsewhere, and turns tets inside out.
+    ends  (E, 2) of the edges of x (V, 3); leader as of `firm`
+    """
+    both = ends[driven[ends].all(1)]
+    count, patch = connected_components(coo_matrix((np.ones(len(both)), both.T), shape=(len(x),) * 2), directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, patch, x)
+    np.maximum.at(high, patch, x)
+    across = np.linalg.norm(high - low, axis=1)[patch]
+    if leader is None:
+        return driven & (across < reach)
+    led = np.unique(np.stack([leader, patch])[:, driven & (across > 0)], axis=1)[0]  # of each patch, by whom
+    patches = np.bincount(led[led >= 0], minlength=leader.max() + 2)
+    return driven & (leader >= 0) & (across < np.where(patches[leader] == 1, 2 * reach, reach))
 
 
 def least_volumes(tets: np.ndarray, shapes: np.ndarray) -> np.ndarray:

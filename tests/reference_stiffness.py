@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from prepare.quality import OUTWARD
+from assets.faces import OUTWARD
 from prepare.stiffness import POWER, REGULAR, SHAPE
 
 

@@ -21,6 +21,8 @@ def test_distances_are_exact(ti_cpu, seed):
     true = distance_transform_edt(~mask)
     assert (squared_distance(mask) == np.rint(true**2)).all()
     np.testing.assert_allclose(distance(mask), true, rtol=1e-6)
+    reach = rng.uniform(0, 12)
+    np.testing.assert_allclose(distance(mask, reach), np.where(true > reach, np.inf, true), rtol=1e-6)
 
 
 def test_without_any_cell_all_is_far(ti_cpu):

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 
 from assets.check import check_cage
 from assets.errors import BadInput
+from assets.faces import OUTWARD
 from prepare.graded import graded_lattice, refined
-from prepare.quality import OUTWARD, boundary, dihedral_angles, non_manifold_vertices, volumes
+from prepare.quality import boundary, dihedral_angles, non_manifold_vertices, volumes
 from prepare.stuffing import stuff_lattice
 from tests.test_stuffing import bumpy, sampled, sphere
 

@@ -12,7 +12,7 @@ from prepare.rig_hang import calmed
 from prepare.rig_landmarks import to_segment
 from prepare.rig_parts import Parts
 from prepare.rig_solid import Solid, held_by_hands
-from prepare.rig_weights import diffused, strongest
+from prepare.rig_weights import diffused, islands, strongest
 from tests.meshes import boundary, box
 
 
@@ -152,3 +152,16 @@ def test_nothing_is_split_where_all_faces_hold():
 
     new, source = split(tets, facing(tets)[0], len(x))
     assert (new == tets).all() and (source == np.arange(len(x))).all()
+
+
+def test_a_small_patch_alone_in_free_flesh_is_not_led():
+    """On a line of vertices 1 apart: patches 1 and 5 across. Alone of its joint, one 5 across goes too, but not of a
+    limb's last joint."""
+    x = np.stack([np.arange(40.0), np.zeros(40), np.zeros(40)], 1)
+    ends = np.stack([np.arange(39), np.arange(1, 40)], 1)
+    driven, leader = np.zeros(40, bool), np.zeros(40, int)
+    for low, high, joint in ((0, 12, 0), (14, 16, 0), (18, 24, 1), (26, 32, -1), (34, 40, 0)):
+        driven[low:high], leader[low:high] = True, joint
+    found = islands(x, ends, driven, 4.0, leader)
+    assert sorted(set(np.flatnonzero(found))) == [14, 15, *range(18, 24)]
+    assert sorted(set(np.flatnonzero(islands(x, ends, driven, 4.0)))) == [14, 15]

@@ -16,6 +16,7 @@ import taichi as ti
 from assets.errors import BadInput
 from display.device import is_out_of_memory
 from render.shadow import Shadow
+from render.trees import keeping_kernels
 from scenes.scene import BodyState
 from sim.assembly import MAX_BODIES, NoRoom, Room
 from sim.embedding import Run
@@ -142,8 +143,9 @@ class Cast:
                 raise
             raise BadInput("There is no memory for more bodies.") from e
         ti.sync()
-        for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
-            thing.destroy()
+        with keeping_kernels():
+            for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
+                thing.destroy()
         self.grown = True
         world.solver, world.splats, world.embedding = solver, splats, embedding
         world.shadow, world.renderer = shadow, renderer

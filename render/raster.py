@@ -10,6 +10,7 @@ from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.project import Projection
 from render.resort import WINDOW, Resort
 from render.splats import Splats
+from render.trees import keeping_kernels
 
 PAIRS_PER_SPLAT = 8  # room at the start; scenes were seen to need 3 to 6
 FIRST_PAIRS = 1 << 24  # but not more than 256 MiB until they are needed
@@ -51,7 +52,8 @@ class Raster:
         if pairs > MOST_PAIRS:
             raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
         if self.stage is not None:
-            self.stage.bins.destroy()
+            with keeping_kernels():
+                self.stage.bins.destroy()
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         self.stage = DrawStage(self.blend(Bins(self.order, capacity), **self.wants), self.sink)
 

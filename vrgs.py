@@ -69,6 +69,8 @@ def play(args) -> None:
         world = World(scene, width=width, height=height, views=views, props=props, **how)
         if args.headless and not replay:
             display.hands = world.scripted_hands
+        if not args.headless:
+            world.warm_up()
         if inputs:
             inputs.begin(args, how)
         frames = 0

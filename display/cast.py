@@ -101,6 +101,13 @@ class Cast:
             world.splats.count = world.shadow.end = places[-1]
         self.members = members
 
+    def warm_up(self) -> None:
+        """Compile what the first change needs; nothing is changed."""
+        world = self.world
+        if self.members:
+            world.splats.put(self.first, *world.splats.read(self.first, 1))
+            world.embedding.warm_up()
+
     def check(self, members: tuple[Member, ...]) -> None:
         """NoRoom if the picture has no room for them."""
         self._read()
@@ -152,3 +159,4 @@ class Cast:
         for motion in world.motions:
             motion.solver = solver
         self.follow(self.members)
+        world.warm_up()

@@ -13,6 +13,8 @@ from scenes.scene import BodyState, Hand
 
 TOGETHER = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
 NOTICE = 6.0  # [s] that a notice is shown
+COMPILING = "This takes another solver, which is made once: some seconds."
+SIMULATED = {"rescale", "material", "undo", "redo"}  # what may change how bodies are simulated
 COMMANDS = ("select", "remove", "duplicate", "rescale", "rotate", "material", "undo", "redo")
 
 
@@ -28,6 +30,7 @@ class Editor(Changes):
         self._pending: dict = {}  # for the next frame
         self._gripped: list[bool] = []
         self._notice: tuple[str, float] = ("", 0.0)
+        self._waits = False
 
     @property
     def notice(self) -> str:
@@ -42,6 +45,12 @@ class Editor(Changes):
     def begin(self) -> None:
         """A frame begins."""
         self._frame += 1
+        self._waits = False
+
+    @property
+    def waits(self) -> bool:
+        """Whether time must stand still in this frame, so that its picture says why the next one takes long."""
+        return self._waits
 
     def apply(self, commands: dict) -> None:
         """Carry out what is asked for; what cannot be is said, and changes nothing."""
@@ -56,6 +65,9 @@ class Editor(Changes):
                 except NotYet:
                     self.say(MAKING)
                     self._pending[name] = commands[name]
+        if commands.keys() & SIMULATED and self.world.solver.fresh and self._frame > 1:
+            self._waits = True
+            self.say(COMPILING)
 
     # history
 

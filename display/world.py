@@ -120,6 +120,14 @@ class World:
         how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
         return Renderer(splats, *self.renderer_size, outputs=self.outputs, **how)
 
+    def warm_up(self) -> None:
+        """Compile what is first needed in the midst of play, where the user would wait for it; nothing is changed."""
+        self.solver.warm_up()
+        self.editor.cast.warm_up()
+        for motion in self.motions:
+            motion.settled()
+        self.stats()
+
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
         self.renderer_size, self._drawn = (width, height), None
@@ -133,7 +141,7 @@ class World:
         self.editor.begin()
         self.apply({**self._stretched(), **frame.commands})
         placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
-        advance = not self.paused or frame.commands.get("step", False)
+        advance = (not self.paused or frame.commands.get("step", False)) and not self.editor.waits
         if advance:
             before = None if self.demo else self.editor.before_step(frame.hands)
             begin = perf_counter()

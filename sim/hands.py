@@ -238,5 +238,14 @@ class Hands:
                     for c in ti.static(range(3)):
                         ti.atomic_add(self.total[h, c], ti.cast(force[c] * 1e6, ti.i64))
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self._motion(0)
+        self.forces()
+        if self.count:
+            self._hold(0, self.held_by[0])
+            self._set_poses(np.zeros((self.count, 2, 7), np.float32))  # each frame that needs them sets them
+            self._add(0, 0, np.zeros((1, 3), np.float32))
+
     def destroy(self) -> None:
         self.tree.destroy()

@@ -105,6 +105,10 @@ class Mending:
             self.damping.run(0.0)  # omega of now: the last one would spin a body that has grown since
             self._lead(t)
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self._lead(0.0)
+
     @ti.kernel
     def _lead(self, t: ti.f32):
         s = self.state

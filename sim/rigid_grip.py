@@ -105,5 +105,11 @@ class RigidGrip:
         """Force of each hand on the rigid body that it holds [N], (3,), in the last substep."""
         return list(self.force.to_numpy()[: self.count])
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self.forces()
+        if -1 in self.held:
+            self._take(self.held.index(-1), -1)
+
     def destroy(self) -> None:
         self.tree.destroy()

@@ -140,19 +140,22 @@ class World:
         """One frame: simulate, deform, shade, draw."""
         self.editor.begin()
         self.apply({**self._stretched(), **frame.commands})
-        placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
+        placed = False
+        if self.props is not None and frame.parts is not None:
+            with self.timings.stage("hands"):
+                placed = self.props.place(frame.parts, self.light)
         advance = (not self.paused or frame.commands.get("step", False)) and not self.editor.waits
         if advance:
             before = None if self.demo else self.editor.before_step(frame.hands)
             begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
-            self.moving = self.solver.moved()  # waits for the device
+                self.moving, now = self.solver.observe()  # waits for the device
             self.cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
                 placed = False  # its shadow is cast, too
-            bodies, self._bodies = self._bodies, self.solver.bodies()
+            bodies, self._bodies = self._bodies, now
             if not self.demo:
                 self.editor.after_step(before, bodies, self._bodies)
             if self.scene.game is not None:
@@ -169,6 +172,8 @@ class World:
         if cameras and seen != self._drawn:
             with self.timings.stage("render"):
                 self.renderer.render(cameras)
+                if self.shadow.settle():
+                    self.renderer.render(cameras)
             self._drawn = seen
 
     def _stretched(self) -> dict:

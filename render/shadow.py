@@ -69,6 +69,7 @@ class Shadow:
         builder.place(self.high)
         builder.dense(ti.i, splats.capacity).place(self.exposed)
         self.tree = builder.finalize()
+        self._unsettled = False
         self.set_light(light)
 
     def destroy(self) -> None:
@@ -89,7 +90,8 @@ class Shadow:
         self._static_is_drawn = False
 
     def cast(self) -> None:
-        """Bring `splats.light` up to date with where the Gaussians are now."""
+        """Bring `splats.light` up to date with where the Gaussians are now. Nothing waits for the device, so `settle`
+        must be called when that does no harm."""
         light, distance = self.light, self._distance
         if not self._static_is_drawn:
             view = look_at(self._eye, light.target)[:3]
@@ -100,10 +102,19 @@ class Shadow:
             self._static_is_drawn = True
         if self.begin < self.end:
             self._aim_dynamic(*self._eye.tolist(), light.softness, self.end)
-            self.raster.draw(DYNAMIC, self.begin, self.end)
+            self.raster.draw(DYNAMIC, self.begin, self.end, wait=False)
+            self._unsettled = True
             self._receive(light.strength, light.softness, self.end)
         else:
             self.splats.light.fill(1.0)
+
+    def settle(self) -> bool:
+        """Was there no room for the last cast? Then it is made again, and pictures since then are wrong."""
+        again = self._unsettled and self.raster.settle(DYNAMIC)
+        self._unsettled = False
+        if again:
+            self._receive(self.light.strength, self.light.softness, self.end)
+        return again
 
     @ti.kernel
     def _aim_static(

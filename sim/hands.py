@@ -223,6 +223,11 @@ class Hands:
 
     def forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
+        if self.held_by == [None] * self.count:
+            return [np.zeros(3)] * self.count
+        return self._forces()
+
+    def _forces(self) -> list[np.ndarray]:
         self._sum()
         return list(self.total.to_numpy()[: self.count] * 1e-6)
 
@@ -241,7 +246,7 @@ class Hands:
     def warm_up(self) -> None:
         """See Solver.warm_up."""
         self._motion(0)
-        self.forces()
+        self._forces()
         if self.count:
             self._hold(0, self.held_by[0])
             self._set_poses(np.zeros((self.count, 2, 7), np.float32))  # each frame that needs them sets them

@@ -222,6 +222,11 @@ class Solver(Editing, Boundaries):
         """Whether any vertex moved more than 1e-5 m since this last returned True."""
         return self._summary.moved()
 
+    def observe(self) -> tuple[bool, list[BodyState]]:
+        """`moved` and `bodies`, with one wait for the device instead of two."""
+        held = self._gripped()
+        return self._summary.observe([b in held for b in range(len(self._parts))])
+
     def destroy(self) -> None:
         """Give the device memory back; the solver must not be used after."""
         for tree in trees_of(self):

@@ -271,6 +271,11 @@ class World:
         return self.editor.selected
 
     @property
+    def chosen(self) -> bool:
+        """Whether the user has just pointed it out or changed it."""
+        return self.editor.chosen
+
+    @property
     def notice(self) -> str:
         """What the user should know of the last command, for some seconds; else nothing."""
         return self.editor.notice

@@ -11,8 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from display.headset.actions import ANALOG, KINDS, POSES, PROFILES, Controller
-from display.headset.player import FARTHEST, GRAB_REACH, PINCH_REACH, TURN, Player, on_the_floor
+from display.headset.player import GRAB_REACH, PINCH_REACH, TURN, Player
 from display.headset.poses import Standpoint, eye_camera, matrix_of, position_rotation
+from display.headset.stride import FARTHEST, on_the_floor
 from scenes import registry
 
 PROGRAM = Path(__file__).resolve().parents[1] / "vrgs.py"

@@ -225,7 +225,7 @@ class Panel:
 
     def _score(self, imgui, world, beside_panel: bool) -> None:
         """Score and message at the top: in the middle, or right of the panel in a small window."""
-        score, message = ("", "") if self.scene.game is None else (str(world.score), world.message)
+        score, message = ("", "") if self.scene.game is None else (str(world.score or ""), world.message)
         if score in message.split():  # the game says it itself
             score = ""
         text = f"{score}   {message}".strip()

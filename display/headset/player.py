@@ -26,7 +26,7 @@ class Player:
     """Where the player stands, what both hands do. `advance` gives them once a frame, `feel` answers."""
 
     def __init__(self, scene: Scene):
-        self.standpoint = Standpoint.before(scene.eye, scene.target)
+        self.standpoint = Standpoint.of(scene)
         self._grips = [False, False]
         self._places: list[np.ndarray | None] = [None, None]  # in the play space, as last tracked
         self._reach = [GRAB_REACH, GRAB_REACH]

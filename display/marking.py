@@ -15,6 +15,7 @@ from scenes.scene import BodyState
 SHOWN = 2.5  # [s] after a command
 AROUND = 0.008  # [m] between a body and its corners
 SHARE, LONGEST = 0.3, 0.045  # of the longest side, and [m] at most: how long the strokes of a corner are
+COLOUR = (1.0, 0.96, 0.86)
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the eight corners
 
 

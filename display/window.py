@@ -11,7 +11,7 @@ from assets.camera import Camera
 from display import theme
 from display.controls import Controls
 from display.frame import Frame
-from display.marking import marked, strokes
+from display.marking import COLOUR, marked, strokes
 from display.mouse_hand import MouseHand
 from display.orbit import Orbit
 from display.panel import Panel
@@ -187,7 +187,7 @@ class Window:
                     (left + u / self._camera.width * width, top + v / self._camera.height * height) for u, v in ends
                 )
                 behind = project_depth(self._camera, start) > middle + 0.1 * abs(far)
-                for colour, thick in (((0.0, 0.0, 0.0, 0.35), 4.0), (theme.ACCENT, 2.0)):
+                for colour, thick in (((0.0, 0.0, 0.0, 0.35), 4.0), ((*COLOUR, 1.0), 2.0)):
                     shade = (*colour[:3], colour[3] * (0.35 if behind else 1.0))
                     paint.add_line(a, b, imgui.get_color_u32(shade), thick * scale)
 

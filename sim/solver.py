@@ -225,7 +225,8 @@ class Solver(Editing, Boundaries):
     def observe(self) -> tuple[bool, list[BodyState]]:
         """`moved` and `bodies`, with one wait for the device instead of two."""
         held = self._gripped()
-        return self._summary.observe([b in held for b in range(len(self._parts))])
+        moved, bodies, self._mending.seen = self._summary.observe([b in held for b in range(len(self._parts))])
+        return moved, bodies
 
     def destroy(self) -> None:
         """Give the device memory back; the solver must not be used after."""

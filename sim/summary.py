@@ -10,9 +10,9 @@ from sim.state import State, Upload
 
 FAR = 3.0e38  # larger than any distance, finite in float32
 MOVED = 1e-5  # [m] under this nobody sees a difference
-ANYTHING = 22  # of the first body: 1 if any vertex moved, by `observe`
-# Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, ANYTHING
-VALUES = 23
+ANYTHING, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
+# Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
+VALUES = 24
 
 
 @ti.func
@@ -58,11 +58,11 @@ class Summary:
             states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
         return states
 
-    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState]]:
-        """`moved` and `bodies` with one look at the device."""
+    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState], np.ndarray]:
+        """`moved`, `bodies`, and `state.inverted` of each, with one look at the device."""
         self._observe()
         total = self.total.to_numpy()
-        return bool(total[0, ANYTHING]), self._states(total, held)
+        return bool(total[0, ANYTHING]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
 
     def finite(self) -> bool:
         """Whether every position and velocity is finite."""
@@ -81,8 +81,9 @@ class Summary:
     def _observe(self):
         self._find_motion()
         self._sum_up()
-        for _ in range(1):
-            self.total[0, ANYTHING] = self.anything[None]
+        for b in range(MAX_BODIES):
+            self.total[b, ANYTHING] = self.anything[None]
+            self.total[b, INVERTED] = self.state.inverted[b]
 
     @ti.func
     def _sum_up(self):

@@ -20,7 +20,7 @@ PARTS = CORNERS + 8
 HANDLE, ARCH = 0.013, (0.040, 0.0045)  # [m] radius of the handle; of the ring and of its tube
 LEAN = -0.75  # [rad] of the ring towards the player
 BODY, RING, FINGER = np.array([0.22, 0.23, 0.25]), np.array([0.36, 0.37, 0.40]), np.array([0.86, 0.80, 0.72])
-BEAM, MARK = np.array([1.0, 0.83, 0.45]), np.array([1.0, 0.96, 0.86])
+BEAM = np.array([1.0, 0.83, 0.45])
 POKE = 0.009  # [m] radius of the poking finger, as in poking.py
 SPOT_RADIUS, BEAM_RADIUS = 0.11, 0.0016  # [m]
 ABOVE = 0.03  # [m] of the spot over the floor, on which a carpet may lie
@@ -126,7 +126,7 @@ def corner(part: int) -> Skin:
     t = (np.arange(STROKE) + 0.5) / STROKE
     axes = np.repeat(np.eye(3), STROKE, axis=0)
     x = axes * np.tile(t, 3)[:, None]
-    g = discs(x, axes, THIN, 0.5 / STROKE, np.tile(MARK, (len(x), 1)), np.full(len(x), 0.95))
+    g = discs(x, axes, THIN, 0.5 / STROKE, np.tile(marking.COLOUR, (len(x), 1)), np.full(len(x), 0.95))
     return whole(g, np.zeros_like(x), part, solid=False)
 
 

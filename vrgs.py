@@ -66,9 +66,13 @@ def play(args) -> None:
         if replay:
             how = replay.world_options(how)
         props = display.props() if args.xr else []
+        if args.xr and recorder:
+            display.marks = False  # they do not belong in a film
         world = World(scene, width=width, height=height, views=views, props=props, **how)
         if args.headless and not replay:
             display.hands = world.scripted_hands
+        if not args.headless:
+            world.warm_up()
         if inputs:
             inputs.begin(args, how)
         frames = 0

@@ -16,6 +16,7 @@ import taichi as ti
 from assets.errors import BadInput
 from display.device import is_out_of_memory
 from render.shadow import Shadow
+from render.trees import keeping_kernels
 from scenes.scene import BodyState
 from sim.assembly import MAX_BODIES, NoRoom, Room
 from sim.embedding import Run
@@ -100,6 +101,13 @@ class Cast:
             world.splats.count = world.shadow.end = places[-1]
         self.members = members
 
+    def warm_up(self) -> None:
+        """Compile what the first change needs; nothing is changed."""
+        world = self.world
+        if self.members:
+            world.splats.put(self.first, *world.splats.read(self.first, 1))
+            world.embedding.warm_up()
+
     def check(self, members: tuple[Member, ...]) -> None:
         """NoRoom if the picture has no room for them."""
         self._read()
@@ -142,11 +150,13 @@ class Cast:
                 raise
             raise BadInput("There is no memory for more bodies.") from e
         ti.sync()
-        for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
-            thing.destroy()
+        with keeping_kernels():
+            for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
+                thing.destroy()
         self.grown = True
         world.solver, world.splats, world.embedding = solver, splats, embedding
         world.shadow, world.renderer = shadow, renderer
         for motion in world.motions:
             motion.solver = solver
         self.follow(self.members)
+        world.warm_up()

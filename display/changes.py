@@ -79,7 +79,7 @@ class Changes:
         if abs(factor - 1.0) < SAME:
             raise BadInput(f"It is as {'large' if asked[1] > 1.0 else 'small'} as it can be.")
         foot = body.centroid if body.held else np.array([body.centroid[0], body.low[1], body.centroid[2]])
-        before = self._before("rescale")
+        self.selected, before = k, self._before("rescale")
         self.cast.with_room(lambda: w.solver.rescale(k, factor, about=foot))
         self._keep("rescale", before)
         self._move(k, scaling(factor, foot))
@@ -95,7 +95,7 @@ class Changes:
         if not body.held:  # what stands on a table still does
             first, last = w.solver.vertex_offset[k : k + 2]
             by[1, 3] += body.low[1] - (w.solver.snapshot()["x"][first:last] @ by[1, :3] + by[1, 3]).min()
-        before = self._before("rotate")
+        self.selected, before = k, self._before("rotate")
         w.solver.displace(k, by)
         self._keep("rotate", before)
         self._move(k, by)
@@ -103,7 +103,7 @@ class Changes:
     def _material(self, asked) -> None:
         k, material = asked
         k, w = self._index(k), self.world
-        before = self._before("material")
+        self.selected, before = k, self._before("material")
         material = material if isinstance(material, Material) else Material.named(str(material))
         self.cast.with_room(lambda: w.solver.set_material(k, material))
         self._keep("material", before)

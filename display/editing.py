@@ -8,11 +8,15 @@ from assets.errors import BadInput
 from display.cast import MAKING, Cast, NotYet
 from display.changes import Changes
 from display.history import History, Step
+from display.marking import SHOWN
 from display.moment import Moment, bring_back, moment_of, step_of
 from scenes.scene import BodyState, Hand
 
 TOGETHER = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
 NOTICE = 6.0  # [s] that a notice is shown
+COMPILING = "This takes another solver, which is made once: some seconds."
+CHOSEN = {"select", "duplicate", "rescale", "rotate", "material"}  # after these it should be seen which body it was
+SIMULATED = {"rescale", "material", "undo", "redo"}  # what may change how bodies are simulated
 COMMANDS = ("select", "remove", "duplicate", "rescale", "rotate", "material", "undo", "redo")
 
 
@@ -28,6 +32,13 @@ class Editor(Changes):
         self._pending: dict = {}  # for the next frame
         self._gripped: list[bool] = []
         self._notice: tuple[str, float] = ("", 0.0)
+        self._waits = False
+        self._chosen = 0.0  # until when [s] it is
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the user has just chosen or changed the selected body."""
+        return monotonic() < self._chosen
 
     @property
     def notice(self) -> str:
@@ -42,6 +53,12 @@ class Editor(Changes):
     def begin(self) -> None:
         """A frame begins."""
         self._frame += 1
+        self._waits = False
+
+    @property
+    def waits(self) -> bool:
+        """Whether time must stand still in this frame, so that its picture says why the next one takes long."""
+        return self._waits
 
     def apply(self, commands: dict) -> None:
         """Carry out what is asked for; what cannot be is said, and changes nothing."""
@@ -51,11 +68,15 @@ class Editor(Changes):
                 try:
                     self._notice = ("", 0.0)
                     getattr(self, f"_{name}")(commands[name])
+                    self._chosen = monotonic() + SHOWN if name in CHOSEN else self._chosen
                 except BadInput as e:
                     self.say(str(e))
                 except NotYet:
                     self.say(MAKING)
                     self._pending[name] = commands[name]
+        if commands.keys() & SIMULATED and self.world.solver.fresh and self._frame > 1:
+            self._waits = True
+            self.say(COMPILING)
 
     # history
 

@@ -40,6 +40,7 @@ class Panel:
         self.scene, self.title, self.scale = scene, title, scale
         self.resolution: float | None = None  # None: what display/quality.py finds
         self.details = False  # is the list of stages on view
+        self.edits = False  # is the cursor among the edits
         self._read = -REFRESH
         self._fps, self._stages, self._stats = 0.0, [], {}
         self._pace: list[str] = []
@@ -50,6 +51,7 @@ class Panel:
 
         if world.light is not None and (self.scene.game is not None or world.notice):
             self._score(imgui, world, visible)
+        self.edits = False
         if not visible:
             self.details = False
             return {}
@@ -68,7 +70,10 @@ class Panel:
         self._title(imgui)
         commands = self._buttons(imgui, world) if world.light is not None else {}
         if world.light is not None and imgui.collapsing_header("Edit", imgui.TreeNodeFlags_.default_open):
+            imgui.begin_group()
             commands |= self._edit(imgui, world)
+            imgui.end_group()
+            self.edits = imgui.is_mouse_hovering_rect(imgui.get_item_rect_min(), imgui.get_item_rect_max())
         if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
             commands |= self._light(imgui, world.light)
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
@@ -220,7 +225,7 @@ class Panel:
 
     def _score(self, imgui, world, beside_panel: bool) -> None:
         """Score and message at the top: in the middle, or right of the panel in a small window."""
-        score, message = ("", "") if self.scene.game is None else (str(world.score), world.message)
+        score, message = ("", "") if self.scene.game is None else (str(world.score or ""), world.message)
         if score in message.split():  # the game says it itself
             score = ""
         text = f"{score}   {message}".strip()

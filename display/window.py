@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from time import perf_counter
 
+import numpy as np
+
 from assets.camera import Camera
 from display import theme
 from display.controls import Controls
 from display.frame import Frame
+from display.marking import COLOUR, marked, strokes
 from display.mouse_hand import MouseHand
 from display.orbit import Orbit
 from display.panel import Panel
 from display.picture import PictureTexture, fit
 from display.quality import Quality
 from display.surface import Surface
-from scenes.scene import Scene
+from scenes.scene import BodyState, Scene
 
 LONGEST_STEP = 1 / 20  # [s]; below 20 frames a second the world slows down rather than jumps
 SETTLE = 0.2  # [s] without a change of size before the world draws in the new one
@@ -106,6 +109,8 @@ class Window:
             self._commands = self._panel.draw(world, visible=self._controls.panel)
             if self._controls.drag == "grab":
                 self._draw_hand()
+            elif (body := marked(world, near=self._panel.edits)) is not None:
+                self._draw_mark(body)
             self._surface.end()
         self._surface.swap()
         world.timings.exact = self._panel.details
@@ -167,6 +172,25 @@ class Window:
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
         return (x - left) / width * self._camera.width, (y - top) / height * self._camera.height
 
+    def _draw_mark(self, body: BodyState) -> None:
+        """Corners around a body; those behind it are fainter."""
+        from imgui_bundle import imgui
+
+        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
+        paint, scale = imgui.get_background_draw_list(), self._surface.scale
+        far = self._camera.world_to_camera[2, :3] @ np.subtract(body.high, body.low)
+        middle = project_depth(self._camera, 0.5 * (body.low + body.high))
+        for start, end in strokes(body):
+            ends = [project(self._camera, p) for p in (start, end)]
+            if None not in ends:
+                a, b = (
+                    (left + u / self._camera.width * width, top + v / self._camera.height * height) for u, v in ends
+                )
+                behind = project_depth(self._camera, start) > middle + 0.1 * abs(far)
+                for colour, thick in (((0.0, 0.0, 0.0, 0.35), 4.0), ((*COLOUR, 1.0), 2.0)):
+                    shade = (*colour[:3], colour[3] * (0.35 if behind else 1.0))
+                    paint.add_line(a, b, imgui.get_color_u32(shade), thick * scale)
+
     def _draw_hand(self) -> None:
         """A ring around the gripped point, and the hand for a cursor."""
         from imgui_bundle import imgui
@@ -181,6 +205,11 @@ class Window:
         paint.add_circle((x, y), 9 * scale, imgui.get_color_u32((0.0, 0.0, 0.0, 0.5)), 0, 4 * scale)
         paint.add_circle((x, y), 9 * scale, imgui.get_color_u32(theme.ACCENT), 0, 2 * scale)
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
+
+
+def project_depth(camera: Camera, point) -> float:
+    """How far before the camera a point is [m]."""
+    return float(camera.world_to_camera[2, :3] @ point + camera.world_to_camera[2, 3])
 
 
 def project(camera: Camera, point) -> tuple[float, float] | None:

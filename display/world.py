@@ -120,6 +120,14 @@ class World:
         how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
         return Renderer(splats, *self.renderer_size, outputs=self.outputs, **how)
 
+    def warm_up(self) -> None:
+        """Compile what is first needed in the midst of play, where the user would wait for it; nothing is changed."""
+        self.solver.warm_up()
+        self.editor.cast.warm_up()
+        for motion in self.motions:
+            motion.settled()
+        self.stats()
+
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
         self.renderer_size, self._drawn = (width, height), None
@@ -132,19 +140,22 @@ class World:
         """One frame: simulate, deform, shade, draw."""
         self.editor.begin()
         self.apply({**self._stretched(), **frame.commands})
-        placed = self.props is not None and frame.parts is not None and self.props.place(frame.parts, self.light)
-        advance = not self.paused or frame.commands.get("step", False)
+        placed = False
+        if self.props is not None and frame.parts is not None:
+            with self.timings.stage("hands"):
+                placed = self.props.place(frame.parts, self.light)
+        advance = (not self.paused or frame.commands.get("step", False)) and not self.editor.waits
         if advance:
             before = None if self.demo else self.editor.before_step(frame.hands)
             begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
-            self.moving = self.solver.moved()  # waits for the device
+                self.moving, now = self.solver.observe()  # waits for the device
             self.cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
                 placed = False  # its shadow is cast, too
-            bodies, self._bodies = self._bodies, self.solver.bodies()
+            bodies, self._bodies = self._bodies, now
             if not self.demo:
                 self.editor.after_step(before, bodies, self._bodies)
             if self.scene.game is not None:
@@ -161,6 +172,8 @@ class World:
         if cameras and seen != self._drawn:
             with self.timings.stage("render"):
                 self.renderer.render(cameras)
+                if self.shadow.settle():
+                    self.renderer.render(cameras)
             self._drawn = seen
 
     def _stretched(self) -> dict:
@@ -256,6 +269,11 @@ class World:
     def selected(self) -> int | None:
         """The body that was last held or pointed out."""
         return self.editor.selected
+
+    @property
+    def chosen(self) -> bool:
+        """Whether the user has just pointed it out or changed it."""
+        return self.editor.chosen
 
     @property
     def notice(self) -> str:

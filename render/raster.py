@@ -10,6 +10,7 @@ from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.project import Projection
 from render.resort import WINDOW, Resort
 from render.splats import Splats
+from render.trees import keeping_kernels
 
 PAIRS_PER_SPLAT = 8  # room at the start; scenes were seen to need 3 to 6
 FIRST_PAIRS = 1 << 24  # but not more than 256 MiB until they are needed
@@ -51,7 +52,8 @@ class Raster:
         if pairs > MOST_PAIRS:
             raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
         if self.stage is not None:
-            self.stage.bins.destroy()
+            with keeping_kernels():
+                self.stage.bins.destroy()
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         self.stage = DrawStage(self.blend(Bins(self.order, capacity), **self.wants), self.sink)
 
@@ -75,14 +77,22 @@ class Raster:
             self.projection.set_camera(view, *numbers)
             self._cameras[view] = numbers
 
-    def draw(self, out, begin: int = 0, end: int | None = None) -> None:
-        """Draw Gaussians begin..end-1 through the cameras that were set. `out` is handed to the sink."""
+    def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
+        """Draw Gaussians begin..end-1 through the cameras that were set. `out` is handed to the sink. Without `wait` it
+        only counts once `settle` was called."""
         self._arrange(begin, self.splats.count if end is None else end)
         self.stage.draw(out)
-        pairs = self.order.pairs[None]  # the one number that is read back, after the frame
-        if pairs > self.stage.bins.capacity:
-            self._make_room(pairs)
-            self.stage.draw(out)
+        if wait:
+            self.settle(out)
+
+    def settle(self, out) -> bool:
+        """Wait for what was drawn last. Was there no room for it? Then it is drawn again."""
+        pairs = self.order.pairs[None]  # the one number that is read back
+        if pairs <= self.stage.bins.capacity:
+            return False
+        self._make_room(pairs)
+        self.stage.draw(out)
+        return True
 
     @ti.kernel
     def _arrange(self, begin: ti.i32, end: ti.i32):

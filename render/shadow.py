@@ -21,6 +21,7 @@ WIDEST_FILTER = 12.0  # [texels] to each side, lest taps stand too far apart to 
 OWN_BIAS = 0.004  # [m] of shadows on what cannot shadow itself
 CASTING = 0.5  # share of the way to the target on which static things cast: a lampshade or a ceiling does not
 FAR_BIAS = 0.05  # [m] how deep behind static things a static Gaussian is surely in their shadow
+RUNS = {False: 64, True: 4096}  # by backend, on_gpu: into how many runs what moves is cut to find its box
 
 
 @ti.data_oriented
@@ -52,6 +53,8 @@ class Shadow:
 
     def __init__(self, splats: Splats, light: Light, dynamic: tuple[int, int], *, resolution: int = 512):
         self.splats, self.resolution = splats, resolution
+        self.on_gpu = ti.cfg.arch == ti.cuda
+        self.runs = RUNS[self.on_gpu]
         self.begin, self.end = dynamic
         if self.end != splats.count:
             raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
@@ -66,6 +69,7 @@ class Shadow:
         builder.place(self.high)
         builder.dense(ti.i, splats.capacity).place(self.exposed)
         self.tree = builder.finalize()
+        self._unsettled = False
         self.set_light(light)
 
     def destroy(self) -> None:
@@ -86,7 +90,8 @@ class Shadow:
         self._static_is_drawn = False
 
     def cast(self) -> None:
-        """Bring `splats.light` up to date with where the Gaussians are now."""
+        """Bring `splats.light` up to date with where the Gaussians are now. Nothing waits for the device, so `settle`
+        must be called when that does no harm."""
         light, distance = self.light, self._distance
         if not self._static_is_drawn:
             view = look_at(self._eye, light.target)[:3]
@@ -97,10 +102,19 @@ class Shadow:
             self._static_is_drawn = True
         if self.begin < self.end:
             self._aim_dynamic(*self._eye.tolist(), light.softness, self.end)
-            self.raster.draw(DYNAMIC, self.begin, self.end)
+            self.raster.draw(DYNAMIC, self.begin, self.end, wait=False)
+            self._unsettled = True
             self._receive(light.strength, light.softness, self.end)
         else:
             self.splats.light.fill(1.0)
+
+    def settle(self) -> bool:
+        """Was there no room for the last cast? Then it is made again, and pictures since then are wrong."""
+        again = self._unsettled and self.raster.settle(DYNAMIC)
+        self._unsettled = False
+        if again:
+            self._receive(self.light.strength, self.light.softness, self.end)
+        return again
 
     @ti.kernel
     def _aim_static(
@@ -118,13 +132,21 @@ class Shadow:
         """Fit the cone to the box of all that moves, two sigmas included; no texel finer than the filter needs."""
         self.low[None] = vec3(1e6)
         self.high[None] = vec3(-1e6)
-        for g in range(self.begin, end):
-            mean, s = self.splats.mean[g], self.splats.cov[g]
-            margin = 2.0 * ti.sqrt(ti.max(vec3(s[0], s[3], s[5]), 0.0)) + softness
-            if ti.abs(mean).max() < 1e5:  # what flew away or is not a number must not blind the light
-                for k in ti.static(range(3)):
-                    ti.atomic_min(self.low[None][k], mean[k] - margin[k])
-                    ti.atomic_max(self.high[None][k], mean[k] + margin[k])
+        for run in range(self.runs):  # each finds its own first: all at one place would wait for one another
+            low, high = vec3(1e6), vec3(-1e6)
+            length = (end - self.begin + self.runs - 1) // self.runs
+            for i in range(length):
+                g = self.begin + (run + i * self.runs if ti.static(self.on_gpu) else run * length + i)
+                if g < end:
+                    mean, s = self.splats.mean[g], self.splats.cov[g]
+                    margin = 2.0 * ti.sqrt(ti.max(vec3(s[0], s[3], s[5]), 0.0)) + softness
+                    if ti.abs(mean).max() < 1e5:  # what flew away or is not a number must not blind the light
+                        low, high = ti.min(low, mean - margin), ti.max(high, mean + margin)
+            for k in ti.static(range(3)):
+                if low[k] < self.low[None][k]:
+                    ti.atomic_min(self.low[None][k], low[k])
+                if high[k] > self.high[None][k]:
+                    ti.atomic_max(self.high[None][k], high[k])
         for _ in range(1):
             eye = vec3(eye_x, eye_y, eye_z)
             low, high = self.low[None], self.high[None]

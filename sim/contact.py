@@ -132,6 +132,11 @@ class Contacts:
         """Force of each hand on what it touches and does not hold [N], (3,)."""
         return [] if self.fingers is None else self.fingers.forces(self.rows)
 
+    def warm_up(self) -> None:
+        self.hands.warm_up()
+        if self.fingers is not None:
+            self.fingers.warm_up()
+
     def reset(self) -> None:
         self.hands.reset()
         if self.fingers is not None:

@@ -117,6 +117,14 @@ class Editing:
         parts[i] = parts[i].with_material(material)
         self._change(parts, self._motions(), self._grips())
 
+    def warm_up(self) -> None:
+        """Compile what a first grip, throw, look or change needs, by calls that change nothing: at the start, lest the
+        user wait for it in the midst of play."""
+        self._read(0)
+        for part in (self._transform, self._mending, *self._constraints):
+            part.warm_up()
+        self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
     def snapshot(self) -> dict:
         """All that `restore` needs to go on from here: x, v, carry, v_carry (V, 3), bodies, grips, what is mending.
 

@@ -153,7 +153,7 @@ class Embedding:
         """The parts as they are packed, on the host; vertices and Gaussians counted from each one's own first."""
         if self._tree is None:
             return [dict(NOTHING) for _ in self.runs]
-        whole = {name: getattr(self, name).to_numpy() for name in self._sizes}
+        whole = self._fetch(*(sum(n) for n in zip(*self._lengths, strict=True)))
         parts, row, slot = [], 0, 0
         for run, (rows, slots) in zip(self.runs, self._lengths, strict=True):
             at, slot_at = slice(row * LANES, (row + rows) * LANES), slice(slot * LANES, (slot + slots) * LANES)
@@ -169,6 +169,42 @@ class Embedding:
             parts.append({name: np.ascontiguousarray(values) for name, values in part.items()})
             row, slot = row + rows, slot + slots
         return parts
+
+    def _fetch(self, rows: int, slots: int) -> dict:
+        """The front of all fields, so many slices and slots, on the host."""
+        sizes = {"target": rows * LANES, "anchor": rows * LANES, "begin": rows + 1, "rest_cov": rows * 6 * LANES}
+        sizes |= {"vertex": slots * LANES, "factor": slots * 4 * LANES}
+        front = {
+            name: np.zeros(max(n, 1), np.float32 if name in ("rest_cov", "factor") else np.int32)
+            for name, n in sizes.items()
+        }
+        self._get(rows, slots, *front.values())
+        return front
+
+    @ti.kernel
+    def _get(
+        self, rows: ti.i32, slots: ti.i32,
+        target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1),
+        rest_cov: ti.types.ndarray(ti.f32, 1), vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
+    ):  # fmt: skip
+        for i in range(rows * LANES):
+            target[i], anchor[i] = self.target[i], self.anchor[i]
+        for i in range(rows + 1):
+            begin[i] = self.begin[i]
+        for i in range(rows * 6 * LANES):
+            rest_cov[i] = self.rest_cov[i]
+        for i in range(slots * LANES):
+            vertex[i] = self.vertex[i]
+        for i in range(slots * 4 * LANES):
+            factor[i] = self.factor[i]
+
+    def warm_up(self) -> None:
+        """Compile what `read` and `load` need: the first slice is written as it is."""
+        if self._tree is not None:
+            p = self._fetch(1, 1)
+            self._put_slices(0, 0, 0, 0, 1.0, p["target"], p["anchor"], p["begin"], p["rest_cov"])
+            self._put_slots(0, 0, 1.0, p["vertex"], p["factor"])
+            self._clear(self._sizes["target"])
 
     def larger(self, parts: list[dict], times: float) -> "Embedding":
         """An empty one with room for `times` as much as these `parts` are."""

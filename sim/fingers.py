@@ -155,6 +155,10 @@ class Fingers(FingerContact):
         else:
             self.share[h] = ti.min(1.0, SLACK * self.share[h])
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up; the search does it for itself."""
+        self.total.to_numpy()
+
     def destroy(self) -> None:
         self.tree.destroy()
 

@@ -223,6 +223,11 @@ class Hands:
 
     def forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
+        if self.held_by == [None] * self.count:
+            return [np.zeros(3)] * self.count
+        return self._forces()
+
+    def _forces(self) -> list[np.ndarray]:
         self._sum()
         return list(self.total.to_numpy()[: self.count] * 1e-6)
 
@@ -237,6 +242,15 @@ class Hands:
                     force = s.mass[i] / s.dt[None] ** 2 * self.pulled[h, i]
                     for c in ti.static(range(3)):
                         ti.atomic_add(self.total[h, c], ti.cast(force[c] * 1e6, ti.i64))
+
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self._motion(0)
+        self._forces()
+        if self.count:
+            self._hold(0, self.held_by[0])
+            self._set_poses(np.zeros((self.count, 2, 7), np.float32))  # each frame that needs them sets them
+            self._add(0, 0, np.zeros((1, 3), np.float32))
 
     def destroy(self) -> None:
         self.tree.destroy()

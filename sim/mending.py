@@ -44,6 +44,7 @@ class Mending:
         self.builder.dense(ti.i, MAX_BODIES).place(self.limp, self.quaternion, self.longest)
         self.tree = self.builder.finalize()
         self._set = Upload([self.limp, state.inverted, state.mu, state.lam])
+        self.seen: np.ndarray | None = None  # `inverted` after the last frame, if the host knows it already
         self.parts = []
         self.status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; whether it is tangled and held
 
@@ -76,7 +77,7 @@ class Mending:
         Those whose vertices are driven have no other shape to go to than where these lead them.
         Whether any was lost (sim/rescue.py).
         """
-        marks = self._inverted()
+        marks, self.seen = self._inverted() if self.seen is None else self.seen, None
         if not marks.any() and not self.status.any():
             return False
         lost = marks & LOST != 0
@@ -95,6 +96,7 @@ class Mending:
         materials = [p.material for p in self.parts]
         softest = np.array([min(1.0, LIMP / m.young) for m in materials])
         scale = np.where(limp, softest ** np.clip(self.status[0] / STIFFENING, 0.0, 1.0), 1.0)
+        self.seen = None
         constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
         self._set([limp, inverted, constants[:, 0], constants[:, 1]])
 
@@ -104,6 +106,10 @@ class Mending:
             self.summary.sum_up()
             self.damping.run(0.0)  # omega of now: the last one would spin a body that has grown since
             self._lead(t)
+
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self._lead(0.0)
 
     @ti.kernel
     def _lead(self, t: ti.f32):

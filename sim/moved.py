@@ -1,5 +1,6 @@
 """Bodies that are moved as a whole, from where they once were, so that nothing drifts however often."""
 
+import numpy as np
 import taichi as ti
 
 from sim.state import State
@@ -37,6 +38,11 @@ class Moved:
                 s.carry[i].fill(0.0)
                 s.v[i].fill(0.0)
                 s.v_carry[i].fill(0.0)
+
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self.keep(-1)
+        self.to(-1, np.eye(3), np.zeros(3))
 
     def destroy(self) -> None:
         self.tree.destroy()

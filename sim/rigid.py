@@ -135,6 +135,9 @@ class Movers:
             self.grip.update()
         self._begin(table)
 
+    def warm_up(self) -> None:
+        self.grip.warm_up()
+
     def detect(self) -> None:
         """Nothing to search: sim/rigid_contact.py does."""
 

@@ -5,6 +5,7 @@
 for the centre of mass, which the hand wants at p and to move by `step` in this substep, and alike for the attitude.
 """
 
+import numpy as np
 import taichi as ti
 
 from sim import quaternion
@@ -103,7 +104,15 @@ class RigidGrip:
 
     def forces(self) -> list:
         """Force of each hand on the rigid body that it holds [N], (3,), in the last substep."""
+        if self.held == [-1] * self.count:
+            return [np.zeros(3)] * self.count
         return list(self.force.to_numpy()[: self.count])
+
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self.force.to_numpy()
+        if -1 in self.held:
+            self._take(self.held.index(-1), -1)
 
     def destroy(self) -> None:
         self.tree.destroy()

@@ -95,7 +95,7 @@ class Solver(Editing, Boundaries):
         options["fingers"] = fingers
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
         self._contacts, self._constraints = contact, [*contact, *([self._movers] if self._with_rigid else [])]
-        self._paths: dict = {}
+        self._paths, self._taken = {}, set()
         self._last = (0, 0.0)  # substeps and their length in the last frame
         self._open()
         self._load(first)
@@ -165,6 +165,7 @@ class Solver(Editing, Boundaries):
             self._mending.run(dt / pieces)
             self._damping.run(dt / pieces)
             self._substeps.run(length)
+        self._taken.add(self._plan.path)
         self._rescue.run(0)
         self._driven.end_frame()
         self._last = (n, dt / n)
@@ -179,6 +180,11 @@ class Solver(Editing, Boundaries):
         if any(b >= 0 and self._parts[b].body.rigid for b in gripped):
             self._fit()
         self._last = (0, 0.0)
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the next step takes a path for the first time, and compiles it for seconds."""
+        return self._plan.path not in self._taken
 
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds [N], (3,) each, in the last substep; zero for an open hand."""
@@ -215,6 +221,12 @@ class Solver(Editing, Boundaries):
     def moved(self) -> bool:
         """Whether any vertex moved more than 1e-5 m since this last returned True."""
         return self._summary.moved()
+
+    def observe(self) -> tuple[bool, list[BodyState]]:
+        """`moved` and `bodies`, with one wait for the device instead of two."""
+        held = self._gripped()
+        moved, bodies, self._mending.seen = self._summary.observe([b in held for b in range(len(self._parts))])
+        return moved, bodies
 
     def destroy(self) -> None:
         """Give the device memory back; the solver must not be used after."""

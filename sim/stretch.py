@@ -101,6 +101,12 @@ class Stretch:
         if abs(pair.factor - 1.0) > ALIKE:
             self.finished = (body, pair.factor)
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self.moved.warm_up()
+        for field in (self.state.body_of_vertex, self.moved.start, self.state.mass):
+            field.to_numpy()
+
     def take_finished(self) -> tuple[int, float] | None:
         """Body and factor by which it is to be rescaled, once; None for none."""
         finished, self.finished = self.finished, None

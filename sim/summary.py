@@ -10,9 +10,9 @@ from sim.state import State, Upload
 
 FAR = 3.0e38  # larger than any distance, finite in float32
 MOVED = 1e-5  # [m] under this nobody sees a difference
-VALUES = (
-    22  # of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite
-)
+ANYTHING, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
+# Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
+VALUES = 24
 
 
 @ti.func
@@ -49,12 +49,20 @@ class Summary:
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
         self.sum_up()
-        total = self.total.to_numpy()[: len(self.names)].astype(np.float64)
-        states = []
+        return self._states(self.total.to_numpy(), held)
+
+    def _states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
+        total, states = total[: len(self.names)].astype(np.float64), []
         for name, t, n, holds, driven in zip(self.names, total, self.flattest, held, self.driven, strict=True):
             axis = best_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
             states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
         return states
+
+    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState], np.ndarray]:
+        """`moved`, `bodies`, and `state.inverted` of each, with one look at the device."""
+        self._observe()
+        total = self.total.to_numpy()
+        return bool(total[0, ANYTHING]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
 
     def finite(self) -> bool:
         """Whether every position and velocity is finite."""
@@ -67,6 +75,19 @@ class Summary:
     @ti.kernel
     def sum_up(self):
         """Fill `total`, (MAX_BODIES, VALUES)."""
+        self._sum_up()
+
+    @ti.kernel
+    def _observe(self):
+        self._find_motion()
+        self._sum_up()
+        for b in range(MAX_BODIES):
+            self.total[b, ANYTHING] = self.anything[None]
+            self.total[b, INVERTED] = self.state.inverted[b]
+
+    @ti.func
+    def _sum_up(self):
+        """Outermost level of a kernel."""
         s = self.state
         c = self.chunks
         for j in range(c.size):
@@ -95,7 +116,7 @@ class Summary:
             self.partial[j, 21] = good
         for bk in range(MAX_BODIES * VALUES):
             b, k = bk // VALUES, bk % VALUES
-            if b < s.body_count[None]:
+            if b < s.body_count[None] and k < ANYTHING:
                 value = self.partial[c.of_body[b], k]
                 for j in range(c.of_body[b] + 1, c.of_body[b + 1]):
                     other = self.partial[j, k]
@@ -116,6 +137,11 @@ class Summary:
 
     @ti.kernel
     def _compare(self):
+        self._find_motion()
+
+    @ti.func
+    def _find_motion(self):
+        """Outermost level of a kernel."""
         s = self.state
         self.anything[None] = 0
         for i in range(s.V):

@@ -49,6 +49,11 @@ class Transform:
         self.stretch.reset()
         self._held = self._poses if held else {}
 
+    def warm_up(self) -> None:
+        """See Solver.warm_up."""
+        self.moved.warm_up()
+        self.stretch.warm_up()
+
     def destroy(self) -> None:
         self.moved.destroy()
         self.stretch.destroy()

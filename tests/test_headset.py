@@ -1,5 +1,6 @@
 """The headset's arithmetic and its player, without a runtime; tests/test_headset_play.py plays in a real one."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -11,9 +12,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from display.headset.actions import ANALOG, KINDS, POSES, PROFILES, Controller
-from display.headset.player import FARTHEST, GRAB_REACH, PINCH_REACH, TURN, Player, on_the_floor
-from display.headset.poses import Standpoint, eye_camera, matrix_of, position_rotation
-from scenes import registry
+from display.headset.player import GRAB_REACH, PINCH_REACH, TURN, Player
+from display.headset.poses import ARM, STEP, Standpoint, eye_camera, matrix_of, position_rotation
+from display.headset.stride import FARTHEST, on_the_floor
+from scenes import registry, ring_toss
 
 PROGRAM = Path(__file__).resolve().parents[1] / "vrgs.py"
 
@@ -192,3 +194,17 @@ def test_without_a_runtime_one_line_says_so(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("vrgs: --xr: no OpenXR runtime") and done.stderr.count("\n") == 1
     assert done.stdout == ""
+
+
+def test_the_player_begins_within_reach_of_what_can_be_held():
+    scene = ring_toss.build()
+    before, place = Standpoint.before(scene.eye, scene.target), Standpoint.of(scene)
+    assert (place.yaw, place.y) == (before.yaw, before.y)
+    ahead = -before.matrix[:3, 2]
+    step = np.array([place.x - before.x, place.y - before.y, place.z - before.z])
+    assert 0.1 < step @ ahead <= STEP + 1e-9
+    assert_allclose(step, (step @ ahead) * ahead, atol=1e-9)
+    near = min(np.hypot(b.position[0] - place.x, b.position[2] - place.z) for b in scene.bodies if b.material)
+    assert near == pytest.approx(ARM, abs=0.05)
+    empty = dataclasses.replace(scene, bodies=[])
+    assert Standpoint.of(empty) == before

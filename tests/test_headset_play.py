@@ -38,7 +38,7 @@ class Play(Watched):
         self.player = Player(int(environment[PORT]))
         self.player.send()
         scene = ring_toss.build()
-        self.stage = Standpoint.before(scene.eye, scene.target).matrix
+        self.stage = Standpoint.of(scene).matrix
 
     def until(self, condition, *, seconds: float = 120.0) -> dict:
         """The first frame from now on that meets the condition: a headset's takes longer."""

@@ -7,6 +7,7 @@ import reference_render as reference
 from assets.camera import Camera, look_at, perspective
 from assets.files import read_gaussians
 from assets.gaussians import Gaussians, concatenate, matrices_of_quats
+from tests.compiling import compiled
 
 PICTURES = {  # name of the reference: file, antialiased
     "toy_cat": ("toy_cat", False),
@@ -226,6 +227,27 @@ def test_more_pairs_than_room_draw_the_same_picture(ti_cpu):
     np.testing.assert_array_equal(renderer.rgb.to_numpy(), rgb)
     close = np.abs(rgb[0] - reference.render(g, camera)[0]).max(axis=-1) < 2e-3
     assert close.mean() > 0.999
+
+
+def test_larger_pictures_cost_no_kernels_but_their_own(ti_cpu):
+    """More tiles than there is room for, in the midst of play: nothing else of the program is compiled anew."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    def pixels(renderer, width, height):
+        renderer.render([perspective(width, height, 1.0, look_at((0, 0, -2), (0, 0, 0)))])
+        return renderer.pixels()
+
+    splats = Splats(cloud(np.random.default_rng(7), 60))
+    other, renderer = Renderer(splats, 40, 30), Renderer(splats, 40, 30)
+    before = pixels(other, 40, 30)
+    np.testing.assert_array_equal(pixels(renderer, 40, 30), before)
+    with compiled() as names:
+        renderer.resize(700, 500)
+        assert pixels(renderer, 700, 500).any()
+        splats.light.fill(1.0)
+        np.testing.assert_array_equal(pixels(other, 40, 30), before)
+    assert set(names) == {"DrawStage._draw_ndarray", "DrawStage._fill"}
 
 
 def test_two_eyes_share_one_sort_but_not_their_matrices(ti_cpu):

@@ -141,3 +141,14 @@ def test_nothing_that_moves_means_no_shadow(ti_cpu):
     splats.light.fill(0.5)
     Shadow(splats, LIGHT, (splats.count, splats.count)).cast()
     np.testing.assert_array_equal(splats.light.to_numpy()[: splats.count], 1)
+
+
+def test_a_cast_without_room_is_made_again_when_it_is_settled(stage):
+    floor, _, splats, shadow = stage
+    expected = np.concatenate(cast(stage, LIGHT))
+    assert not shadow.settle()
+    shadow.raster._make_room(16)
+    shadow.cast()
+    assert (splats.light.to_numpy()[: len(floor)] == 1.0).all()  # nothing was drawn
+    assert shadow.settle() and not shadow.settle()
+    np.testing.assert_array_equal(splats.light.to_numpy()[: splats.count], expected)

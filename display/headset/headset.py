@@ -13,6 +13,7 @@ from assets.errors import BadInput
 from display.clock import Clock
 from display.frame import Frame
 from display.headset import graphics
+from display.headset import shown as shown_parts
 from display.headset.depth import EXTENSION
 from display.headset.mirror import mirror
 from display.headset.news import News
@@ -23,6 +24,7 @@ from display.headset.runtime import INSTEAD, Runtime
 from display.headset.session import Lost, Session
 from display.headset.tracking import Steady
 from display.headset.wrist_panel import WristPanel
+from display.marking import marked
 from display.surface import has_display
 from scenes.scene import Scene
 
@@ -40,6 +42,7 @@ class Headset:
     """
 
     views = 2
+    marks = True  # is the body that edits mean marked in the picture
 
     def __init__(
         self, scene: Scene, *, title: str = "VR-GS", window: tuple[int, int] = (1280, 720), scale: float = 1.0
@@ -87,9 +90,7 @@ class Headset:
     @staticmethod
     def props() -> list:
         """What World should be able to draw besides the scene: the player's hands and what they hold."""
-        from display.headset import shown
-
-        return shown.skins()
+        return shown_parts.skins()
 
     def _open(self) -> None:
         """Begin a session; the runtime then says when to play. BadInput if it does not let us."""
@@ -159,6 +160,9 @@ class Headset:
         self._news.frame(session)
         cameras = self._cameras if self._rendered else []
         parts = self._player.parts(controllers)
+        body = marked(world, near=self._wrist.pose is not None) if world is not None and self.marks else None
+        if body is not None:
+            shown_parts.corners(parts, body)
         return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step, parts=parts)
 
     def _cameras(self):

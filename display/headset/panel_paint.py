@@ -37,7 +37,8 @@ def content_of(world, panel) -> Content:
     bodies, k = world.bodies(), world.selected
     on = {world.interaction} | ({"pause"} if world.paused else set()) | ({"demo"} if world.demo else set())
     note = bodies[k].name if k is not None and k < len(bodies) else "Hold or point at a body to choose it."
-    score = f"{world.score}   " if world.message and str(world.score) not in world.message.split() else ""
+    said = not world.score or str(world.score) in world.message.split()
+    score = f"{world.score}   " if world.message and not said else ""
     return Content(
         message=f"{score}{world.message}",
         note="The light follows your hand: let go." if panel.placing else world.notice or note,

@@ -7,13 +7,13 @@ import numpy as np
 from display.headset import poking, shown
 from display.headset.actions import LET_GO, PRESS, Controller
 from display.headset.poses import Standpoint, position_rotation
+from display.headset.stride import Stride, on_the_floor
 from scenes.scene import Hand, Scene
 from sim.hands import FORCE
 
 GRAB_REACH, PINCH_REACH = 0.05, 0.02  # [m] of a fist, of finger and thumb
 TURN = np.pi / 6  # [rad] of a step to the side: smooth turns make many people sick
 PUSHED, CENTERED = 0.7, 0.3  # of the stick's way
-FARTHEST = 6.0  # [m] to go at once
 TAP = (0.6, 0.02)  # strength and [s] of the tap with which a hand takes hold
 PULL = (0.8, 0.02)  # strength at the hand's full force, and [s] of each pulse while something pulls at it
 TOUCH = 8.0  # [N] of a finger that feel like FORCE of a fist
@@ -26,7 +26,7 @@ class Player:
     """Where the player stands, what both hands do. `advance` gives them once a frame, `feel` answers."""
 
     def __init__(self, scene: Scene):
-        self.standpoint = Standpoint.before(scene.eye, scene.target)
+        self.standpoint = Standpoint.of(scene)
         self._grips = [False, False]
         self._places: list[np.ndarray | None] = [None, None]  # in the play space, as last tracked
         self._reach = [GRAB_REACH, GRAB_REACH]
@@ -34,7 +34,7 @@ class Player:
         self._seen = [Controller(), Controller()]
         self._pokes = [poking.Poke(), poking.Poke()]
         self._touch: list[tuple] = [(), ()]
-        self._pushed = False
+        self._pushed, self._stride = False, Stride()
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None  # a ray in the world from (3,) to a spot (3,) [m]
         self._took, self._felt = [False, False], [0.0, 0.0]
 
@@ -42,6 +42,7 @@ class Player:
         """Hands in the world, and commands for it (which may be None yet). `head` (4, 4) is in the play space. A
         controller that is not tracked leaves its hand where it was, holding what it holds."""
         stage, hands = self.standpoint.matrix, []
+        controllers = [self._stride.lead(controllers[0], stage, world), controllers[1]]
         for h, c in enumerate(controllers):
             self._touch[h] = ()
             if c.grip is not None:
@@ -129,14 +130,3 @@ class Player:
 def strength_of(forces: list[np.ndarray], h: int) -> float:
     """Of hand h's force [N], 0 if there is none."""
     return float(np.linalg.norm(forces[h])) if h < len(forces) else 0.0
-
-
-def on_the_floor(aim: np.ndarray) -> np.ndarray | None:
-    """Where a pointing hand (4, 4) meets y = 0 [m], no farther than FARTHEST; None if it points up."""
-    start, way = aim[:3, 3], -aim[:3, 2]
-    if way[1] >= -1e-3 or start[1] <= 0:
-        return None
-    spot = start - way * (start[1] / way[1])
-    aside = spot - start
-    length = np.hypot(aside[0], aside[2])
-    return start + aside * min(1.0, FARTHEST / max(length, 1e-9))

@@ -9,6 +9,7 @@ import numpy as np
 from assets.camera import Camera
 from assets.gaussians import matrices_of_quats, quat_of_matrix
 
+ARM, STEP = 0.6, 0.25  # [m] that a hand reaches over a table; to go ahead at most: a table may stand there
 VIEW_TO_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenXR looks along -z with y up, cameras along +z with y down
 
 
@@ -43,6 +44,15 @@ class Standpoint:
         """Under `eye`, so that forward (-z) looks to `target`; the world's floor is at y = 0."""
         d = np.subtract(target, eye)
         return cls(float(eye[0]), 0.0, float(eye[2]), float(np.arctan2(-d[0], -d[2])))
+
+    @classmethod
+    def of(cls, scene) -> Standpoint:
+        """Where a scene's player begins: at its eye, or a step ahead if nothing that can be held were in reach."""
+        place = cls.before(scene.eye, scene.target)
+        away = [np.hypot(b.position[0] - place.x, b.position[2] - place.z) for b in scene.bodies if b.material]
+        step = float(np.clip(min(away, default=ARM) - ARM, 0.0, STEP))
+        place.x, place.z = place.x - step * float(np.sin(place.yaw)), place.z - step * float(np.cos(place.yaw))
+        return place
 
     @property
     def matrix(self) -> np.ndarray:

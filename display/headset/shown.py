@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from display import marking
 from display.headset import hand_model
 from display.headset.hand_model import SPACING, discs
 from display.headset.joints import COUNT
@@ -14,7 +15,8 @@ from render.props import Skin
 
 CONTROLLER, SHAFT, TIP = 2 * COUNT, 2 * COUNT + 2, 2 * COUNT + 4  # first parts, left then right
 RAY, SPOT = 2 * COUNT + 6, 2 * COUNT + 7
-PARTS = SPOT + 1
+CORNERS = SPOT + 1
+PARTS = CORNERS + 8
 HANDLE, ARCH = 0.013, (0.040, 0.0045)  # [m] radius of the handle; of the ring and of its tube
 LEAN = -0.75  # [rad] of the ring towards the player
 BODY, RING, FINGER = np.array([0.22, 0.23, 0.25]), np.array([0.36, 0.37, 0.40]), np.array([0.86, 0.80, 0.72])
@@ -23,6 +25,7 @@ POKE = 0.009  # [m] radius of the poking finger, as in poking.py
 SPOT_RADIUS, BEAM_RADIUS = 0.11, 0.0016  # [m]
 ABOVE = 0.03  # [m] of the spot over the floor, on which a carpet may lie
 STEPS = 40  # Gaussians along the ray
+STROKE, THIN = 8, 0.04  # Gaussians along a stroke of a corner; its radius, of its length
 FINE = 0.6 * SPACING  # [m] between Gaussians of what is thin
 
 
@@ -31,7 +34,7 @@ def skins() -> list[Skin]:
     solid = [*hand_model.skins()]
     for side in (0, 1):
         solid += [one(*controller(), CONTROLLER + side), one(*shaft(), SHAFT + side), one(*tip(), TIP + side)]
-    return [ray(), spot(), *solid]
+    return [ray(), spot(), *(corner(CORNERS + k) for k in range(8)), *solid]
 
 
 def one(x, n, colour, part: int) -> Skin:
@@ -116,6 +119,23 @@ def spot() -> Skin:
     opacity = np.repeat([o for _, o in rings], len(a))
     n = np.tile([0.0, 1.0, 0.0], (len(x), 1))
     return whole(discs(x, n, 0.006, 0.002, np.tile(BEAM, (len(x), 1)), opacity), 0 * n, SPOT, solid=False)
+
+
+def corner(part: int) -> Skin:
+    """Three strokes from the origin along the axes, 1 m long when the part has scale 1."""
+    t = (np.arange(STROKE) + 0.5) / STROKE
+    axes = np.repeat(np.eye(3), STROKE, axis=0)
+    x = axes * np.tile(t, 3)[:, None]
+    g = discs(x, axes, THIN, 0.5 / STROKE, np.tile(marking.COLOUR, (len(x), 1)), np.full(len(x), 0.95))
+    return whole(g, np.zeros_like(x), part, solid=False)
+
+
+def corners(parts: np.ndarray, body) -> None:
+    """Out: the corners around a body (BodyState)."""
+    at, length = marking.corners(body)
+    sides = np.minimum(length, 0.5 * (at[-1] - at[0]))
+    for k, signs in enumerate(marking.SIGNS):
+        parts[CORNERS + k] = np.column_stack([np.diag(-signs * sides), at[k]])
 
 
 def hidden() -> np.ndarray:

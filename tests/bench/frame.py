@@ -73,6 +73,7 @@ def measure(exact: bool) -> dict:
     scene = ring_toss.build()
     how = {"fingers": True, "room": True, "props": shown.skins()}
     world = World(scene, width=SIZE[0], height=SIZE[1], views=2, **how)
+    world.warm_up()
     opengl = NoMirror(2)
     gl, picture = opengl.gl, opengl.texture
     targets = [gl.framebuffer(color_attachments=[gl.texture(SIZE, 4)]) for _ in range(2)]

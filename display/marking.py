@@ -1,0 +1,43 @@
+"""The body that an edit means, marked: corners of light around it, in the window and in a headset.
+
+They are seen for a moment after the user has chosen or changed a body, and as long as something says that the next edit
+is near: a panel under the hand. Nobody holds the body then. In films and headless there are none.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from scenes.scene import BodyState
+
+SHOWN = 2.5  # [s] after a command
+AROUND = 0.008  # [m] between a body and its corners
+SHARE, LONGEST = 0.3, 0.045  # of the longest side, and [m] at most: how long the strokes of a corner are
+COLOUR = (1.0, 0.96, 0.86)
+SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the eight corners
+
+
+def corners(body: BodyState) -> tuple[np.ndarray, float]:
+    """The corners of the box around a body (8, 3) [m], in the order of SIGNS, and how long their strokes are [m]."""
+    low, high = np.asarray(body.low) - AROUND, np.asarray(body.high) + AROUND
+    length = min(SHARE * float((high - low).max()), LONGEST)
+    return 0.5 * (low + high) + 0.5 * SIGNS * (high - low), length
+
+
+def strokes(body: BodyState) -> np.ndarray:
+    """All strokes as segments (24, 2, 3) [m], none longer than half its side; three for each corner."""
+    at, length = corners(body)
+    sides = 0.5 * (at[-1] - at[0])
+    ends = at[:, None] - SIGNS[:, :, None] * np.diag(np.minimum(length, sides))[None]
+    return np.stack([np.repeat(at, 3, axis=0), ends.reshape(-1, 3)], axis=1)
+
+
+def marked(world, *, near: bool) -> BodyState | None:
+    """The body to be marked now; `near`: an edit may come. None while a hand has it, or if there is none."""
+    index, bodies = world.selected, world.bodies()
+    if index is None or not index < len(bodies) or bodies[index].held or not (near or world.chosen):
+        return None
+    body = bodies[index]
+    return body if np.isfinite([body.low, body.high]).all() else None

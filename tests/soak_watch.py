@@ -8,6 +8,7 @@ from tests.soak_acts import ARENA
 
 FRAME = 1 / 60  # [s] between two calls of `stepped`
 DEEPEST = 0.03  # [m] that a vertex may be behind floor or wall: a hand presses it there
+INSIDE = 0.1  # [m] that what is inside a body may be further there: where it strikes, it can be as coarse as one vertex
 GAIN = 0.02  # of the energy of motion and deformation, by rounding and by contacts, between two looks
 LIFT = 0.01  # [m] of all weight: what contacts that began a little deep may raise it
 OUT = 0.5  # [m/s] at least with which what an edit put behind floor or wall comes back: half of RECOVERY_SPEED
@@ -76,9 +77,17 @@ class Watch:
 
 
 def behind(solver, snapshot: dict) -> float:
-    """How far any vertex is behind floor or wall [m]."""
-    x = snapshot["x"][: solver.vertex_offset[len(snapshot["bodies"])]]
-    return float(max(-x[:, 1].min(), np.abs(x[:, [0, 2]]).max() - ARENA))
+    """How far any surface is behind floor or wall [m], and what is inside, less INSIDE."""
+    x, skin = snapshot["x"][: solver.vertex_offset[len(snapshot["bodies"])]], surface(solver, snapshot)
+    beyond = np.maximum(-x[:, 1], np.abs(x[:, [0, 2]]).max(1) - ARENA)
+    return float(max(beyond[skin].max(), beyond.max() - INSIDE))
+
+
+def surface(solver, snapshot: dict) -> np.ndarray:
+    """Indices of all vertices on bodies' surfaces."""
+    return np.concatenate(
+        [np.unique(p.shape.surface) + o for p, o in zip(snapshot["bodies"], solver.vertex_offset, strict=False)]
+    )
 
 
 def energies(solver) -> tuple[float, float, float]:

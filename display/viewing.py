@@ -88,6 +88,7 @@ class Viewing:
         self.scene, self.light, self.timings = scene, scene.light, Timings()
         self.paused = self.demo = self.moving = False
         self.interaction, self.score, self.message = "physics", 0, ""
+        self.selected, self.chosen = None, False
         self.splats = Splats(gaussians)
         self.renderer = Renderer(self.splats, width, height, background=scene.background, sort=sort)
         self.renderer_size = (width, height)

@@ -17,7 +17,7 @@ test: $(VENV)/.ready-tests
 
 soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 -m long
-	@$(PYTHON) -m tests.soak --minutes 30
+	@$(PYTHON) -m bench.soak --minutes 30
 
 build: $(VENV)/.ready
 	$(PYTHON) vrgs.py build

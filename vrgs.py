@@ -9,9 +9,9 @@ import os
 import sys
 from pathlib import Path
 
-from assets.errors import BadInput
-from display.arguments import parser
-from display.device import is_out_of_memory, start_taichi
+from commands.arguments import parser
+from core.errors import BadInput
+from core.runtime import is_out_of_memory, start_taichi
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -55,7 +55,7 @@ def play(args) -> None:
         open_recording(args) as inputs,
     ):
         start_taichi(args.arch, args.seed)
-        from display.stats import run_stats, write_stats
+        from display.run_stats import run_stats, write_stats
         from display.world import World
 
         width, height = display.size
@@ -100,7 +100,7 @@ def open_replay(args):
         return None
     if args.xr:
         raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
-    from display.replay import Replay
+    from display.record.replay import Replay
 
     replay = Replay.load(args.replay)
     replay.set_options(args)
@@ -111,7 +111,7 @@ def open_recording(args):
     """What takes down the user's input, or None."""
     if not args.record_input:
         return contextlib.nullcontext()
-    from display.recording import Recording
+    from display.record.recording import Recording
 
     return Recording(args.record_input)
 
@@ -119,26 +119,26 @@ def open_recording(args):
 def open_display(args, scene, replay=None):
     """The window, or without a display or with --headless the recorder of files."""
     if args.stats:
-        from display.video import claim
+        from display.headless.video import claim
 
         claim(args.stats, args.stats.with_name(f".{args.stats.name}.part"))
     width, height = args.size
     if args.xr:
-        from display.headset.headset import Headset
+        from display.xr.headset import Headset
 
         return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale)
     if not args.headless:
-        from display.surface import has_display
+        from display.window.gl_window import has_display
 
         if has_display():
-            from display.window import Window
+            from display.window.window import Window
 
             return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height)
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")
         print(f"no display: the scripted hand plays; writing {args.record} and {args.snapshot}", file=sys.stderr)
-    from display.headless import Headless
+    from display.headless.headless import Headless
 
     frames = args.frames or (round(60 * scene.game.duration) if scene.game else 300)
     frames = min(args.frames or len(replay), len(replay)) if replay else frames
@@ -151,7 +151,7 @@ def open_recorder(args, display):
     """What films a window; a headless display films itself."""
     if args.headless or not args.record:
         return contextlib.nullcontext()
-    from display.record import Recorder
+    from display.headless.film import Recorder
 
     return contextlib.closing(Recorder(args.record, *display.size))
 
@@ -174,7 +174,7 @@ def prepared_body(args) -> str | None:
     options |= {"pieces": True} if args.pieces else {}
     out = cached_asset(path, options | {"version": 2})
     if not out.is_file():
-        from prepare.command import prepare_file
+        from commands.prepare import prepare_file
 
         start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", flush=True)
@@ -187,14 +187,14 @@ def prepared_stage(args) -> str | None:
     """The asset of --stage: as it is if it is one already, else prepared from the splat and cached."""
     if args.stage is None or Path(args.stage).suffix.lower() == ".h5":
         return args.stage
-    from assets.border import file_size
+    from assets.file_access import file_size
     from assets.library import cached_asset
 
     path = Path(args.stage)
     file_size(path)
     out = cached_asset(path, {"stage": 2})
     if not out.is_file():
-        from prepare.stage_command import prepare_stage_file
+        from prepare.room.static_command import prepare_stage_file
 
         start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", flush=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets.errors import BadInput
-from assets.gaussians import matrices_of_quats, multiply_quats
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions, multiply_quaternions
 
 JOINTS_MAX, FRAMES_MAX, NUMBERS_MAX = 1024, 100_000, 20_000_000
 MOST = 4  # joints that a vertex follows
@@ -104,7 +104,7 @@ def local_matrices(local: Local) -> np.ndarray:
     """T R S of translations, rotations and scales, (..., 4, 4)."""
     t, q, s = local
     m = np.zeros((*np.shape(t)[:-1], 4, 4))
-    m[..., :3, :3] = matrices_of_quats(q) * np.asarray(s)[..., None, :]
+    m[..., :3, :3] = matrices_from_quaternions(q) * np.asarray(s)[..., None, :]
     m[..., :3, 3], m[..., 3, 3] = t, 1.0
     return m
 
@@ -147,9 +147,9 @@ def looped(frames: Local, seconds: float, fps: float) -> Local:
     u = np.zeros(count + 1)
     u[count - n :] = np.linspace(0, 1, n + 1)
     u = (u * u * (3 - 2 * u))[:, None, None]
-    gap = multiply_quats(q[:1], turned_back(q[-1:]))
+    gap = multiply_quaternions(q[:1], turned_back(q[-1:]))
     t, s = t + u * (t[:1] - t[-1:]), s + u * (s[:1] - s[-1:])
-    q = multiply_quats(slerp(np.broadcast_to([1.0, 0, 0, 0], q.shape), np.broadcast_to(gap, q.shape), u), q)
+    q = multiply_quaternions(slerp(np.broadcast_to([1.0, 0, 0, 0], q.shape), np.broadcast_to(gap, q.shape), u), q)
     return t[:-1], q[:-1], s[:-1]
 
 

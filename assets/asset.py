@@ -11,12 +11,12 @@ import numpy as np
 
 from assets.animation import Animation
 from assets.animation_file import read_animation, write_animation
-from assets.border import replacing
-from assets.check import check
+from assets.asset_check import check
+from assets.environment import Stage, read_stage, write_stage
+from assets.file_access import replacing
 from assets.gaussians import Gaussians
-from assets.grid import DistanceGrid
 from assets.hdf5 import Reader, open_hdf5
-from assets.stage import Stage, read_stage, write_stage
+from core.distance_grid import DistanceGrid
 
 FORMAT = "vrgs-asset"
 VERSION = 1

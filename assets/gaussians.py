@@ -6,7 +6,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from assets.sh import rotate_sh
+from core.rotation import multiply_quaternions, quaternion_from_matrix
+from core.spherical_harmonics import rotate_sh
 
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
 
@@ -77,7 +78,7 @@ class Gaussians:
         """Apply x -> scale * rotation @ x + translation, the view-dependent colour included."""
         rotation = np.asarray(rotation, np.float64)
         means = scale * self.means @ rotation.T + np.asarray(translation)
-        quats = multiply_quats(quat_of_matrix(rotation)[None], self.quats)
+        quats = multiply_quaternions(quaternion_from_matrix(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         return Gaussians.of(means, quats, self.log_scales + np.log(scale), self.logit_opacities, sh, self.object_id)
 
@@ -87,54 +88,3 @@ def concatenate(parts: list[Gaussians]) -> Gaussians:
     degree = max(p.sh_degree for p in parts)
     parts = [p.with_sh_degree(degree) for p in parts]
     return Gaussians(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)))
-
-
-def matrices_of_quats(quats: np.ndarray) -> np.ndarray:
-    """Rotation matrices (N, 3, 3) of unit quaternions wxyz (N, 4)."""
-    w, x, y, z = np.moveaxis(np.asarray(quats, np.float64), -1, 0)
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-        ],
-        -2,
-    )
-
-
-def quat_of_matrix(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion wxyz (4,) of a rotation matrix (3, 3); the largest component is taken first."""
-    m = np.asarray(rotation, np.float64)
-    squares = 0.25 * np.array(
-        [
-            1 + m[0, 0] + m[1, 1] + m[2, 2],
-            1 + m[0, 0] - m[1, 1] - m[2, 2],
-            1 - m[0, 0] + m[1, 1] - m[2, 2],
-            1 - m[0, 0] - m[1, 1] + m[2, 2],
-        ]
-    )
-    k = int(np.argmax(squares))
-    q = np.empty(4)
-    q[k] = np.sqrt(max(squares[k], 0.0))
-    d = [(m[2, 1] - m[1, 2]), (m[0, 2] - m[2, 0]), (m[1, 0] - m[0, 1])]
-    s = [(m[0, 1] + m[1, 0]), (m[0, 2] + m[2, 0]), (m[1, 2] + m[2, 1])]
-    products = {(0, 1): d[0], (0, 2): d[1], (0, 3): d[2], (1, 2): s[0], (1, 3): s[1], (2, 3): s[2]}
-    for j in range(4):
-        if j != k:
-            q[j] = products[min(j, k), max(j, k)] / (4 * q[k])
-    return q / np.linalg.norm(q)
-
-
-def multiply_quats(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product of quaternions wxyz (..., 4)."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a, np.float64), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b, np.float64), -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        -1,
-    )

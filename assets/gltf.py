@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.border import reading
-from assets.errors import BadInput
+from assets.file_access import reading
+from core.errors import BadInput
 
 MAGIC, VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942

@@ -15,8 +15,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.border import UNPACK_BASE, file_size, unpack_bound
-from assets.errors import BadInput
+from assets.file_access import UNPACK_BASE, file_size, unpack_bound
+from core.errors import BadInput
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in any file of less than an exabyte

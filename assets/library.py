@@ -7,9 +7,9 @@ import os
 import sys
 from pathlib import Path
 
-from assets.errors import BadInput
 from assets.hdf5 import open_hdf5
-from assets.materials import MOVING
+from core.errors import BadInput
+from core.material import MOVING
 
 SHIPPED = Path(__file__).resolve().parent / "data"
 

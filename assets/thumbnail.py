@@ -7,7 +7,7 @@ import zlib
 
 import numpy as np
 
-from assets.errors import BadInput
+from core.errors import BadInput
 
 SIDE = 192  # [px] of those that are made
 SIDE_MAX = 1024  # [px] of those that are taken

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.errors import BadInput
-from display.interop import CudaTexture, NoInterop
+from core.errors import BadInput
+from display.window.cuda_gl_interop import CudaTexture, NoInterop
 
 VERTEX = """
 #version 330
@@ -82,7 +82,7 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
 class PictureTexture:
     """The picture as an OpenGL texture of the current context, and how it fills a window.
 
-    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device (display/interop.py), or
+    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device (display/window/cuda_gl_interop.py), or
     passes through the host, which is said once, where OpenGL runs elsewhere. Of several `views`, which lie one below
     the other, `draw` shows the first.
     """

@@ -13,22 +13,22 @@ from time import perf_counter
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from assets.order import morton_order
-from display.bodies import load_bodies
-from display.cast import MORE, ROOM, Cast
+from core.morton import morton_order
+from display.animation_targets import Motion
+from display.body_registry import MORE, ROOM, Cast
 from display.clock import Cost, moves
-from display.editing import Editor
-from display.frame import Frame
-from display.motion import Motion
+from display.edit.editor import Editor
+from display.protocol import Frame
+from display.scene_bodies import load_bodies
 from display.timing import Timings
-from render.props import Props, Skin
 from render.renderer import Renderer
-from render.shadow import Shadow
-from render.sorts import MOVING_SORT
+from render.shadow_map import Shadow
+from render.skinned_props import Props, Skin
+from render.sort_modes import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import BodyState, Hand, Light, Scene
-from sim.assembly import Room
 from sim.embedding import Embedding
+from sim.model import Room
 from sim.solver import Solver
 
 SCRIPT_DT = 1 / 60  # [s]
@@ -40,7 +40,7 @@ class World:
     it in place of alpha.
 
     With `room` there is room for copies of bodies; else it is made for the first one, which takes seconds
-    (display/cast.py). With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where
+    (display/body_registry.py). With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where
     frames put their parts (`Frame.parts`), those that cast no shadow first; with them there is always room.
     """
 
@@ -177,7 +177,7 @@ class World:
             self._drawn = seen
 
     def _stretched(self) -> dict:
-        """The command to keep the size that two hands have given a body (sim/stretch.py), if they have let go of it."""
+        """The command to keep the size that two hands have given a body (sim/hands/two_hand_scaling.py), if they have let go of it."""
         done = self.solver.stretched()
         return {} if done is None else {"rescale": done}
 

@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.border import replacing
-from assets.errors import BadInput
+from assets.file_access import replacing
 from assets.gaussians import Gaussians
 from assets.library import cache_folder
+from core.errors import BadInput
 
 OLD = 14 * 86400.0  # [s]; what a run that never came back left behind
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")

@@ -10,17 +10,12 @@ from functools import partial
 import numpy as np
 
 from assets.asset import Asset, Cage, Embedded
-from assets.errors import BadInput
 from assets.gaussians import Gaussians
-from assets.materials import DEFAULT, material_named
-from assets.orient import guess, metres, rotation_to_up
-from prepare.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
-from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
-from prepare.clean import clean, clean_pieces
-from prepare.fill import DENSE, density_of, solid_cells
-from prepare.levelset import contact_grid, level_sets, volume_of
-from prepare.meshers import check_mesher
-from prepare.parts import (
+from assets.up_axis import guess, metres, rotation_to_up
+from core.errors import BadInput
+from core.material import DEFAULT, material_named
+from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
+from prepare.cage.component_cages import (
     LEAST,
     Grid,
     cages_of,
@@ -33,8 +28,13 @@ from prepare.parts import (
     opaque,
     parts_of,
 )
+from prepare.cage.filling import DENSE, density_of, solid_cells
+from prepare.cage.level_set import contact_grid, level_sets, volume_of
+from prepare.cage.mesh_quality import smallest_angle, volumes
+from prepare.cage.meshers import check_mesher
+from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
+from prepare.cleaning import clean, clean_pieces
 from prepare.progress import Progress
-from prepare.quality import smallest_angle, volumes
 from prepare.report_pictures import Made
 
 VERSION = 4  # of what this pipeline makes; raise it when the same splat would give another asset
@@ -62,7 +62,7 @@ def prepare(
     vertices  of the cage, hit within 15 %
     scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
     up        axis of the file that points up, "+x" to "-z"; None: guessed
-    material  a name of assets.materials; None: plush
+    material  a name of core.material; None: plush
     mesher    a name of MESHERS; stuffing makes the cage where another cannot, and `say` is told why
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each piece of the splat, all in one asset; False: the largest alone

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
-from prepare.drawing import png_of
-from prepare.inside import Points
-from prepare.quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
+from prepare.cage.containing_tet import Points
+from prepare.cage.isosurface import areas, distance_to_surface, marching_cubes, sampled, spread, volume_within
+from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
+from prepare.mesh_drawing import png_of
 from prepare.report_pictures import (
     Made,
     cage_picture,
@@ -23,7 +24,6 @@ from prepare.report_pictures import (
     splat_picture,
     surface_picture,
 )
-from prepare.surface import areas, distance_to_surface, marching_cubes, sampled, spread, volume_within
 
 OPAQUE = 0.5
 BIN = 5.0  # [degrees] of the histogram

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from assets.asset import Asset
-from assets.camera import Camera, look_at, perspective
-from prepare.drawing import PAPER, Canvas, cubes
-from prepare.quality import boundary, pieces
+from core.camera import Camera, look_at, perspective
+from prepare.cage.mesh_quality import boundary, pieces
+from prepare.mesh_drawing import PAPER, Canvas, cubes
 
 WIDTH, HEIGHT = 560, 480  # [px]
 FOV = 0.5  # [rad]

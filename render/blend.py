@@ -6,9 +6,9 @@ alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 
 
 import taichi as ti
 
-from render.bin import Bins
+from render.binning import Bins
 from render.footprint import STEPS
-from render.sort import value_of
+from render.radix_sort import value_of
 
 ALPHA_MAX = 0.999  # as gsplat: a pixel never becomes fully opaque, so its weights stay finite
 OPAQUE = 1e-4  # a pixel is finished before its transmittance would sink to this
@@ -54,7 +54,7 @@ class Blend:
 
     @ti.func
     def draw(self, sink: ti.template(), out: ti.template()):
-        """Blend all tiles; outermost level of a kernel that has no other shared arrays (render/shared.py).
+        """Blend all tiles; outermost level of a kernel that has no other shared arrays (render/shared_arrays.py).
 
         Out: `sink.write(out, v, y, x, rgb, depth, alpha)` receives each pixel of view v once:
         rgb = sum w c, depth = sum w z, alpha = sum w, with w = alpha_i T_i.

@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from assets import sh as harmonics
+from core import spherical_harmonics as harmonics
 
 vec3, vec4 = ti.math.vec3, ti.math.vec4
 
@@ -28,7 +28,7 @@ def rotate_back(q: vec4, d: vec3) -> vec3:
 
 @ti.func
 def bands(splats: ti.template(), g: ti.i32, d: vec3) -> vec3:
-    """Degrees 1 to 3 of the harmonics at unit direction d; the basis of assets/sh.py."""
+    """Degrees 1 to 3 of the harmonics at unit direction d; the basis of core/spherical_harmonics.py."""
     sh = ti.static(splats.sh)
     x, y, z = d.x, d.y, d.z
     value = harmonics.C1 * (z * sh[g, 2] - y * sh[g, 1] - x * sh[g, 3])

@@ -3,9 +3,9 @@
 import numpy as np
 import taichi as ti
 
-from assets.camera import Camera
-from render.raster import Raster
-from render.resort import WINDOW
+from core.camera import Camera
+from render.per_pixel_sort import WINDOW
+from render.rasterizer import Raster
 from render.splats import Splats
 
 NEAR, FAR = 0.2, 100.0  # [m] of a depth of 0 and of 1; what is nearer counts as at NEAR
@@ -82,7 +82,7 @@ class FloatImages:
 class Renderer:
     """Renders `splats` at width x height [px] from `views` cameras.
 
-    `sort`: what puts Gaussians in order (render/sorts.py); for "pixel", `window` is how many splats of a pixel are.
+    `sort`: what puts Gaussians in order (render/sort_modes.py); for "pixel", `window` is how many splats of a pixel are.
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 

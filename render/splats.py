@@ -3,13 +3,9 @@
 import numpy as np
 import taichi as ti
 
-from assets.gaussians import Gaussians, matrices_of_quats
-
-
-def round_up(count: int) -> int:
-    """Capacity for `count` items: at most a quarter more, so that scenes of like size share compiled kernels."""
-    step = max(256, 1 << max(0, int(count - 1).bit_length() - 3))
-    return max(step, -(-count // step) * step)
+from assets.gaussians import Gaussians
+from core.fields import round_up_capacity
+from core.rotation import matrices_from_quaternions
 
 
 @ti.data_oriented
@@ -29,7 +25,7 @@ class Splats:
 
     def __init__(self, gaussians: Gaussians, *, room: int = 0):
         self.count = len(gaussians)
-        self.capacity = round_up(max(self.count, room))
+        self.capacity = round_up_capacity(max(self.count, room))
         self.coefficients = gaussians.sh.shape[1]
         self.mean = ti.Vector.field(3, ti.f32)
         self.cov = ti.Vector.field(6, ti.f32)
@@ -128,7 +124,7 @@ class Splats:
 
 def covariances(gaussians: Gaussians) -> np.ndarray:
     """Sigma = R S S R^T [m^2] as (N, 6) = (xx, xy, xz, yy, yz, zz), float64 inside."""
-    axes = matrices_of_quats(gaussians.quats) * np.exp(gaussians.log_scales.astype(np.float64))[:, None, :]
+    axes = matrices_from_quaternions(gaussians.quats) * np.exp(gaussians.log_scales.astype(np.float64))[:, None, :]
     sigma = axes @ axes.transpose(0, 2, 1)
     i, j = np.triu_indices(3)
     return sigma[:, i, j].astype(np.float32)

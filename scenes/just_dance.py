@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.errors import BadInput
 from assets.library import moves_by_itself
-from assets.materials import MOVING
+from core.errors import BadInput
+from core.material import MOVING, Material
 from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
 from scenes.sandbox import Sandbox, rings
-from scenes.scene import Body, BodyState, Light, Material, Scene
+from scenes.scene import Body, BodyState, Light, Scene
 
 PLACE = (0.0, TABLE_TOP, 0.05)  # [m] on the table, before the bottle
 
@@ -44,7 +44,7 @@ class JustDance(Sandbox):
 
 
 def build(body: str = "dancer", material: str = MOVING) -> Scene:
-    """`body` is an asset that moves by itself, `material` a name (see assets/materials.py). Raises BadInput."""
+    """`body` is an asset that moves by itself, `material` a name (see core/material.py). Raises BadInput."""
     height = moves_by_itself(body)
     if height is None:
         raise BadInput(f"{body}: does not move by itself; make it (vrgs.py prepare PERSON.ply --rig RIG.glb)")

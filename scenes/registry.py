@@ -7,10 +7,10 @@ import inspect
 import pkgutil
 
 import scenes
-from assets.errors import BadInput
+from core.errors import BadInput
 from scenes.scene import Scene
 
-_NOT_SCENES = {"registry", "scene", "throw"}
+_NOT_SCENES = {"registry", "scene", "scripted_throw"}
 
 
 def names() -> list[str]:

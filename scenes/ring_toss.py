@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.scene import Body, BodyState, Box, Capsule, Hand, Light, Material, Plane, Scene
-from scenes.throw import Throw
+from core.material import Material
+from scenes.scene import Body, BodyState, Box, Capsule, Hand, Light, Plane, Scene
+from scenes.scripted_throw import Throw
 
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
 TABLE_TOP = 0.75  # [m]

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from assets.environment import Stage
 from assets.library import moves_by_itself
-from assets.stage import Stage
+from core.material import Material
 from scenes.ring_toss import BOTTLE, PLASTER, RUBBER, TABLE_TOP, room
-from scenes.scene import Body, BodyState, Hand, Light, Material, Plane, Scene
-from scenes.throw import Throw
+from scenes.scene import Body, BodyState, Hand, Light, Plane, Scene
+from scenes.scripted_throw import Throw
 
 START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 ABOVE = 0.05  # [m] over a stage's table or floor, where the body starts
@@ -79,7 +80,7 @@ class Sandbox:
 
 
 def build(body: str = "ring_red", material: str = "plush", stage: str | None = None) -> Scene:
-    """`material` is a name (see assets/materials.py), `stage` an asset that `prepare --static` made."""
+    """`material` is a name (see core/material.py), `stage` an asset that `prepare --static` made."""
     height = moves_by_itself(body)
     of = Material.named(material) if height is None else Material.moving(material, height)
     if stage is not None:

@@ -7,40 +7,11 @@ from typing import Protocol
 
 import numpy as np
 
-from assets.materials import material_named, moving_named
+from core.material import Material
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 IDENTITY: Quat = (1.0, 0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class Material:
-    """An isotropic elastic material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3], Coulomb's coefficient of
-    friction that holds, a damping rate [1/s] towards the body's rigid motion, and the coefficient of friction of what
-    slides (None: it is the same)."""
-
-    young: float
-    poisson: float
-    density: float
-    friction: float = 0.5
-    damping: float = 2.0
-    kinetic_friction: float | None = None
-
-    @property
-    def sliding_friction(self) -> float:
-        """The coefficient of friction of what slides."""
-        return self.friction if self.kinetic_friction is None else self.kinetic_friction
-
-    @classmethod
-    def named(cls, name: str, **changes: float) -> Material:
-        """A material by its name in assets/materials.py, with some properties changed. Raises BadInput."""
-        return cls(**{**material_named(name), **changes})
-
-    @classmethod
-    def moving(cls, name: str, height: float) -> Material:
-        """The same for a body of this height [m] that moves by itself: a small one is softer. Raises BadInput."""
-        return cls(**moving_named(name, height))
 
 
 @dataclass(frozen=True)

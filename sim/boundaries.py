@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.errors import BadInput
+from core.errors import BadInput
 from scenes.scene import IDENTITY
-from sim.driven import Driven
-from sim.parts import Part
-from sim.rigid import Movers
+from sim.body_model import Part
+from sim.kinematic_targets import Driven
+from sim.rigid.rigid_bodies import Movers
 
 
 class Boundaries:

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from sim.packing import LANES, EmbeddedPart, merge, one_level, pack, two_level
-from sim.polar import polar_quaternion
+from core.fields import round_up_capacity
+from core.quaternion import polar_quaternion
+from sim.embedding_weights import LANES, EmbeddedPart, merge, one_level, pack, two_level
 
 MOST_STRETCH = 4.0  # of a Gaussian, root mean square over its axes: so far its neighbours hide the gaps
 NOTHING = {
@@ -130,9 +131,9 @@ class Embedding:
         self.bytes = int(20 * LANES * base[-1] + (4 + 4 + 24) * lanes + written * self.count)
         pieces = np.concatenate([p["begin"][:-1] + b for p, b in zip(parts, base[:-1], strict=True)])
         join = {n: np.concatenate([p[n] for p in parts]) for n in ("target", "anchor", "vertex", "factor", "rest_cov")}
-        rows = _rounded(int(np.ceil(room * len(pieces))))
+        rows = round_up_capacity(int(np.ceil(room * len(pieces))))
         join["begin"] = np.concatenate([pieces, np.full(rows + 1 - len(pieces), base[-1])]).astype(np.int32)
-        self._place(rows, _rounded(int(np.ceil(room * base[-1]))))
+        self._place(rows, round_up_capacity(int(np.ceil(room * base[-1]))))
         for name, size in self._sizes.items():
             values = np.full(size, -1 if name == "target" else 0, join[name].dtype)
             values[: len(join[name])] = join[name]
@@ -210,7 +211,7 @@ class Embedding:
         """An empty one with room for `times` as much as these `parts` are."""
         other = Embedding([], with_rotation=self.with_rotation)
         rows, slots = (sum(n) for n in zip(*map(lengths, parts), strict=True))
-        other._place(_rounded(int(np.ceil(rows * times))), _rounded(int(np.ceil(slots * times))))
+        other._place(round_up_capacity(int(np.ceil(rows * times))), round_up_capacity(int(np.ceil(slots * times))))
         other.target.fill(-1)
         return other
 
@@ -276,9 +277,3 @@ class Embedding:
         for i in self.target:
             if i >= first:
                 self.target[i] = -1
-
-
-def _rounded(n: int) -> int:
-    """Next of 4, 5, 6, 7 times a power of two: at most a quarter more."""
-    step = 1 << max(0, n.bit_length() - 3)
-    return max(1, -(-n // step) * step)

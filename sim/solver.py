@@ -6,29 +6,29 @@ from dataclasses import replace
 import numpy as np
 import taichi as ti
 
-from assets.errors import BadInput
+from core.errors import BadInput
+from core.fields import destroy_fields
 from scenes.scene import BodyState, Hand
-from sim.assembly import Assembly, Room
-from sim.body import SoftBody
+from sim.body_editing import Editing
+from sim.body_model import Part
 from sim.boundaries import Boundaries
-from sim.colliders import Shape
-from sim.contact import Contacts
-from sim.damping import Chunks, Damping
-from sim.descent import DescentSubsteps
-from sim.driven import Driven
-from sim.editing import Editing
-from sim.elastic import Elastic
-from sim.mending import Mending
-from sim.parts import Part
-from sim.rescue import Rescue
-from sim.rigid import LONGEST_SUBSTEP, MOST_PASSES, PASS, Movers
-from sim.rigid_body import RigidBody
-from sim.stability import LIMIT, Plan, choose_plan
+from sim.contact.contacts import Contacts
+from sim.contact.static_shapes import Shape
+from sim.elastic.damping import Chunks, Damping
+from sim.elastic.energy import Elastic
+from sim.elastic.time_step import LIMIT, Plan, choose_plan
+from sim.elastic.untangling import Mending
+from sim.elastic.vbd import DescentSubsteps
+from sim.elastic.xpbd import jacobi
+from sim.hands.transform import Transform
+from sim.kinematic_targets import Driven
+from sim.model import Assembly, Room
+from sim.recovery import Rescue
+from sim.reductions import Summary
+from sim.rigid.rigid_bodies import LONGEST_SUBSTEP, MOST_PASSES, PASS, Movers
+from sim.rigid.rigid_body import RigidBody
+from sim.soft_body import SoftBody
 from sim.state import State
-from sim.substep import jacobi
-from sim.summary import Summary
-from sim.transform import Transform
-from sim.trees import trees_of
 
 LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
@@ -38,10 +38,10 @@ class Solver(Editing, Boundaries):
     """Simulates `bodies`.
 
     substep [s] and iterations (full sweeps a substep) are forced, or None for what suits the path: "jacobi", "descent",
-    or by "auto" the cheaper one (sim/stability.py). collision_passes is how often a frame contacts are searched; hands
+    or by "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is how often a frame contacts are searched; hands
     is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the hand
     rigidly and nothing else moves.
-    room says how much more than `bodies` there may come to be (see sim/assembly.py, and sim/editing.py for how).
+    room says how much more than `bodies` there may come to be (see sim/model.py, and sim/body_editing.py for how).
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
     a body passes through itself. With fingers, what hands touch with (`Hand.touch`) pushes the bodies.
     """
@@ -230,8 +230,7 @@ class Solver(Editing, Boundaries):
 
     def destroy(self) -> None:
         """Give the device memory back; the solver must not be used after."""
-        for tree in trees_of(self):
-            tree.destroy()
+        destroy_fields(self)
 
     @property
     def interaction(self) -> str:
@@ -247,7 +246,7 @@ class Solver(Editing, Boundaries):
     @property
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back;
-        `rescued`: how often a body that was not finite was put back (sim/rescue.py)."""
+        `rescued`: how often a body that was not finite was put back (sim/recovery.py)."""
         n, dt = self._last
         dt_or_planned = float(dt or self._plan.substep)
         return {

@@ -27,7 +27,7 @@ and handed to the Solver. It provides
                                 one; do not read or write state.dx[i]. `first` says, at compile time, whether
                                 this is the substep's first sweep.
     @ti.func push_vertex(self, i, dx) -> vec3
-                                descent path (sim/descent.py) instead of project_vertex, once at the substep's begin:
+                                descent path (sim/elastic/vbd.py) instead of project_vertex, once at the substep's begin:
                                 displacement that hands give a vertex with increment dx if it moved freely
     @ti.func project_vertex_metric(self, i, dx, H, A, prior) -> dx, reaction, hold
                                 descent path instead of project_vertex, in each sweep: vertex i against static shapes in
@@ -52,7 +52,7 @@ and handed to the Solver. It provides
     grips() -> value, hold(value)
                                 host; what hands hold, as an immutable value, and to hold that again
 
-If bodies may be rigid, `state.coupled` is true and `state.movers` (sim/rigid.py) moves them in its stage, after all
+If bodies may be rigid, `state.coupled` is true and `state.movers` (sim/rigid/rigid_bodies.py) moves them in its stage, after all
 others; their vertices, with w = 0, follow at the commit. `state.w` and `dx` say nothing of them.
 
 Without has_pairs a substep is two loops (tets; vertices), with it three and one for each stage. Python
@@ -69,32 +69,12 @@ Loops run over the capacity and test `i < vertex_count[None]`: a range whose end
 more launch, and equal capacities let scenes of different sizes share compiled kernels.
 """
 
-import numpy as np
 import taichi as ti
 
-from sim.assembly import MAX_BODIES, Assembly, Room, Sizes, fit
+from core.fields import Upload, round_up_capacity
+from sim.model import MAX_BODIES, Assembly, Room, Sizes, fit
 
 SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
-
-
-def capacity(n: int) -> int:
-    """Smallest of 4, 5, 6, 7 times a power of two that holds n: at most a quarter is wasted."""
-    size = 64
-    while size * 2 < n:
-        size *= 2
-    return next(size * k // 4 for k in (4, 5, 6, 7, 8) if size * k // 4 >= n)
-
-
-@ti.func
-def two_sum(a, b):
-    """a + b as a float32 and the float32 remainder that it lost, |a| >= |b|.
-
-    In double precision, because the float32 form c = b - ((a + b) - a) is algebraically zero and
-    is folded away by the compiler's fast-math.
-    """
-    s = ti.cast(a, ti.f64) + ti.cast(b, ti.f64)
-    high = ti.cast(s, ti.f32)
-    return high, ti.cast(s - ti.cast(high, ti.f64), ti.f32)
 
 
 @ti.data_oriented
@@ -124,9 +104,12 @@ class State:
         """Room for what is there `first` and what may come; `serial`: loops are better not spread over threads."""
         vertices, tets, triangles = (room.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
         self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and tets < SERIAL_BELOW
-        self.V, self.T, self.S = capacity(vertices), capacity(tets), capacity(triangles)
+        self.V, self.T, self.S = (round_up_capacity(n) for n in (vertices, tets, triangles))
         self.sizes = Sizes(0, 0, 0, 0)
-        self.coupled, self.movers = False, None  # sim/rigid.py Movers comes before any kernel is compiled, if ever
+        self.coupled, self.movers = (
+            False,
+            None,
+        )  # sim/rigid/rigid_bodies.py Movers comes before any kernel is compiled, if ever
         self.builder = ti.FieldsBuilder()
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES
         self.x, self.v, self.carry, self.v_carry = (self._vectors(V) for _ in range(4))
@@ -192,68 +175,3 @@ class State:
     def destroy(self) -> None:
         """Free the device memory; no kernel may touch this state afterwards."""
         self.tree.destroy()
-
-
-def upload(field, values: np.ndarray) -> None:
-    """Fill the front of a field from host values (n, ...); the rest becomes zero."""
-    Upload([field])([values])
-
-
-class Download:
-    """One kernel that reads the fronts of several vec3 fields of one size, as (fields, n, 3) float32."""
-
-    def __init__(self, fields: list):
-        self.count = len(fields)
-
-        @ti.kernel
-        def read(n: ti.i32, out: ti.types.ndarray(ti.f32, 3)):
-            for i in range(n):
-                for k, c in ti.static(ti.ndrange(len(fields), 3)):
-                    out[k, i, c] = fields[k][i][c]
-
-        self.read = read
-
-    def __call__(self, n: int) -> np.ndarray:
-        out = np.zeros((self.count, max(n, 1), 3), np.float32)  # Taichi takes no empty arrays
-        self.read(n, out)
-        return out[:, :n]
-
-
-class Upload:
-    """One kernel that fills many fields (scalars, or of one dimension): one for each would take seconds to compile."""
-
-    def __init__(self, fields: list):
-        self.fields = fields
-        self.shapes = [(f.shape or (1,), getattr(f, "n", 1), getattr(f, "m", 1)) for f in fields]
-        sizes = [int(np.prod(shape)) * n * m for shape, n, m in self.shapes]
-        begins = [0, *np.cumsum(sizes).tolist()]
-        widths, matrix = [n * m for _, n, m in self.shapes], [m for _, _, m in self.shapes]
-        reals = [f.dtype == ti.f32 for f in fields]
-
-        @ti.kernel
-        def fill(bits: ti.types.ndarray(ti.i32, 1)):
-            for k in ti.static(range(len(fields))):
-                for i in range(sizes[k] // widths[k]):
-                    for c in ti.static(range(widths[k])):
-                        bit = bits[begins[k] + i * widths[k] + c]
-                        value = ti.bit_cast(bit, ti.f32) if ti.static(reals[k]) else bit
-                        if ti.static(len(fields[k].shape) == 0 and widths[k] == 1):
-                            fields[k][None] = value
-                        elif ti.static(widths[k] == 1):
-                            fields[k][i] = value
-                        elif ti.static(matrix[k] == 1):
-                            fields[k][i][c] = value
-                        else:
-                            fields[k][i][c // matrix[k], c % matrix[k]] = value
-
-        self.fill = fill
-
-    def __call__(self, values: list) -> None:
-        """Fill the front of each field from its values (n, ...); the rest becomes zero."""
-        parts = []
-        for field, (shape, n, m), value in zip(self.fields, self.shapes, values, strict=True):
-            full = np.zeros((*shape, n * m), np.int32 if field.dtype == ti.i32 else np.float32)
-            value = np.asarray(value, full.dtype).reshape(-1, n * m)
-            full[: len(value)] = value
-            parts.append(full.view(np.int32).ravel())
-        self.fill(np.concatenate(parts))

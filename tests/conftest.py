@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime import runtime
+from tests.support.runtime import runtime
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

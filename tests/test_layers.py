@@ -1,19 +1,28 @@
-"""The import order: assets <- scenes <- {sim | render} <- display <- vrgs.py, {assets, render} <- prepare."""
+"""What a machine can hold of the architecture: the import order of the packages, and one name for one module."""
 
 import ast
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 MAY_IMPORT = {
-    "assets": set(),
-    "scenes": {"assets"},
-    "sim": {"assets", "scenes"},
-    "render": {"assets", "scenes"},
-    "display": {"assets", "scenes", "sim", "render"},
-    "prepare": {"assets", "render"},
+    "core": set(),
+    "assets": {"core"},
+    "scenes": {"core", "assets"},
+    "sim": {"core", "assets", "scenes"},
+    "render": {"core", "assets", "scenes"},
+    "display": {"core", "assets", "scenes", "sim", "render"},
+    "prepare": {"core", "assets", "render"},
+    "studio": {"core", "assets", "prepare"},
+    "bench": {"core", "assets", "scenes", "sim", "render", "display", "prepare"},
+    "commands": {"core", "assets", "scenes", "sim", "render", "display", "prepare", "studio", "bench"},
 }
+
+
+def product_files() -> list[Path]:
+    return [path for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
 
 
 def imported_packages(path: Path) -> set[str]:
@@ -35,3 +44,8 @@ def test_a_package_imports_only_the_layers_below(package):
     for path in files:
         wrong = (imported_packages(path) & ours) - MAY_IMPORT[package] - {package}
         assert not wrong, f"{path.relative_to(ROOT)} imports {sorted(wrong)}"
+
+
+def test_each_module_name_stands_once():
+    names = Counter(path.stem for path in product_files() if path.stem != "__init__")
+    assert [name for name, count in names.items() if count > 1] == []

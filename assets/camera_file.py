@@ -1,0 +1,72 @@
+"""Reading CAM.json, the camera file of the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import MAGNITUDE_MAX
+from core.camera import Camera
+from core.errors import BadInput
+
+MAX_SIDE = 16384  # [px]; larger pictures are a mistake in the file, not a wish
+FOCAL = (1e-3, 1e9)  # [px] of focal lengths, and how far off the lens's middle may be: products still fit float32
+
+
+def read_cameras(path: str | Path) -> list[Camera]:
+    """Cameras of a CAM.json: one object or a list of them. Raises BadInput."""
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot read the camera file ({e.strerror})") from e
+    except (ValueError, RecursionError) as e:
+        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    items = data if isinstance(data, list) else [data]
+    if not items:
+        raise BadInput(f"{path}: holds no camera")
+    cameras = [_camera(path, i, item) for i, item in enumerate(items)]
+    if len({(c.width, c.height) for c in cameras}) > 1:
+        raise BadInput(f"{path}: the cameras differ in size")
+    return cameras
+
+
+def _camera(path: Path, index: int, item) -> Camera:
+    where = f"{path}: camera {index}"
+    if not isinstance(item, dict):
+        raise BadInput(f"{where}: expected an object")
+    names = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")
+    missing = [n for n in names if n not in item]
+    if missing:
+        raise BadInput(f"{where}: missing {missing[0]!r}")
+    try:
+        matrix = np.array(item["world_to_camera"], np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.full(1, np.nan)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise BadInput(f"{where}: world_to_camera must be 4x4 and finite")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise BadInput(f"{where}: the rotation in world_to_camera is not orthonormal")
+    if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
+        raise BadInput(f"{where}: the last row of world_to_camera is not 0 0 0 1 (is it transposed?)")
+    if np.abs(matrix[:3, 3]).max() > MAGNITUDE_MAX:
+        raise BadInput(f"{where}: the translation in world_to_camera is beyond {MAGNITUDE_MAX:g}")
+    sides = [_number(where, item, name, 1, MAX_SIDE) for name in ("width", "height")]
+    if any(side != int(side) for side in sides):
+        raise BadInput(f"{where}: width and height must be whole")
+    lens = [_number(where, item, name, *FOCAL) for name in ("fx", "fy")]
+    lens += [_number(where, item, name, -FOCAL[1], FOCAL[1]) for name in ("cx", "cy")]
+    return Camera(int(sides[0]), int(sides[1]), *lens, matrix)
+
+
+def _number(where: str, item: dict, name: str, low: float, high: float) -> float:
+    """A number of the file within [low, high]. Raises BadInput."""
+    value = item[name]
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise BadInput(f"{where}: {name} is not a number")
+    if not low <= value <= high:  # NaN compares false
+        raise BadInput(f"{where}: {name} must be {low:g} to {high:g}")
+    return float(value)

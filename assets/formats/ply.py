@@ -1,0 +1,114 @@
+"""Splats as INRIA .ply: one vertex a Gaussian (3D Gaussian Splatting, Kerbl et al. 2023).
+
+`x y z [nx ny nz] f_dc_0..2 [f_rest_0..] opacity scale_0..2 rot_0..3`, in any order; `f_rest` is
+channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. A .ply whose
+vertices are packed goes to `assets/formats/compressed_ply.py`.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import ALPHA_EPSILON, Report, reading, replacing, usable_gaussians
+from assets.formats.compressed_ply import read_compressed
+from assets.formats.ply_header import Element, binary_rows, read_header
+from assets.gaussians import Gaussians
+from core.errors import BadInput
+
+MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
+SCALES, ROTATION = ["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]
+REQUIRED = [*MEANS, *DC, "opacity", *SCALES, *ROTATION]
+LOGIT_MOST = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for +-inf, which tools write for opacities of just 1 and 0
+REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
+
+
+def read_ply(path: str | Path, report: Report = print) -> Gaussians:
+    """Gaussians of a .ply, SH degree 0 to 3; those that are not finite are dropped and reported. Raises BadInput."""
+    path = Path(path)
+    with reading(path) as file:
+        order, elements = read_header(path, file)
+        vertex = next((e for e in elements if e.name == "vertex"), None)
+        if vertex is None:
+            raise BadInput(f"{path}: has no vertex element")
+        if "packed_position" in vertex.names:
+            return read_compressed(path, file, order, elements, report)
+        _check_vertex(path, vertex)
+        rest = _rest_count(path, vertex)
+        if order == "":
+            rows = _text_rows(path, file, vertex, elements[: elements.index(vertex)])
+        else:
+            rows = binary_rows(path, file, file.tell(), elements, vertex, order)
+
+    plain = rows.dtype == np.dtype([(name, np.float32) for name in vertex.names])  # as most are: a matrix
+
+    def columns(names: list[str]) -> np.ndarray:
+        if plain:
+            return rows.view(np.float32).reshape(len(rows), -1)[:, [vertex.names.index(name) for name in names]]
+        with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped below
+            return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
+
+    n = len(rows)
+    sh = columns(DC)[:, None, :]
+    if rest:
+        channels = columns([f"f_rest_{i}" for i in range(rest)]).reshape(n, 3, rest // 3)
+        sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
+    opacity = columns(["opacity"])[:, 0]
+    opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MOST, opacity), opacity)
+    return usable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
+
+
+def _check_vertex(path: Path, vertex: Element) -> None:
+    """Raise BadInput unless the element that holds the Gaussians has all that is required of it."""
+    missing = [name for name in REQUIRED if name not in vertex.names]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise BadInput(f"{path}: missing property {missing[0]!r}{more} of a Gaussian splat")
+    if "list" in vertex.types:
+        raise BadInput(f"{path}: list property {vertex.names[vertex.types.index('list')]!r} in vertex")
+    if vertex.count == 0:
+        raise BadInput(f"{path}: holds no Gaussians")
+
+
+def _rest_count(path: Path, vertex: Element) -> int:
+    names = {name for name in vertex.names if re.fullmatch(r"f_rest_\d+", name)}
+    if len(names) not in REST_COUNTS:
+        raise BadInput(f"{path}: {len(names)} f_rest properties, expected 0, 9, 24 or 45 (SH degree 0 to 3)")
+    missing = [f"f_rest_{i}" for i in range(len(names)) if f"f_rest_{i}" not in names]
+    if missing:
+        raise BadInput(f"{path}: missing property {missing[0]!r}")
+    return len(names)
+
+
+def _text_rows(path: Path, file, vertex: Element, before: list[Element]) -> np.ndarray:
+    start = file.tell()
+    room = file.seek(0, 2) - start
+    file.seek(start)
+    skipped = sum(element.count for element in before)
+    if skipped + 2 * vertex.count * len(vertex.names) > room + 1:  # a number is a digit and a blank at least
+        raise BadInput(f"{path}: truncated; the header claims {vertex.count} Gaussians, too many for the file's size")
+    lines = islice(file, skipped, skipped + vertex.count)
+    try:
+        table = np.loadtxt(lines, np.float64, comments=None, ndmin=2, encoding="latin-1")
+    except ValueError as e:
+        raise BadInput(f"{path}: a line of the vertex element is not {len(vertex.names)} numbers") from e
+    if table.shape != (vertex.count, len(vertex.names)):
+        raise BadInput(f"{path}: expected {vertex.count} lines of {len(vertex.names)} numbers, found {table.shape}")
+    return table.view(np.dtype([(name, "f8") for name in vertex.names]))[:, 0]
+
+
+def write_ply(path: str | Path, g: Gaussians) -> None:
+    """Write Gaussians in INRIA's layout and order, normals 0. `object_id` is not stored. Raises BadInput."""
+    n, rest = len(g), 3 * (g.sh.shape[1] - 1)
+    names = [*MEANS, "nx", "ny", "nz", *DC, *(f"f_rest_{i}" for i in range(rest)), "opacity", *SCALES, *ROTATION]
+    channels = g.sh[:, 1:].transpose(0, 2, 1).reshape(n, rest)
+    normals = np.zeros((n, 3), np.float32)
+    columns = [g.means, normals, g.sh[:, 0], channels, g.logit_opacities[:, None], g.log_scales, g.quats]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in names] + ["end_header\n"]
+    with replacing(path) as beside, open(beside, "wb") as file:
+        file.write("\n".join(header).encode("ascii"))
+        file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())

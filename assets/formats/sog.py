@@ -1,0 +1,204 @@
+"""Splats as SOG (PlayCanvas): a meta.json and WebP images, zipped as .sog or side by side in a folder.
+
+Pixel i of each image, row by row, belongs to Gaussian i. Positions are 16 bits, high and low bytes in
+two images, between least and greatest values of sign(x) ln(1 + |x|). A quaternion is its three lesser
+components; alpha - 252 says which of w, x, y, z is left out. Log-scales, colours and SH are bytes: in
+version 2 indices into a codebook, in version 1 (no `version`) shares of a range. SH beyond degree 0 is
+a palette, 64 entries a row, and 16 bits a Gaussian that choose one. Opacity is a byte, in version 1 of
+the logit's range. Source: the SOG specification at developer.playcanvas.com; for version 1
+playcanvas/splat-transform, read-sog-v1.ts. Axes and units are those of the .ply.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from assets.file_access import Report, file_size, logit_of_byte, reading, unpack_bound, usable_gaussians
+from assets.formats.webp import read_webp
+from assets.formats.zip_archive import Archive
+from assets.gaussians import SH_COUNTS, Gaussians
+from core.errors import BadInput
+
+META_MAX = 1 << 20  # [bytes] of a meta.json; codebooks of 256 numbers take some kilobytes
+COUNT_MAX = 1 << 28  # 16,384 x 16,384, the largest WebP image
+LARGEST_MIN = 252  # alpha of a quaternion whose w is left out
+PALETTE_WIDTH = 64  # palette entries in a row
+
+
+class Images:
+    """The images that a meta.json names, decoded when asked for."""
+
+    def __init__(self, path: Path, meta: dict, load: Callable[[str], bytes], most: int) -> None:
+        self.path, self.meta, self._load, self._most = path, meta, load, most
+
+    def section(self, name: str) -> dict:
+        """An object of the meta.json."""
+        found = self.meta.get(name)
+        if not isinstance(found, dict):
+            raise BadInput(f"{self.path}: meta.json lacks {name!r}")
+        return found
+
+    def numbers(self, name: str, key: str, count: int) -> np.ndarray:
+        """Finite numbers of the meta.json, float64, as many as `count`."""
+        values = self.section(name).get(key)
+        return self._finite(values if isinstance(values, list) else [values], f"{key} of {name}", count)
+
+    def _finite(self, values: list, what: str, count: int) -> np.ndarray:
+        numeric = all(isinstance(v, int | float) and abs(v) < 1e30 for v in values)  # NaN compares false
+        if not numeric or len(values) != count:
+            raise BadInput(f"{self.path}: {what} in meta.json is not {count} finite numbers")
+        return np.array(values, np.float64)
+
+    def codebook(self, name: str) -> np.ndarray:
+        """What each byte stands for, (256,); NaN beyond the end of a shorter codebook."""
+        values = self.section(name).get("codebook")
+        if not isinstance(values, list) or not 1 <= len(values) <= 256:
+            raise BadInput(f"{self.path}: the codebook of {name} in meta.json is not 1 to 256 numbers")
+        book = np.full(256, np.nan)
+        lost = values[0] is None and len(values) == 256  # a fault of early writers
+        known = values[1:] if lost else values
+        book[lost : len(values)] = self._finite(known, f"the codebook of {name}", len(known))
+        if lost:  # as the PlayCanvas engine mends it: one mean step below the second entry
+            book[0] = book[1] + (book[1] - book[255]) / 255
+        return book
+
+    def pixels(self, name: str, which: int = 0) -> np.ndarray:
+        """One image, (H, W, 4) uint8."""
+        files = self.section(name).get("files")
+        if not isinstance(files, list) or len(files) <= which or not isinstance(files[which], str):
+            raise BadInput(f"{self.path}: meta.json names no image {which + 1} of {name}")
+        file = files[which]
+        if file in ("", ".", "..") or set(file) & set("/\\:") or not file.isprintable():
+            raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is no file beside it")
+        return read_webp(self._load(file), f"{self.path}: {file}", most=self._most)
+
+    def rows(self, name: str, count: int, which: int = 0) -> np.ndarray:
+        """The first `count` pixels of an image, (count, 4) uint8."""
+        flat = self.pixels(name, which).reshape(-1, 4)
+        if len(flat) < count:
+            raise BadInput(f"{self.path}: {name} holds {len(flat)} of {count} Gaussians")
+        return flat[:count]
+
+
+def read_sog(path: str | Path, report: Report = print) -> Gaussians:
+    """Gaussians of a .sog, or of the meta.json of a folder; what is not finite is dropped and reported.
+
+    Raises BadInput.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        with reading(path) as file:
+            meta = _meta(path, file.read(META_MAX + 1))
+            beside = sum(f.stat().st_size for f in path.parent.iterdir() if f.is_file())
+        return _decode(Images(path, meta, lambda name: _beside(path, name), unpack_bound(beside)), report)
+    with reading(path) as file, Archive(path, file) as archive:
+        names = [n for n in archive.names() if PurePosixPath(n).name == "meta.json"]
+        if not names:
+            raise BadInput(f"{path}: holds no meta.json")
+        first = min(names, key=len)
+        meta = _meta(path, archive.read(first, most=META_MAX))
+        most, folder = unpack_bound(file_size(path)), first[: -len("meta.json")]
+        return _decode(Images(path, meta, lambda name: archive.read(folder + name, most=most), most), report)
+
+
+def _beside(path: Path, name: str) -> bytes:
+    with reading(path.with_name(name)) as file:
+        return file.read()
+
+
+def _meta(path: Path, text: bytes) -> dict:
+    if len(text) > META_MAX:
+        raise BadInput(f"{path}: its meta.json is larger than {META_MAX} bytes")
+    try:
+        meta = json.loads(text)
+    except (ValueError, RecursionError) as e:  # ValueError: not UTF-8, not JSON, a number of too many digits
+        raise BadInput(f"{path}: its meta.json is not JSON") from e
+    if not isinstance(meta, dict) or "means" not in meta:
+        raise BadInput(f"{path}: its meta.json describes no splat")
+    return meta
+
+
+def _decode(images: Images, report: Report) -> Gaussians:
+    path, meta = images.path, images.meta
+    version = meta.get("version", 1)
+    if version not in (1, 2):
+        raise BadInput(f"{path}: version {json.dumps(version)[:20]} of SOG, read are 1 and 2")
+    shape = images.section("means").get("shape")
+    count = meta.get("count") if version == 2 else shape[0] if isinstance(shape, list) and shape else None
+    if not isinstance(count, int) or not 0 <= count <= COUNT_MAX:
+        raise BadInput(f"{path}: meta.json gives no count of Gaussians")
+    if count == 0:
+        raise BadInput(f"{path}: holds no Gaussians")
+    if meta.get("antialias") is True:
+        report(f"{path}: ignored its mark for anti-aliased drawing")
+    means = _means(images, count)
+    quats = _quats(images, count)
+    scales, color = images.rows("scales", count), images.rows("sh0", count)
+    if version == 2:
+        log_scales = images.codebook("scales")[scales[:, :3]]
+        dc, logits = images.codebook("sh0")[color[:, :3]], logit_of_byte(color[:, 3])
+    else:
+        log_scales = _between(images, "scales", scales[:, :3])
+        dc = _between(images, "sh0", color)
+        dc, logits = dc[:, :3], dc[:, 3].astype(np.float32)
+    sh = dc[:, None, :].astype(np.float32)
+    if meta.get("shN") is not None:
+        sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
+    return usable_gaussians(path, means, quats, log_scales.astype(np.float32), logits, sh, report)
+
+
+def _between(images: Images, name: str, codes: np.ndarray, most: int = 255) -> np.ndarray:
+    """Codes (N, K) as shares of the K ranges that the meta.json gives."""
+    low, high = (images.numbers(name, key, codes.shape[1]) for key in ("mins", "maxs"))
+    return low + (high - low) * (codes / float(most))
+
+
+def _means(images: Images, count: int) -> np.ndarray:
+    """Positions (N, 3): x = sign(v) (exp |v| - 1) of the stored v."""
+    low, high = (images.rows("means", count, which)[:, :3] for which in (0, 1))
+    stored = _between(images, "means", low + high.astype(np.uint16) * 256, most=65535)
+    with np.errstate(over="ignore"):  # what is not finite is dropped later
+        return (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
+
+
+def _quats(images: Images, count: int) -> np.ndarray:
+    """Quaternions wxyz (N, 4); 0, which is no rotation, where alpha names no component."""
+    if images.section("quats").get("encoding", "quaternion_packed") != "quaternion_packed":
+        raise BadInput(f"{images.path}: the encoding of its quaternions is not known")
+    rgba = images.rows("quats", count)
+    values = (rgba[:, :3] / 255.0 * 2 - 1) * math.sqrt(0.5)
+    largest = rgba[:, 3].astype(np.int64) - LARGEST_MIN
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+    quats = np.zeros((count, 4))
+    np.put_along_axis(quats, others[largest.clip(0)], values, axis=1)
+    missing = np.sqrt(np.maximum(0.0, 1.0 - (values**2).sum(axis=1)))
+    np.put_along_axis(quats, largest.clip(0)[:, None], missing[:, None], axis=1)
+    return np.where(largest[:, None] < 0, 0.0, quats)
+
+
+def _palette(images: Images, count: int, version: int) -> np.ndarray:
+    """SH coefficients beyond degree 0, (N, K - 1, 3)."""
+    centroids = images.pixels("shN", 0)
+    entry = centroids.shape[1] // PALETTE_WIDTH  # pixels, one a coefficient
+    bands = images.section("shN").get("bands") if version == 2 else None
+    if entry + 1 not in SH_COUNTS[1:] or centroids.shape[1] % PALETTE_WIDTH:
+        raise BadInput(f"{images.path}: its SH palette is {centroids.shape[1]} pixels wide, which fits no degree")
+    if bands is not None and bands != SH_COUNTS.index(entry + 1):
+        raise BadInput(f"{images.path}: its SH palette has not the {json.dumps(bands)[:20]} bands that meta.json names")
+    palette = centroids[..., :3].reshape(-1, entry, 3)
+    size = images.section("shN").get("count", len(palette)) if version == 2 else len(palette)
+    labels = images.rows("shN", count, 1).astype(np.int64)
+    labels = labels[:, 0] + 256 * labels[:, 1]
+    if not isinstance(size, int) or size > len(palette) or labels.max() >= size:
+        raise BadInput(f"{images.path}: a Gaussian names an entry beyond its SH palette")
+    if version == 2:
+        values = images.codebook("shN")
+    else:
+        low, high = (images.numbers("shN", key, 1)[0] for key in ("mins", "maxs"))
+        values = low + (high - low) * np.arange(256) / 255
+    return values.astype(np.float32)[palette][labels]

@@ -1,0 +1,248 @@
+"""Splats as .spz (Niantic): all attributes quantised, one after the other, compressed.
+
+Versions 1-3 are one gzip stream: a 16-byte header, then positions, alphas, colours, scales,
+rotations, SH. Version 4 is a 32-byte header, a table and one zstd stream an attribute. The axes are
+right-up-back, half a turn about x away from those of the .ply (right-down-front); reading and
+writing turn them. Read are versions 1-4, written is version 3.
+"""
+
+from __future__ import annotations
+
+import gzip
+import struct
+import zlib
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import Report, byte_of_logit, logit_of_byte, reading, replacing, unpack_bound, usable_gaussians
+from assets.gaussians import SH_COUNTS, Gaussians
+from core.errors import BadInput
+from core.spherical_harmonics import sh_basis
+
+MAGIC = 0x5053474E  # "NGSP"
+GZIP = b"\x1f\x8b"
+HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
+TABLE = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
+HEADER_4_SIZE = 32
+TABLE_OFFSET = 16  # where the header of version 4 tells where its table starts
+ANTIALIASED, EXTENSIONS = 1, 2  # flags
+SH_DEGREE_MAX = 4  # the format has one degree more than 3D Gaussian Splatting
+BITS_MAX = 23  # of a 24-bit coordinate
+BITS_WRITTEN = 16  # steps of 15 micrometres, below the smallest Gaussians; less where the extent demands it
+COLOR_SCALE = 0.15  # SH degree 0 is stored as 0.15 c + 0.5, which leaves room around the range of colours
+WINDOW_MAX = 1 << 27  # [bytes] of memory that a zstd frame may ask for; its own default limit
+TURN = np.array([1.0, -1.0, -1.0])  # right-up-back <-> right-down-front
+TURN_QUAT = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion wxyz
+
+
+def _turn_sh(sh: np.ndarray) -> np.ndarray:
+    """Each basis function is even or odd under the half turn: coefficients keep or change their sign."""
+    generic = np.array([[0.36, 0.48, 0.8]])
+    signs = np.sign(sh_basis(generic, sh.shape[1]) * sh_basis(generic * TURN, sh.shape[1]))
+    return sh * signs[0, :, None]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What both kinds of header say."""
+
+    version: int
+    count: int
+    sh_degree: int
+    bits: int  # fractional bits of a coordinate
+    flags: int
+
+    def widths(self) -> list[int]:
+        """Bytes a Gaussian of positions, alphas, colours, scales, rotations, SH."""
+        sh = 3 * ((self.sh_degree + 1) ** 2 - 1)
+        return [6 if self.version == 1 else 9, 1, 3, 3, 4 if self.version >= 3 else 3, sh]
+
+
+def read_spz(path: str | Path, report: Report = print) -> Gaussians:
+    """Gaussians of a .spz, turned to the axes of a .ply. Raises BadInput.
+
+    `report` takes a line for what was dropped or ignored.
+    """
+    path = Path(path)
+    with reading(path) as file:
+        data = file.read()
+    unzipped = data[:4] == MAGIC.to_bytes(4, "little")
+    if not unzipped and data[:2] != GZIP:
+        raise BadInput(f"{path}: not a .spz file")
+    if unzipped and int.from_bytes(data[4:8], "little") == 4:
+        header, streams = _read_zstd(path, data)
+    else:
+        header, streams = _read_gzip(path, data, unzipped)
+    ignored = ["SH degree 4"] if header.sh_degree > 3 else []
+    ignored += ["its extensions"] if header.flags & EXTENSIONS else []
+    ignored += ["its mark for anti-aliased drawing"] if header.flags & ANTIALIASED else []
+    if ignored:
+        report(f"{path}: ignored {', '.join(ignored)}")
+    return _decode(path, header, streams, report)
+
+
+def _header(path: Path, data: bytes) -> Header:
+    if len(data) < HEADER.size:
+        raise BadInput(f"{path}: truncated, or not a .spz file")
+    magic, version, count, sh_degree, bits, flags, _ = HEADER.unpack_from(data)
+    if magic != MAGIC:
+        raise BadInput(f"{path}: not a .spz file")
+    if not 1 <= version <= 4:
+        raise BadInput(f"{path}: version {version} of .spz, read are 1 to 4")
+    if sh_degree > SH_DEGREE_MAX or bits > BITS_MAX:
+        raise BadInput(f"{path}: SH degree {sh_degree} with {bits} fractional bits is no .spz")
+    if count == 0:
+        raise BadInput(f"{path}: holds no Gaussians")
+    return Header(version, count, sh_degree, bits, flags)
+
+
+def _check_claim(path: Path, header: Header, stored: int) -> None:
+    """Refuse a count that the file cannot hold, before anything is unpacked."""
+    if header.count * sum(header.widths()) > unpack_bound(stored):
+        raise BadInput(f"{path}: claims {header.count} Gaussians, more than a file of {stored} bytes may hold")
+
+
+def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[bytes]]:
+    """Versions 1 to 3; `unzipped` for those whose gzip layer somebody has removed."""
+    unpack = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    try:
+        head = data[: HEADER.size] if unzipped else unpack.decompress(data, HEADER.size)
+        header = _header(path, head)
+        if header.version == 4:
+            raise BadInput(f"{path}: version 4 of .spz inside gzip")
+        _check_claim(path, header, len(data))
+        size = header.count * sum(header.widths())
+        body = data[HEADER.size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, size)
+        more = unzipped or unpack.decompress(unpack.unconsumed_tail, 1)  # reaches the checksum, or what follows
+    except zlib.error as e:
+        raise BadInput(f"{path}: the gzip stream is damaged ({e})") from e
+    if len(body) < size or not (more or unpack.eof):
+        raise BadInput(f"{path}: truncated; {header.count} Gaussians take {size} bytes, found {len(body)}")
+    ends = np.cumsum([0, *header.widths()]) * header.count
+    return header, [body[a:b] for a, b in pairwise(ends)]
+
+
+def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
+    """Version 4."""
+    import zstandard
+
+    if len(data) < HEADER_4_SIZE:
+        raise BadInput(f"{path}: truncated")
+    header = _header(path, data)
+    _check_claim(path, header, len(data))
+    sizes = [header.count * width for width in header.widths()]
+    used = [size for size in sizes if size]  # empty streams are left out
+    table = int.from_bytes(data[TABLE_OFFSET : TABLE_OFFSET + 4], "little")
+    start = table + TABLE.size * len(used)
+    if data[HEADER.size - 1] != len(used) or table < HEADER_4_SIZE or start > len(data):
+        raise BadInput(f"{path}: the table of streams is damaged")
+    unpack = zstandard.ZstdDecompressor(max_window_size=WINDOW_MAX)
+    streams = []
+    for i, size in enumerate(used):
+        stored, claimed = TABLE.unpack_from(data, table + TABLE.size * i)
+        if claimed != size or start + stored > len(data):
+            raise BadInput(f"{path}: truncated, or stream {i} is not of {header.count} Gaussians")
+        try:
+            with unpack.stream_reader(data[start : start + stored]) as reader:
+                streams.append(reader.read(size))
+        except zstandard.ZstdError as e:
+            raise BadInput(f"{path}: stream {i} is damaged ({e})") from e
+        if len(streams[-1]) != size:
+            raise BadInput(f"{path}: stream {i} ends early")
+        start += stored
+    return header, [streams.pop(0) if size else b"" for size in sizes]
+
+
+def _decode(path: Path, header: Header, streams: list[bytes], report: Report) -> Gaussians:
+    n = header.count
+    positions, alphas, colors, scales, rotations, sh = (np.frombuffer(s, np.uint8) for s in streams)
+    if header.version == 1:
+        means = positions.view("<f2").astype(np.float32).reshape(n, 3)
+    else:
+        means = _int24(positions).reshape(n, 3) / np.float32(1 << header.bits)
+    quats = _smallest_three(rotations) if header.version >= 3 else _first_three(rotations)
+    dc = (colors.reshape(n, 1, 3) / np.float32(255) - 0.5) / COLOR_SCALE
+    rest = (sh.reshape(n, -1, 3)[:, : SH_COUNTS[-1] - 1].astype(np.float32) - 128) / 128
+    return usable_gaussians(
+        path,
+        means * TURN,
+        quats * TURN_QUAT,
+        scales.reshape(n, 3) / np.float32(16) - 10,
+        logit_of_byte(alphas),
+        _turn_sh(np.concatenate([dc, rest], axis=1)),
+        report,
+    )
+
+
+def _int24(packed: np.ndarray) -> np.ndarray:
+    """Signed 24-bit little-endian integers as int32."""
+    b = packed.reshape(-1, 3).astype(np.int32)
+    return (b[:, 0] | b[:, 1] << 8 | b[:, 2] << 16) << 8 >> 8  # the shifts carry the sign
+
+
+def _first_three(packed: np.ndarray) -> np.ndarray:
+    """wxyz of the bytes of x, y, z; w is what is missing to 1, and not negative."""
+    xyz = packed.reshape(-1, 3) / 127.5 - 1.0
+    w = np.sqrt(np.maximum(0.0, 1.0 - (xyz**2).sum(axis=1, keepdims=True)))
+    return np.concatenate([w, xyz], axis=1)
+
+
+def _smallest_three(packed: np.ndarray) -> np.ndarray:
+    """wxyz of 32 bits: 2 for which of x, y, z, w is largest, then 10 (sign, 9 of magnitude) for each other one."""
+    code = packed.view("<u4").astype(np.int64)
+    largest = code >> 30
+    xyzw = np.zeros((len(code), 4))
+    shift = np.full(len(code), 20)
+    for k in range(4):
+        here = largest != k
+        field = code[here] >> shift[here]
+        magnitude = (field & 511) / 511 * np.sqrt(0.5)
+        xyzw[here, k] = np.where(field & 512, -magnitude, magnitude)
+        shift[here] -= 10
+    xyzw[np.arange(len(code)), largest] = np.sqrt(np.maximum(0.0, 1.0 - (xyzw**2).sum(axis=1)))
+    return np.roll(xyzw, 1, axis=1)
+
+
+def write_spz(path: str | Path, g: Gaussians) -> None:
+    """Write version 3. Positions are rounded to 2^-16 m (more beyond 128 m), all else to 8 to 10 bits. Raises BadInput.
+
+    Log-scales outside -10..5.94 and SH coefficients outside -1..0.99 are clamped; `object_id` is not stored.
+    """
+    means, n = g.means.astype(np.float64) * TURN, len(g)
+    extent = float(np.abs(means).max(initial=1e-9))
+    bits = min(BITS_WRITTEN, int(np.floor(np.log2((2**23 - 1) / extent))))
+    if bits < 0:
+        raise BadInput(f"{path}: positions up to {extent:.3g} m do not fit a .spz")
+    fixed = np.round(means * (1 << bits)).astype("<i4").reshape(-1, 1).view(np.uint8)[:, :3]
+    sh = _turn_sh(g.sh)
+    xyzw = np.roll(g.quats.astype(np.float64) * TURN_QUAT, -1, axis=1)
+    streams = [
+        fixed,
+        _bytes(byte_of_logit(g.logit_opacities)),
+        _bytes((sh[:, 0] * COLOR_SCALE + 0.5) * 255),
+        _bytes((g.log_scales.astype(np.float64) + 10) * 16),
+        _pack_smallest_three(xyzw),
+        _bytes(sh[:, 1:] * 128.0 + 128),
+    ]
+    header = HEADER.pack(MAGIC, 3, n, g.sh_degree, bits, 0, 0)
+    with replacing(path) as beside, open(beside, "wb") as file:
+        file.write(gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0))
+
+
+def _bytes(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.round(values), 0, 255).astype(np.uint8)
+
+
+def _pack_smallest_three(xyzw: np.ndarray) -> np.ndarray:
+    rows = np.arange(len(xyzw))
+    largest = np.abs(xyzw).argmax(axis=1)
+    xyzw = xyzw * np.where(xyzw[rows, largest] < 0, -1.0, 1.0)[:, None]  # -q is the same rotation
+    code = largest.astype(np.uint32)
+    for k in range(4):
+        magnitude = np.minimum(np.round(511 * np.abs(xyzw[:, k]) / np.sqrt(0.5)), 511).astype(np.uint32)
+        field = magnitude | np.where(xyzw[:, k] < 0, 512, 0).astype(np.uint32)
+        code = np.where(largest != k, code << np.uint32(10) | field, code)
+    return code.astype("<u4")

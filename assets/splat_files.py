@@ -1,0 +1,73 @@
+"""Gaussians from and to files of any kind: the kind is the file's suffix, and its content must agree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from assets.asset import Asset
+from assets.file_access import Report, reading
+from assets.formats.antimatter_splat import read_splat, write_splat
+from assets.formats.compressed_ply import write_compressed
+from assets.formats.ksplat import read_ksplat
+from assets.formats.ply import read_ply, write_ply
+from assets.formats.sog import read_sog
+from assets.formats.spz import read_spz, write_spz
+from assets.gaussians import Gaussians
+from core.errors import BadInput
+
+
+def _read_asset(path: Path, report: Report) -> Gaussians:
+    return Asset.load(path).gaussians
+
+
+READERS = {
+    ".ply": read_ply,
+    ".splat": read_splat,
+    ".ksplat": read_ksplat,
+    ".spz": read_spz,
+    ".sog": read_sog,
+    ".json": read_sog,
+    ".h5": _read_asset,
+}
+COMPRESSED = ".compressed.ply"  # the two suffixes by which PlayCanvas's tools know it; read by its content
+WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
+MAGICS = {
+    b"ply\n": ".ply",
+    b"ply\r": ".ply",
+    b"\x1f\x8b": ".spz",  # gzip
+    b"NGSP": ".spz",
+    b"\x89HDF\r\n\x1a\n": ".h5",
+    b"PK\x03\x04": ".sog",  # ZIP
+}
+
+
+def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
+    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5).
+
+    A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped.
+    Raises BadInput.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join(READERS)}")
+    with reading(path) as file:
+        head = file.read(8)
+    found = next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), suffix)
+    if found != suffix:
+        raise BadInput(f"{path}: is named {suffix} but its content is {found}")
+    return READERS[suffix](path, report)
+
+
+def kind_to_write(path: str | Path) -> str:
+    """The key of WRITERS that a name stands for. Raises BadInput."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in WRITERS:
+        raise BadInput(f"{path}: cannot write {suffix!r}; written are {', '.join(WRITERS)}")
+    return COMPRESSED if path.name.lower().endswith(COMPRESSED) else suffix
+
+
+def write_gaussians(path: str | Path, g: Gaussians) -> None:
+    """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput."""
+    WRITERS[kind_to_write(path)](path, g)

@@ -1,0 +1,182 @@
+"""Which way is up in a splat, how large it is, and the turn that brings it into the asset's frame.
+
+Structure from motion leaves the frame free, and tools differ (y down from COLMAP, y up from editors). What tells is
+how the object was photographed: it stood on its underside, so nobody saw that. There Gaussians are large and opaque,
+since no picture split or thinned them, they are dark, or they are missing. A hollow that was looked into opens upwards.
+And it stood without falling over. Scenes stand on a plane (assets/level_planes.py).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from assets.level_planes import hollow_columns, scene_votes
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+
+AXES = {f"{sign}{'xyz'[axis]}": (axis, 1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
+COLUMNS = 64  # pixels on the longest side of the six views
+LUMA = np.array([0.299, 0.587, 0.114])  # BT.601
+SLAB = 0.05  # of the extent: what a body stands on
+SINGLE = 0.06  # of the extent: what is seen this close together from above and below is one layer
+
+# Weights of the cues, and a head start for what files use. The cues differ by 0.1 to 0.7 between a toy's top and
+# underside; a flat side lit from a window reaches 0.2 of brightness.
+WEIGHT = {"size": 1.0, "opacity": 2.0, "brightness": 2.0, "open": 1.5, "hollow": 1.0, "stable": 0.6}
+BODY_UNIT, SCENE_UNIT = 0.1, 0.03  # by which one vote must exceed another to be about three times as sure
+USUAL = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05}
+PLAUSIBLE = (0.05, 0.6)  # [m] largest extent of what a hand can hold; files outside have arbitrary units
+USUAL_SIZE = 0.25  # [m]
+SIZES = (0.01, 10.0)  # [m] what may be asked for
+
+
+def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    return low, high
+
+
+def first_hits(points: np.ndarray, axis: int, low: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the lowest and of the highest point along `axis` in each column that holds any, (C,) each."""
+    others = [i for i in range(3) if i != axis]
+    pixel = np.floor((points[:, others] - low[others]) / longest * COLUMNS).astype(np.int64)
+    flat = pixel[:, 0] * (4 * COLUMNS) + pixel[:, 1]
+    order = np.lexsort([points[:, axis], flat])
+    edge = np.flatnonzero(np.diff(flat[order])) + 1
+    return order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
+
+
+def hull(points: np.ndarray) -> np.ndarray:
+    """Corners (C, 2) of the convex hull of points (N, 2), counterclockwise (Andrew 1979); fewer than three of a line.
+
+    By hand, because SciPy takes a quarter of a second to import.
+    """
+    corners = []
+    ordered = points[np.lexsort(points.T[::-1])].tolist()
+    for way in (ordered, ordered[::-1]):  # the lower half, then the upper
+        half = []
+        for x, y in way:
+            while len(half) > 1:
+                (x0, y0), (x1, y1) = half[-2:]
+                if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
+                    break
+                half.pop()
+            half.append((x, y))
+        corners += half[:-1]
+    return np.array(corners).reshape(-1, 2)
+
+
+def centre_of(points: np.ndarray, longest: float) -> np.ndarray:
+    """The middle (3,) of the surface that points (N, 3) lie on, however many there are here and there."""
+    cell = np.floor(points / longest * COLUMNS).clip(-(1 << 20), (1 << 20) - 1).astype(np.int64) + (1 << 20)
+    key = np.sort(cell[:, 0] << 42 | cell[:, 1] << 21 | cell[:, 2])  # faster than rows
+    key = key[np.flatnonzero(np.diff(key, prepend=-1))]
+    cells = np.stack([key >> 42, key >> 21 & (1 << 21) - 1, key & (1 << 21) - 1], 1) - (1 << 20)
+    return cells.mean(0) * longest / COLUMNS
+
+
+def tipping(points: np.ndarray, centre: np.ndarray, axis: int, sign: int, longest: float) -> float:
+    """Slope (-0.5 to 0.5) that tips a body off its lowest slab; negative if it falls on its own."""
+    h = sign * points[:, axis]
+    foot = points[h < np.percentile(h, 0.3) + SLAB * longest][:, [i for i in range(3) if i != axis]]
+    sides = hull(foot) - np.delete(centre, axis)
+    along = np.roll(sides, -1, axis=0) - sides
+    length = np.hypot(*along.T)
+    if len(sides) < 3 or length.min() == 0.0:  # a point or a line
+        return -0.5
+    inside = ((sides[:, 0] * along[:, 1] - sides[:, 1] * along[:, 0]) / length).min()  # distance to the nearest side
+    return float(np.clip(inside / max(sign * centre[axis] - np.percentile(h, 0.3), 1e-12), -0.5, 0.5))
+
+
+def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
+    """For each axis that may point up: what speaks for it, larger is more likely."""
+    g = gaussians.select(gaussians.opacities >= min(0.3, np.median(gaussians.opacities)))
+    points = g.means.astype(np.float64)
+    low, high = extent(points)
+    longest = (high - low).max()
+    sigma = np.sort(g.log_scales, axis=1)[:, 1]  # the middle one: the width of a disc, whatever its length
+    centre = centre_of(points, longest)
+    luma = np.clip(0.5 + C0 * g.sh[:, 0], 0, 1) @ LUMA
+    found = {}
+    for axis in range(3):
+        below, above = first_hits(points, axis, low, longest)
+        h = points[:, axis]
+        single = h[above] - h[below] < SINGLE * longest
+        middle = (h[below] + h[above]) / 2
+        height = 2 * (middle - low[axis]) / max(high[axis] - low[axis], 1e-12) - 1  # -1 bottom, 1 top
+        hollow = {s: hollow_columns(points, points[hit], axis, s, longest) for s, hit in ((1, above), (-1, below))}
+        single &= ~(hollow[1] | hollow[-1])  # the floor of a cup is single where its underside is missing
+        plus = {
+            "size": float(sigma[below].mean() - sigma[above].mean()),
+            "opacity": float(g.opacities[below].mean() - g.opacities[above].mean()),
+            "brightness": float(luma[above].mean() - luma[below].mean()),
+            "open": float((single * height.clip(-1, 1)).mean()),
+            "hollow": float(hollow[1].mean() - hollow[-1].mean()),
+        }
+        for sign in (1, -1):
+            both = {k: sign * v for k, v in plus.items()}
+            found[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"] = both | {
+                "stable": tipping(points, centre, axis, sign, longest)
+            }
+    return found
+
+
+def guess(gaussians: Gaussians) -> tuple[str, float]:
+    """The axis of the file that points up, "+x", "-x", ... "-z", and how sure that is, 0 to 1.
+
+    Of a room or a garden its planes tell. How sure is a share of exp(votes): it ranks guesses, it is no frequency.
+    """
+    votes, unit = scene_votes(gaussians), SCENE_UNIT
+    if votes is not None:
+        votes = {up: vote + 0.1 * USUAL[up] for up, vote in votes.items()}
+    else:
+        unit = BODY_UNIT
+        votes = {
+            up: USUAL[up] + sum(WEIGHT[name] * value for name, value in of.items())
+            for up, of in cues(gaussians).items()
+        }
+    return surest(votes, unit)
+
+
+def surest(votes: dict[str, float], unit: float) -> tuple[str, float]:
+    """The name with the largest vote, and its share where a vote that is larger by `unit` counts e times as much."""
+    up = max(AXES, key=lambda name: votes[name])
+    return up, float(1 / sum(np.exp((vote - votes[up]) / unit) for vote in votes.values()))
+
+
+def guess_up(gaussians: Gaussians) -> str:
+    """The axis of the file that points up, as `guess` has it."""
+    return guess(gaussians)[0]
+
+
+def told(up: str, sure: float) -> str:
+    """What a terminal says of a guess."""
+    return f"{up} (guessed, {sure:.0%} sure; --up overrides)"
+
+
+def rotation_to_up(up: str) -> np.ndarray:
+    """Rotation (3, 3) that carries the axis `up` of the file to +y; of those the smallest turn. Raises BadInput."""
+    if up not in AXES:
+        raise BadInput(f"up axis {up!r} is unknown; one of {', '.join(sorted(AXES))}")
+    axis, sign = AXES[up]
+    return {
+        "+y": np.eye(3),
+        "-y": np.diag([1.0, -1.0, -1.0]),  # half a turn about x, as from COLMAP's cameras to OpenGL's
+        "+z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+        "-z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        "+x": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
+        "-x": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+    }[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"]
+
+
+def metres(longest: float, scale: float | None) -> float:
+    """Size [m] of a body whose largest extent in the file is `longest`: as asked, else the file's if it is plausible.
+
+    Raises BadInput.
+    """
+    if scale is None:
+        return longest if PLAUSIBLE[0] <= longest <= PLAUSIBLE[1] else USUAL_SIZE
+    if not SIZES[0] <= scale <= SIZES[1]:
+        raise BadInput(f"a size of {scale:g} m is out of range ({SIZES[0]} to {SIZES[1]:g})")
+    return float(scale)

@@ -1,0 +1,219 @@
+"""The rows of the physics table that need no contact, measured through the public Solver.
+
+Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every function returns rows
+{"check", "reference", "measured", "tolerance", "pass"}; Taichi must be initialised.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from bench import fem
+from bench.sample_meshes import box
+from core.material import Material
+from sim.soft_body import SoftBody, rest_volumes
+from sim.solver import Solver
+
+DENSITY, G = 1000.0, 9.81
+BAR, TETS, SURFACE = box((1.0, 0.2, 0.2), (10, 2, 2), mirror=False)
+BAR = BAR - [0.0, 0.1, 0.1]
+LEFT, RIGHT = np.flatnonzero(BAR[:, 0] < 1e-9), np.flatnonzero(BAR[:, 0] > 1 - 1e-9)
+DOWN = (np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5))  # turns +x to -y
+
+
+def row(check: str, reference: float, measured: float, tolerance: float, *, error: float | None = None) -> dict:
+    """A row; the error is relative to the reference unless it is given."""
+    error = abs(measured / reference - 1) if error is None else error
+    return {
+        "check": check,
+        "reference": float(reference),
+        "measured": float(measured),
+        "tolerance": tolerance,
+        "pass": bool(error <= tolerance),
+    }
+
+
+def bar(name: str, young: float, poisson: float, damping: float, **place) -> SoftBody:
+    return SoftBody(name, BAR, TETS, SURFACE, Material(young, poisson, DENSITY, damping=damping), **place)
+
+
+def positions(solver: Solver) -> list[np.ndarray]:
+    """Positions of each body in float64, what fp32 lost included."""
+    q, o = solver.snapshot(), solver.vertex_offset
+    x = q["x"].astype(np.float64) + q["carry"]
+    return [x[a:b] for a, b in pairwise(o)]
+
+
+def free_fall() -> list[dict]:
+    """The fp32 trap: at dt = 1e-4, dt^2 g is under one unit in the last place of a position."""
+    heights, duration = (0.3, 1.5, 3.0, 6.0), 0.5
+    x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
+    material = Material(1e5, 0.3, DENSITY, damping=0.0)
+    bodies = [SoftBody(f"{h} m", x, tets, surface, material, position=(h, h, h)) for h in heights]
+    solver = Solver(bodies, substep=1e-4, contacts=False)
+    frames = 30
+    for _ in range(frames):
+        solver.step(duration / frames)
+    rows = []
+    for h, state in zip(heights, solver.bodies(), strict=True):
+        rows.append(row(f"free fall at {h} m, speed [m/s]", G * duration, -state.velocity[1], 1e-4))
+        fallen = h + 0.05 - state.centroid[1]
+        exact = 0.5 * G * duration * (duration + solver.stats["dt"])  # of the symplectic step
+        rows.append(row(f"free fall at {h} m, way [m]", exact, fallen, 1e-4))
+    return rows
+
+
+def statics() -> list[dict]:
+    """Hanging bars, uniaxial stress, cantilever and twist, against formulas and linear FEM on the same mesh."""
+    young, angle = 1e7, 0.02
+    poissons = (0.0, 0.3, 0.45)
+    bodies = [
+        bar(f"nu={nu}", young, nu, 200.0, rotation=DOWN, position=(3 * k, 0, 0), pinned=LEFT)
+        for k, nu in enumerate(poissons)
+    ]
+    bodies.append(bar("cantilever", 4 * young, 0.3, 60.0, position=(0, 0, 3), pinned=LEFT))
+    bodies.append(bar("twist", young, 0.3, 200.0, position=(0, 0, 6), pinned=np.r_[LEFT, RIGHT]))
+    solver = Solver(bodies, contacts=False, path="jacobi")
+    start = [b.start() for b in bodies]
+    c, s = np.cos(angle), np.sin(angle)
+    twisted = [x.copy() for x in start]
+    twisted[4][RIGHT] = BAR[RIGHT] @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]]).T + [0, 0, 6]
+    solver.restore({"x": np.concatenate(twisted), "v": np.zeros((5 * len(BAR), 3))})
+    for _ in range(12):
+        solver.step(1 / 20)
+    x = positions(solver)
+    tip = [-(x[k][RIGHT] - start[k][RIGHT])[:, 1].mean() for k in range(4)]
+
+    rows, weight = [], bodies[0].masses()[:, None] * [0.0, -G, 0.0]
+    for k, b in enumerate(bodies[:4]):
+        K = fem.stiffness(start[k], TETS, b.material.young, b.material.poisson)
+        reference = -fem.solve(K, weight, LEFT)[RIGHT, 1].mean()
+        if k == 0:
+            reference = DENSITY * G / (2 * young)
+        name = "cantilever, sag [m]" if k == 3 else f"hanging bar, nu = {poissons[k]} [m]"
+        rows.append(row(name, reference, tip[k], 0.02 if k == 3 else 0.01))
+
+    middle = np.abs(BAR[TETS].mean(1)[:, 0] - 0.5) < 0.1  # the stress is rho g (L - x), uniaxial far from the ends
+    before, after = (rest_volumes(p, TETS)[middle].sum() for p in (start[1], x[1]))
+    rows.append(row("uniaxial stress, dV/V", 0.4 * DENSITY * G * 0.5 / young, after / before - 1, 0.03))
+
+    K = fem.stiffness(BAR, TETS, young, 0.3)
+    turned = np.zeros((len(BAR), 3))
+    turned[RIGHT] = angle * np.cross([1, 0, 0], BAR[RIGHT])
+    pinned = np.r_[LEFT, RIGHT]
+    u = fem.solve(K, np.zeros_like(BAR), pinned, turned[pinned])
+    reference = np.cross(BAR[RIGHT], (K @ u.ravel()).reshape(-1, 3)[RIGHT]).sum(0)[0]
+    force = elastic_forces(BAR, x[4] - [0, 0, 6], TETS, young, 0.3)
+    measured = -np.cross(x[4][RIGHT] - [0, 0, 6], force[RIGHT]).sum(0)[0]
+    rows.append(row("twist, torque [N m]", reference, measured, 0.02))
+    return rows
+
+
+def elastic_forces(vertices: np.ndarray, x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> np.ndarray:
+    """Forces [N] on vertices at x (V, 3) of a body with this rest shape, in float64 (MATH.md, section 7)."""
+    mu = young / (2 * (1 + poisson))
+    lam = mu + young * poisson / ((1 + poisson) * (1 - 2 * poisson))
+    before, now = (np.swapaxes(p[tets[:, 1:]] - p[tets[:, :1]], 1, 2) for p in (vertices, x))
+    B = np.linalg.inv(before)
+    F, volume = now @ B, np.linalg.det(before) / 6
+    f1, f2, f3 = F[:, :, 0], F[:, :, 1], F[:, :, 2]
+    cofactor = np.stack([np.cross(f2, f3), np.cross(f3, f1), np.cross(f1, f2)], 2)
+    J = np.linalg.det(F)
+    P = mu * F + (lam * (J - 1) - mu)[:, None, None] * cofactor
+    g = volume[:, None, None] * P @ np.swapaxes(B, 1, 2)
+    force = np.zeros_like(vertices, dtype=np.float64)
+    np.subtract.at(force, tets[:, 1:], np.swapaxes(g, 1, 2))
+    np.add.at(force, tets[:, 0], g.sum(2))
+    return force
+
+
+def vibration() -> list[dict]:
+    """First longitudinal mode of the free bar, nu = 0: f = sqrt(E/rho) / 2L; it falls meanwhile."""
+    young = 1e6
+    b = bar("bar", young, 0.0, 0.0)
+    solver = Solver([b], contacts=False)
+    mode = np.cos(np.pi * BAR[:, 0])
+    solver.restore({"x": BAR, "v": 0.05 * mode[:, None] * [1.0, 0.0, 0.0]})
+    frame, amplitude = 1 / 240, []
+    for _ in range(72):
+        solver.step(frame)
+        amplitude.append((b.masses() * mode) @ (positions(solver)[0] - BAR)[:, 0])
+    a, t = np.array(amplitude), frame * np.arange(1, 73)
+    k = np.flatnonzero(np.sign(a[1:]) != np.sign(a[:-1]))
+    crossings = t[k] - a[k] * frame / (a[k + 1] - a[k])
+    frequency = (len(crossings) - 1) / 2 / (crossings[-1] - crossings[0])
+    return [row("longitudinal vibration [Hz]", np.sqrt(young / DENSITY) / 2, frequency, 0.02)]
+
+
+def spin() -> list[dict]:
+    """A free spinning bar loses what the implicit step takes, L = L0 exp(-omega^2 dt t), and keeps its momentum."""
+    omega, duration = 10.0, 1.0
+    b = bar("bar", 1e6, 0.3, 0.0, position=(1, 1, 1))
+    m = b.masses()
+    solver = Solver([b], gravity=(0, 0, 0), contacts=False)
+    center = np.average(b.start(), axis=0, weights=m)
+    v = np.cross([0, 0, omega], b.start() - center) + [0.3, -0.2, 0.1]
+    solver.restore({"x": b.start(), "v": v})
+
+    def momenta():
+        q = solver.snapshot()
+        x, u = positions(solver)[0], q["v"].astype(np.float64) + q["v_carry"]
+        p = m @ u
+        r = x - np.average(x, axis=0, weights=m)
+        return p, m @ np.cross(r, u - p / m.sum())[:, 2]
+
+    p0, L0 = momenta()
+    for _ in range(20):
+        solver.step(duration / 20)
+    p, L = momenta()
+    scale = m @ np.linalg.norm(v, axis=1)
+    decay = np.exp(-(omega**2) * solver.stats["dt"] * duration)
+    drift = np.abs(p - p0).max() / scale
+    return [
+        row("spin, L / L0", decay, L / L0, 0.02),
+        row("spin, drift of momentum / sum m |v|", 0.0, drift, 1e-6, error=drift),
+    ]
+
+
+def recovery() -> list[dict]:
+    """A mirrored, a flattened, a random and a shrunken start: nothing inverted after 3 s, volume within 0.5%."""
+    poissons = {"mirrored": 0.3, "flat": 0.3, "random": 0.3, "shrunken": 0.0}
+    names = tuple(poissons)
+    bodies = [bar(n, 1e5, poissons[n], 10.0, position=(0, 0, 3 * k)) for k, n in enumerate(names)]
+    solver = Solver(bodies, gravity=(0, 0, 0), contacts=False)
+    rng = np.random.default_rng(0)
+    starts = (BAR * [-1, 1, 1], BAR * [1, 0, 1], rng.uniform(BAR.min(0), BAR.max(0), BAR.shape), 0.2 * BAR)
+    x = np.concatenate([s + [0, 0, 3 * k] for k, s in enumerate(starts)])
+    solver.restore({"x": x, "v": np.zeros_like(x)})
+    for _ in range(60):
+        solver.step(1 / 20)
+    rows, rest = [], rest_volumes(BAR, TETS).sum()
+    for name, x in zip(names, positions(solver), strict=True):
+        volumes = rest_volumes(x, TETS)
+        inverted = int((volumes <= 0).sum())
+        rows.append(row(f"{name} start, inverted tets", 0, inverted, 0, error=inverted))
+        rows.append(row(f"{name} start, volume / rest volume", 1.0, volumes.sum() / rest, 0.005))
+    return rows
+
+
+def long_run(substeps: int = 1_000_000) -> list[dict]:
+    """Undamped vibration for very many substeps: finite, and no energy from nowhere."""
+    x, tets, surface = box((0.3, 0.1, 0.1), (3, 1, 1))
+    b = SoftBody("bar", x, tets, surface, Material(1e5, 0.3, DENSITY, damping=0.0))
+    m = b.masses()
+    solver = Solver([b], gravity=(0, 0, 0), contacts=False)
+    mode = np.cos(np.pi * x[:, 0] / 0.3)[:, None]
+    v = mode * [0.3, 0.2, 0.0] + np.cross([0, 0, 1.0], x)
+    solver.restore({"x": x, "v": v})
+    before, most = 0.5 * m @ (v**2).sum(1), 0.0
+    solver.step(1 / 20)
+    frames = -(-substeps // solver.stats["substeps"])
+    for k in range(1, frames):
+        solver.step(1 / 20)
+        if k % 10 == 0 or k == frames - 1:
+            u = solver.snapshot()["v"].astype(np.float64)
+            most = max(most, 0.5 * m @ (u**2).sum(1) if np.isfinite(u).all() else np.inf)
+    return [row(f"{substeps:.0e} undamped substeps, energy / first", 1.0, most / before, 0.01, error=most / before - 1)]
+
+
+ALL = (free_fall, statics, vibration, spin, recovery)

@@ -1,0 +1,115 @@
+"""`vrgs.py bench popping`: how much a picture flickers when the head turns, for each way to sort, and what it costs.
+
+A head turns by one degree about its eye, in small steps. What lies in a direction stays there, so pictures are drawn
+SHARPER times as fine, brought to the directions of the first one, and each is compared with the one before. Their
+mean absolute difference is the change: what pops, what projecting splats to a plane changes slowly, and what is finer
+than the pixels that are drawn. A reference whose pixels sort (almost) all splats changes by the last two alone.
+Popping is the mean absolute difference between a way's change and the reference's.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+
+from core.camera import Camera
+from display.run_stats import write_stats
+from display.viewer import camera_around, upright
+from render.sort_modes import SORTS
+
+DEGREES, STEPS, SHARPER = 1.0, 20, 3
+SIZE = (480, 360)  # [px] of the pictures that are compared
+EDGE = 0.1  # of a side that is left out: the turn brings in what was not seen
+REFERENCE = 64  # splats that its pixels put in order; more changed the dining room by less than 1e-4 of 255
+
+
+def run(args) -> None:
+    """The command: measure every way to sort, print a table, write --json."""
+    gaussians, _ = upright(args.splats, None)
+    camera = camera_around(gaussians, SHARPER * SIZE[0], SHARPER * SIZE[1], 0.4)
+    rows = measure(gaussians, camera)
+    print("differences in 1/255")
+    print(f"{'sort':10} {'popping':>9} {'change':>9} {'worst step':>11} {'error':>9} {'ms':>8}")
+    for row in rows:
+        numbers = "{popping:9.5f} {change:9.5f} {worst:11.5f} {error:9.5f} {ms:8.2f}".format(**row)
+        print(f"{row['sort']:10} {numbers}", flush=True)
+    if args.json:
+        write_stats(args.json, rows)
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The camera after a turn to the side about its own centre."""
+    a = np.radians(degrees)
+    turn = np.eye(4)
+    turn[0, [0, 2]], turn[2, [0, 2]] = (np.cos(a), np.sin(a)), (-np.sin(a), np.cos(a))
+    return replace(camera, world_to_camera=turn @ camera.world_to_camera)
+
+
+def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> list[dict]:
+    """One row per way, the reference first: options of Renderer by name, all ways to sort if None.
+
+    All differences in 1/255, means over pixels, channels and steps: popping, beyond the reference's change; change,
+    from step to step; worst, that of the worst step; error, against the reference. ms: the median time of a picture;
+    all ways draw a step before the next, so that they share what else the machine does.
+    """
+    import taichi as ti
+
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    ways = {sort: {"sort": sort} for sort in SORTS} if ways is None else ways
+    ways = {"reference": {"sort": "pixel", "window": REFERENCE}, **ways}
+    splats = Splats(gaussians)
+    renderers = [Renderer(splats, camera.width, camera.height, outputs="float", **how) for how in ways.values()]
+    times, changes, popping, errors, before = [], [], [], [], None
+    for k in range(STEPS + 1):
+        now = turned(camera, DEGREES * k / STEPS)
+        pictures = []
+        for renderer in renderers:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SyntaxWarning)  # of a window that takes long to compile
+                begin = perf_counter()
+                renderer.render([now])
+                ti.sync()
+            times.append(perf_counter() - begin)
+            pictures.append(255 * compared(renderer.rgb.to_numpy()[0], camera, now))
+        pictures = np.stack(pictures)
+        if before is not None:
+            step = pictures - before
+            changes.append(np.abs(step).mean(axis=(1, 2, 3)))
+            popping.append(np.abs(step - step[0]).mean(axis=(1, 2, 3)))
+            errors.append(np.abs(pictures - pictures[0]).mean(axis=(1, 2, 3)))
+        before = pictures
+    for renderer in renderers:
+        renderer.destroy()
+    return [
+        {
+            "bench": "popping",
+            "sort": name,
+            "popping": float(np.mean(popping, axis=0)[i]),
+            "change": float(np.mean(changes, axis=0)[i]),
+            "worst": float(np.max(changes, axis=0)[i]),
+            "error": float(np.mean(errors, axis=0)[i]),
+            "ms": 1e3 * median(times[i :: len(ways)][2:]),
+            "arch": str(ti.cfg.arch).removeprefix("Arch."),
+        }
+        for i, name in enumerate(ways)
+    ]
+
+
+def compared(picture: np.ndarray, camera: Camera, now: Camera) -> np.ndarray:
+    """A picture of `now`, brought to the directions of `camera`, at SIZE and without its edge."""
+    import cv2
+
+    K = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
+    back = camera.world_to_camera[:3, :3] @ now.world_to_camera[:3, :3].T  # from its rays to the first one's
+    H = K @ back.T @ np.linalg.inv(K)
+    flat = cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
+    picture = cv2.GaussianBlur(picture, (0, 0), SHARPER / 2)  # so that it matters little where between pixels it lands
+    picture = cv2.warpPerspective(picture, H, (camera.width, camera.height), flags=flat)
+    left, top = (round(EDGE * side) for side in SIZE)
+    return cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)[top:-top, left:-left]

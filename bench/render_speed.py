@@ -1,0 +1,81 @@
+"""`vrgs.py bench render`: how long a headset's picture takes, both eyes, for rooms of several sizes.
+
+Medians of whole calls of `Renderer.render`, waiting for the device included; the head turns a little between them.
+`bench/peers/gsplat_peer.py` puts gsplat beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from statistics import median
+from time import perf_counter
+
+import taichi as ti
+
+from bench.synthetic_room import SIZES, eyes, room
+from core.camera import Camera
+from display.headless.video import claim
+from display.run_stats import write_stats
+from render.renderer import Renderer
+from render.splats import Splats
+
+TURN = 0.002  # [rad] between two frames: 10 degrees a second at 90 Hz
+WARM = 5  # frames that are not counted: they compile, and find out how much room is needed
+
+
+def run(args) -> None:
+    """The command: measure every room, print a table, write --json."""
+    if args.json:
+        claim(args.json, args.json.with_name(f".{args.json.name}.part"))
+    rows = []
+    print(f"{'Gaussians':>10} {'pairs':>11} {'median ms':>10} {'worst ms':>10}", flush=True)
+    for name in args.gaussians:
+        row = measure(SIZES[name], *args.size, rounds=args.rounds)
+        rows.append(row)
+        print(f"{name:>10} {row['pairs']:11,} {row['median_ms']:10.3f} {row['worst_ms']:10.3f}", flush=True)
+    if args.json:
+        write_stats(args.json, rows)
+
+
+def measure(count: int, width: int, height: int, *, rounds: int) -> dict:
+    """One row: a room of `count` Gaussians, SH of degree 3, two eyes of width x height [px]."""
+    renderer = Renderer(Splats(room(count)), width, height, views=2)
+    took = times(lambda cameras: renderer.render(cameras), ti.sync, width, height, rounds)
+    pairs = int(renderer.raster.order.pairs[None])
+    renderer.destroy()
+    return {
+        "bench": "render",
+        "gaussians": count,
+        "width": width,
+        "height": height,
+        "views": 2,
+        "pairs": pairs,
+        "median_ms": 1e3 * median(took),
+        "worst_ms": 1e3 * max(took),
+        "arch": str(ti.cfg.arch).removeprefix("Arch."),
+    }
+
+
+def times(
+    draw: Callable[[list[Camera]], object],
+    wait: Callable[[], object],
+    width: int,
+    height: int,
+    rounds: int,
+    *,
+    warm: int = WARM,
+    most: float = math.inf,
+) -> list[float]:
+    """Wall times [s] of `rounds` pictures from a slowly turning head; fewer, but three, where they took `most` [s]."""
+    result = []
+    for k in range(warm + rounds):
+        cameras = eyes(width, height, turn=TURN * k)
+        wait()
+        begin = perf_counter()
+        draw(cameras)
+        wait()
+        result.append(perf_counter() - begin)
+        if len(result) >= warm + 3 and sum(result[warm:]) > most:
+            break
+    return result[warm:]

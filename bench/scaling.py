@@ -1,0 +1,183 @@
+"""`vrgs.py bench scaling`: the time of a picture against the number of Gaussians, and against that of pixels.
+
+Rooms of 0.1 to 10 million Gaussians, SH of degree 3, seen by two eyes of 1800 x 1920; and one room of 1.313 million in
+a single picture of 0.5 to 16 megapixels. Medians of whole calls of `Renderer.render`. A Markdown table, a plot
+(--plot), rows (--json); --from draws table and plot of several devices from the rows that each of them wrote.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from statistics import median
+
+from assets.file_access import replacing
+from bench.plot import Panel, svg
+from core.errors import BadInput
+from display.headless.video import claim
+from display.run_stats import write_stats
+
+MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
+EYE = (1800, 1920)  # [px]
+MEGAPIXELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+ROOM = 1_313_000  # Gaussians, while pixels are counted
+SECONDS = 12.0  # of a row: a device that is slow draws fewer pictures than --rounds, but at least three
+WARM = 2  # pictures that are not counted: the first compiles, and finds out how much room is needed
+# By what a row was measured: the title of its panel, the label of its axis, where that is labelled
+SWEEPS = {
+    "gaussians": (f"Two eyes of {EYE[0]}×{EYE[1]}", "million Gaussians", MILLIONS),
+    "pixels": (f"{ROOM / 1e6:g} million Gaussians, one picture", "megapixels", MEGAPIXELS),
+}
+
+
+def run(args) -> None:
+    """The command: measure, or read what was measured; print the tables, write --json and --plot. Raises BadInput."""
+    if args.plot and args.plot.suffix.lower() != ".svg":
+        raise BadInput(f"{args.plot}: the plot's name must end in .svg")
+    for out in (args.json, args.plot):
+        if out:
+            claim(out, out.with_name(f".{out.name}.part"))
+    rows = [row for path in args.earlier for row in read_rows(path)] if args.earlier else measure_all(args.rounds)
+    print(tables(rows))
+    if args.json:
+        write_stats(args.json, rows)
+    if args.plot:
+        with replacing(args.plot) as beside:
+            beside.write_text(svg(panels(rows)), encoding="utf-8")
+
+
+def measure_all(rounds: int) -> list[dict]:
+    """All rows of this device, in the order of `SWEEPS`."""
+    from bench.synthetic_room import room
+    from render.splats import Splats
+
+    rows, device = [], device_name()
+
+    def add(**row) -> None:
+        rows.append({"bench": "scaling", "device": device, **row})
+        print(
+            f"{row['gaussians'] / 1e6:8.3f}M {row['width']:5}x{row['height']:<5} {row['median_ms']:10.2f} ms",
+            flush=True,
+        )
+
+    for million in MILLIONS:
+        count = round(1e6 * million)
+        splats = Splats(room(count))
+        add(by="gaussians", x=million, gaussians=count, **measure(splats, [EYE], 2, rounds)[0])
+        splats.destroy()
+    splats = Splats(room(ROOM))
+    for megapixels, row in zip(MEGAPIXELS, measure(splats, map(sides, MEGAPIXELS), 1, rounds), strict=True):
+        add(by="pixels", x=megapixels, gaussians=ROOM, **row)
+    splats.destroy()
+    return rows
+
+
+def sides(megapixels: float) -> tuple[int, int]:
+    """Width and height [px] of a 4:3 picture; no care is taken that tiles divide them."""
+    width = round((1e6 * megapixels * 4 / 3) ** 0.5)
+    return width, round(1e6 * megapixels / width)
+
+
+def measure(splats, sizes, views: int, rounds: int) -> list[dict]:
+    """One row for each size (width, height), with one renderer: a new size compiles nothing."""
+    import taichi as ti
+
+    from bench.render_speed import times
+    from render.renderer import Renderer
+
+    renderer, rows = None, []
+    for width, height in sizes:
+        if renderer is None:
+            renderer = Renderer(splats, width, height, views=views)
+        else:
+            renderer.resize(width, height)
+        draw = renderer.render
+        took = times(
+            lambda eyes, draw=draw: draw(eyes[:views]), ti.sync, width, height, rounds, warm=WARM, most=SECONDS
+        )
+        pairs = int(renderer.raster.order.pairs[None])
+        if pairs > renderer.raster.stage.bins.capacity:
+            raise BadInput(f"{pairs} pairs of tile and Gaussian did not fit: a picture of {width}x{height} lacks some")
+        row = {"width": width, "height": height, "views": views, "pairs": pairs, "rounds": len(took)}
+        rows.append({**row, "median_ms": 1e3 * median(took), "best_ms": 1e3 * min(took)})
+    renderer.destroy()
+    return rows
+
+
+def device_name() -> str:
+    """Of what draws: the GPU's own name, or the number of CPU cores that this process may use."""
+    import taichi as ti
+
+    if ti.cfg.arch != ti.cuda:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        return f"{cores} CPU cores"
+    import ctypes
+
+    try:
+        cuda = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+    except OSError:
+        return "CUDA"
+    name, device = ctypes.create_string_buffer(256), ctypes.c_int()
+    if cuda.cuInit(0) or cuda.cuDeviceGet(ctypes.byref(device), 0) or cuda.cuDeviceGetName(name, 256, device):
+        return "CUDA"
+    return name.value.decode(errors="replace")
+
+
+def read_rows(path: Path) -> list[dict]:
+    """Rows that --json wrote. Raises BadInput."""
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    except ValueError as e:
+        raise BadInput(f"{path}: not JSON ({e})") from e
+    if not isinstance(rows, list) or not rows or not all(map(is_row, rows)):
+        raise BadInput(f"{path}: holds no rows of bench scaling")
+    return rows
+
+
+def is_row(row) -> bool:
+    """Whether everything that is drawn of a row is there, and numbers can stand on a logarithmic axis."""
+    if not isinstance(row, dict) or row.get("bench") != "scaling" or row.get("by") not in SWEEPS:
+        return False
+    numbers = [row.get(name) for name in ("x", "median_ms", "pairs")]
+    return isinstance(row.get("device"), str) and all(type(n) in (int, float) and 1e-9 < n < 1e15 for n in numbers)
+
+
+def tables(rows: list[dict]) -> str:
+    """Two Markdown tables, a column for each device: median ms (million pairs of tile and Gaussian)."""
+    parts = []
+    for by, (title, label, _) in SWEEPS.items():
+        mine = [row for row in rows if row["by"] == by]
+        if not mine:
+            continue
+        devices = list(dict.fromkeys(row["device"] for row in mine))
+        found = {(row["x"], row["device"]): f"{short(row['median_ms'])} ({row['pairs'] / 1e6:.1f})" for row in mine}
+        parts += [f"{title}: median ms (million pairs)", ""]
+        parts += [f"| {label} | {' | '.join(devices)} |", f"| --- |{' --- |' * len(devices)}"]
+        for x in sorted({row["x"] for row in mine}):
+            parts.append(f"| {x:g} | {' | '.join(found.get((x, device), '–') for device in devices)} |")
+        parts.append("")
+    return "\n".join(parts)
+
+
+def short(x: float) -> str:
+    """Three digits that count: 0.0123, 4.56, 1,230."""
+    digits = 2 - math.floor(math.log10(x))
+    return f"{round(x, digits):,.{max(digits, 0)}f}"
+
+
+def panels(rows: list[dict]) -> list[Panel]:
+    """What the plot shows."""
+    result = []
+    for by, (title, label, ticks) in SWEEPS.items():
+        curves: dict[str, list] = {}
+        for row in rows:
+            if row["by"] == by:
+                curves.setdefault(row["device"], []).append((row["x"], row["median_ms"]))
+        if curves:
+            xs = {x for curve in curves.values() for x, _ in curve}
+            result.append(Panel(title, label, "milliseconds", curves, tuple(sorted({*ticks, *xs}))))
+    return result

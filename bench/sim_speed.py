@@ -1,0 +1,120 @@
+"""`vrgs.py bench sim`: how long the paper's frame of 400 substeps takes, without contact and with it.
+
+Frames of 40 ms at a forced substep of 1e-4 s and one sweep, and frames of a 90 Hz headset. Medians of whole calls of
+`Solver.step`, waiting for the device included; `simulated_per_second` is how much faster than time itself it runs.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+import taichi as ti
+
+from assets.asset import DistanceGrid
+from bench.sample_meshes import box
+from core.material import Material
+from display.headless.video import claim
+from display.run_stats import write_stats
+from sim.contact.static_shapes import StaticGrid
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+SUBSTEP, SUBSTEPS, HEADSET = 1e-4, 400, 1 / 90
+PASSES = 4  # searches for contacts a frame of 400 substeps: about as often as frames of a headset have one
+STIFFEST = (
+    1.0e6  # young / (density edge^2) [1/s^2] that the stability rule allows at this substep, whatever the corners
+)
+EDGE = 0.01  # [m] of a cell
+# grid points along each axis of the only body; of each of two; of each of many
+ONE = {"1.7k": (12, 12, 12), "9.3k": (21, 21, 21), "24k": (29, 29, 29), "46k": (36, 36, 36)}
+TWO = {"1.7k": (9, 9, 11), "9.3k": (16, 17, 17), "24k": (23, 23, 23), "46k": (28, 29, 29)}
+MANY, COUNT = (6, 6, 6), 43
+TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times real")
+
+
+def run(args) -> None:
+    """The command: measure every scene, print a table, write --json."""
+    if args.json:
+        claim(args.json, args.json.with_name(f".{args.json.name}.part"))
+    rows = []
+    print(f"{'scene':28}" + "".join(f" {title:>12}" for title in TITLES), flush=True)
+    for name, bodies, ground, contacts in scenes(args.sizes):
+        row = measure(name, bodies, ground, contacts, frames=args.rounds)
+        rows.append(row)
+        figures = (row[k] for k in ("median_ms", "us_per_substep", "headset_ms", "simulated_per_second"))
+        print(f"{name:28} {row['vertices']:12} {row['tets']:12}" + "".join(f" {f:12.2f}" for f in figures), flush=True)
+    if args.json:
+        write_stats(args.json, rows)
+
+
+def scenes(sizes: list[str]) -> Iterator[tuple[str, list[SoftBody], list, bool]]:
+    """Name, bodies, static shapes and whether contact is simulated, from the smallest to the largest."""
+    for size in sizes:
+        yield f"{size}, no contact", [block("block", ONE[size])], [], False
+    yield f"{COUNT} bodies, no contact", [block(f"{k}", MANY, at=(0.1 * k, 0, 0)) for k in range(COUNT)], [], False
+    for size in sizes:
+        lower = block("lower", TWO[size], velocity=(1.0, 0.0, 0.0))
+        height = float(np.max(lower.vertices[:, 1]))
+        upper = block("upper", TWO[size], at=(0.0, height, 0.0), velocity=(1.0, 0.0, 0.0))
+        yield f"{size}, sliding, two touch", [lower, upper], [ground()], True
+    pile = [block(f"{k}", MANY, at=(0.06 * (k % 4), 0.06 * (k // 16), 0.06 * (k // 4 % 4))) for k in range(COUNT)]
+    yield f"{COUNT} bodies, in a pile", pile, [ground()], True
+
+
+def block(name: str, points: tuple[int, int, int], *, at=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)) -> SoftBody:
+    """A block of cells of EDGE, six tets each, about as stiff as the substep allows."""
+    cells = np.array(points) - 1
+    x, tets, surface = box(cells * EDGE, cells)
+    material = Material(STIFFEST * 1000.0 * EDGE**2, 0.3, 1000.0, friction=0.5, damping=2.0)
+    return SoftBody(name, x, tets, surface, material, position=at, velocity=velocity)
+
+
+def ground() -> StaticGrid:
+    """A floor at y = 0 as a signed distance grid, large enough for what slides on it."""
+    spacing, low = 0.02, np.array([-1.0, -0.2, -1.0])
+    shape = (150, 25, 120)
+    y = low[1] + spacing * np.arange(shape[1])
+    values = np.broadcast_to(y[None, :, None], shape).astype(np.float32)
+    return StaticGrid(DistanceGrid(np.ascontiguousarray(values), low, spacing), friction=0.02)  # with the blocks: 0.1
+
+
+def measure(name: str, bodies: list[SoftBody], shapes: list, contacts: bool, *, frames: int) -> dict:
+    """One row: medians over frames, after some that compile and settle."""
+    frame = SUBSTEP * SUBSTEPS
+    solver = Solver(bodies, shapes, substep=SUBSTEP, frame_dt=frame, collision_passes=PASSES, contacts=contacts)
+    long = times(solver, frame, frames)
+    touching = sum(int(c.rows.claimed.to_numpy().sum()) for c in solver._constraints)
+    solver.collision_passes = 1
+    short = times(solver, HEADSET, frames)
+    if not solver.stats["finite"]:
+        sys.exit(f"vrgs: bench sim: {name} is not finite")
+    return {
+        "bench": "sim",
+        "scene": name,
+        "bodies": len(bodies),
+        "contact_rows": touching,
+        "vertices": solver.stats["vertices"],
+        "tets": solver.stats["tets"],
+        "substeps": SUBSTEPS,
+        "median_ms": 1e3 * median(long),
+        "worst_ms": 1e3 * max(long),
+        "us_per_substep": 1e6 * median(long) / SUBSTEPS,
+        "headset_ms": 1e3 * median(short),
+        "simulated_per_second": HEADSET / median(short),
+        "arch": str(ti.cfg.arch).removeprefix("Arch."),
+    }
+
+
+def times(solver: Solver, dt: float, frames: int) -> list[float]:
+    """Wall times [s] of frames of dt, the first three (compiling, first touch) left out."""
+    result = []
+    for _ in range(frames + 3):
+        begin = perf_counter()
+        solver.step(dt)
+        ti.sync()
+        result.append(perf_counter() - begin)
+    return result[3:]

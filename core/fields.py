@@ -1,0 +1,172 @@
+"""Device memory: groups of Taichi fields, their capacities, and transfers to and from the host."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import taichi as ti
+from taichi._snode.snode_tree import SNodeTree
+from taichi.lang import impl
+
+PACKAGES = ("core", "sim", "render")  # whose objects own fields, see `destroy_fields`
+
+
+def round_up_capacity(count: int, multiple: int = 64) -> int:
+    """Capacity for `count` elements, a positive multiple of `multiple`: 4, 5, 6 or 7 times a power of two.
+
+    At most a quarter is wasted, and scenes of similar size share their compiled kernels.
+    """
+    step = max(multiple, 1 << max(0, (max(count, 1) - 1).bit_length() - 3))
+    return max(step, -(-count // step) * step)
+
+
+class FieldGroup:
+    """Taichi fields that are placed in one tree and freed together.
+
+    Declare fields by `scalar`, `vector` and `matrix`, then `build` once; `destroy` frees them.
+    """
+
+    def __init__(self):
+        self._builder = ti.FieldsBuilder()
+        self._tree: SNodeTree | None = None
+
+    def scalar(self, *shape: int, dtype=ti.f32):
+        """A scalar field of this shape; no shape: a single value."""
+        return self._place(ti.field(dtype), shape)
+
+    def vector(self, *shape: int, n: int = 3, dtype=ti.f32):
+        """A field of n-vectors."""
+        return self._place(ti.Vector.field(n, dtype), shape)
+
+    def matrix(self, *shape: int, n: int = 3, m: int = 3, dtype=ti.f32):
+        """A field of n x m matrices."""
+        return self._place(ti.Matrix.field(n, m, dtype), shape)
+
+    def build(self) -> None:
+        """Allocate the declared fields, all zero."""
+        self._tree = self._builder.finalize()
+
+    def destroy(self) -> None:
+        """Free the device memory; no kernel may use these fields afterwards."""
+        if self._tree is not None and not self._tree.destroyed:
+            self._tree.destroy()
+
+    def _place(self, field, shape):
+        axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
+        node = self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder
+        node.place(field)
+        return field
+
+
+def destroy_fields(owner) -> None:
+    """Free all field trees that an object and the objects it is made of have placed, each once."""
+    found, seen, todo = [], set(), [owner]
+    while todo:
+        at = todo.pop()
+        if id(at) in seen:
+            continue
+        seen.add(id(at))
+        if isinstance(at, SNodeTree):
+            found.append(at)
+        elif isinstance(at, dict):
+            todo += at.values()
+        elif isinstance(at, (list, tuple)):
+            todo += at
+        elif type(at).__module__.split(".")[0] in PACKAGES:
+            todo += vars(at).values()
+    for tree in found:
+        if not tree.destroyed:
+            tree.destroy()
+
+
+@contextmanager
+def keeping_kernels() -> Iterator[None]:
+    """While active, destroying field trees keeps all compiled kernels: those that used the trees are never called again.
+
+    Taichi 1.7.4 forgets all kernels of a program when one tree goes, lest one of them reach for it: then the next frame
+    compiles everything anew. A kernel that knows the tree is known by the fields or by the object that it was compiled
+    for, and neither comes back, so that the other kernels may stay.
+    """
+    runtime = impl.get_runtime()
+    runtime.clear_compiled_functions = lambda: None  # hides the method
+    try:
+        yield
+    finally:
+        del runtime.clear_compiled_functions
+
+
+@ti.func
+def two_sum(a, b):
+    """a + b as a float32 and the float32 remainder that it lost, |a| >= |b|.
+
+    In double precision, because the float32 form c = b - ((a + b) - a) is algebraically zero and
+    is folded away by the compiler's fast-math.
+    """
+    s = ti.cast(a, ti.f64) + ti.cast(b, ti.f64)
+    high = ti.cast(s, ti.f32)
+    return high, ti.cast(s - ti.cast(high, ti.f64), ti.f32)
+
+
+def upload(field, values: np.ndarray) -> None:
+    """Fill the front of a field from host values (n, ...); the rest becomes zero."""
+    Upload([field])([values])
+
+
+class Download:
+    """One kernel that reads the fronts of several vec3 fields of one size, as (fields, n, 3) float32."""
+
+    def __init__(self, fields: list):
+        self.count = len(fields)
+
+        @ti.kernel
+        def read(n: ti.i32, out: ti.types.ndarray(ti.f32, 3)):
+            for i in range(n):
+                for k, c in ti.static(ti.ndrange(len(fields), 3)):
+                    out[k, i, c] = fields[k][i][c]
+
+        self.read = read
+
+    def __call__(self, n: int) -> np.ndarray:
+        out = np.zeros((self.count, max(n, 1), 3), np.float32)  # Taichi takes no empty arrays
+        self.read(n, out)
+        return out[:, :n]
+
+
+class Upload:
+    """One kernel that fills many fields (scalars, or of one dimension): one for each would take seconds to compile."""
+
+    def __init__(self, fields: list):
+        self.fields = fields
+        self.shapes = [(f.shape or (1,), getattr(f, "n", 1), getattr(f, "m", 1)) for f in fields]
+        sizes = [int(np.prod(shape)) * n * m for shape, n, m in self.shapes]
+        begins = [0, *np.cumsum(sizes).tolist()]
+        widths, matrix = [n * m for _, n, m in self.shapes], [m for _, _, m in self.shapes]
+        reals = [f.dtype == ti.f32 for f in fields]
+
+        @ti.kernel
+        def fill(bits: ti.types.ndarray(ti.i32, 1)):
+            for k in ti.static(range(len(fields))):
+                for i in range(sizes[k] // widths[k]):
+                    for c in ti.static(range(widths[k])):
+                        bit = bits[begins[k] + i * widths[k] + c]
+                        value = ti.bit_cast(bit, ti.f32) if ti.static(reals[k]) else bit
+                        if ti.static(len(fields[k].shape) == 0 and widths[k] == 1):
+                            fields[k][None] = value
+                        elif ti.static(widths[k] == 1):
+                            fields[k][i] = value
+                        elif ti.static(matrix[k] == 1):
+                            fields[k][i][c] = value
+                        else:
+                            fields[k][i][c // matrix[k], c % matrix[k]] = value
+
+        self.fill = fill
+
+    def __call__(self, values: list) -> None:
+        """Fill the front of each field from its values (n, ...); the rest becomes zero."""
+        parts = []
+        for field, (shape, n, m), value in zip(self.fields, self.shapes, values, strict=True):
+            full = np.zeros((*shape, n * m), np.int32 if field.dtype == ti.i32 else np.float32)
+            value = np.asarray(value, full.dtype).reshape(-1, n * m)
+            full[: len(value)] = value
+            parts.append(full.view(np.int32).ravel())
+        self.fill(np.concatenate(parts))

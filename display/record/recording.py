@@ -1,0 +1,219 @@
+"""What a user did, frame by frame, as an HDF5 file that plays again exactly (display/record/replay.py).
+
+Root attributes: `format` "vrgs-recording", `version`, `about` (JSON: the scene, the options, where kernels ran), and
+`layouts` (JSON: a list of what hands are made of, see display/record/packing.py).
+
+| dataset | shape, type | |
+| --- | --- | --- |
+| frames/dt, time, step | (F,) float64 | seconds; step 0: the whole dt at once |
+| frames/hands, frames/cameras | (F,) int32 | how many of each a frame has |
+| hands/layout | (H,) int32 | all frames' hands, one after the other |
+| hands/numbers | (N,) float64 | what they are made of |
+| cameras/values | (C, 22) float64 | width, height, fx, fy, cx, cy, world_to_camera row by row |
+| commands/text | (B,) uint8 | JSON lines, each with its frame: {"frame": 12, "pause": true} |
+| states/frame, states/count | (S,) int64, int32 | after which frame, and of how many bodies, about every second |
+| states/centroids | (M, 3) float64 | [m] |
+
+It is written to FILE.part, once a second all that has been since then at one go, and renamed at the end. What a session
+that broke off has left under that name is a whole recording up to there: `--replay FILE.h5.part` plays it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from core.camera import Camera
+from core.errors import BadInput
+from display.headless.video import claim
+from display.protocol import Frame
+from display.record.command_text import from_text, to_text
+from display.record.packing import pack
+
+FORMAT, VERSION = "vrgs-recording", 1
+OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
+OPTIONS += ("cells", "pieces")  # of the command: they make the world what it is
+SECOND = 1.0  # [s] between two states, and between two writings
+CAMERA = 22  # numbers
+CHUNK = {"frames": 1024, "hands/layout": 2048, "hands/numbers": 32768, "cameras": 256, "commands": 4096, "states": 256}
+DATASETS = {
+    "frames/dt": ((), np.float64),
+    "frames/time": ((), np.float64),
+    "frames/step": ((), np.float64),
+    "frames/hands": ((), np.int32),
+    "frames/cameras": ((), np.int32),
+    "hands/layout": ((), np.int32),
+    "hands/numbers": ((), np.float64),
+    "cameras/values": ((CAMERA,), np.float64),
+    "commands/text": ((), np.uint8),
+    "states/frame": ((), np.int64),
+    "states/count": ((), np.int32),
+    "states/centroids": ((3,), np.float64),
+}
+
+
+class Recording:
+    """`note` each frame before the world's step, `after` it; complete after `close`. Raises BadInput at once if the
+    file cannot be written; if that happens later, a line says so and the play goes on."""
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        self.part = self.path.with_name(f"{self.path.name}.part")
+        if self.part.exists():
+            raise BadInput(
+                f"{self.part} is what a session that broke off has left: play it with --replay, or remove it"
+            )
+        claim(self.path, self.part)
+        self.about: dict = {}
+        self.frames = 0
+        self._world, self._dt = None, 0.0  # of the last frame
+        self._layouts: dict[str, int] = {}
+        self._new: dict[str, list] = {name: [] for name in DATASETS}
+        self._since = self._written = 0.0  # [s] of recorded time
+        self._writer, self._closed = ThreadPoolExecutor(1), False
+        self._file = h5py.File(self.part, "w")
+        self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
+        for name, (shape, kind) in DATASETS.items():
+            rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
+            how = {"maxshape": (None, *shape), "chunks": (rows, *shape)}
+            self._file.create_dataset(name, (0, *shape), kind, **how)
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+    def begin(self, args, how: dict) -> None:
+        """What is played: the options of the command, and of the world."""
+        import taichi as ti
+
+        given = {key: getattr(args, key, None) for key in OPTIONS}
+        self.about = {key: value if value is None else plain(value) for key, value in given.items()}
+        self.about["arch"] = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+        self.about["world"] = {key: value for key, value in how.items() if isinstance(value, (bool, str))}
+
+    def note(self, frame: Frame) -> Frame:
+        """Take down a frame before the world makes its step. The frame to give to the world: cameras that are asked for
+        late are taken down when the world asks."""
+        new, self._dt = self._new, frame.dt
+        new["frames/dt"].append(frame.dt)
+        new["frames/time"].append(frame.time)
+        new["frames/step"].append(frame.step or 0.0)
+        new["frames/hands"].append(len(frame.hands))
+        for hand in frame.hands:
+            layout, numbers = pack(hand)
+            if not np.isfinite(numbers).all():  # to the world that is the same as no hand
+                layout, numbers = "n", []
+            text = json.dumps(layout)
+            new["hands/layout"].append(self._layouts.setdefault(text, len(self._layouts)))
+            new["hands/numbers"].extend(numbers)
+        if frame.commands:
+            self._take_down(frame.commands)
+        new["frames/cameras"].append(0)
+        if not callable(frame.cameras):
+            self._look(frame.cameras)
+            return frame
+        return dataclasses.replace(frame, cameras=lambda: self._look(frame.cameras()))
+
+    def _take_down(self, commands: dict) -> None:
+        line = to_text(self.frames, commands)
+        try:
+            from_text(line)
+        except BadInput as e:  # it would spoil the whole file
+            print(f"{self.path}: not recorded: {e}", file=sys.stderr)
+            return
+        self._new["commands/text"].extend(f"{line}\n".encode())
+
+    def _look(self, cameras: list[Camera]) -> list[Camera]:
+        self._new["frames/cameras"][-1] = len(cameras)
+        self._new["cameras/values"].extend(numbers_of(c) for c in cameras)
+        return cameras
+
+    def after(self, world) -> None:
+        """The world has made its step of the frame that was noted last."""
+        self.frames += 1
+        self._world = world
+        self._since += self._dt
+        self._written += self._dt
+        if self._since >= SECOND - 1e-6 or self.frames == 1:
+            self._state(world)
+        if self._written >= SECOND - 1e-6 or self.frames == 1:
+            self._write()
+
+    def _state(self, world) -> None:
+        self._since = 0.0
+        bodies = world.bodies()
+        self._new["states/frame"].append(self.frames - 1)
+        self._new["states/count"].append(len(bodies))
+        self._new["states/centroids"].extend(np.asarray(b.centroid, np.float64) for b in bodies)
+
+    def _write(self) -> None:
+        """Hand over what is new to the thread that writes: 10 ms of it would miss a frame."""
+        self._written = 0.0
+        texts = {"about": json.dumps(self.about), "layouts": f"[{', '.join(self._layouts)}]"}
+        new, self._new = self._new, {name: [] for name in DATASETS}
+        self._writer.submit(self._append, texts, new)
+
+    def _append(self, texts: dict[str, str], new: dict[str, list]) -> None:
+        """The file is whole before and after."""
+        if self._file is None:
+            return
+        try:
+            for key, text in texts.items():
+                self._file.attrs[key] = text
+            for name, rows in new.items():
+                if rows:
+                    data = self._file[name]
+                    data.resize(len(data) + len(rows), axis=0)
+                    data[-len(rows) :] = np.array(rows, DATASETS[name][1])
+            self._file.flush()
+        except (OSError, RuntimeError) as e:
+            print(f"{self.path}: nothing more is recorded ({' '.join(str(e).split())[:100]})", file=sys.stderr)
+            self._file = None
+
+    def settle(self) -> None:
+        """Wait until all that was handed over is written."""
+        self._writer.submit(lambda: None).result()
+
+    def close(self) -> None:
+        """Write the rest, with how things are at the end, and give the file its name. Further calls do nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        self._finish()
+        self._write()
+        self._writer.shutdown()  # waits
+        if self._file is not None:
+            self._file.close()
+            if self.frames:
+                os.replace(self.part, self.path)
+            else:  # it never came to a play
+                self.part.unlink()
+            self._file = None
+
+    def _finish(self) -> None:
+        """The last state; a frame that was broken off in the middle is left out."""
+        new = self._new
+        if self._world is None:
+            return
+        if self._since > 0.0 or new["states/frame"][-1:] != [self.frames - 1]:
+            self._state(self._world)
+
+
+def plain(value):
+    """An option as JSON has it."""
+    return value if isinstance(value, (bool, int, float)) else str(value)
+
+
+def numbers_of(camera: Camera) -> list[float]:
+    """A camera as CAMERA numbers."""
+    c = camera
+    return [c.width, c.height, c.fx, c.fy, c.cx, c.cy, *np.asarray(c.world_to_camera, np.float64).ravel().tolist()]

@@ -1,0 +1,147 @@
+"""Reads a recording (display/record/recording.py). It may come from anywhere: everything is checked before it is used."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from assets.hdf5 import Reader
+from core.camera import Camera
+from core.errors import BadInput
+from display.protocol import Frame
+from display.record.command_text import from_text
+from display.record.packing import size_of, unpack
+from display.record.recording import CAMERA, OPTIONS
+from render.sort_modes import SORTS
+
+LONGEST = 10.0  # [s] of a frame
+HANDS, CAMERAS, SIDE = 16, 2, 16384  # of a frame; [px]
+CHOICES = {
+    "arch": ("cpu", "cuda"),
+    "interaction": ("physics", "transform"),
+    "embedding": ("two-level", "one-level"),
+    "sort": SORTS,
+    "cells": ("adaptive", "uniform"),
+    "up": ("+x", "-x", "+y", "-y", "+z", "-z"),
+}
+KINDS = {"seed": (int,), "vertices": (int,), "scale": (int, float), "pieces": (bool,)}  # the others are texts
+
+
+def checked_about(text: str) -> dict:
+    """What the recording says of itself; only what this program knows, and of the right kind."""
+    try:
+        about = json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise BadInput("what it says of itself is no JSON") from e
+    if not isinstance(about, dict) or not isinstance(about.get("scene"), str):
+        raise BadInput("it does not say which scene was played")
+    for key in OPTIONS:
+        value, kinds = about.get(key), KINDS.get(key, (str,))
+        if value is not None and (type(value) not in kinds or len(str(value)) > 4096):
+            raise BadInput(f"its {key} cannot be {str(value)[:60]!r}")
+    world = about.get("world", {})
+    if not isinstance(world, dict) or not all(isinstance(v, (bool, str)) for v in world.values()):
+        raise BadInput("the options of its world make no sense")
+    for key, choices in CHOICES.items():
+        if any(value not in (None, *choices) for value in (about.get(key), world.get(key))):
+            raise BadInput(f"its {key} is none that there is")
+    numbers = [value for key in ("vertices", "scale") if (value := about.get(key)) is not None]
+    if not all(0 < value < 1e9 for value in numbers):
+        raise BadInput("its vertices or its scale cannot be")
+    return about
+
+
+def finite(
+    file: Reader, name: str, shape: tuple = (None,), *, low: float = -np.inf, high: float = np.inf
+) -> np.ndarray:
+    """A dataset of floats within bounds."""
+    values = file.array(name, "f", shape).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
+            raise file.bad(f"{name} holds values that cannot be")
+    return values
+
+
+def counts(file: Reader, name: str, most: int, length: int | None = None) -> np.ndarray:
+    """A dataset of numbers of things, 0 to `most`."""
+    values = file.array(name, "iu", (length,)).astype(np.int64)
+    if len(values) and (values.min() < 0 or values.max() > most):
+        raise file.bad(f"{name} holds values that cannot be")
+    return values
+
+
+def read_frames(file: Reader) -> list[Frame]:
+    """All frames, checked."""
+    dt = finite(file, "frames/dt", low=0.0, high=LONGEST)
+    count = len(dt)
+    time = finite(file, "frames/time", (count,), low=0.0)
+    step = finite(file, "frames/step", (count,), low=0.0, high=LONGEST)
+    hands = read_hands(file, counts(file, "frames/hands", HANDS, count))
+    cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS, count))
+    commands = read_commands(file, count)
+    return [
+        Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, {}), step=float(step[k]) or None)
+        for k in range(count)
+    ]
+
+
+def read_hands(file: Reader, per_frame: np.ndarray) -> list[list]:
+    """The hands of each frame."""
+    try:
+        layouts = json.loads(file.text("", "layouts"))
+    except (ValueError, RecursionError) as e:
+        raise file.bad("its layouts are no JSON") from e
+    if not isinstance(layouts, list):
+        raise file.bad("its layouts are no list")
+    which = counts(file, "hands/layout", max(len(layouts) - 1, 0), int(per_frame.sum()))
+    if len(which) and not layouts:
+        raise file.bad("its layouts are missing")
+    numbers = finite(file, "hands/numbers")
+    sizes = [size_of(layout) for layout in layouts]
+    if sum(sizes[k] for k in which) != len(numbers):
+        raise file.bad("hands/numbers is not as long as the hands need")
+    all_hands, at = [], 0
+    for k in which:
+        all_hands.append(unpack(layouts[k], numbers[at : at + sizes[k]]))
+        if layouts[k] != "n" and type(all_hands[-1]).__name__ != "Hand":
+            raise file.bad("what stands for a hand is none")
+        at += sizes[k]
+    ends = np.cumsum(per_frame)
+    return [all_hands[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
+
+
+def read_cameras(file: Reader, per_frame: np.ndarray) -> list[list[Camera]]:
+    """The cameras of each frame."""
+    values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA), low=-1e9, high=1e9)
+    sides, focal = values[:, :2], values[:, 2:4]
+    if len(values) and not (sides.min() >= 1 and sides.max() <= SIDE and focal.min() > 0):
+        raise file.bad("cameras/values holds a camera that cannot be")
+    cameras = [Camera(int(v[0]), int(v[1]), *v[2:6].tolist(), v[6:].reshape(4, 4)) for v in values]
+    ends = np.cumsum(per_frame)
+    return [cameras[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
+
+
+def read_commands(file: Reader, count: int) -> dict[int, dict]:
+    """The commands of the frames that have some."""
+    commands = {}
+    text = file.array("commands/text", "iu", (None,)).astype(np.uint8).tobytes()
+    try:
+        lines = text.decode().splitlines()
+    except UnicodeDecodeError as e:
+        raise file.bad("commands/text is no text") from e
+    for line in lines:
+        frame, given = from_text(line)
+        if not 0 <= frame < count:
+            raise file.bad("commands/text names a frame that there is not")
+        commands[frame] = given
+    return commands
+
+
+def read_states(file: Reader, frames: int) -> dict[int, np.ndarray]:
+    """Centroids (B, 3) by the frame after which the bodies were there."""
+    where = counts(file, "states/frame", max(frames - 1, 0))
+    per_state = counts(file, "states/count", 1_000_000, len(where))
+    centroids = file.array("states/centroids", "f", (int(per_state.sum()), 3)).astype(np.float64)
+    ends = np.cumsum(per_state)
+    return {int(k): centroids[end - n : end] for k, end, n in zip(where, ends, per_state, strict=True)}

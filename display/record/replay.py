@@ -1,0 +1,122 @@
+"""Plays a recording (display/record/recording.py) again, and measures how far its world is from the recorded one."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.hdf5 import open_hdf5
+from core.camera import Camera
+from core.errors import BadInput
+from display.protocol import Frame
+from display.record.recording import FORMAT, OPTIONS, VERSION
+from display.record.recording_reader import checked_about, read_frames, read_states
+
+
+class Replay:
+    """A recording: what it says `about` itself, its frames, the states to compare with. `Replay.load` checks all."""
+
+    def __init__(self, path: Path, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
+        self.path, self.about, self._frames, self._states = path, about, frames, states
+        self.done, self.largest, self.compared = 0, 0.0, 0
+        self._cameras: list[Camera] = []  # the last that there were
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Replay:
+        """Read and check a recording, also one that broke off."""
+        path = Path(path)
+        with open_hdf5(path) as file:
+            if file.text("", "format") != FORMAT:
+                raise file.bad("is not a recording of VR-GS")
+            if file.number("", "version") != VERSION:
+                raise file.bad(
+                    f"is a recording of version {file.number('', 'version'):g}; this program knows {VERSION}"
+                )
+            try:
+                about = checked_about(file.text("", "about"))
+                frames = read_frames(file)
+                return cls(path, about, frames, read_states(file, len(frames)))
+            except BadInput as e:
+                raise e if str(e).startswith(str(path)) else file.bad(str(e)) from e
+
+    def set_options(self, args) -> None:
+        """Let the command's options be those of the recording, as far as they make the world what it is."""
+        for key in OPTIONS:
+            if key in self.about:
+                setattr(args, key, self.about[key])
+        args.arch = args.arch or self.about.get("arch")
+
+    def world_options(self, how: dict) -> dict:
+        """The options of a World: as it was made then, and for the rest `how`. Depth is for headsets."""
+        from display.world import World
+
+        known = set(inspect.signature(World).parameters) - {"depth"}
+        return how | {key: value for key, value in self.about.get("world", {}).items() if key in known}
+
+    def frames(self, display, world, *, paced: bool) -> Iterator[Frame]:
+        """The recorded frames, to be stepped and presented by the caller, until all are done or the display ends, with
+        as many of the recorded cameras as the display has, for pictures of its size.
+
+        paced  at the pace of the display's time, and held by its pause; else one for each of the display's frames
+        """
+        due, held = 0.0, False
+        for shown in display.frames():
+            if self.done == len(self):
+                return
+            held ^= paced and "pause" in shown.commands
+            due += 0.0 if held else shown.dt
+            now = self._frames[self.done]
+            while paced and self.done + 1 < len(self) and due >= now.dt + self._frames[self.done + 1].dt:
+                world.step(replace(now, cameras=[]))  # more of them than pictures
+                due -= now.dt
+                self._after(world)
+                now = self._frames[self.done]
+            if paced and due < now.dt:
+                display.present(world)  # nothing new yet
+                continue
+            due -= now.dt
+            yield replace(now, cameras=self._seen(now.cameras, shown.cameras))
+            self._after(world)
+
+    def _seen(self, recorded: list[Camera], shown: list[Camera]) -> list[Camera]:
+        self._cameras = recorded or self._cameras
+        if len(self._cameras) < len(shown):
+            return shown
+        return [fitted(c, s.width, s.height) for c, s in zip(self._cameras, shown, strict=False)]
+
+    def _after(self, world) -> None:
+        """The world has made its step: how far is it from the recorded one?"""
+        expected = self._states.get(self.done)
+        self.done += 1
+        if expected is None:
+            return
+        self.compared += 1
+        there = np.array([b.centroid for b in world.bodies()]).reshape(-1, 3)
+        if there.shape != expected.shape:
+            self.largest = float("inf")
+        elif len(there):
+            away = float(np.linalg.norm(there - expected, axis=1).max())
+            self.largest = max(self.largest, away if np.isfinite(away) else float("inf"))
+
+    def report(self) -> str:
+        """What came of it, in a line."""
+        of = "" if self.done == len(self) else f" of {len(self)}"
+        if not self.compared:
+            return f"replayed {self.done}{of} frames"
+        if self.largest == float("inf"):
+            return f"replayed {self.done}{of} frames, not the same bodies"
+        return f"replayed {self.done}{of} frames, largest difference {self.largest:.3g} m"
+
+
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """The same view in a picture of another size [px]: as high, and as wide as it is then."""
+    s = height / camera.height
+    cx, cy = width / 2 + s * (camera.cx - camera.width / 2), s * camera.cy
+    return Camera(width, height, camera.fx * s, camera.fy * s, cx, cy, camera.world_to_camera)

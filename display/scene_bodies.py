@@ -1,0 +1,102 @@
+"""The bodies of a scene: their assets read once, placed in the world or in their own frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from assets.animation import Animation
+from assets.asset import Asset, DistanceGrid
+from assets.components import pieces_of
+from assets.gaussians import Gaussians
+from assets.library import find_asset
+from core.errors import BadInput
+from core.morton import morton_order
+from core.rotation import matrices_from_quaternions
+from scenes.scene import Body, Scene
+from sim.contact.static_shapes import StaticGrid
+from sim.embedding import EmbeddedPart
+from sim.rigid.rigid_body import RigidBody
+from sim.solver import SoftBody
+
+
+def load_bodies(
+    scene: Scene,
+) -> tuple[
+    list[tuple[Gaussians, list[StaticGrid]]],
+    list[tuple[SoftBody | RigidBody, EmbeddedPart]],
+    dict[int, tuple[Body, Animation]],
+]:
+    """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
+
+    The pieces of an asset are bodies of their own, the largest first.
+
+    Out.  what is static, what is simulated, and which of the latter move by themselves
+    """
+    library: dict[str, Asset] = {}
+    pieces: dict[str, list[Asset]] = {}
+    static, moving, animated = [], [], {}
+    for body in scene.bodies:
+        if body.asset not in library:
+            library[body.asset] = Asset.load(find_asset(body.asset))
+        if body.material is None:
+            static.append(place_static(library[body.asset], body))
+            continue
+        if body.asset not in pieces:
+            pieces[body.asset] = pieces_of(library[body.asset])
+        for asset in pieces[body.asset]:
+            if asset.animation is not None and body.kind == "soft":
+                animated[len(moving)] = body, asset.animation
+            moving.append(place_soft(asset, body))
+    return static, moving, animated
+
+
+def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:
+    """Gaussians in the world, and the colliders."""
+    rotation = matrices_from_quaternions(np.array(body.rotation))
+    gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
+    friction = (asset.material or {}).get("friction", 0.5)
+    grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.stage.fine if asset.stage is not None else ())]
+    return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
+
+
+def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedPart]:
+    """The simulated body and its Gaussians, both at rest in the body's frame."""
+    if asset.cage is None or asset.embedded is None:
+        raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
+    s = body.scale
+    order = morton_order(asset.gaussians.means)
+    vertices = asset.cage.vertices * np.float32(s)
+    g = asset.gaussians.select(order)
+    gaussians = replace(g, means=g.means * np.float32(s), log_scales=g.log_scales + np.float32(np.log(s)))
+    sdf = None
+    if asset.sdf is not None:
+        d = asset.sdf
+        sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
+    led = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
+    soft = SoftBody(
+        name=body.asset,
+        vertices=vertices,
+        tets=asset.cage.tets,
+        surface=asset.cage.surface,
+        material=body.material,
+        rotation=body.rotation,
+        position=body.position,
+        velocity=body.velocity,
+        sdf=sdf,
+        pinned=led,
+        loose=led is not None,
+    )
+    part = EmbeddedPart(
+        host=asset.embedded.host[order],
+        weights=asset.embedded.weights[order],
+        gaussians=gaussians,
+        rest=vertices,
+        tets=asset.cage.tets,
+    )
+    if body.kind == "soft":
+        return soft, part
+    if body.kind not in ("rigid", "kinematic"):
+        raise BadInput(f"{body.asset}: kind must be soft, rigid or kinematic, not {body.kind!r}")
+    return RigidBody.from_soft(soft, kinematic=body.kind == "kinematic"), part

@@ -1,0 +1,171 @@
+"""A window with OpenGL 3.3, a queue of its events, and ImGui. Knows nothing of worlds."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from core.errors import BadInput
+from display.window import theme
+from display.window.gl_context import context_of
+
+INSTEAD = "run with --headless instead"
+KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space", "delete"]
+LABELS = {"u": "u", "c": "c", "l": "l", "+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
+CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on them: it is not everywhere in the same place
+
+
+def import_glfw():
+    """The module glfw. ImGui comes first: it names the GLFW library that both then share."""
+    import imgui_bundle  # noqa: F401
+    import glfw  # isort: skip
+
+    return glfw
+
+
+def has_display() -> bool:
+    """Can this process open a window?"""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return False
+    glfw = import_glfw()
+    glfw.set_error_callback(lambda code, text: None)  # the answer says enough
+    if sys.platform.startswith("linux") and os.environ.get("DISPLAY"):
+        glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_X11)  # also under Wayland: it draws no frame without libdecor
+    return bool(glfw.init())
+
+
+class Surface:
+    """One open window. Raises BadInput without a display or without OpenGL 3.3.
+
+    Events are ("key", name, down), ("button", "left"|"right"|"middle", down, x, y), ("move", x, y),
+    ("wheel", notches) and ("blur",), positions in screen coordinates (not pixels on every platform).
+    """
+
+    def __init__(self, title: str, width: int, height: int, *, vsync: bool):
+        if not has_display():
+            raise BadInput(f"no display to open a window on; {INSTEAD}")
+        self.glfw = glfw = import_glfw()
+        complaints: list[str] = []
+        glfw.set_error_callback(lambda code, text: complaints.append(text.decode(errors="replace")))
+        for hint, value in {
+            glfw.CONTEXT_VERSION_MAJOR: 3,
+            glfw.CONTEXT_VERSION_MINOR: 3,
+            glfw.OPENGL_PROFILE: glfw.OPENGL_CORE_PROFILE,
+            glfw.OPENGL_FORWARD_COMPAT: True,
+            glfw.SCALE_TO_MONITOR: True,
+        }.items():
+            glfw.window_hint(hint, value)
+        self.handle = glfw.create_window(width, height, title, None, None)
+        if not self.handle:
+            glfw.terminate()
+            raise BadInput(f"no window with OpenGL 3.3 ({'; '.join(complaints) or 'no reason given'}); {INSTEAD}")
+        glfw.make_context_current(self.handle)
+        glfw.swap_interval(1 if vsync else 0)
+        glfw.set_window_size_limits(self.handle, 320, 240, glfw.DONT_CARE, glfw.DONT_CARE)
+        self._events: list[tuple] = []
+        self._listen()
+        self.gl = context_of(glfw.get_proc_address)
+        self.scale = self._start_imgui()
+
+    def _listen(self) -> None:
+        """Queue the events: they are handled in order, once a frame, when ImGui knows what the cursor is over."""
+        glfw, add = self.glfw, self._events.append
+        buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
+        keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in KEYS}
+        keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
+        keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus"}
+
+        def key(window, code, scancode, action, mods):
+            label = (glfw.get_key_name(code, scancode) or "").lower()
+            ctrl = mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER)
+            name = CTRL.get(label) if ctrl and label in CTRL else keys.get(code) or LABELS.get(label)
+            if name is not None and action != glfw.REPEAT:
+                add(("key", name, action == glfw.PRESS))
+
+        def button(window, code, action, mods):
+            if code in buttons:
+                add(("button", buttons[code], action == glfw.PRESS, *glfw.get_cursor_pos(window)))
+
+        def focus(window, focused):
+            if not focused:
+                add(("blur",))
+
+        glfw.set_key_callback(self.handle, key)
+        glfw.set_mouse_button_callback(self.handle, button)
+        glfw.set_cursor_pos_callback(self.handle, lambda window, x, y: add(("move", x, y)))
+        glfw.set_scroll_callback(self.handle, lambda window, dx, dy: add(("wheel", dy)))
+        glfw.set_window_focus_callback(self.handle, focus)
+
+    def _start_imgui(self) -> float:
+        """Start ImGui; its callbacks call ours in turn. Returns the size of the user's letters, 1 as usual."""
+        import ctypes
+
+        from imgui_bundle import imgui
+
+        imgui.create_context()
+        imgui.get_io().set_ini_filename("")  # no settings file in the working directory
+        imgui.backends.glfw_init_for_opengl(ctypes.cast(self.handle, ctypes.c_void_p).value, True)
+        imgui.backends.opengl3_init("#version 330")
+        pixels = self.frame_size[0] / max(self.window_size[0], 1)  # 2 on a Retina screen, else 1
+        scale = self.glfw.get_window_content_scale(self.handle)[0] / pixels
+        theme.apply(scale)
+        return scale
+
+    @property
+    def frame_size(self) -> tuple[int, int]:
+        """(width, height) of the framebuffer [px]; (0, 0) while minimised on some systems."""
+        return self.glfw.get_framebuffer_size(self.handle)
+
+    @property
+    def window_size(self) -> tuple[int, int]:
+        """(width, height) in screen coordinates."""
+        return self.glfw.get_window_size(self.handle)
+
+    @property
+    def closing(self) -> bool:
+        """Has the user asked to close the window?"""
+        return bool(self.glfw.window_should_close(self.handle))
+
+    def asleep(self) -> bool:
+        """Is the window minimised? Then wait a little for it to come back."""
+        if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
+            self.glfw.wait_events_timeout(0.1)
+            return True
+        return False
+
+    def begin(self) -> list[tuple]:
+        """Begin a frame: the events since the last one. ImGui calls are allowed until `end`."""
+        from imgui_bundle import imgui
+
+        self.glfw.poll_events()
+        events = self._events.copy()
+        self._events.clear()
+        imgui.backends.opengl3_new_frame()
+        imgui.backends.glfw_new_frame()
+        imgui.new_frame()
+        return events
+
+    def end(self) -> None:
+        """Draw ImGui's part over what was drawn. `swap` shows it."""
+        from imgui_bundle import imgui
+
+        imgui.render()
+        imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+
+    def swap(self) -> None:
+        """Show the frame; waits for the screen with vsync."""
+        self.glfw.swap_buffers(self.handle)
+
+    def close(self) -> None:
+        """Close the window. Further calls do nothing."""
+        from imgui_bundle import imgui
+
+        if self.handle is None:
+            return
+        imgui.backends.opengl3_shutdown()
+        imgui.backends.glfw_shutdown()
+        imgui.destroy_context()
+        self.gl.release()
+        self.glfw.destroy_window(self.handle)
+        self.glfw.terminate()
+        self.handle = None

@@ -1,0 +1,102 @@
+"""A hand made of the mouse: grips what was clicked, follows the cursor, throws on release."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from core.camera import Camera
+from scenes.scene import Hand
+
+FOLLOW = 0.03  # [s], time constant of the hand behind the cursor: evens out the events of slow mice
+FASTEST = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more
+NEAREST, FARTHEST = 0.1, 50.0  # [m] depth of the hand before the camera
+AIM = 0.08  # [s] before the release that decide the throw: fingers slow down as they let go
+SWING = 0.03  # [s] that the grip goes on at the speed of the throw, so that the whole body takes it up
+THROW = 0.2  # [m/s]; slower is putting down
+
+
+class MouseHand:
+    """The hand stands at a screen position (u, v) [px] and a depth [m] along the view axis.
+
+    Both are kept in the camera's frame, so a camera that moves during a drag carries the hand along.
+    """
+
+    def __init__(self):
+        self.gripping = False
+        self.position = np.zeros(3)
+        self._u = self._v = self._depth = 0.0
+        self._reach = Hand.reach
+        self._fresh = self._given = False  # did the grip just begin; was there a hand in the last frame
+        self._swing: float | None = None  # [s] left of the grip after the release, None before it
+        self._velocity = np.zeros(3)  # of the throw
+        self._clock = 0.0
+        self._goals: deque[tuple[float, np.ndarray]] = deque()  # where the cursor led, over the last `AIM`
+
+    def grab(self, camera: Camera, u: float, v: float, distance: float, reach: float) -> None:
+        """Grip at `distance` [m] along the ray through (u, v); takes what lies within `reach` [m]."""
+        origin, direction = camera.ray(u, v)
+        self.position = origin + distance * direction
+        self._u, self._v, self._reach = u, v, reach
+        self._depth = distance * float(direction @ camera.world_to_camera[2, :3])
+        self.gripping, self._fresh, self._swing = True, True, None
+        self._goals.clear()
+
+    def drag(self, du: float, dv: float) -> None:
+        """Move in the plane parallel to the screen [px]."""
+        self._u, self._v = self._u + du, self._v + dv
+
+    def push(self, amount: float) -> None:
+        """Move away (positive) or towards the camera by a factor exp(amount) of the depth."""
+        self._depth = float(np.clip(self._depth * np.exp(amount), NEAREST, FARTHEST))
+
+    def release(self) -> None:
+        """Let go: what was held flies on with the cursor's mean speed of the last moments."""
+        if not self.gripping or len(self._goals) < 2:
+            return self.drop()
+        (begin, start), (end, goal) = self._goals[0], self._goals[-1]
+        self._velocity = capped((goal - start) / (end - begin), FASTEST)
+        if np.linalg.norm(self._velocity) < THROW:
+            return self.drop()
+        self._swing = SWING
+
+    def drop(self) -> None:
+        """Let go at once."""
+        self.gripping, self._swing = False, None
+
+    def hands(self, camera: Camera, dt: float) -> list[Hand]:
+        """The hand after `dt` [s], where it closes in on the cursor or ends its swing; none when it is open.
+
+        A grip begins with a hand that was not there before, so it never seems to come from elsewhere.
+        """
+        if self._swing is not None and self._swing <= 0.0:
+            self.drop()
+        if not self.gripping or (self._fresh and self._given):
+            self._given = False
+            return []
+        if self._swing is not None:
+            self._swing -= dt
+            self.position = self.position + self._velocity * dt
+        elif dt > 0.0:
+            self._follow(self._goal(camera), dt)
+        self._fresh, self._given = False, True
+        return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._reach)]
+
+    def _follow(self, goal: np.ndarray, dt: float) -> None:
+        step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW))
+        self.position = self.position + capped(step, FASTEST * dt)
+        self._clock += dt
+        self._goals.append((self._clock, goal))
+        while len(self._goals) > 2 and self._clock - self._goals[0][0] > AIM:
+            self._goals.popleft()
+
+    def _goal(self, camera: Camera) -> np.ndarray:
+        origin, direction = camera.ray(self._u, self._v)
+        return origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
+
+
+def capped(vector: np.ndarray, most: float) -> np.ndarray:
+    """The vector, no longer than `most`."""
+    length = np.linalg.norm(vector)
+    return vector * (most / length) if length > most else vector

@@ -1,0 +1,61 @@
+"""The desktop camera: turns around a target, or walks and looks about."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from core.camera import Camera, look_at, perspective
+
+STEEPEST = np.radians(88.0)  # [rad]; nearer to the vertical the horizon would flip
+NEAREST, FARTHEST = 0.05, 200.0  # [m] from eye to target
+ZOOM_STEP = 0.9  # distance after one notch of the wheel
+
+
+class Orbit:
+    """An eye and the target it looks at [m], upright (+y), with a vertical field of view [rad]."""
+
+    def __init__(self, eye, target, fov_y: float):
+        self._home = (np.array(eye, np.float64), np.array(target, np.float64))
+        self.fov_y = fov_y
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to where the scene begins."""
+        self.eye, self.target = (point.copy() for point in self._home)
+
+    @property
+    def distance(self) -> float:
+        """From eye to target [m]."""
+        return float(np.linalg.norm(self.eye - self.target))
+
+    def camera(self, width: int, height: int) -> Camera:
+        """The camera for a picture of this size [px]."""
+        return perspective(width, height, self.fov_y, look_at(self.eye, self.target))
+
+    def turn(self, yaw: float, pitch: float) -> None:
+        """Walk around the target: angles [rad], positive to the right of the target and upwards."""
+        self.eye = self.target + swing(self.eye - self.target, yaw, pitch)
+
+    def look(self, yaw: float, pitch: float) -> None:
+        """Turn the head: angles [rad], positive to the left and upwards."""
+        self.target = self.eye + swing(self.target - self.eye, yaw, pitch)
+
+    def move(self, right: float, up: float, forward: float) -> None:
+        """Carry eye and target along the camera's own axes [m]."""
+        axes = look_at(self.eye, self.target)[:3, :3]  # rows: right, down, forward
+        step = right * axes[0] - up * axes[1] + forward * axes[2]
+        self.eye, self.target = self.eye + step, self.target + step
+
+    def zoom(self, notches: float) -> None:
+        """Approach the target (positive) or back off, by a share of the distance a notch."""
+        offset = self.eye - self.target
+        length = np.clip(self.distance * ZOOM_STEP**notches, NEAREST, FARTHEST)
+        self.eye = self.target + offset * (length / self.distance)
+
+
+def swing(offset: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
+    """Turn a vector by `yaw` about +y and lift it by `pitch`, short of the vertical."""
+    length = np.linalg.norm(offset)
+    yaw += np.arctan2(offset[0], offset[2])
+    pitch = np.clip(pitch + np.arcsin(np.clip(offset[1] / length, -1.0, 1.0)), -STEEPEST, STEEPEST)
+    return length * np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])

@@ -1,0 +1,257 @@
+"""The panel over the picture: what runs, how fast, and the light. Also the game's score."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from core.material import MATERIALS
+from display.window import theme
+from display.window.controls import CAMERA_HELP, HELP, editing
+from scenes.scene import Light, Scene
+
+MARGIN = 12.0  # [px] from the window's edge
+WIDTH = 252.0  # [px] of the panel's content
+ROOMY = 700.0  # [px] of window height, from which the list of keys is open at the start
+REFRESH = 0.5  # [s] between two readings of the numbers: faster ones cannot be read
+LIGHT_RANGE = 4.0  # [m] around the scene's target
+INTERACTIONS = {
+    "Physics": "Bodies deform, collide and fall.",
+    "Transform": "A body that you hold moves as it is; nothing deforms.",
+}
+EDITS = {
+    "Undo": ({"undo": True}, "Take back what was done last (Ctrl+Z)."),
+    "Redo": ({"redo": True}, "Do it again (Ctrl+Y)."),
+    "Copy": (editing("c", None), "Another one like the body that was held last (C)."),
+    "Remove": (editing("delete", None), "Take it away (Del)."),
+    "Smaller": (editing("minus", None), "(-)"),
+    "Larger": (editing("plus", None), "(+)"),
+    "Turn": (editing("period", None), "About the vertical (, and .)"),
+}
+RESOLUTIONS = {"Auto": None, "Full": 1.0, "3/4": 0.75, "1/2": 0.5}  # share of the window's pixels a side
+
+
+class Panel:
+    """Draws with ImGui inside a frame; `draw` returns the user's commands for the world."""
+
+    def __init__(self, scene: Scene, title: str, scale: float):
+        self.scene, self.title, self.scale = scene, title, scale
+        self.resolution: float | None = None  # None: what display/window/adaptive_resolution.py finds
+        self.details = False  # is the list of stages on view
+        self.edits = False  # is the cursor among the edits
+        self._read = -REFRESH
+        self._fps, self._stages, self._stats = 0.0, [], {}
+        self._pace: list[str] = []
+
+    def draw(self, world, *, visible: bool) -> dict:
+        """One frame of the panel and of the score; commands as `World.apply` takes them."""
+        from imgui_bundle import imgui
+
+        if world.light is not None and (self.scene.game is not None or world.notice):
+            self._score(imgui, world, visible)
+        self.edits = False
+        if not visible:
+            self.details = False
+            return {}
+        now = perf_counter()
+        if now - self._read >= REFRESH:
+            self._read = now
+            self._fps, self._stages, self._stats = world.timings.recent_fps(), world.timings.recent(), world.stats()
+            self._pace = pace(world.timings)
+        edge = MARGIN * self.scale
+        height = imgui.get_io().display_size.y - 2 * edge
+        imgui.set_next_window_pos((edge, edge))
+        imgui.set_next_window_size_constraints((0, 0), (imgui.FLT_MAX, max(height, 1.0)))
+        flags = imgui.WindowFlags_
+        fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
+        imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
+        self._title(imgui)
+        commands = self._buttons(imgui, world) if world.light is not None else {}
+        if world.light is not None and imgui.collapsing_header("Edit", imgui.TreeNodeFlags_.default_open):
+            imgui.begin_group()
+            commands |= self._edit(imgui, world)
+            imgui.end_group()
+            self.edits = imgui.is_mouse_hovering_rect(imgui.get_item_rect_min(), imgui.get_item_rect_max())
+        if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
+            commands |= self._light(imgui, world.light)
+        self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
+        if self.details:
+            self._performance(imgui)
+        roomy = imgui.get_io().display_size.y >= ROOMY * self.scale
+        if imgui.collapsing_header("Mouse and keys", imgui.TreeNodeFlags_.default_open if roomy else 0):
+            self._help(imgui)
+        imgui.end()
+        return commands
+
+    def _title(self, imgui) -> None:
+        width = WIDTH * self.scale
+        imgui.push_font(None, theme.TITLE_SIZE)
+        imgui.text(self.title)
+        imgui.pop_font()
+        rate = f"{self._fps:.0f} fps"
+        imgui.same_line(width - imgui.calc_text_size(rate).x + imgui.get_style().window_padding.x)
+        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + 4 * self.scale)  # onto the title's base line
+        imgui.text_colored(theme.ACCENT, rate)
+        imgui.dummy((width, 2 * self.scale))
+
+    def _buttons(self, imgui, world) -> dict:
+        commands = {}
+        gap = imgui.get_style().item_spacing.x
+        third = ((WIDTH * self.scale - 2 * gap) / 3, 0)
+        if imgui.button("Resume" if world.paused else "Pause", third):
+            commands["pause"] = not world.paused
+        imgui.same_line()
+        if imgui.button("Step", third):
+            commands |= {"pause": True, "step": True}
+        imgui.same_line()
+        if imgui.button("Reset", third):
+            commands["reset"] = True
+        chosen = self._choice(imgui, list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS)
+        if chosen.lower() != world.interaction:
+            commands["interaction"] = chosen.lower()
+        return commands
+
+    def _edit(self, imgui, world) -> dict:
+        """Undo, redo, and what can be done to the body that was held last."""
+        commands, gap = {}, imgui.get_style().item_spacing.x
+        quarter = ((WIDTH * self.scale - 3 * gap) / 4, 0)
+        for k, (name, (command, tip)) in enumerate(EDITS.items()):
+            if k % 4:
+                imgui.same_line()
+            if imgui.button(name, quarter):
+                commands |= command
+            imgui.set_item_tooltip(tip)
+        bodies, selected = world.bodies(), world.selected
+        known = selected is not None and selected < len(bodies)
+        imgui.text_colored(theme.QUIET, bodies[selected].name if known else "Hold a body to choose it.")
+        if known:
+            imgui.same_line(WIDTH * self.scale * 0.5)
+            imgui.set_next_item_width(WIDTH * self.scale * 0.5 + imgui.get_style().window_padding.x)
+            if imgui.begin_combo("##material", "Material"):
+                for name in MATERIALS:
+                    if imgui.selectable(name, False)[0]:
+                        commands["material"] = (selected, name)
+                imgui.end_combo()
+        return commands
+
+    def _choice(self, imgui, names: list[str], current: str, tips: dict[str, str] | None = None) -> str:
+        """Buttons side by side of which one is on. Returns the chosen name."""
+        gap = 2 * self.scale
+        size = ((WIDTH * self.scale - gap * (len(names) - 1)) / len(names), 0)
+        for index, name in enumerate(names):
+            if index:
+                imgui.same_line(0, gap)
+            on = name == current
+            if on:
+                imgui.push_style_color(imgui.Col_.button, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.button_hovered, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.button_active, theme.ACCENT)
+                imgui.push_style_color(imgui.Col_.text, (0.08, 0.08, 0.08, 1.0))
+            if imgui.button(name, size):
+                current = name
+            if on:
+                imgui.pop_style_color(4)
+            if tips:
+                imgui.set_item_tooltip(tips[name])
+        return current
+
+    def _light(self, imgui, light: Light) -> dict:
+        kind = self._choice(imgui, ["Point", "Directional"], light.kind.capitalize()).lower()
+        low, high = np.array(self.scene.target) - LIGHT_RANGE, np.array(self.scene.target) + LIGHT_RANGE
+        gap = imgui.get_style().item_inner_spacing.x
+        imgui.push_item_width((WIDTH * self.scale - 2 * gap) / 3)
+        position = list(light.position)
+        for axis, name in enumerate("xyz"):
+            if axis:
+                imgui.same_line(0, gap)
+            label, form = f"##light {name}", f"{name} %.2f m"
+            _, position[axis] = imgui.slider_float(label, position[axis], low[axis], high[axis], form)
+        imgui.pop_item_width()
+        imgui.push_item_width((WIDTH * self.scale - gap) / 2)
+        _, strength = imgui.slider_float("##strength", light.strength, 0.0, 1.0, "shadow %.2f")
+        imgui.same_line(0, gap)
+        _, softness = imgui.slider_float("##softness", 100 * light.softness, 0.0, 20.0, "edge %.1f cm")
+        imgui.pop_item_width()
+        before = [*light.position, light.strength, 100 * light.softness]
+        if kind == light.kind and np.allclose([*position, strength, softness], before):
+            return {}
+        position = tuple(map(float, position))
+        return {"light": replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)}
+
+    def _performance(self, imgui) -> None:
+        current = next(name for name, share in RESOLUTIONS.items() if share == self.resolution)
+        tips = dict.fromkeys(
+            RESOLUTIONS, "Share of the window's pixels, on each side, that are drawn: fewer are faster."
+        ) | {"Auto": "Fewer pixels while things move, if that is slow; all of them once they are still."}
+        self.resolution = RESOLUTIONS[self._choice(imgui, list(RESOLUTIONS), current, tips)]
+        stretch = imgui.TableFlags_.sizing_stretch_prop | imgui.TableFlags_.no_host_extend_x
+        if imgui.begin_table("stages", 3, stretch, (WIDTH * self.scale, 0)):
+            self._row(imgui, "ms", "median", "worst", theme.QUIET)
+            for name, median, worst in self._stages:
+                self._row(imgui, name, f"{median:.2f}", f"{worst:.2f}")
+            imgui.end_table()
+        for line in self._pace:
+            imgui.text_colored(theme.QUIET, line)
+        names = [name for name in ("gaussians", "vertices", "tets", "substeps") if name in self._stats]
+        counts = [f"{self._stats[name]:,} {name}" for name in names]
+        for first in range(0, len(counts), 2):
+            imgui.text_colored(theme.QUIET, ", ".join(counts[first : first + 2]))
+
+    @staticmethod
+    def _row(imgui, name: str, *values: str) -> None:
+        """A line of a table: the name, then values flush right. A colour as the last value paints all."""
+        colour = values[-1] if isinstance(values[-1], tuple) else None
+        values = values[:-1] if colour else values
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text_colored(theme.QUIET, name)
+        for value in values:
+            imgui.table_next_column()
+            space = imgui.get_content_region_avail().x - imgui.calc_text_size(value).x
+            imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
+            imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), value)
+
+    def _help(self, imgui) -> None:
+        if imgui.begin_table("help", 2, imgui.TableFlags_.sizing_fixed_fit):
+            for keys, meaning in CAMERA_HELP if self.scene.light is None else HELP:
+                imgui.table_next_row()
+                imgui.table_next_column()
+                imgui.text(keys)
+                imgui.table_next_column()
+                imgui.text_colored(theme.QUIET, meaning)
+            imgui.end_table()
+
+    def _score(self, imgui, world, beside_panel: bool) -> None:
+        """Score and message at the top: in the middle, or right of the panel in a small window."""
+        score, message = ("", "") if self.scene.game is None else (str(world.score or ""), world.message)
+        if score in message.split():  # the game says it itself
+            score = ""
+        text = f"{score}   {message}".strip()
+        middle = 0.5 * imgui.get_io().display_size.x
+        if beside_panel:
+            half = 0.5 * imgui.calc_text_size(text).x
+            middle = max(middle, (WIDTH + 6 * MARGIN) * self.scale + half)
+        imgui.set_next_window_pos((middle, MARGIN * self.scale), 0, (0.5, 0.0))
+        flags = imgui.WindowFlags_
+        still = flags.no_decoration | flags.always_auto_resize | flags.no_inputs | flags.no_saved_settings
+        imgui.begin("score", None, still | flags.no_nav | flags.no_focus_on_appearing)
+        if score:
+            imgui.text_colored(theme.ACCENT, score)
+            imgui.same_line(0, 12 * self.scale)
+        if message:
+            imgui.text(message)
+        if world.notice:
+            imgui.text_colored(theme.ACCENT, world.notice)
+        imgui.end()
+
+
+def pace(timings) -> list[str]:
+    """Lines on how the frames came: the longest, those missed, time let go of, and from the head's motion to light."""
+    lines = [f"longest frame {1e3 * timings.worst:.0f} ms, {timings.missed:,} missed"]
+    if timings.to_light is not None:
+        lines.append(f"from motion to light {1e3 * timings.to_light:.0f} ms")
+    if timings.dropped >= 0.1:
+        lines.append(f"{timings.dropped:.1f} s left out: too slow for real time")
+    return lines

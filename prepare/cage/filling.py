@@ -1,0 +1,131 @@
+"""Which cells of a grid are solid: the dense shell of the Gaussians, and what it encloses (PhysGaussian, Sec. 3.5).
+
+A splat is a shell, with a hole where nobody looked, mostly the underside. A cell is interior if rays along the
+axes hit the shell in five of six directions and one of them crosses it an odd number of times.
+"""
+
+import numpy as np
+import taichi as ti
+
+from assets.gaussians import Gaussians
+from core.rotation import matrices_from_quaternions
+from prepare.cage.morphology import across_edges
+
+LEAF, BLOCKS = 8, 32  # the tree spans 256 cells an axis; memory is taken by blocks of 8^3 that hold something
+CELLS_MAX = LEAF * BLOCKS
+DENSE = 0.5  # summed opacity; the surface is seen about where half of the light is stopped
+BLUR = 0.5  # cells; standard deviation added to each Gaussian, so that none falls between the nodes
+REACH = 3.0  # standard deviations splatted
+REACH_CELLS = 12.0  # and at most this far: a smear must not cost more than thousands of others
+
+
+@ti.data_oriented
+class OpacityGrid:
+    """Summed opacity on a sparse tree, pointer -> bitmasked. Made once and used again: its memory stays taken."""
+
+    def __init__(self) -> None:
+        self.runtime = ti.lang.impl.get_runtime()
+        self.density = ti.field(ti.f32)
+        builder = ti.FieldsBuilder()
+        self.block = builder.pointer(ti.ijk, BLOCKS)
+        self.leaf = self.block.bitmasked(ti.ijk, LEAF)
+        self.leaf.place(self.density)
+        builder.finalize()
+
+    def splat(self, means, axes, variances, opacities, shape) -> np.ndarray:
+        """Density (X, Y, Z) float32 of Gaussians given in cells: node (i, j, k) lies at (i, j, k).
+
+        axes (N, 3, 3)  rotations, whose columns are the principal axes; variances (N, 3) along these
+        """
+        if max(shape) > CELLS_MAX:
+            raise ValueError(f"a grid of {shape} nodes; at most {CELLS_MAX} an axis")
+        spread = np.einsum("nik,nk->ni", axes**2, variances)
+        radius = np.minimum(REACH * np.sqrt(spread), REACH_CELLS)
+        scaled = axes / variances[:, None]
+        inverse = np.stack([(scaled[:, i] * axes[:, j]).sum(1) for i in range(3) for j in range(i, 3)], 1)
+        out = np.zeros(shape, np.float32)
+        self._clear()
+        f32 = [np.ascontiguousarray(a, np.float32) for a in (means, inverse, opacities, radius)]
+        self._add(*f32, ti.Vector(list(shape)))
+        self._copy(out)
+        return out
+
+    @ti.kernel
+    def _clear(self):
+        for i, j, k in self.density:  # blocks stay: bodies of one size meet the same ones
+            self.density[i, j, k] = 0.0
+
+    @ti.kernel
+    def _add(
+        self,
+        mean: ti.types.ndarray(dtype=ti.f32, ndim=2),
+        inverse: ti.types.ndarray(dtype=ti.f32, ndim=2),
+        opacity: ti.types.ndarray(dtype=ti.f32, ndim=1),
+        radius: ti.types.ndarray(dtype=ti.f32, ndim=2),
+        shape: ti.types.vector(3, ti.i32),
+    ):
+        """density(x) = sum_g o_g exp(-1/2 (x - mu)^T Sigma^-1 (x - mu))."""
+        for g in range(opacity.shape[0]):
+            mu = ti.Vector([mean[g, 0], mean[g, 1], mean[g, 2]])
+            r = ti.Vector([radius[g, 0], radius[g, 1], radius[g, 2]])
+            last = ti.cast(shape, ti.f32) - 1.0
+            low = ti.cast(ti.ceil(ti.math.clamp(mu - r, 0.0, last)), ti.i32)  # clamped as reals: no int overflows
+            high = ti.cast(ti.floor(ti.math.clamp(mu + r, -1.0, last)), ti.i32)
+            for i in range(low[0], high[0] + 1):
+                for j in range(low[1], high[1] + 1):
+                    for k in range(low[2], high[2] + 1):
+                        d = ti.Vector([i, j, k]) - mu
+                        q = inverse[g, 0] * d[0] * d[0] + inverse[g, 3] * d[1] * d[1] + inverse[g, 5] * d[2] * d[2]
+                        q += 2 * (
+                            inverse[g, 1] * d[0] * d[1] + inverse[g, 2] * d[0] * d[2] + inverse[g, 4] * d[1] * d[2]
+                        )
+                        if q < REACH * REACH:
+                            self.density[i, j, k] += opacity[g] * ti.exp(-0.5 * q)
+
+    @ti.kernel
+    def _copy(self, out: ti.types.ndarray(dtype=ti.f32, ndim=3)):
+        for i, j, k in self.density:
+            if i < out.shape[0] and j < out.shape[1] and k < out.shape[2]:  # a leaf reaches past the grid's end
+                out[i, j, k] = self.density[i, j, k]
+
+
+_grid: OpacityGrid | None = None
+
+
+def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
+    """Summed opacity (X, Y, Z) float32 at the nodes origin + spacing (i, j, k) [m]. Taichi must be running."""
+    global _grid
+    if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or it went with ti.reset
+        _grid = OpacityGrid()
+    variances = (np.exp(gaussians.log_scales.astype(np.float64)) / spacing) ** 2 + BLUR**2
+    axes = matrices_from_quaternions(gaussians.quats)
+    return _grid.splat((gaussians.means - origin) / spacing, axes, variances, gaussians.opacities, shape)
+
+
+def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.ndarray:
+    """Cells (X, Y, Z) bool that the shell (X, Y, Z) bool encloses, but for a hole on one side.
+
+    up  axis and sign of the direction that must hit, so that a cup is not filled to the brim; None: any may miss
+    """
+    hits = np.zeros(shell.shape, np.uint8)
+    odd = np.zeros(shell.shape, bool)
+    capped = np.ones(shell.shape, bool)
+    for axis in range(3):
+        for sign in (1, -1):
+            ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from where the ray ends
+            enters = ray.copy()
+            np.moveaxis(enters, axis, 0)[1:] &= ~np.moveaxis(ray, axis, 0)[:-1]
+            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most CELLS_MAX / 2
+            crossings = np.flip(crossings, axis) if sign > 0 else crossings
+            hits += crossings > 0
+            odd |= (crossings & 1).view(bool)
+            if up == (axis, sign):
+                capped = crossings > 0
+    return ~shell & (hits >= 5) & odd & capped
+
+
+def solid_cells(density: np.ndarray) -> np.ndarray:
+    """Solid cells (X, Y, Z) bool: the dense shell with its hairline gaps closed, and its interior."""
+    shell = np.pad(density > DENSE, 2)  # closing must not see the border
+    shell = ~across_edges(~across_edges(shell))[2:-2, 2:-2, 2:-2]
+    return shell | interior(shell)

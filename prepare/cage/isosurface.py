@@ -1,0 +1,93 @@
+"""The surface of a level set as triangles, and how far apart a surface and a set of points are."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from core.errors import BadInput
+
+SAMPLES = 60_000  # points of a surface that stand for it
+NEAREST = 12  # samples whose triangles are measured exactly for a point
+
+
+def marching_cubes(phi: np.ndarray, origin: np.ndarray, spacing: float, level: float = 0.0):
+    """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise seen from outside, where phi = level.
+
+    phi  signed distance (X, Y, Z), negative inside; node (i, j, k) lies at origin + spacing (i, j, k) [m]
+    Raises BadInput where there is no such surface. Lewiner's cases, as scikit-image has them: the surface is closed.
+    """
+    from skimage.measure import marching_cubes as lewiner
+
+    padded = np.pad(phi, 1, constant_values=max(float(phi.max()), level + 1.0))  # closed at the grid's end, too
+    if not float(phi.min()) < level:
+        raise BadInput("the level set has no surface")
+    vertices, faces, _, _ = lewiner(padded, level, gradient_direction="ascent", allow_degenerate=False)
+    vertices = np.asarray(origin, np.float64) + spacing * (vertices.astype(np.float64) - 1)
+    if volume_within(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    return vertices, np.ascontiguousarray(faces, np.int32)
+
+
+def volume_within(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Volume [m^3] within a closed surface that is counter-clockwise from outside; by the divergence theorem."""
+    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
+    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
+
+
+def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area of each triangle [m^2], (F,)."""
+    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def sampled(vertices: np.ndarray, faces: np.ndarray, n: int = SAMPLES, seed: int = 0):
+    """Points (n, 3) [m] spread evenly over the triangles, and the triangle (n,) each lies on.
+
+    One point at a time falls on each n-th of the area, so that no part is missed.
+    """
+    rng = np.random.default_rng(seed)
+    along = np.cumsum(areas(vertices, faces))
+    triangle = np.searchsorted(along, (np.arange(n) + rng.uniform(size=n)) / n * along[-1]).clip(max=len(faces) - 1)
+    u, v = np.sqrt(rng.uniform(size=n)), rng.uniform(size=n)
+    weights = np.stack([1 - u, u * (1 - v), u * v], 1)
+    return np.einsum("nk,nki->ni", weights, np.asarray(vertices, np.float64)[faces[triangle]]), triangle
+
+
+def distance_to_triangles(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Distance [m] (N,) of each point p (N, 3) to its own triangle, corners (N, 3, 3).
+
+    To the plane where the foot falls inside, else to the nearest edge.
+    """
+    a, b, c = np.moveaxis(corners, 1, 0)
+    best = np.full(len(p), np.inf)
+    normal = np.cross(b - a, c - a)
+    inside = np.ones(len(p), bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, to = end - start, p - start
+        inside &= np.einsum("ni,ni->n", np.cross(edge, to), normal) >= 0
+        t = np.einsum("ni,ni->n", to, edge) / np.maximum(np.einsum("ni,ni->n", edge, edge), 1e-300)
+        best = np.minimum(best, np.linalg.norm(to - t.clip(0, 1)[:, None] * edge, axis=1))
+    length = np.linalg.norm(normal, axis=1)
+    plane = np.abs(np.einsum("ni,ni->n", p - a, normal)) / np.maximum(length, 1e-300)
+    return np.where(inside & (length > 0), plane, best)
+
+
+def distance_to_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Distance [m] (N,) of points (N, 3) to a surface: exact for the triangles near its nearest samples."""
+    samples, triangle = sampled(vertices, faces)
+    corners = np.asarray(vertices, np.float64)[faces]
+    _, near = cKDTree(samples).query(points, k=NEAREST)
+    best = np.full(len(points), np.inf)
+    for k in range(NEAREST):
+        best = np.minimum(best, distance_to_triangles(points, corners[triangle[near[:, k]]]))
+    return best
+
+
+def spread(distances: np.ndarray) -> dict:
+    """Mean, 95th percentile and largest of some distances [m]."""
+    return {
+        "mean": float(distances.mean()),
+        "p95": float(np.percentile(distances, 95)),
+        "max": float(distances.max()),
+    }

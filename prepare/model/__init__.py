@@ -1,1 +1,0 @@
-"""The shipped assets of the ring toss, modelled by code: `python vrgs.py build`."""

@@ -1,0 +1,89 @@
+"""A cage is opened where it joins what the skeleton does not: a hand and the hip it rests on, the two thighs.
+
+The lattice that a cage is made of is coarser than such gaps, and a splat has none where two things touch. Each tet
+belongs to a joint; faces between tets of joints that do not meet there become two, and so do their vertices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from assets.asset import Cage
+from core.tetmesh import faces_of, keys_of
+
+ROUNDS = 20  # in which what was cut off is given to its neighbours; each one ends some pieces
+
+
+def facing(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inner faces: the two tets of each (n, 2) and its vertices (n, 3); and the boundary's triangles, outward."""
+    faces = faces_of(tets)
+    key = keys_of(faces)
+    order = np.argsort(key)
+    same = key[order[1:]] == key[order[:-1]]
+    pair = np.sort([order[:-1][same], order[1:][same]], axis=0)
+    first, second = pair[:, np.argsort(pair[0])]
+    alone = np.ones(len(faces), bool)
+    alone[first] = alone[second] = False
+    return np.stack([first // 4, second // 4], 1), faces[first], faces[alone]
+
+
+def cut(cage: Cage, label: np.ndarray, joined: Callable) -> tuple[Cage, np.ndarray, np.ndarray]:
+    """Open the cage between tets that belong to joints which do not meet there.
+
+    label   joint of each tet, (T,)
+    joined  joined(a, b, centre): whether tets of joints a and b (n,) hold together at a face with that centre (n, 3)
+    Out.    the cage, of one piece still; what the labels are then, (T,); which old vertex each vertex is
+    """
+    pairs, faces, _ = facing(cage.tets)
+    x = cage.vertices.astype(np.float64)
+    centre = x[faces].mean(1)
+    label = label.copy()
+    T = len(cage.tets)
+    for _ in range(ROUNDS):
+        a, b = label[pairs[:, 0]], label[pairs[:, 1]]
+        kept = (a == b) | joined(a, b, centre)
+        count, piece = connected_components(coo_matrix((np.ones(kept.sum()), pairs[kept].T), shape=(T, T)), False)
+        if count == 1:
+            break
+        # What hangs on nothing belongs to what it touches most.
+        main = np.argmax(np.bincount(piece))
+        over = pairs[~kept]
+        over = np.concatenate([over, over[:, ::-1]])
+        over = over[(piece[over[:, 0]] != main) & (piece[over[:, 0]] != piece[over[:, 1]])]
+        if not len(over):  # pieces that met in a vertex or an edge alone
+            break
+        width = int(label.max()) + 1
+        votes = np.bincount(piece[over[:, 0]] * width + label[over[:, 1]], minlength=count * width).reshape(count, -1)
+        lost = np.flatnonzero(votes.any(1))
+        for p in lost:
+            label[piece == p] = np.argmax(votes[p])
+    a, b = label[pairs[:, 0]], label[pairs[:, 1]]
+    kept = (a == b) | joined(a, b, centre)
+    tets, source = split(cage.tets, pairs[kept], len(x))
+    surface = facing(tets)[2]
+    return Cage(cage.vertices[source], tets.astype(np.int32), surface.astype(np.int32)), label, source
+
+
+def split(tets: np.ndarray, kept: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tets (T, 4) in which a vertex is one only among tets that kept faces connect; and the old vertex of each new one.
+
+    kept  pairs of tets whose common face holds, (n, 2)
+    """
+    corner = np.arange(4 * len(tets)).reshape(-1, 4)
+    links = []
+    for i in range(4):
+        for j in range(4):
+            same = tets[kept[:, 0], i] == tets[kept[:, 1], j]
+            links.append(np.stack([corner[kept[same, 0], i], corner[kept[same, 1], j]], 1))
+    links = np.concatenate(links)
+    graph = coo_matrix((np.ones(len(links)), links.T), shape=(corner.size,) * 2)
+    _, group = connected_components(graph, False)
+    _, first, group = np.unique(group, return_index=True, return_inverse=True)
+    order = np.argsort(tets.ravel()[first], kind="stable")  # old vertices keep their order
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    return rank[group].reshape(-1, 4), tets.ravel()[first[order]]

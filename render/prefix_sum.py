@@ -1,0 +1,144 @@
+"""Exclusive prefix sums of non-negative integers; the count may be known to the device alone."""
+
+import taichi as ti
+
+from render.shared_arrays import WORDS
+
+SATURATED = (1 << 30) - 1  # sums stop here: two saturated sums still fit an i32
+CPU_CHUNKS = 16  # more than a small machine's cores, few enough to scan one after the other
+BLOCK = 256
+ITEMS = 4  # per thread of a block
+
+
+@ti.func
+def saturating_add(a: ti.i32, b: ti.i32) -> ti.i32:
+    """min(a + b, SATURATED); associative, so it can be scanned."""
+    return ti.min(a + b, SATURATED)
+
+
+@ti.func
+def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
+    """Sum of `value` over the threads of a block of BLOCK before this one, CUDA only.
+
+    Every thread of the block must call it. Hillis and Steele's scan in the first 2 BLOCK words of `shared`.
+    """
+    ti.simt.block.sync()
+    shared[lane] = value
+    side = 0
+    for step in ti.static(range(BLOCK.bit_length() - 1)):
+        ti.simt.block.sync()
+        total = shared[side * BLOCK + lane]
+        if lane >= (1 << step):
+            total = saturating_add(total, shared[side * BLOCK + lane - (1 << step)])
+        side = 1 - side
+        shared[side * BLOCK + lane] = total
+    ti.simt.block.sync()
+    before = 0
+    if lane > 0:
+        before = shared[side * BLOCK + lane - 1]
+    return before
+
+
+@ti.data_oriented
+class Scan:
+    """Prefix sums over up to `capacity` items.
+
+    Each chunk is summed, the sums are scanned, each chunk is scanned from its offset. A sum that
+    would pass 2^30 - 1 stays there, so that a caller can detect it.
+    """
+
+    def __init__(self, capacity: int):
+        self.capacity = capacity
+        self.on_gpu = ti.cfg.arch == ti.cuda
+        self.chunks = -(-capacity // (BLOCK * ITEMS)) if self.on_gpu else CPU_CHUNKS
+        self.sums = ti.field(ti.i32)
+        self.total = ti.field(ti.i32)
+        builder = ti.FieldsBuilder()
+        builder.dense(ti.i, self.chunks).place(self.sums)
+        builder.place(self.total)
+        self.tree = builder.finalize()
+
+    def destroy(self) -> None:
+        """Give the device memory back; the object must not be used after."""
+        self.tree.destroy()
+
+    @ti.func
+    def exclusive(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
+        """Out: offsets[i] = values[0] + ... + values[i-1] for i < count[None]; `total` = sum of all.
+
+        To be called at the outermost level of a kernel. `offsets` may be `values`.
+        """
+        if ti.static(self.on_gpu):
+            self._exclusive_gpu(values, count, offsets)
+        else:
+            self._exclusive_cpu(values, count, offsets)
+
+    @ti.func
+    def _exclusive_cpu(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
+        ti.loop_config(block_dim=1)
+        for c in range(self.chunks):
+            length = (count[None] + self.chunks - 1) // self.chunks
+            total = 0
+            for i in range(c * length, ti.min((c + 1) * length, count[None])):
+                total = saturating_add(total, values[i])
+            self.sums[c] = total
+        so_far = 0
+        ti.loop_config(serialize=True)
+        for c in range(self.chunks):
+            own = self.sums[c]
+            self.sums[c] = so_far
+            so_far = saturating_add(so_far, own)
+        self.total[None] = so_far
+        ti.loop_config(block_dim=1)
+        for c in range(self.chunks):
+            length = (count[None] + self.chunks - 1) // self.chunks
+            before = self.sums[c]
+            for i in range(c * length, ti.min((c + 1) * length, count[None])):
+                value = values[i]
+                offsets[i] = before
+                before = saturating_add(before, value)
+
+    @ti.func
+    def _exclusive_gpu(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
+        ti.loop_config(block_dim=BLOCK)
+        for thread in range(self.chunks * BLOCK):
+            c, lane = thread // BLOCK, thread % BLOCK
+            first = thread * ITEMS
+            if c * BLOCK * ITEMS < count[None]:  # the same for the whole block
+                own = 0
+                for i in range(first, ti.min(first + ITEMS, count[None])):
+                    own = saturating_add(own, values[i])
+                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                before = block_exclusive(shared, own, lane)
+                if lane == BLOCK - 1:
+                    self.sums[c] = saturating_add(before, own)
+            elif lane == 0:
+                self.sums[c] = 0
+        ti.loop_config(block_dim=BLOCK)
+        for lane in range(BLOCK):
+            length = (self.chunks + BLOCK - 1) // BLOCK
+            own = 0
+            for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
+                own = saturating_add(own, self.sums[c])
+            shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+            before = block_exclusive(shared, own, lane)
+            for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
+                value = self.sums[c]
+                self.sums[c] = before
+                before = saturating_add(before, value)
+            if lane == BLOCK - 1:
+                self.total[None] = before
+        ti.loop_config(block_dim=BLOCK)
+        for thread in range(self.chunks * BLOCK):
+            c, lane = thread // BLOCK, thread % BLOCK
+            first = thread * ITEMS
+            if c * BLOCK * ITEMS < count[None]:
+                own = 0
+                for i in range(first, ti.min(first + ITEMS, count[None])):
+                    own = saturating_add(own, values[i])
+                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                before = saturating_add(self.sums[c], block_exclusive(shared, own, lane))
+                for i in range(first, ti.min(first + ITEMS, count[None])):
+                    value = values[i]
+                    offsets[i] = before
+                    before = saturating_add(before, value)

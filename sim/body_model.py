@@ -1,0 +1,200 @@
+"""What the solver derives from bodies on the host, once for a mesh and once for a body (NumPy only)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from assets.asset import DistanceGrid
+from core.material import Material
+from sim.elastic.time_step import bearable, stiffness_bounds, wave_speed
+from sim.rigid.rigid_body import RigidBody
+from sim.soft_body import SoftBody, rest_volumes
+
+
+class RestShape:
+    """A mesh at rest in its body's frame [m], and everything that follows from the mesh alone.
+
+    Bodies of the same mesh share one. `root` is the shape that this one is `factor` times as large as.
+    `solid` are the tets that carry mass, and `tets` those of them that deform: none of a rigid body's. `boxed`: the
+    shape is exactly the box that its vertices span, about the frame's origin.
+    """
+
+    def __init__(
+        self,
+        vertices,
+        tets,
+        surface,
+        sdf: DistanceGrid | None,
+        *,
+        rigid: bool = False,
+        boxed: bool = False,
+        root: RestShape | None = None,
+        factor: float = 1.0,
+    ):
+        self.vertices = np.asarray(vertices, np.float64)
+        self.solid, self.surface, self.sdf = np.asarray(tets, np.int64), np.asarray(surface, np.int64), sdf
+        self.rigid, self.boxed = rigid, boxed
+        self.tets = self.solid[:0] if rigid else self.solid
+        self.root, self.factor = self if root is None else root, factor
+        self._kept: dict = {}
+
+    @classmethod
+    def of(cls, body: SoftBody | RigidBody) -> RestShape:
+        boxed = body.rigid and body.boxed
+        return cls(body.vertices, body.tets, body.surface, body.sdf, rigid=body.rigid, boxed=boxed)
+
+    def fits(self, body: SoftBody | RigidBody) -> bool:
+        """Whether the body has this mesh."""
+        if (self.rigid, self.boxed) != (body.rigid, body.rigid and body.boxed):
+            return False
+        pairs = [(self.vertices, body.vertices), (self.solid, body.tets), (self.surface, body.surface)]
+        return all(np.array_equal(a, b) for a, b in pairs) and same_grid(self.sdf, body.sdf)
+
+    def once(self, derive: Callable, *arguments):
+        """derive(self, *arguments), which is computed at the first call only."""
+        key = (derive, *arguments)
+        if key not in self._kept:
+            self._kept[key] = derive(self, *arguments)
+        return self._kept[key]
+
+    def scaled(self, factor: float) -> RestShape:
+        """The same shape `factor` times as large; scaling there and back gives this one again."""
+        root, factor = self.root, self.factor * factor
+        if abs(factor - 1.0) < 1e-12:
+            return root
+        sdf = None if root.sdf is None else scaled_grid(root.sdf, factor)
+        kind = {"rigid": root.rigid, "boxed": root.boxed}
+        return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
+
+    @property
+    def bytes(self) -> int:
+        """What it takes in memory, roughly: distances take the most."""
+        kept = sum(v.values.nbytes for v in self._kept.values() if isinstance(v, DistanceGrid))
+        return 10 * self.vertices.nbytes + kept + (0 if self.sdf is None else self.sdf.values.nbytes)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """D_m^-1 of each tet [1/m], (T, 3, 3)."""
+        x = self.vertices[self.tets]
+        return np.linalg.inv(np.swapaxes(x[:, 1:] - x[:, :1], 1, 2))
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """[m^3], (T,)"""
+        return rest_volumes(self.vertices, self.tets)
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """Volume that each vertex stands for [m^3], (V,)."""
+        volumes = rest_volumes(self.vertices, self.solid)
+        return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
+
+    @cached_property
+    def length(self) -> float:
+        """Largest extent [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def edge(self) -> float:
+        """Median edge length of the tets [m]."""
+        x = self.vertices[self.solid]
+        return float(np.median(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1)))
+
+    @cached_property
+    def center(self) -> np.ndarray:
+        """Of mass [m], (3,)."""
+        return np.average(self.vertices, axis=0, weights=self.share)
+
+    @cached_property
+    def flattest(self) -> np.ndarray:
+        """Unit direction of the smallest spread of the mass, its largest component positive, (3,)."""
+        r = self.vertices - self.center
+        n = np.linalg.eigh((r * self.share[:, None]).T @ r)[1][:, 0]
+        return n * np.sign(n[np.argmax(np.abs(n))])
+
+
+class Part:
+    """A body of the solver, its shape, and what both give with its material."""
+
+    def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
+        self.body, self.shape = body, shape
+
+    @classmethod
+    def of(cls, body: SoftBody | RigidBody, others: list[Part]) -> Part:
+        """A checked body; it shares the shape of another one with the same mesh."""
+        shape = next((p.shape for p in others if p.shape.fits(body)), None)
+        body.check()
+        return cls(body, RestShape.of(body) if shape is None else shape)
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """Lumped [kg], (V,)."""
+        return self.body.material.density * self.shape.share
+
+    @cached_property
+    def w(self) -> np.ndarray:
+        """Inverse mass [1/kg], 0 where pinned, and of a rigid body, whose vertices follow it, (V,)."""
+        w = np.zeros_like(self.mass) if self.body.rigid else 1 / self.mass
+        if self.body.pinned is not None:
+            w[np.asarray(self.body.pinned, np.int64)] = 0.0
+        return w
+
+    @cached_property
+    def material(self) -> Material:
+        """The body's, as it is simulated (sim/elastic/time_step.py)."""
+        return self.body.material if self.body.rigid else bearable(self.body.material, self.shape.length)
+
+    @cached_property
+    def crossing(self) -> float:
+        """Time [s] in which a pressure wave crosses the body; infinite for a rigid one."""
+        return np.inf if self.body.rigid else self.shape.length / wave_speed(self.material)
+
+    @cached_property
+    def kappa(self) -> np.ndarray:
+        """Stiffness bound of each tet [1/s^2], (T,)."""
+        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.w, self.material)
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """x, carry, v, v_carry at the beginning, (4, V, 3) float32; pinned vertices stand still."""
+        v = self.body.start_velocities()
+        return motion(self.body.start(), v if self.body.rigid else np.where(self.w[:, None] > 0.0, v, 0.0))
+
+    def with_material(self, material: Material) -> Part:
+        return Part(self.body.of_material(material), self.shape)
+
+    def placed(self, rotation, position) -> Part:
+        """The same body with another start."""
+        return Part(replace(self.body, rotation=rotation, position=position), self.shape)
+
+    def scaled(self, factor: float) -> Part:
+        """The body `factor` times as large, its start scaled about its centre of mass."""
+        shape = self.shape.scaled(factor)
+        old = np.average(self.body.start(), axis=0, weights=self.mass)
+        body = replace(self.body, vertices=shape.vertices, sdf=shape.sdf)
+        shift = old - np.average(body.start(), axis=0, weights=self.mass)
+        return Part(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
+
+
+def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """x, carry, v, v_carry (4, V, 3) float32 of float64 positions and velocities."""
+    high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
+    return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
+
+
+def scaled_grid(grid: DistanceGrid, factor: float) -> DistanceGrid:
+    """The distance grid of a thing `factor` times as large."""
+    values = np.asarray(grid.values, np.float32) * np.float32(factor)
+    return DistanceGrid(values, np.asarray(grid.origin, np.float64) * factor, float(grid.spacing) * factor)
+
+
+def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:
+    if a is None or b is None:
+        return a is b
+    return a is b or (
+        a.spacing == b.spacing and np.array_equal(a.origin, b.origin) and np.array_equal(a.values, b.values)
+    )

@@ -1,0 +1,4 @@
+"""Contact of everything with everything: broad phase, narrow phases, constraints, response.
+
+In: surface samples and shapes. Out: corrections of the increments of vertices and rigid bodies, and forces.
+"""

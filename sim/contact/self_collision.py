@@ -1,0 +1,160 @@
+"""Which bodies are bent so far that they may touch themselves: the others are not searched for that.
+
+With the best affine map A of the rest shape onto a body, and r the largest distance of a vertex from where A has it,
+two points that are APART at rest are at least sigma_min(A) APART - 2 r from each other. Velocities are fitted likewise,
+by G and r_v; turning does not bring points together, so that in the time t they approach by at most 2 r_v t, and by
+the share |sym(G A^-1)| t of their distance. While something is left beyond the margin in which contacts are looked for,
+nothing of the body can meet itself. With X, x, v relative to the means,
+
+    A = (sum m x X^T) S^-1,   G = (sum m v X^T) S^-1,   S = sum m X X^T
+
+and sigma_min from |A^T A - I|, or from |A^-1| where the body is squeezed as a whole.
+"""
+
+import numpy as np
+import taichi as ti
+
+from core.fields import Upload
+from sim.body_model import RestShape
+from sim.contact.broad_phase import MARGIN, Bounds
+from sim.elastic.damping import Chunks
+from sim.model import MAX_BODIES, Assembly
+from sim.state import State
+
+APART = 5.0  # times a body's reach, which is half an edge: what is closer at rest does not meet
+LONG = 5.0  # edges: what is shorter has no two ends that are APART and could still meet
+SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
+
+
+@ti.data_oriented
+class Folding:
+    """folded, loose i32[B]: what may touch itself, what passes through itself
+    way f32[B] [m]: how far two points may approach, apart from what the whole body does
+
+    sums f32[chunks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
+    center, rest_center, velocity vec3[B]: the means
+    strayed, restless f32[B]: the largest distances r [m] and r_v [m/s] from the fits
+    """
+
+    def __init__(self, state: State, chunks: Chunks, bounds: Bounds):
+        self.state, self.chunks, self.bounds = state, chunks, bounds
+        self.builder = ti.FieldsBuilder()
+        self.sums, self.total, self.folded = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
+        self.way, self.strayed, self.restless = (ti.field(ti.f32) for _ in range(3))
+        self.fit, self.gradient = (ti.Matrix.field(3, 3, ti.f32) for _ in range(2))
+        self.center, self.rest_center, self.velocity = (ti.Vector.field(3, ti.f32) for _ in range(3))
+        self.builder.dense(ti.ij, (chunks.size, SUMS)).place(self.sums)
+        self.builder.dense(ti.ij, (MAX_BODIES, SUMS)).place(self.total)
+        bodies = self.builder.dense(ti.i, MAX_BODIES)
+        bodies.place(self.folded, self.way, self.strayed, self.restless, self.fit, self.gradient)
+        bodies.place(self.center, self.rest_center, self.velocity)
+        self.loose = ti.field(ti.i32)
+        bodies.place(self.loose)
+        self.tree = self.builder.finalize()
+        self._upload = Upload([self.loose])
+
+    def load(self, assembly: Assembly) -> None:
+        """Take which of these bodies pass through themselves."""
+        self._upload([np.array([not p.body.rigid and p.body.loose for p in assembly.parts])])
+
+    @ti.func
+    def apart(self, b):
+        """How far apart two points of body b must be at rest, so that they may meet [m]."""
+        return APART * self.state.reach[b]
+
+    @ti.func
+    def pace(self, b):
+        """The speed at which points of body b may come towards each other [m/s]."""
+        return 2.0 * self.restless[b] + self.bounds.extra[b] + MARGIN / self.state.detect_dt[None]
+
+    @ti.kernel
+    def update(self):
+        """Take `folded` and `way` anew; the bounds must be up to date."""
+        s = self.state
+        c = self.chunks
+        for j in range(c.size):
+            span = c.span[j]
+            if span[1] > span[0]:
+                self._sum(j, span)
+        for bk in range(MAX_BODIES * SUMS):
+            b, k = bk // SUMS, bk % SUMS
+            value = 0.0
+            for j in range(c.of_body[b], c.of_body[b + 1]):
+                value += self.sums[j, k]
+            self.total[b, k] = value
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None]:
+                self._fit(b)
+        for i in range(s.V):
+            if i < s.vertex_count[None]:
+                b = s.body_of_vertex[i]
+                X = s.rest[i] - self.rest_center[b]
+                r = (s.x[i] - self.center[b] - self.fit[b] @ X).norm()
+                r_v = (s.v[i] - self.velocity[b] - self.gradient[b] @ X).norm()
+                if r > self.strayed[b]:
+                    ti.atomic_max(self.strayed[b], r)
+                if r_v > self.restless[b]:
+                    ti.atomic_max(self.restless[b], r_v)
+        for b in range(MAX_BODIES):
+            self.folded[b] = 0
+            if b < s.body_count[None]:
+                A = self.fit[b]
+                t, stretch = s.detect_dt[None], A.transpose() @ A - ti.Matrix.identity(ti.f32, 3)
+                least = ti.sqrt(ti.max(1.0 - stretch.norm(), 0.0))
+                if ti.abs(A.determinant()) > 1e-6:
+                    inverse = A.inverse()
+                    L = self.gradient[b] @ inverse
+                    least = ti.max(least, 1.0 / inverse.norm()) * (1.0 - 0.5 * t * (L + L.transpose()).norm())
+                way = 2.0 * self.restless[b] * t + MARGIN
+                far = self.loose[b] != 0 or least * self.apart(b) >= 2.0 * self.strayed[b] + way
+                self.folded[b] = 0 if far else 1
+                # farther, the search would cost too much; what is faster is met inside, where a body is thick enough
+                self.way[b] = ti.min(way, self.apart(b))
+
+    @ti.func
+    def _sum(self, j, span):
+        """The sums of one chunk, about the body's first vertex."""
+        s = self.state
+        first = s.vertex_begin[span[2]]
+        M, p, P, q = 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+        S = ti.Matrix.zero(ti.f32, 3, 3)
+        C, H = S, S
+        for i in range(span[0], span[1]):
+            m, x, X, v = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first], s.v[i]
+            M += m
+            p += m * x
+            P += m * X
+            q += m * v
+            S += m * X.outer_product(X)
+            C += m * x.outer_product(X)
+            H += m * v.outer_product(X)
+        self.sums[j, 0] = M
+        for k in ti.static(range(3)):
+            self.sums[j, 1 + k], self.sums[j, 4 + k], self.sums[j, 7 + k] = p[k], P[k], q[k]
+            self.sums[j, 10 + k], self.sums[j, 13 + k] = S[k, k], S[k, (k + 1) % 3]
+            for axis in ti.static(range(3)):
+                self.sums[j, 16 + 3 * k + axis], self.sums[j, 25 + 3 * k + axis] = C[k, axis], H[k, axis]
+
+    @ti.func
+    def _fit(self, b):
+        """The affine maps of body b from the sums of its chunks."""
+        s = self.state
+        total = ti.Vector([self.total[b, k] for k in range(SUMS)])
+        M, first = total[0], s.vertex_begin[b]
+        p, P, q = total[1:4] / M, total[4:7] / M, total[7:10] / M
+        xx, yy, zz = total[10] - M * P[0] * P[0], total[11] - M * P[1] * P[1], total[12] - M * P[2] * P[2]
+        xy, yz, zx = total[13] - M * P[0] * P[1], total[14] - M * P[1] * P[2], total[15] - M * P[2] * P[0]
+        inverse = ti.Matrix([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]]).inverse()
+        C = ti.Matrix([[total[16 + 3 * k + axis] - M * p[k] * P[axis] for axis in range(3)] for k in range(3)])
+        H = ti.Matrix([[total[25 + 3 * k + axis] - M * q[k] * P[axis] for axis in range(3)] for k in range(3)])
+        self.fit[b], self.gradient[b] = C @ inverse, H @ inverse
+        self.center[b], self.rest_center[b], self.velocity[b] = s.x[first] + p, s.rest[first] + P, q
+        self.strayed[b], self.restless[b] = 0.0, 0.0
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+
+
+def foldable(shape: RestShape) -> bool:
+    """Whether a body is long enough for one end to reach the other."""
+    return float(np.ptp(shape.vertices, axis=0).max()) > LONG * shape.edge

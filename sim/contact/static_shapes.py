@@ -1,0 +1,199 @@
+"""Static shapes on the device: planes, capsules, boxes and distance grids, and how far a point is from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import taichi as ti
+
+from assets.asset import DistanceGrid
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
+from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
+from sim.contact.device_grids import FAR, Grids, corner
+
+PLANE, CAPSULE, BOX, GRID = range(4)
+MAX_SHAPES = 128
+SHELL = 4.0  # [voxels] under the surface of a scanned grid that still push; deeper, nobody saw what is there
+
+
+@dataclass(frozen=True)
+class StaticGrid:
+    """A static thing with a distance grid: x_world = scale * R(rotation) x_grid + position."""
+
+    grid: DistanceGrid
+    rotation: Quat = IDENTITY
+    position: Vec3 = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+    friction: float = 0.5
+
+
+Shape = Plane | Capsule | Box | StaticGrid
+
+
+@ti.data_oriented
+class Colliders:
+    """All static shapes, flat.
+
+    kind i32, a vec3, b vec3, radius f32, friction f32, frame mat3 (grid from world, without scale), scale f32,
+    grid i32, low, high vec3: the world box outside of which a shape is farther than zero.
+    Plane: a = point, b = normal. Capsule: a, b = ends. Box: a = center, b = half size. Grid: a = position.
+    """
+
+    def __init__(self, shapes: list[Shape]):
+        if len(shapes) > MAX_SHAPES:
+            raise BadInput(f"{len(shapes)} static shapes, the limit is {MAX_SHAPES}")
+        self.shapes = list(shapes)
+        grids = [s.grid for s in shapes if isinstance(s, StaticGrid)]
+        self.grids = Grids(grids)
+        self.grids.load(grids)
+        self.builder = ti.FieldsBuilder()
+        self.kind, self.grid = ti.field(ti.i32), ti.field(ti.i32)
+        self.radius, self.friction, self.scale = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
+        self.a, self.b, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(4))
+        self.frame = ti.Matrix.field(3, 3, ti.f32)
+        scalars = (self.kind, self.grid, self.radius, self.friction, self.scale)
+        self.builder.dense(ti.i, MAX_SHAPES).place(*scalars, self.a, self.b, self.low, self.high, self.frame)
+        self.count = ti.field(ti.i32)
+        self.builder.place(self.count)
+        self.tree = self.builder.finalize()
+        self.count[None] = len(shapes)
+        grids = 0
+        for k, shape in enumerate(shapes):
+            self._put(k, shape, grids)
+            grids += isinstance(shape, StaticGrid)
+
+    def _put(self, k: int, shape: Shape, grid: int) -> None:
+        low, high = (-FAR,) * 3, (FAR,) * 3
+        if isinstance(shape, Plane):
+            kind, a, b = PLANE, shape.point, np.asarray(shape.normal) / np.linalg.norm(shape.normal)
+        elif isinstance(shape, Capsule):
+            kind, a, b = CAPSULE, shape.a, shape.b
+            self.radius[k] = float(shape.radius)
+            low, high = np.minimum(a, b) - shape.radius, np.maximum(a, b) + shape.radius
+        elif isinstance(shape, Box):
+            kind, a, b = BOX, shape.center, shape.half_size
+            low, high = np.subtract(a, b), np.add(a, b)
+        elif isinstance(shape, StaticGrid):
+            kind, a, b = GRID, shape.position, (0, 0, 0)
+            self.grid[k], self.scale[k] = grid, float(shape.scale)
+            R = matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
+            self.frame[k] = R.T.tolist()
+            low, high = grid_bounds(shape, R)
+        else:
+            raise TypeError(f"not a static shape: {shape!r}")
+        self.kind[k], self.friction[k] = kind, float(shape.friction)
+        for field, value in ((self.a, a), (self.b, b), (self.low, low), (self.high, high)):
+            field[k] = [float(c) for c in value]
+
+    @ti.func
+    def within(self, k, p, margin):
+        """Can shape k be closer to p than margin [m]? Early out by boxes, then by the distance itself."""
+        near = False
+        if (self.low[k] - p).max() < margin and (p - self.high[k]).max() < margin:
+            if self.kind[k] == GRID:
+                q = self._to_grid(k, p)
+                outside = self.grids.box_distance(self.grid[k], q)
+                phi, _ = self.grids.sample(self.grid[k], q)
+                near = outside * self.scale[k] < margin and (outside > 0.0 or phi * self.scale[k] < margin)
+            else:
+                phi, _ = self.distance(k, p)
+                near = phi < margin
+        return near
+
+    @ti.func
+    def gap(self, k, p):
+        """Distance [m] from p to shape k, or to the box of its grid, if p is outside; FAR where that says nothing."""
+        phi, _ = self.distance(k, p)
+        if self.kind[k] == GRID and phi >= 0.5 * FAR:
+            outside = self.grids.box_distance(self.grid[k], self._to_grid(k, p)) * self.scale[k]
+            phi = outside if outside > 0.0 else phi
+        return phi
+
+    @ti.func
+    def distance(self, k, p):
+        """Signed distance [m] from p to shape k and the outward unit normal; (FAR, 0) where a grid says nothing."""
+        phi, normal = FAR, corner(0.0)
+        kind, a, b = self.kind[k], self.a[k], self.b[k]
+        if kind == PLANE:
+            normal = b
+            phi = b.dot(p - a)
+        elif kind == CAPSULE:
+            axis = b - a
+            r = p - a - axis * ti.math.clamp((p - a).dot(axis) / ti.max(axis.norm_sqr(), 1e-12), 0.0, 1.0)
+            length = r.norm()
+            phi = length - self.radius[k]
+            normal = r / length if length > 1e-9 else across(axis)
+        elif kind == BOX:
+            phi, normal = box_distance(p - a, b)
+        else:
+            phi, normal = self._grid_distance(k, p)
+        return phi, normal
+
+    @ti.func
+    def nearest(self, p):
+        """Signed distance [m], outward unit normal and friction of the shape that is nearest to p (or deepest)."""
+        phi, normal, friction = FAR, corner(0.0), 0.0
+        for k in range(self.count[None]):
+            if (self.low[k] - p).max() < phi and (p - self.high[k]).max() < phi:
+                d, n = self.distance(k, p)
+                if d < phi:
+                    phi, normal, friction = d, n, self.friction[k]
+        return phi, normal, friction
+
+    @ti.func
+    def _to_grid(self, k, p):
+        return self.frame[k] @ (p - self.a[k]) / self.scale[k]
+
+    @ti.func
+    def _grid_distance(self, k, p):
+        g = self.grid[k]
+        phi, gradient = self.grids.sample(g, self._to_grid(k, p))
+        length = gradient.norm()
+        normal = corner(0.0)
+        if phi > -SHELL * self.grids.spacing[g] and length > 1e-6:
+            phi *= self.scale[k]
+            normal = self.frame[k].transpose() @ gradient / length
+        else:
+            phi = FAR
+        return phi, normal
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+        self.grids.destroy()
+
+
+def grid_bounds(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World bounding box of the grid's own box."""
+    origin = np.asarray(shape.grid.origin, np.float64)
+    size = shape.grid.spacing * (np.array(shape.grid.values.shape) - 1)
+    ends = np.stack(np.meshgrid(*zip(origin, origin + size, strict=True), indexing="ij"), -1).reshape(-1, 3)
+    world = shape.scale * ends @ R.T + np.asarray(shape.position)
+    return world.min(0), world.max(0)
+
+
+@ti.func
+def across(axis):
+    """Some unit vector perpendicular to axis: the normal on a capsule's own axis, where any will do."""
+    n = axis.cross(ti.Vector([1.0, 0.0, 0.0]))
+    if axis.y**2 + axis.z**2 < axis.x**2:
+        n = axis.cross(ti.Vector([0.0, 1.0, 0.0]))
+    return n.normalized() if n.norm_sqr() > 1e-18 else ti.Vector([0.0, 1.0, 0.0])
+
+
+@ti.func
+def box_distance(p, half):
+    """Signed distance and normal of the box |p| <= half. Inside, the way out is through the nearest face."""
+    q = abs(p) - half
+    side = ti.select(p >= 0.0, corner(1.0), corner(-1.0))
+    phi, normal = q.max(), corner(0.0)
+    if phi > 0.0:
+        out = ti.max(q, 0.0)
+        phi = out.norm()
+        normal = side * out / phi
+    elif q.x >= q.y and q.x >= q.z:
+        normal[0] = side[0]
+    elif q.y >= q.z:
+        normal[1] = side[1]
+    else:
+        normal[2] = side[2]
+    return phi, normal

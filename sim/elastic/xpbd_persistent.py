@@ -1,0 +1,201 @@
+"""The substep on CUDA as one kernel that stays: its blocks meet at barriers instead of ending (MATH: same equations).
+
+A launch costs about 5 us, a barrier among all blocks 1.2 us, and a substep has one to five of them. All blocks must
+run at once: there is one for each multiprocessor, of a size that always fits. Other backends replay the same functions
+as loops (sim/elastic/xpbd.py), and tests compare the two.
+"""
+
+import ctypes
+import sys
+
+import taichi as ti
+
+from sim.elastic.vertex_gather import Gather
+from sim.elastic.xpbd import commit
+from sim.model import Assembly
+from sim.state import State
+
+BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
+LANES = 8  # threads that share the tets of a vertex
+
+
+def multiprocessors() -> int:
+    """How many multiprocessors the first CUDA device has."""
+    cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    count, device, MULTIPROCESSOR_COUNT = ctypes.c_int(), ctypes.c_int(), 16
+    for call in (
+        lambda: cuda.cuInit(0),
+        lambda: cuda.cuCtxGetDevice(ctypes.byref(device)),
+        lambda: cuda.cuDeviceGetAttribute(ctypes.byref(count), MULTIPROCESSOR_COUNT, device),
+    ):
+        status = call()
+        if status != 0:
+            raise RuntimeError(f"the CUDA driver says {status} when asked for its multiprocessors")
+    return count.value
+
+
+@ti.data_oriented
+class Persistent:
+    """`run(n)` makes n substeps of one sweep each."""
+
+    piece = 128  # substeps behind one call, at most: damping acts between calls
+
+    def __init__(self, state: State, constraints: list):
+        self.state, self.gather = state, Gather(state)
+        self.on_vertex = [c for c in constraints if c.has_vertex]
+        self.in_pairs = [c for c in constraints if c.has_pairs]
+        self.mobility, self.answers = state.w, False  # see State
+        self.blocks = multiprocessors()
+        self.threads = self.blocks * BLOCK
+        self.builder = ti.FieldsBuilder()
+        self.arrived, self.released = ti.field(ti.i32), ti.field(ti.i32)
+        self.builder.dense(ti.i, 32).place(self.arrived)  # a cache line of its own
+        self.builder.dense(ti.i, 32).place(self.released)
+        self.tree = self.builder.finalize()
+
+    def load(self, assembly: Assembly) -> None:
+        """Take other bodies."""
+        self.gather.load(assembly)
+
+    def run(self, substeps: int) -> None:
+        self._run(substeps)
+
+    def reset(self) -> None:
+        """Nothing outlives a substep but what the state holds."""
+
+    @ti.func
+    def _meet(self, thread, round_, ends: ti.template()):
+        """Wait for all threads of all blocks, for the round_-th time; the last to come `ends` the substep."""
+        ti.simt.block.sync()
+        if thread % BLOCK == 0:
+            ti.simt.grid.memfence()
+            if ti.atomic_add(self.arrived[0], 1) == round_ * self.blocks - 1:
+                if ti.static(ends):
+                    self.state.tick[None] += 1
+                    ti.simt.grid.memfence()
+                ti.atomic_add(self.released[0], 1)
+            while ti.atomic_add(self.released[0], 0) < round_:
+                pass
+            ti.simt.grid.memfence()
+        ti.simt.block.sync()
+
+    @ti.func
+    def _gathered(self, i, lane, parity):
+        """Sum of the corrections of vertex i, complete in lane 0 of the LANES threads that share it."""
+        s = self.state
+        g = self.gather
+        total = ti.Vector([0.0, 0.0, 0.0])
+        if i < s.vertex_count[None]:
+            b = s.body_of_vertex[i]
+            mu, lam = s.mu[b], s.lam[b]
+            here = g.place[parity, i]
+            k = g.begin[i] + lane
+            while k < g.begin[i + 1]:
+                total += g.correction(k, parity, here, mu, lam)
+                k += LANES
+        for half in ti.static([LANES >> (n + 1) for n in range(LANES.bit_length() - 1)]):
+            for c in ti.static(range(3)):
+                total[c] += ti.simt.warp.shfl_down_f32(ti.u32(0xFFFFFFFF), total[c], half)
+        return total
+
+    @ti.kernel
+    def _run(self, substeps: ti.i32):
+        s = self.state
+        g = self.gather
+        self.arrived[0], self.released[0] = 0, 0
+        s.tick[None] += 1
+        for i in range(s.V):
+            g.publish(i, 0)
+        ti.loop_config(block_dim=BLOCK)
+        for thread in range(self.threads):
+            lane, parity, rounds = thread % LANES, 0, 0
+            paired = self._paired()
+            begin, end = self._chunk(thread)
+            for _ in range(substeps):
+                if paired:
+                    for c in ti.static(self.in_pairs):
+                        k = self._scattered(thread)
+                        while k < c.stage_count(0):
+                            c.look(k)
+                            k += self.threads
+                i = begin + thread % BLOCK // LANES
+                while i < end:
+                    total = self._gathered(i, lane, parity)
+                    if lane == 0 and i < s.vertex_count[None]:
+                        d = s.dx[i]
+                        if s.w[i] > 0.0:
+                            d += s.w[i] * total
+                            for c in ti.static(self.on_vertex):
+                                d = c.project_vertex(i, d, True)
+                        if paired:
+                            s.dx[i] = d
+                        else:
+                            for c in ti.static(self.in_pairs):
+                                d = c.settle_vertex(i, d)  # forgets what the last rows did
+                            commit(s, i, d)
+                            g.publish(i, 1 - parity)
+                    i += BLOCK // LANES
+                if paired:
+                    rounds = self._pairs(thread, rounds, parity)
+                parity = 1 - parity
+                rounds += 1
+                self._meet(thread, rounds, True)
+        s.tick[None] -= 1
+
+    @ti.func
+    def _scattered(self, thread):
+        """A number for each thread, such that the first ones are on different multiprocessors, then different warps.
+
+        A few hundred rows in neighbouring threads would keep two multiprocessors busy and all others waiting.
+        """
+        block, warp, lane = thread // BLOCK, thread % BLOCK // 32, thread % 32
+        last = BLOCK // 32 - 1 - warp  # a block's first warps have the most vertices
+        return (lane * (BLOCK // 32) + last) * self.blocks + block
+
+    @ti.func
+    def _chunk(self, thread):
+        """The vertices of this thread's block: a run, so that its neighbours are mostly its own; of whole warps."""
+        together = ti.static(32 // LANES)
+        length = (self.state.vertex_count[None] + self.blocks * together - 1) // (self.blocks * together) * together
+        begin = thread // BLOCK * length
+        return begin, begin + length
+
+    @ti.func
+    def _paired(self):
+        """Whether any row is listed; that changes only in a search."""
+        paired = False
+        for c in ti.static(self.in_pairs):
+            if c.busy():
+                paired = True
+        return paired
+
+    @ti.func
+    def _pairs(self, thread, rounds, parity):
+        """All stages of all pairs, then each vertex's commit; returns the number of barriers passed."""
+        s = self.state
+        passed = rounds
+        for c in ti.static(self.in_pairs):
+            for stage in ti.static(range(len(c.stage_sizes))):
+                passed += 1
+                self._meet(thread, passed, False)
+                k, end = self._scattered(thread), c.stage_count(stage)
+                while k < end:
+                    c.project_stage(stage, k, True)
+                    k += self.threads
+        passed += 1
+        self._meet(thread, passed, False)
+        begin, end = self._chunk(thread)
+        i = begin + thread % BLOCK
+        while i < ti.min(end, s.vertex_count[None]):
+            d = s.dx[i]
+            if s.w[i] > 0.0:
+                for c in ti.static(self.in_pairs):
+                    d = c.settle_vertex(i, d)
+            commit(s, i, d)
+            self.gather.publish(i, 1 - parity)
+            i += BLOCK
+        return passed
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+        self.gather.destroy()

@@ -1,0 +1,198 @@
+"""What the host may learn of the bodies after a frame: tiny device reductions, one small readback each."""
+
+import numpy as np
+import taichi as ti
+
+from core.fields import Upload
+from scenes.scene import BodyState
+from sim.elastic.damping import Chunks
+from sim.model import MAX_BODIES, Assembly, stacked
+from sim.state import State
+
+FAR = 3.0e38  # larger than any distance, finite in float32
+MOVED = 1e-5  # [m] under this nobody sees a difference
+ANYTHING, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
+# Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
+VALUES = 24
+
+
+@ti.func
+def finite(a) -> ti.i32:
+    """Whether a float32 is neither infinite nor NaN; by its bits, since fast-math assumes that it is."""
+    return (ti.bit_cast(a, ti.i32) & 0x7F800000) != 0x7F800000
+
+
+@ti.data_oriented
+class Summary:
+    """`bodies()`, `moved()`, `pick()` of the solver."""
+
+    def __init__(self, state: State, chunks: Chunks):
+        self.state, self.chunks = state, chunks
+        self.builder = ti.FieldsBuilder()
+        self.rest_center, self.last = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
+        self.builder.dense(ti.i, MAX_BODIES).place(self.rest_center)
+        self.builder.dense(ti.i, state.V).place(self.last)
+        self.partial, self.total = ti.field(ti.f32), ti.field(ti.f32)
+        self.builder.dense(ti.ij, (chunks.size, VALUES)).place(self.partial)
+        self.builder.dense(ti.ij, (MAX_BODIES, VALUES)).place(self.total)
+        self.anything, self.distance, self.hit = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
+        self.builder.place(self.anything, self.distance, self.hit)
+        self.tree = self.builder.finalize()
+        self._upload = Upload([self.rest_center])
+
+    def load(self, assembly: Assembly) -> None:
+        """Tell of these bodies."""
+        self.names = [p.body.name for p in assembly.parts]
+        self.driven = [p.body.pinned is not None for p in assembly.parts]
+        self.flattest = [s.flattest for s in assembly.shapes]
+        self._upload([stacked([s.center[None] for s in assembly.shapes], 3)])
+
+    def bodies(self, held: list[bool]) -> list[BodyState]:
+        """The state of each body, in the order they were given."""
+        self.sum_up()
+        return self._states(self.total.to_numpy(), held)
+
+    def _states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
+        total, states = total[: len(self.names)].astype(np.float64), []
+        for name, t, n, holds, driven in zip(self.names, total, self.flattest, held, self.driven, strict=True):
+            axis = best_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
+            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
+        return states
+
+    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState], np.ndarray]:
+        """`moved`, `bodies`, and `state.inverted` of each, with one look at the device."""
+        self._observe()
+        total = self.total.to_numpy()
+        return bool(total[0, ANYTHING]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
+
+    def finite(self) -> bool:
+        """Whether every position and velocity is finite."""
+        self.sum_up()
+        return bool(self.total.to_numpy()[: len(self.names), 21].all())
+
+    def destroy(self) -> None:
+        self.tree.destroy()
+
+    @ti.kernel
+    def sum_up(self):
+        """Fill `total`, (MAX_BODIES, VALUES)."""
+        self._sum_up()
+
+    @ti.kernel
+    def _observe(self):
+        self._find_motion()
+        self._sum_up()
+        for b in range(MAX_BODIES):
+            self.total[b, ANYTHING] = self.anything[None]
+            self.total[b, INVERTED] = self.state.inverted[b]
+
+    @ti.func
+    def _sum_up(self):
+        """Outermost level of a kernel."""
+        s = self.state
+        c = self.chunks
+        for j in range(c.size):
+            span = c.span[j]
+            p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+            A = ti.Matrix.zero(ti.f32, 3, 3)
+            low, high = ti.Vector([FAR, FAR, FAR]), ti.Vector([-FAR, -FAR, -FAR])
+            good = 1
+            center = self.rest_center[span[2]]
+            for i in range(span[0], span[1]):
+                m, x, v = s.mass[i], s.x[i], s.v[i]
+                p += m * x
+                q += m * v
+                A += m * x.outer_product(s.rest[i] - center)
+                low, high = ti.min(low, x), ti.max(high, x)
+                for k in ti.static(range(3)):
+                    if not (finite(x[k]) and finite(v[k])):
+                        good = 0
+            for k in ti.static(range(3)):
+                self.partial[j, k] = p[k]
+                self.partial[j, 3 + k] = q[k]
+                self.partial[j, 15 + k] = low[k]
+                self.partial[j, 18 + k] = high[k]
+                for l in ti.static(range(3)):
+                    self.partial[j, 6 + 3 * k + l] = A[k, l]
+            self.partial[j, 21] = good
+        for bk in range(MAX_BODIES * VALUES):
+            b, k = bk // VALUES, bk % VALUES
+            if b < s.body_count[None] and k < ANYTHING:
+                value = self.partial[c.of_body[b], k]
+                for j in range(c.of_body[b] + 1, c.of_body[b + 1]):
+                    other = self.partial[j, k]
+                    if k < 15:
+                        value += other
+                    elif k < 18 or k == 21:
+                        value = ti.min(value, other)
+                    else:
+                        value = ti.max(value, other)
+                if k < 6:
+                    value /= s.body_mass[b]
+                self.total[b, k] = value
+
+    def moved(self) -> bool:
+        """Whether any vertex moved more than MOVED since the last call that returned True."""
+        self._compare()
+        return bool(self.anything[None])
+
+    @ti.kernel
+    def _compare(self):
+        self._find_motion()
+
+    @ti.func
+    def _find_motion(self):
+        """Outermost level of a kernel."""
+        s = self.state
+        self.anything[None] = 0
+        for i in range(s.V):
+            if i < s.vertex_count[None] and (s.x[i] - self.last[i]).norm_sqr() > MOVED * MOVED:
+                self.anything[None] = 1  # all writers write the same
+        for i in range(s.V):
+            if self.anything[None] == 1:
+                self.last[i] = s.x[i]
+
+    def pick(self, origin, direction) -> tuple[float, int] | None:
+        """Distance [m] along the ray to the nearest surface triangle, and its body; None if it misses."""
+        d = np.asarray(direction, np.float64)
+        self._cast(*map(float, origin), *(d / np.linalg.norm(d)))
+        distance = self.distance[None]
+        return None if distance >= FAR else (float(distance), int(self.hit[None]))
+
+    @ti.func
+    def _distance(self, j, origin, direction):
+        """Ray parameter of triangle j, FAR if it is missed (Moeller and Trumbore 1997, both sides)."""
+        s = self.state
+        a = s.triangles[j]
+        e1, e2 = s.x[a[1]] - s.x[a[0]], s.x[a[2]] - s.x[a[0]]
+        h = direction.cross(e2)
+        det = e1.dot(h)
+        result = FAR
+        if ti.abs(det) > 1e-20:
+            t = origin - s.x[a[0]]
+            u = t.dot(h) / det
+            g = t.cross(e1)
+            v = direction.dot(g) / det
+            along = e2.dot(g) / det
+            if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and along > 0.0:
+                result = along
+        return result
+
+    @ti.kernel
+    def _cast(self, ox: ti.f32, oy: ti.f32, oz: ti.f32, dx: ti.f32, dy: ti.f32, dz: ti.f32):
+        s = self.state
+        origin, direction = ti.Vector([ox, oy, oz]), ti.Vector([dx, dy, dz])
+        self.distance[None] = FAR
+        self.hit[None] = MAX_BODIES
+        for j in range(s.S):
+            if j < s.triangle_count[None]:
+                ti.atomic_min(self.distance[None], self._distance(j, origin, direction))
+        for j in range(s.S):
+            if j < s.triangle_count[None] and self._distance(j, origin, direction) <= self.distance[None]:
+                ti.atomic_min(self.hit[None], s.body_of_triangle[j])
+
+
+def best_rotation(A: np.ndarray) -> np.ndarray:
+    """The rotation R that maximises tr(R^T A), for A = sum m x (rest - its centre)^T."""
+    U, _, Vt = np.linalg.svd(A)
+    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt

@@ -1,0 +1,150 @@
+"""A rigid body as the host gives it: boxes, convex pieces, and anything with a cage (NumPy only)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import permutations, product
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from assets.asset import DistanceGrid
+from core.errors import BadInput
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from scenes.scene import IDENTITY, Quat, Vec3
+from sim.rigid.inertia import solid_inertia
+from sim.soft_body import SoftBody
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """One rigid body, and where it starts.
+
+    vertices, tets, surface  as of a SoftBody: the cage in the body frame [m]; the mass is that of its tets
+    density [kg/m^3], friction coefficient (static; kinetic_friction None: the same), restitution 0..1
+    rotation, position       x = R(rotation) rest + position
+    velocity [m/s]           of the centre of mass;   spin [rad/s] in the world
+    sdf                      signed distance in the body frame [m]; None: it is made from the cage
+    kinematic                moves only as it is driven (Solver.drive), whatever pushes it
+    boxed                    it is exactly the box that its vertices span, about the body frame's origin
+    """
+
+    name: str
+    vertices: np.ndarray
+    tets: np.ndarray
+    surface: np.ndarray
+    density: float
+    friction: float = 0.5
+    kinetic_friction: float | None = None
+    restitution: float = 0.0
+    rotation: Quat = IDENTITY
+    position: Vec3 = (0.0, 0.0, 0.0)
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    spin: Vec3 = (0.0, 0.0, 0.0)
+    sdf: DistanceGrid | None = None
+    kinematic: bool = False
+    boxed: bool = False
+    rigid: ClassVar[bool] = True
+    pinned: ClassVar[None] = None
+
+    @classmethod
+    def box(cls, name: str, size: Vec3, *, density: float, **options) -> RigidBody:
+        """A box of full edge lengths `size` [m] about the origin of its frame; `options` as the fields above."""
+        size = np.asarray(size, np.float64)
+        if size.shape != (3,) or not (np.isfinite(size) & (size > 0)).all():
+            raise BadInput(f"{name}: a box needs three positive edge lengths, not {size.tolist()}")
+        x = (np.array(list(product((0, 1), repeat=3))) - 0.5) * size
+        tets = np.array([[0, 4 >> a, (4 >> a) | (4 >> b), 7] for a, b, _ in permutations(range(3))])
+        return cls(name, x, upright(x, tets), hull(name, x)[1], density, boxed=True, **options)
+
+    @classmethod
+    def convex(cls, name: str, points: np.ndarray, *, density: float, **options) -> RigidBody:
+        """The convex hull of points (n, 3) [m]; its tets are the fan of its triangles around their centroid."""
+        x, surface = hull(name, points)
+        tets = np.concatenate([surface, np.full((len(surface), 1), len(x))], axis=1)
+        x = np.concatenate([x, x.mean(0, keepdims=True)])
+        return cls(name, x, upright(x, tets), surface, density, **options)
+
+    @classmethod
+    def from_soft(cls, soft: SoftBody, **options) -> RigidBody:
+        """A soft body's shape, place, density and friction; `options` replace fields."""
+        m = soft.material
+        return replace(
+            cls(
+                soft.name, soft.vertices, soft.tets, soft.surface, m.density, m.friction, m.kinetic_friction,
+                rotation=soft.rotation, position=soft.position, velocity=soft.velocity, sdf=soft.sdf,
+            ),
+            **options,
+        )  # fmt: skip
+
+    @property
+    def material(self) -> Material:
+        """What of it a soft body's neighbours ask for; it has no elasticity, so no modulus means anything."""
+        return Material(1.0, 0.0, self.density, self.friction, 0.0, self.kinetic_friction)
+
+    def of_material(self, material: Material) -> RigidBody:
+        """The same body with another density and friction."""
+        body = replace(
+            self, density=material.density, friction=material.friction, kinetic_friction=material.kinetic_friction
+        )
+        body.check()
+        return body
+
+    def start(self) -> np.ndarray:
+        """Initial positions in the world [m], (V, 3) float64."""
+        return self._mesh().start()
+
+    def start_velocities(self) -> np.ndarray:
+        """Initial velocities [m/s], (V, 3) float64."""
+        R = matrices_from_quaternions((np.asarray(self.rotation, np.float64) / np.linalg.norm(self.rotation))[None])[0]
+        r = (np.asarray(self.vertices, np.float64) - self.inertia[1]) @ R.T
+        return np.asarray(self.velocity, np.float64) + np.cross(np.asarray(self.spin, np.float64), r)
+
+    def masses(self) -> np.ndarray:
+        """A quarter of each tet's mass on each of its corners [kg], (V,)."""
+        return self._mesh().masses()
+
+    def _mesh(self) -> SoftBody:
+        return SoftBody(
+            self.name, self.vertices, self.tets, self.surface, self.material, self.rotation, self.position, sdf=self.sdf
+        )
+
+    @cached_property
+    def inertia(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Mass [kg], centre of mass [m] and inertia about it [kg m^2], in the body frame."""
+        return solid_inertia(self.vertices, self.tets, self.density)
+
+    def check(self) -> None:
+        """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
+        self._mesh().check()
+        kinetic = self.friction if self.kinetic_friction is None else self.kinetic_friction
+        if not (self.density > 0 and 0 <= kinetic <= self.friction and 0 <= self.restitution <= 1):
+            raise BadInput(
+                f"{self.name}: out of range (density > 0, 0 <= kinetic <= static friction, 0 <= restitution <= 1):"
+                f" {self.density}, {kinetic}, {self.friction}, {self.restitution}"
+            )
+
+
+def hull(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (V, 3) and outward triangles (S, 3) of the convex hull of points."""
+    points = np.asarray(points, np.float64)
+    try:
+        h = ConvexHull(points)
+    except (QhullError, ValueError) as error:
+        raise BadInput(f"{name}: {len(points)} points span no convex piece") from error
+    corners = np.sort(h.vertices)
+    triangles = np.searchsorted(corners, h.simplices)
+    x = points[corners]
+    normal = np.cross(x[triangles[:, 1]] - x[triangles[:, 0]], x[triangles[:, 2]] - x[triangles[:, 0]])
+    inward = (normal * h.equations[:, :3]).sum(1) < 0
+    triangles[inward] = triangles[inward][:, [0, 2, 1]]
+    return x, triangles
+
+
+def upright(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The tets with their corners in positive order."""
+    D = x[tets[:, 1:]] - x[tets[:, :1]]
+    return np.where((np.linalg.det(D) < 0)[:, None], tets[:, [0, 2, 1, 3]], tets)

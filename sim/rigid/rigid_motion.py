@@ -1,0 +1,81 @@
+"""How a rigid body moves in a substep: the equations of sim/rigid/rigid_bodies.py, for body b of its Movers m."""
+
+import taichi as ti
+
+from core import quaternion
+from core.fields import two_sum
+
+SOFT, FREE, DRIVEN = range(3)
+FASTEST = 0.5  # [rad] a substep; beyond, the attitude's increments mean nothing
+
+
+@ti.func
+def refresh(m: ti.template(), b):
+    """What follows from attitude and momentum."""
+    R = quaternion.matrix(m.q[b].normalized())
+    m.R[b] = R
+    m.world[b] = R @ m.inverse_inertia[b] @ R.transpose()
+    if m.kind[b] == FREE:
+        m.omega[b] = m.world[b] @ m.spin[b]
+
+
+@ti.func
+def predict(m: ti.template(), b):
+    """The increments of the next substep without contacts, and then what the hands add."""
+    s = m.state
+    dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
+    if m.kind[b] == FREE:
+        d = dt * (m.v[b] + (m.v_carry[b] + dt * s.gravity[None])) + m.carry[b]
+        half = (m.q[b] + quaternion.gain(0.5 * dt * m.omega[b], m.q[b])).normalized()
+        R = quaternion.matrix(half)
+        turn = dt * (R @ (m.inverse_inertia[b] @ (R.transpose() @ m.spin[b])))
+        m.predicted[b], m.turned[b] = d, turn
+        m.dx[b], m.turn[b] = d, turn
+        m.grip.pull(b)
+    else:
+        m.dx[b], m.turn[b] = m.way[b] / n + m.carry[b], m.swing[b] / n
+
+
+@ti.func
+def place(m: ti.template(), i):
+    """Put vertex i of a rigid body where its body has it."""
+    s = m.state
+    b = s.body_of_vertex[i]
+    r = m.R[b] @ (s.rest[i] - m.center[b])
+    s.x[i], s.v[i] = m.x[b] + (r + m.carry[b]), m.v[b] + m.omega[b].cross(r)
+    s.carry[i], s.v_carry[i], s.dx[i] = 0.0, 0.0, 0.0
+
+
+@ti.func
+def move(m: ti.template(), b, d, t):
+    """Commit the increments d and t of a free body."""
+    s = m.state
+    dt = s.dt[None]
+    change = dt * s.gravity[None] + (d - m.predicted[b]) / dt
+    v, v_carry = two_sum(m.v[b], m.v_carry[b] + change)
+    speed, limit = v.norm(), m.reach[b] / dt
+    if speed > limit:
+        v, v_carry = v * (limit / speed), 0.0 * v
+    m.v[b], m.v_carry[b] = v, v_carry
+    m.x[b], m.carry[b] = two_sum(m.x[b], dt * (v + v_carry) + m.carry[b])
+    R = m.R[b]
+    m.spin[b] += R @ (m.inertia[b] @ (R.transpose() @ ((t - m.turned[b]) / dt)))
+    q = ti.cast(m.q[b], ti.f64)
+    stretch = ti.cast(q.norm_sqr() - 1.0, ti.f32)
+    turned = quaternion.gain(t, m.q[b]) - 0.5 * stretch * m.q[b]
+    m.q[b], m.q_carry[b] = two_sum(m.q[b], turned + m.q_carry[b])
+    refresh(m, b)
+    spinning = m.omega[b].norm() * dt
+    if spinning > FASTEST:
+        m.spin[b] *= FASTEST / spinning
+        m.omega[b] *= FASTEST / spinning
+
+
+@ti.func
+def follow(m: ti.template(), b):
+    """Put a driven body where it is at the end of this substep."""
+    s = m.state
+    f = ti.cast(s.tick[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+    m.x[b], m.carry[b] = two_sum(m.origin[b], f * m.way[b])
+    m.q[b] = (m.origin_q[b] + quaternion.gain(f * m.swing[b], m.origin_q[b])).normalized()
+    refresh(m, b)

@@ -1,0 +1,202 @@
+"""The asset file: round trip, every check, and writing in one step."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+from assets.asset import Asset, Cage, DistanceGrid, Embedded
+from core.errors import BadInput
+from tests.support.samples import FIELDS, some_gaussians
+
+MATERIAL = {"young": 5e4, "poisson": 0.4, "density": 1100.0, "friction": 0.5}
+
+
+def some_asset(n: int = 20) -> Asset:
+    """Two tets that share a face, random Gaussians in them, and all optional parts."""
+    rng = np.random.default_rng(0)
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], np.float32)
+    tets = np.array([[0, 1, 2, 3], [1, 4, 2, 3]], np.int32)
+    faces = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 4], [1, 4, 3], [2, 3, 4]]
+    weights = rng.dirichlet(np.ones(4), size=(n, 4)).astype(np.float32)
+    return Asset(
+        some_gaussians(n, 1),
+        Cage(vertices, tets, np.array(faces, np.int32)),
+        Embedded(rng.integers(0, 2, (n, 4)).astype(np.int32), weights),
+        DistanceGrid(rng.normal(size=(3, 4, 5)).astype(np.float16), np.array([0.1, 0.2, 0.3]), 0.05),
+        dict(MATERIAL),
+        {"source": "test", "steps": [1, 2]},
+    )
+
+
+def refused(path) -> str:
+    """The one line with which loading the file is refused."""
+    with pytest.raises(BadInput) as error:
+        Asset.load(path)
+    message = str(error.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+def edited(tmp_path, edit):
+    """Path of a sound asset file on which `edit(h5py.File)` was let loose."""
+    path = tmp_path / "edited.h5"
+    some_asset().save(path)
+    with h5py.File(path, "r+") as file:
+        edit(file)
+    return path
+
+
+def put(name: str, values, **options):
+    """An edit that replaces a dataset."""
+
+    def edit(file):
+        attributes = dict(file[name].attrs) if name in file else {}
+        if name in file:
+            del file[name]
+        file.create_dataset(name, data=values, **options).attrs.update(attributes)
+
+    return edit
+
+
+def test_round_trip(tmp_path):
+    asset = some_asset()
+    asset.save(tmp_path / "a.h5")
+    read = Asset.load(str(tmp_path / "a.h5"))
+    for name in (*FIELDS, "object_id"):
+        np.testing.assert_array_equal(getattr(read.gaussians, name), getattr(asset.gaussians, name))
+        assert getattr(read.gaussians, name).dtype == getattr(asset.gaussians, name).dtype
+    for part, names in (("cage", ("vertices", "tets", "surface")), ("embedded", ("host", "weights"))):
+        for name in names:
+            got, expected = getattr(getattr(read, part), name), getattr(getattr(asset, part), name)
+            np.testing.assert_array_equal(got, expected)
+            assert got.dtype == expected.dtype
+    np.testing.assert_array_equal(read.sdf.values, asset.sdf.values)
+    np.testing.assert_array_equal(read.sdf.origin, asset.sdf.origin)
+    assert (read.sdf.spacing, read.material, read.provenance) == (0.05, MATERIAL, asset.provenance)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]  # nothing is left beside it
+
+
+def test_optional_parts_stay_absent(tmp_path):
+    Asset(some_gaussians(3)).save(tmp_path / "a.h5")
+    read = Asset.load(tmp_path / "a.h5")
+    assert (read.cage, read.embedded, read.sdf, read.material, read.provenance) == (None, None, None, None, {})
+
+
+def test_the_file_describes_itself(tmp_path):
+    """The layout of DESIGN.md, seen with plain h5py."""
+    some_asset().save(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert (file.attrs["format"], file.attrs["version"]) == ("vrgs-asset", 1)
+        assert '"source"' in file.attrs["provenance"]
+        assert file["gaussians/sh"].shape == (20, 4, 3) and file["gaussians/object_id"].dtype == np.uint16
+        assert file["sdf/values"].dtype == np.float16 and file["sdf/values"].attrs["spacing"] == 0.05
+        assert file["cage/tets"].compression == "gzip" and file["cage/tets"].shuffle
+        assert dict(file["material"].attrs) == MATERIAL
+
+
+def test_volumes():
+    np.testing.assert_allclose(some_asset().cage.volumes(), [1 / 6, 1 / 3])
+
+
+def test_kinetic_friction_is_kept_where_it_is_given(tmp_path):
+    material = {**MATERIAL, "kinetic_friction": 0.3}
+    replace(some_asset(), material=material).save(tmp_path / "a.h5")
+    assert Asset.load(tmp_path / "a.h5").material == material
+
+
+ONE = np.ones(20, np.float32)
+DEFECTS = {
+    "not a vrgs-asset": lambda f: f.attrs.update(format="other"),
+    "newer program": lambda f: f.attrs.update(version=2),
+    "version 0": lambda f: f.attrs.update(version=0),
+    "missing attribute 'version'": lambda f: f.attrs.pop("version"),
+    "'version' of the file is not a number": lambda f: f.attrs.update(version="one"),
+    "not JSON": lambda f: f.attrs.update(provenance="{"),
+    "provenance is not JSON": lambda f: f.attrs.update(provenance="[" * 100_000),
+    "not a JSON object": lambda f: f.attrs.update(provenance="[]"),
+    "missing dataset 'gaussians/means'": lambda f: f.pop("gaussians/means"),
+    "missing dataset 'gaussians/sh'": lambda f: f.pop("gaussians/sh"),
+    "Gaussians are not finite": put("gaussians/means", np.full((20, 3), np.nan, np.float32)),
+    "are not finite or have no rotation": put("gaussians/quats", np.zeros((20, 4), np.float32)),
+    "not normalised": put("gaussians/quats", np.full((20, 4), 2.0, np.float32)),
+    "20 Gaussians are not finite": put("gaussians/log_scales", np.full((20, 3), 99.0)),
+    "gaussians/means has shape (20, 2)": put("gaussians/means", np.zeros((20, 2), np.float32)),
+    "gaussians/logit_opacities has shape (19,)": put("gaussians/logit_opacities", ONE[:19]),
+    "sh has shape (20, 5, 3)": put("gaussians/sh", np.zeros((20, 5, 3), np.float32)),
+    "gaussians/object_id holds an index out of range": put("gaussians/object_id", np.full(20, 70_000)),
+    "gaussians/object_id holds float64": put("gaussians/object_id", np.zeros(20)),
+    "gaussians/means holds int64": put("gaussians/means", np.zeros((20, 3), np.int64)),
+    "expected floating-point": put("gaussians/means", np.full((20, 3), b"x")),
+    "vertex is not finite": put("cage/vertices", np.full((5, 3), np.inf, np.float32)),
+    "2 cage tets have no positive volume": put("cage/tets", np.array([[1, 0, 2, 3], [4, 1, 2, 3]], np.int32)),
+    "1 cage tets have no positive": put("cage/tets", np.array([[0, 1, 2, 3], [1, 1, 2, 3]], np.int32)),
+    "outside 0..4": put("cage/tets", np.array([[0, 1, 2, 3], [1, 5, 2, 3]], np.int32)),
+    "cage/tets holds an index": put("cage/tets", np.array([[0, 1, 2, 3], [1, -1, 2, 3]], np.int32)),
+    "tets holds an index": put("cage/tets", np.array([[0, 1, 2, 3], [1, 2**40, 2, 3]])),
+    "belong to no tet": put("cage/tets", np.array([[0, 1, 2, 3]], np.int32)),
+    "cage tets has shape (0, 4)": put("cage/tets", np.zeros((0, 4), np.int32)),
+    "surface encloses": put("cage/surface", some_asset().cage.surface[:, ::-1].copy()),
+    "missing dataset 'cage/vertices'": lambda f: f.pop("cage/vertices"),
+    "embedding but no cage": lambda f: f.pop("cage"),
+    "outside 0..1": put("embedding/host", np.full((20, 4), 2, np.int32)),
+    "has 3 rows for 20": lambda f: (
+        [put("embedding/host", np.zeros((3, 4), np.int32))(f)] + [put("embedding/weights", np.full((3, 4, 4), 0.25))(f)]
+    ),
+    "do not sum to 1": put("embedding/weights", np.full((20, 4, 4), 0.3, np.float32)),
+    "weight is not finite": put("embedding/weights", np.full((20, 4, 4), np.nan, np.float32)),
+    "signed distance is not finite": put("sdf/values", np.full((3, 4, 5), np.nan, np.float16)),
+    "at least 2 nodes": put("sdf/values", np.zeros((3, 1, 5), np.float16)),
+    "spacing is not positive": lambda f: f["sdf/values"].attrs.update(spacing=0.0),
+    "'spacing' of sdf/values is not a number": lambda f: f["sdf/values"].attrs.update(spacing=[1.0, 1.0, 1.0]),
+    "neither a number nor a text": lambda f: f["sdf/values"].attrs.update(origin=np.zeros(2)),
+    "not three numbers": lambda f: f["sdf/values"].attrs.update(origin="here"),
+    "origin is not three finite": lambda f: f["sdf/values"].attrs.update(origin=np.full(3, np.inf)),
+    "missing attribute 'origin'": lambda f: f["sdf/values"].attrs.pop("origin"),
+    "missing attribute 'young'": lambda f: f["material"].attrs.pop("young"),
+    "young is not finite": lambda f: f["material"].attrs.update(young=np.nan),
+    "young and density must be positive": lambda f: f["material"].attrs.update(density=0.0),
+    "poisson must lie": lambda f: f["material"].attrs.update(poisson=0.5),
+    "friction must not": lambda f: f["material"].attrs.update(friction=-0.1),
+    "kinetic_friction must lie": lambda f: f["material"].attrs.update(kinetic_friction=0.6),
+}
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_each_defect_is_named(tmp_path, defect):
+    assert defect in refused(edited(tmp_path, DEFECTS[defect]))
+
+
+def test_what_cannot_be_loaded_is_not_saved(tmp_path):
+    asset = some_asset()
+    flat = replace(asset.cage, vertices=asset.cage.vertices * 0)
+    with pytest.raises(BadInput, match="no positive volume"):
+        replace(asset, cage=flat).save(tmp_path / "a.h5")
+    with pytest.raises(BadInput, match="'poisson'"):
+        replace(asset, material={"young": 1.0}).save(tmp_path / "a.h5")
+    with pytest.raises(BadInput, match="does not exist"):
+        asset.save(tmp_path / "none" / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
+    some_asset(3).save(tmp_path / "a.h5")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(BadInput, match="No space left"):
+        some_asset(20).save(tmp_path / "a.h5")
+    assert len(Asset.load(tmp_path / "a.h5").gaussians) == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_files_that_are_no_assets(tmp_path):
+    assert "no such file" in refused(tmp_path / "none.h5")
+    assert "folder" in refused(tmp_path)
+    (tmp_path / "a.h5").write_bytes(b"")
+    assert "empty" in refused(tmp_path / "a.h5")
+    (tmp_path / "a.h5").write_bytes(b"garbage" * 100)
+    assert "not a readable HDF5" in refused(tmp_path / "a.h5")

@@ -1,0 +1,215 @@
+"""PlayCanvas compressed .ply: read what a plain encoder wrote, write within stated bounds, refuse damage."""
+
+import numpy as np
+import pytest
+
+from assets.formats.compressed_ply import chunk_order
+from assets.formats.ply import read_ply
+from assets.gaussians import Gaussians
+from assets.splat_files import read_gaussians, write_gaussians
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+from tests.assets.test_splat_formats import refused
+from tests.support.samples import FIELDS, damaged, read_or_refuse, some_gaussians
+
+NAMES = [f"{end}_{prefix}{axis}" for prefix in ("", "scale_") for end in ("min", "max") for axis in "xyz"]
+COLORS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
+
+
+def packed_quat(wxyz) -> int:
+    """A word from a quaternion, spelled out."""
+    largest = int(np.argmax(np.abs(wxyz)))
+    word = largest
+    for k, value in enumerate(wxyz * np.sign(wxyz[largest])):
+        if k != largest:
+            word = word << 10 | round((value / 2**0.5 + 0.5) * 1023)
+    return word
+
+
+def share(value, low, high, bits) -> int:
+    return 0 if high <= low else round(float((value - low) / (high - low)) * (2**bits - 1))
+
+
+def compressed_bytes(g: Gaussians, *, colored=True, order="<") -> bytes:
+    """A compressed .ply, one Gaussian after the other, written from the description of the format."""
+    ranges, words = [], []
+    for first in range(0, len(g), 256):
+        part = slice(first, first + 256)
+        color = g.sh[part, 0].astype(np.float64) * C0 + 0.5
+        p, s = g.means[part], g.log_scales[part]
+        box = (color.min(0), color.max(0)) if colored else (np.zeros(3), np.ones(3))
+        ranges.append([*p.min(0), *p.max(0), *s.min(0), *s.max(0), *(np.concatenate(box) if colored else [])])
+        for i in range(len(p)):
+            position = [share(p[i, k], p[:, k].min(), p[:, k].max(), (11, 10, 11)[k]) for k in range(3)]
+            scale = [share(s[i, k], s[:, k].min(), s[:, k].max(), (11, 10, 11)[k]) for k in range(3)]
+            rgb = [min(max(share(color[i, k], box[0][k], box[1][k], 8), 0), 255) for k in range(3)]
+            alpha = round(float(g.opacities[first + i]) * 255)
+            words.append(
+                [
+                    position[0] << 21 | position[1] << 11 | position[2],
+                    packed_quat(g.quats[first + i]),
+                    scale[0] << 21 | scale[1] << 11 | scale[2],
+                    rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | alpha,
+                ]
+            )
+    rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
+    form = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
+    lines = ["ply", f"format {form} 1.0", "comment made by a test", f"element chunk {len(ranges)}"]
+    lines += [f"property float {name}" for name in [*NAMES, *(COLORS if colored else [])]]
+    lines += [f"element vertex {len(g)}"]
+    lines += [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
+    if rest.shape[1]:
+        lines += [f"element sh {len(g)}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
+    body = np.array(ranges, order + "f4").tobytes() + np.array(words, order + "u4").tobytes()
+    sh = np.clip(np.floor((rest.astype(np.float64) / 8 + 0.5) * 256), 0, 255).astype(np.uint8)
+    return ("\n".join([*lines, "end_header"]) + "\n").encode() + body + sh.tobytes()
+
+
+def steps(values: np.ndarray, levels) -> np.ndarray:
+    """Half a quantisation step of each value, from the extent of its chunk of 256."""
+    half = np.empty(values.shape)
+    for first in range(0, len(values), 256):
+        part = values[first : first + 256].astype(np.float64)
+        half[first : first + 256] = np.ptp(part, axis=0) / np.asarray(levels) / 2
+    return half
+
+
+def assert_within_its_steps(read: Gaussians, g: Gaussians) -> None:
+    """The bounds that the writer states; 1e-6 is the rounding of float32."""
+    levels = (2047, 1023, 2047)
+    assert (np.abs(read.means - g.means) <= steps(g.means, levels) + 1e-6).all()
+    assert (np.abs(read.log_scales - g.log_scales) <= steps(g.log_scales, levels) + 2e-6).all()
+    color = g.sh[:, 0] * C0
+    assert (np.abs(read.sh[:, 0] * C0 - color) <= steps(color, (255, 255, 255)) + 1e-6).all()
+    np.testing.assert_allclose(read.opacities, g.opacities, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(read.sh[:, 1:], g.sh[:, 1:], atol=1 / 64 + 1e-6)
+    # Three components to sqrt(2)/2046 each, and the fourth from them: 1 - |cos| is quadratic in that.
+    assert np.abs((read.quats * g.quats).sum(1)).min() > 1 - 6e-6
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_reads_what_a_plain_encoder_wrote(tmp_path, degree, order):
+    g = some_gaussians(300, degree)  # a whole chunk and a part of one
+    (tmp_path / "a.ply").write_bytes(compressed_bytes(g, order=order))
+    lines = []
+    read = read_ply(tmp_path / "a.ply", report=lines.append)
+    assert read.sh_degree == degree and lines == []
+    assert_within_its_steps(read, g)
+
+
+def test_reads_the_form_without_color_ranges(tmp_path):
+    g = some_gaussians(40, 0)
+    (tmp_path / "a.ply").write_bytes(compressed_bytes(g, colored=False))
+    read = read_ply(tmp_path / "a.ply")
+    expected = np.clip(g.sh * C0 + 0.5, 0, 1)  # it holds nothing outside 0..1
+    np.testing.assert_allclose(read.sh * C0 + 0.5, expected, atol=0.5 / 255 + 1e-6)
+    assert (np.abs(read.means - g.means) <= steps(g.means, (2047, 1023, 2047)) + 1e-6).all()
+
+
+@pytest.mark.parametrize("largest", range(4))
+def test_each_component_can_be_the_one_left_out(tmp_path, largest):
+    small = [0.1, -0.2, 0.3]
+    quat = np.array([*small[:largest], -((1 - 0.14) ** 0.5), *small[largest:]], np.float32)
+    g = some_gaussians(1, 0)
+    g = Gaussians.of(g.means, quat[None], g.log_scales, g.logit_opacities, g.sh)
+    (tmp_path / "a.ply").write_bytes(compressed_bytes(g))
+    np.testing.assert_allclose(read_ply(tmp_path / "a.ply").quats, -quat[None], atol=1e-3)
+
+
+@pytest.mark.parametrize("degree", range(4))
+def test_round_trip_within_its_steps(tmp_path, degree):
+    g = some_gaussians(700, degree)
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    read = read_gaussians(tmp_path / "a.compressed.ply")
+    assert read.sh_degree == degree
+    assert_within_its_steps(read, g.select(chunk_order(g.means)))
+
+
+def test_the_writer_agrees_with_the_plain_encoder(tmp_path):
+    """But for ties in rounding, in a thousandth of the bytes at most."""
+    g = some_gaussians(500, 2)
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    written = (tmp_path / "a.compressed.ply").read_bytes()
+    expected = compressed_bytes(g.select(chunk_order(g.means)))
+    expected = expected.replace(b"comment made by a test\n", b"")
+    assert len(written) == len(expected)
+    assert (np.frombuffer(written, np.uint8) != np.frombuffer(expected, np.uint8)).mean() < 1e-3
+
+
+def test_a_far_gaussian_costs_only_its_own_chunk(tmp_path):
+    g = some_gaussians(2560, 0)
+    g.means[7] = 1e4
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    read, expected = read_gaussians(tmp_path / "a.compressed.ply"), g.select(chunk_order(g.means))
+    error = np.abs(read.means - expected.means).max(1)
+    assert (error > 0.01).sum() <= 256 and np.median(error) < 1e-3
+
+
+def test_values_that_are_all_the_same_are_exact(tmp_path):
+    g = some_gaussians(1, 1)
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    read = read_gaussians(tmp_path / "a.compressed.ply")
+    np.testing.assert_array_equal(read.means, g.means)
+    np.testing.assert_array_equal(read.log_scales, g.log_scales)
+
+
+def test_what_cannot_be_is_refused(tmp_path):
+    path = tmp_path / "a.ply"
+    good = compressed_bytes(some_gaussians(300, 1))
+    read_ply((path.write_bytes(good), path)[1])
+    assert "chunk" in refused(path, good.replace(b"element chunk 2", b"element lump 2"))
+    assert "cannot have 3 chunks" in refused(path, good.replace(b"element chunk 2", b"element chunk 3"))
+    assert "truncated" in refused(path, good[:-1])
+    assert "'max_y'" in refused(path, good.replace(b"float max_y", b"float top"))
+    assert "'max_b'" in refused(path, good.replace(b"float max_b", b"float blue"))
+    assert "'packed_scale'" in refused(path, good.replace(b"uint packed_scale", b"uint scale"))
+    assert "wrong type" in refused(path, good.replace(b"uint packed_scale", b"float packed_scale"))
+    assert "list property" in refused(
+        path,
+        good.replace(b"end_header", b"end_header", 1).replace(
+            b"uint packed_color", b"uint packed_color\nproperty list uchar int q"
+        ),
+    )
+    assert "f_rest" in refused(path, good.replace(b"uchar f_rest_8", b"uchar f_rest_9"))
+    assert "f_rest" in refused(path, good.replace(b"uchar f_rest_8", b"float f_rest_8"))
+    assert "rows of sh" in refused(path, good.replace(b"element sh 300", b"element sh 299"))
+    assert "twice" in refused(path, good.replace(b"float max_y", b"float max_x"))
+    assert "text" in refused(path, good.replace(b"binary_little_endian", b"ascii"))
+    empty = good.replace(b"vertex 300", b"vertex 0").replace(b"chunk 2", b"chunk 0").replace(b"sh 300", b"sh 0")
+    assert "no Gaussians" in refused(path, empty)
+    huge = good.replace(b"vertex 300", b"vertex %d" % 10**14).replace(b"chunk 2", b"chunk 390625000000")
+    assert "truncated" in refused(path, huge.replace(b"sh 300", b"sh %d" % 10**14))
+
+
+def test_chunks_that_are_not_finite_are_dropped_or_refused(tmp_path):
+    good = compressed_bytes(some_gaussians(300, 0))
+    start = good.index(b"end_header\n") + len(b"end_header\n")
+    nan = np.array([np.nan], "<f4").tobytes()
+    lines = []
+    (tmp_path / "a.ply").write_bytes(good[:start] + nan + good[start + 4 :])
+    assert len(read_ply(tmp_path / "a.ply", report=lines.append)) == 44
+    assert len(lines) == 1 and "dropped 256 of 300" in lines[0]
+    small = compressed_bytes(some_gaussians(30, 0))
+    assert "none of its 30" in refused(tmp_path / "a.ply", small[: start - 1] + nan + small[start + 3 :])
+
+
+def test_damaged_files_load_finite_or_are_refused(tmp_path):
+    good = compressed_bytes(some_gaussians(270, 1))
+    outcomes = read_or_refuse(lambda path: read_ply(path, report=str), tmp_path / "a.ply", damaged(good, 400))
+    assert min(outcomes.values()) > 50
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    with pytest.raises(BadInput, match="does not exist"):
+        write_gaussians(tmp_path / "none" / "a.compressed.ply", some_gaussians())
+
+
+@pytest.mark.shared
+def test_a_captured_splat(shared, tmp_path):
+    g = read_gaussians(shared / "data" / "splats" / "toy_cat.ply")
+    write_gaussians(tmp_path / "a.compressed.ply", g)
+    read, g = read_gaussians(tmp_path / "a.compressed.ply"), g.select(chunk_order(g.means))
+    assert (np.abs(read.means - g.means) <= steps(g.means, (2047, 1023, 2047)) + 1e-6).all()
+    assert (tmp_path / "a.compressed.ply").stat().st_size < 1.5e6  # from 5.8 MB
+    assert all(getattr(read, name).dtype == np.float32 for name in FIELDS)

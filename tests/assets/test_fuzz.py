@@ -1,0 +1,165 @@
+"""Absurd cameras and splats through the command line: a clean picture, or one line that names what is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+
+import vrgs
+from assets.camera_file import FOCAL, MAX_SIDE
+from assets.file_access import LOG_SCALE_MAX, MAGNITUDE_MAX
+from assets.gaussians import Gaussians, concatenate
+from assets.splat_files import read_gaussians, write_gaussians
+from core.camera import Camera, look_at
+from tests.support.drawing import Drawing
+from tests.support.hard_pictures import DEGREE, cloud
+
+CAMERA = {"width": 16, "height": 8, "fx": 20, "fy": 20.5, "cx": 8, "cy": -4, "world_to_camera": np.eye(4).tolist()}
+NAN, INF = float("nan"), float("inf")
+
+
+def matrix(row: int, column: int, value) -> list:
+    m = np.eye(4).tolist()
+    m[row][column] = value
+    return m
+
+
+BAD_CAMERAS = {
+    '{"width": 1': "not a JSON file",
+    "": "not a JSON file",
+    "[" * 100_000: "not a JSON file",
+    "[]": "holds no camera",
+    "3": "camera 0: expected an object",
+    "[null]": "camera 0: expected an object",
+    json.dumps([CAMERA, CAMERA | {"width": 17}]): "the cameras differ in size",
+    json.dumps([CAMERA, {k: v for k, v in CAMERA.items() if k != "cy"}]): "camera 1: missing 'cy'",
+}
+BAD_NUMBERS = [
+    *[(name, v, f"{name} must be 0.001 to 1e+09") for name in ("fx", "fy") for v in (NAN, INF, 0, -5, 1e-310, 1e300)],
+    *[(name, v, f"{name} must be -1e+09 to 1e+09") for name in ("cx", "cy") for v in (NAN, -INF, 1e300, -1e10)],
+    *[(name, v, f"{name} must be 1 to {MAX_SIDE}") for name in ("width", "height") for v in (NAN, INF, 0, -1, 16385)],
+    *[("width", v, "width must be 1 to") for v in (1e300, 10**400)],
+    *[("height", v, "height is not a number") for v in ("8", None, True, [8], {})],
+    ("width", 16.5, "width and height must be whole"),
+    *[("world_to_camera", m, "must be 4x4 and finite") for m in ("abc", None, [[1, 2], [3]], np.eye(3).tolist())],
+    *[("world_to_camera", matrix(0, 3, v), "must be 4x4 and finite") for v in (NAN, INF, 10**400)],
+    *[("world_to_camera", matrix(2, 3, v), "translation in world_to_camera is beyond") for v in (1e16, -1e300)],
+    *[("world_to_camera", matrix(3, k, 7.0), "last row of world_to_camera is not 0 0 0 1") for k in (0, 3)],
+    *[("world_to_camera", matrix(1, 1, v), "rotation in world_to_camera is not orthonormal") for v in (1.01, -1, 0)],
+]
+
+
+def command(folder, camera, *, splats="g.ply", out="out.npz") -> int:
+    """Exit status of `vrgs.py render` with a camera file of this content."""
+    (folder / "camera.json").write_text(camera if isinstance(camera, str) else json.dumps(camera))
+    words = ["render", str(folder / splats), "--camera", str(folder / "camera.json"), "--out", str(folder / out)]
+    return vrgs.main([*words, "--arch", "cpu"])
+
+
+def said_in_one_line(capsys, folder) -> str:
+    said = capsys.readouterr()
+    assert said.err.count("\n") == 1 and not said.out and not list(folder.glob("*out*"))
+    return said.err
+
+
+@pytest.mark.parametrize("content", BAD_CAMERAS, ids=range(len(BAD_CAMERAS)))
+def test_a_camera_file_that_is_none_is_refused_in_one_line(ti_cpu, tmp_path, capsys, content):
+    assert command(tmp_path, content) == 2
+    assert BAD_CAMERAS[content] in said_in_one_line(capsys, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "value", "what"), BAD_NUMBERS, ids=range(len(BAD_NUMBERS)))
+def test_a_number_that_is_none_is_named(ti_cpu, tmp_path, capsys, name, value, what):
+    assert command(tmp_path, CAMERA | {name: value}) == 2
+    line = said_in_one_line(capsys, tmp_path)
+    assert "camera.json: camera 0: " in line and what in line
+
+
+def absurd(rng, count: int) -> Gaussians:
+    """As far off, as large, as small and as bright as a file may be, each in some of its numbers."""
+
+    def some(shape, largest, share=0.3):
+        wild = rng.choice([-1, 1], shape) * 10.0 ** rng.uniform(-45, np.log10(largest), shape)
+        return np.where(rng.random(shape) < share, wild, rng.normal(0, 1, shape))
+
+    most = 0.99 * MAGNITUDE_MAX
+    scales = np.where(rng.random((count, 3)) < 0.3, rng.uniform(-300, LOG_SCALE_MAX, (count, 3)), -3.0)
+    logits = some(count, most)
+    return Gaussians.of(some((count, 3), most), rng.normal(size=(count, 4)), scales, logits, some((count, 1, 3), most))
+
+
+def absurd_camera(rng, side: int) -> Camera:
+    """Any lens and place that a file may name."""
+
+    def wild(low, high):
+        return 10.0 ** rng.uniform(np.log10(low), np.log10(high))
+
+    pose = look_at(rng.normal(size=3), rng.normal(size=3))
+    if rng.random() < 0.3:
+        pose[:3, 3] += rng.choice([-1, 1], 3) * [wild(1e-40, MAGNITUDE_MAX) for _ in range(3)]
+    fx, fy = (wild(*FOCAL) if rng.random() < 0.5 else wild(1, 100) for _ in range(2))
+    cx, cy = (rng.choice([-1, 1]) * wild(1e-40, FOCAL[1]) if rng.random() < 0.3 else 0.5 * side for _ in range(2))
+    return Camera(*rng.integers(1, side + 1, 2), fx, fy, cx, cy, pose)
+
+
+def test_whatever_a_file_may_hold_is_drawn_clean(ti_cpu, tmp_path):
+    """Finite pictures of 150 absurd cameras, of Gaussians that went through a file."""
+    rng = np.random.default_rng(8)
+    side = 24
+    drawing = Drawing(600, 1, side, degree=DEGREE)
+    seen = 0
+    for k in range(150):
+        if k % 10 == 0:
+            write_gaussians(tmp_path / "g.ply", concatenate([absurd(rng, 200), cloud(rng, 50, spread=1.0, degree=0)]))
+            g = read_gaussians(tmp_path / "g.ply").with_sh_degree(DEGREE)
+            assert len(g) == 250
+        rgb, alpha, depth = drawing.draw(g, [absurd_camera(rng, side)])
+        assert np.isfinite(rgb).all() and np.isfinite(depth).all() and rgb.min() >= 0.0 and depth.min() >= 0.0
+        assert alpha.min() >= 0.0 and alpha.max() <= 1.0
+        seen += alpha.max() > 0.5
+    assert seen > 30
+
+
+def test_broken_rows_of_a_file_are_counted_and_the_rest_is_drawn(ti_cpu, tmp_path, capsys):
+    rng = np.random.default_rng(9)
+    g = cloud(rng, 100, center=(0.0, 0.0, 1.5))
+    write_gaussians(tmp_path / "g.ply", g)
+    data = bytearray((tmp_path / "g.ply").read_bytes())
+    start = data.index(b"end_header\n") + len(b"end_header\n")
+    rows = np.frombuffer(data, np.float32, offset=start).reshape(100, -1)
+    for k, value in ((3, np.nan), (40, np.inf), (41, -np.inf), (99, 3e38)):
+        rows[k, 0] = value
+    rows[50, -4:] = 1e-42  # no rotation
+    (tmp_path / "broken.ply").write_bytes(bytes(data))
+    write_gaussians(tmp_path / "whole.ply", g.select(np.setdiff1d(np.arange(100), [3, 40, 41, 50, 99])))
+    pictures = []
+    for name in ("broken", "whole"):
+        assert command(tmp_path, CAMERA | {"cy": 4}, splats=f"{name}.ply", out=f"{name}.npz") == 0
+        with np.load(tmp_path / f"{name}.npz") as images:
+            pictures.append({key: images[key] for key in images})
+    assert "dropped 5 of 100 Gaussians" in capsys.readouterr().out
+    assert pictures[0]["alpha"].max() > 0.5
+    for key, image in pictures[0].items():
+        np.testing.assert_array_equal(image, pictures[1][key])
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 3.00 GiB for an array"),
+        RuntimeError("[host_memory_pool.cpp:allocate_raw_memory@62] Virtual memory allocation (5368709120 B) failed."),
+        RuntimeError("CUDA Error CUDA_ERROR_OUT_OF_MEMORY: out of memory while calling malloc_async_impl"),
+    ],
+)
+def test_a_picture_that_does_not_fit_is_refused_in_one_line(ti_cpu, tmp_path, capsys, monkeypatch, error):
+    from commands import render as render_command
+
+    def fail(args):
+        raise error
+
+    monkeypatch.setattr(render_command, "run", fail)
+    assert command(tmp_path, CAMERA) == 2
+    assert "not enough memory" in said_in_one_line(capsys, tmp_path)
+    error = RuntimeError("something else")
+    with pytest.raises(RuntimeError, match="else"):
+        command(tmp_path, CAMERA)

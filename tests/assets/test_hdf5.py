@@ -1,0 +1,108 @@
+"""HDF5 files that are damaged or made to harm: BadInput, with nothing followed, allocated or hung."""
+
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from assets.file_access import UNPACK_BASE
+from tests.assets.test_asset import edited, put, refused, some_asset
+
+
+def test_nothing_outside_the_file_is_followed(tmp_path):
+    means = some_asset().gaussians.means
+    with h5py.File(tmp_path / "secret.h5", "w") as secret:
+        secret["means"] = means
+    (tmp_path / "secret.bin").write_bytes(means.tobytes())
+
+    def external_link(file):
+        del file["gaussians/means"]
+        file["gaussians/means"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "means")
+
+    def soft_link(file):
+        file["elsewhere"] = means
+        del file["gaussians/means"]
+        file["gaussians/means"] = h5py.SoftLink("/elsewhere")
+
+    def external_storage(file):
+        del file["gaussians/means"]
+        stored = [(str(tmp_path / "secret.bin"), 0, means.nbytes)]
+        file.create_dataset("gaussians/means", means.shape, "f4", external=stored)
+
+    def virtual(file):
+        del file["gaussians/means"]
+        layout = h5py.VirtualLayout(means.shape, "f4")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "means", means.shape)
+        file.create_virtual_dataset("gaussians/means", layout)
+
+    assert "link" in refused(edited(tmp_path, external_link))
+    assert "link" in refused(edited(tmp_path, soft_link))
+    assert "outside the file" in refused(edited(tmp_path, external_storage))
+    assert "outside the file" in refused(edited(tmp_path, virtual))
+
+
+def test_objects_and_foreign_filters_are_refused(tmp_path):
+    texts = put("gaussians/means", np.array([["a", "b", "c"]] * 20, object), dtype=h5py.string_dtype())
+    assert "holds object" in refused(edited(tmp_path, texts))
+    lzf = put("gaussians/means", some_asset().gaussians.means, compression="lzf")
+    assert "filter" in refused(edited(tmp_path, lzf))
+
+
+def test_sizes_that_the_file_does_not_back_are_refused(tmp_path):
+    """Never written chunks cost a file nothing; read naively they would be allocated and filled."""
+
+    def unwritten(file):
+        del file["gaussians"]
+        for name, width in (("means", 3), ("quats", 4)):
+            file.create_dataset(f"gaussians/{name}", (2**31, width), "f4", chunks=(1024, width))
+
+    def huge_chunk(file):
+        del file["gaussians/means"]
+        options = {"maxshape": (None, 3), "chunks": (UNPACK_BASE, 3), "compression": "gzip"}
+        file.create_dataset("gaussians/means", (20, 3), "f4", **options)
+
+    def bomb(file):
+        """A chunk of 240 bytes whose deflate stream goes on for 64 MiB."""
+        del file["gaussians/means"]
+        data = file.create_dataset("gaussians/means", (20, 3), "f4", chunks=(20, 3), compression="gzip")
+        data.id.write_direct_chunk((0, 0), zlib.compress(bytes(64 << 20)))
+
+    assert "claims" in refused(edited(tmp_path, unwritten))
+    assert "claims" in refused(edited(tmp_path, huge_chunk))
+    assert "inflates to more" in refused(edited(tmp_path, bomb))
+
+
+def test_a_damaged_heap_of_texts_does_not_hang(tmp_path):
+    """HDF5 2.0 walks the heap that holds the attributes' texts for ever when an object's size is wrong."""
+    some_asset().save(tmp_path / "a.h5")
+    data = bytearray((tmp_path / "a.h5").read_bytes())
+    heap = data.index(b"GCOL")
+    data[heap + 16 + 16 + 16 + 8] = 0x60  # the size of the second object; behind it lie zeros
+    (tmp_path / "a.h5").write_bytes(data)
+    assert "heap" in refused(tmp_path / "a.h5")
+
+
+FUZZ = """
+import faulthandler, sys
+from pathlib import Path
+from assets.asset import Asset
+from tests.support.samples import damaged, read_or_refuse
+faulthandler.dump_traceback_later(100, exit=True)
+path = Path(sys.argv[1])
+good = path.read_bytes()
+outcomes = read_or_refuse(lambda p: Asset.load(p).gaussians, path, damaged(good, 300, seed=0))
+print(outcomes["read"], outcomes["refused"])
+"""
+
+
+def test_damaged_files_load_finite_or_are_refused(tmp_path):
+    """Truncations and bit flips, in a process of its own: a fault in the HDF5 library must not take the tests along."""
+    some_asset(12).save(tmp_path / "a.h5")
+    command = [sys.executable, "-c", FUZZ, str(tmp_path / "a.h5")]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr[-2000:]
+    read, was_refused = map(int, done.stdout.split())
+    assert min(read, was_refused) > 50

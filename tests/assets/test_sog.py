@@ -1,0 +1,308 @@
+"""SOG, versions 1 and 2, zipped or in a folder, against an encoder written from its description."""
+
+import io
+import json
+import struct
+import tracemalloc
+import zipfile
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from assets.formats.sog import read_sog
+from assets.formats.webp import webp_size
+from assets.gaussians import Gaussians
+from assets.splat_files import read_gaussians
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+from tests.assets.test_splat_formats import refused
+from tests.support.samples import damaged, read_or_refuse, some_gaussians
+
+BOOK = np.sinh(np.linspace(-3, 3, 256)) / 5  # codebooks are uneven: finer near 0
+
+
+def webp(rows: np.ndarray, width: int) -> bytes:
+    """Lossless WebP of RGB(A) rows (N, C), padded to whole lines of `width`."""
+    height = -(-len(rows) // width)
+    pixels = np.zeros((height * width, rows.shape[1]), np.uint8)
+    pixels[: len(rows)] = rows
+    pixels = pixels.reshape(height, width, -1)
+    bgr = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
+    ok, data = cv2.imencode(".webp", np.ascontiguousarray(bgr), [cv2.IMWRITE_WEBP_QUALITY, 101])
+    assert ok
+    return data.tobytes()
+
+
+def nearest(values, book) -> np.ndarray:
+    return np.abs(np.asarray(values)[..., None] - book).argmin(-1).astype(np.uint8)
+
+
+def sog_files(g: Gaussians, version: int = 2, width: int = 12, palette: int | None = None) -> dict[str, bytes]:
+    """meta.json and images. The palette holds the SH of the first `palette` Gaussians (all, if None)."""
+    n = len(g)
+    logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
+    low, high = logs.min(0), logs.max(0)
+    codes = np.round((logs - low) / (high - low) * 65535).astype(int)
+    quats = np.zeros((n, 4), np.uint8)
+    for i, q in enumerate(g.quats.astype(np.float64)):
+        k = int(np.argmax(np.abs(q)))
+        rest = [c * np.sign(q[k]) for j, c in enumerate(q) if j != k]
+        quats[i] = [*(round((c * 2**0.5 / 2 + 0.5) * 255) for c in rest), 252 + k]
+    meta: dict = {"means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}}
+    meta["quats"] = {"files": ["quats.webp"]}
+    files = {"means_l.webp": webp(codes % 256, width), "means_u.webp": webp(codes // 256, width)}
+    files["quats.webp"] = webp(quats, width)
+    if version == 2:
+        scales, dc = nearest(g.log_scales, BOOK - 3), nearest(g.sh[:, 0], BOOK)
+        alpha = np.maximum(np.round(g.opacities * 255), 1)  # 0 would lose its colour in the test's encoder
+        meta |= {"version": 2, "count": n, "scales": {"codebook": list(BOOK - 3)}, "sh0": {"codebook": list(BOOK)}}
+    else:
+        ranges = {}
+        for name, values in (("scales", g.log_scales), ("sh0", np.c_[g.sh[:, 0], g.logit_opacities])):
+            ranges[name] = {"mins": values.min(0).tolist(), "maxs": values.max(0).tolist()}
+        meta |= ranges
+        meta["means"]["shape"], meta["quats"]["encoding"] = [n, 3], "quaternion_packed"
+        span = np.ptp(g.log_scales, axis=0)
+        scales = np.round((g.log_scales - g.log_scales.min(0)) / span * 255)
+        values = np.c_[g.sh[:, 0], g.logit_opacities]
+        dc = np.round((values - values.min(0)) / np.ptp(values, axis=0) * 255)
+        dc, alpha = dc[:, :3], np.maximum(dc[:, 3], 1)
+    files["scales.webp"], files["sh0.webp"] = webp(scales, width), webp(np.c_[dc, alpha], width)
+    if g.sh_degree:
+        entries = palette or n
+        labels = np.arange(n) % entries
+        meta["shN"], book = {"files": ["shN_centroids.webp", "shN_labels.webp"]}, BOOK
+        if version == 2:
+            meta["shN"] |= {"count": entries, "bands": g.sh_degree, "codebook": list(BOOK)}
+        else:
+            meta["shN"] |= {"mins": -1.5, "maxs": 1.5}
+            book = np.linspace(-1.5, 1.5, 256)
+        lines = -(-entries // 64) * 64
+        table = np.zeros((lines, g.sh.shape[1] - 1, 3), np.uint8)
+        table[:entries] = nearest(g.sh[:entries, 1:], book)
+        files["shN_centroids.webp"] = webp(table.reshape(-1, 3), 64 * table.shape[1])
+        files["shN_labels.webp"] = webp(np.c_[labels % 256, labels // 256, 0 * labels], width)
+    for name in ("scales", "sh0"):
+        meta[name]["files"] = [f"{name}.webp"]
+    return {"meta.json": json.dumps(meta).encode(), **files}
+
+
+def zipped(files: dict[str, bytes], method=zipfile.ZIP_STORED, folder="") -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, data in files.items():
+            archive.writestr(folder + name, data)
+    return buffer.getvalue()
+
+
+def with_meta(files: dict[str, bytes], change) -> bytes:
+    """The archive after `change` of the meta, in place."""
+    meta = json.loads(files["meta.json"])
+    change(meta)
+    return zipped(files | {"meta.json": json.dumps(meta).encode()})
+
+
+def assert_within_its_steps(read: Gaussians, g: Gaussians, version: int) -> None:
+    logs = np.log1p(np.abs(g.means.astype(np.float64)))
+    extent = np.ptp(np.sign(g.means) * logs, axis=0)
+    assert (np.abs(read.means - g.means) <= extent / 65535 / 2 * np.exp(logs) * 1.01 + 1e-6).all()
+    # Three components to sqrt(2)/2/255 each, and the fourth from them.
+    assert np.abs((read.quats * g.quats).sum(1)).min() > 1 - 1e-4
+    if version == 2:
+        gaps = np.diff(BOOK).max() / 2 + 1e-6
+        np.testing.assert_allclose(read.log_scales, np.clip(g.log_scales, *(BOOK[[0, -1]] - 3)), atol=gaps)
+        np.testing.assert_allclose(read.sh[:, 0], np.clip(g.sh[:, 0], *BOOK[[0, -1]]), atol=gaps)
+        np.testing.assert_allclose(read.opacities, g.opacities, atol=0.5 / 255 + 1e-6)
+        np.testing.assert_allclose(read.sh[:, 1:], np.clip(g.sh[:, 1:], *BOOK[[0, -1]]), atol=gaps)
+    else:
+        assert (np.abs(read.log_scales - g.log_scales) <= np.ptp(g.log_scales, axis=0) / 510 + 1e-6).all()
+        assert (np.abs(read.sh[:, 0] - g.sh[:, 0]) <= np.ptp(g.sh[:, 0], axis=0) / 510 + 1e-6).all()
+        # The one of least opacity is a step too high: the test's encoder needs an alpha of 1 at least.
+        np.testing.assert_allclose(read.logit_opacities, g.logit_opacities, atol=np.ptp(g.logit_opacities) / 255 + 1e-6)
+        np.testing.assert_allclose(read.sh[:, 1:], np.clip(g.sh[:, 1:], -1.5, 1.5), atol=3 / 510 + 1e-6)
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("version", [1, 2])
+def test_reads_what_a_plain_encoder_wrote(tmp_path, version, degree):
+    g = some_gaussians(100, degree)  # more than a row of the palette; the last row of pixels is not full
+    (tmp_path / "a.sog").write_bytes(zipped(sog_files(g, version)))
+    lines = []
+    read = read_sog(tmp_path / "a.sog", report=lines.append)
+    assert read.sh_degree == degree and lines == []
+    assert_within_its_steps(read, g, version)
+
+
+def test_deflated_in_a_folder_of_the_archive_and_unzipped(tmp_path):
+    g = some_gaussians(100, 1)
+    files = sog_files(g)
+    (tmp_path / "a.sog").write_bytes(zipped(files, zipfile.ZIP_DEFLATED, folder="scene/"))
+    assert_within_its_steps(read_gaussians(tmp_path / "a.sog"), g, 2)
+    for name, data in files.items():
+        (tmp_path / name).write_bytes(data)
+    assert_within_its_steps(read_gaussians(tmp_path / "meta.json"), g, 2)
+    (tmp_path / "quats.webp").unlink()
+    with pytest.raises(BadInput, match="no such file"):
+        read_gaussians(tmp_path / "meta.json")
+
+
+def test_gaussians_share_palette_entries_of_16_bits(tmp_path):
+    g = some_gaussians(700, 1)
+    shared = Gaussians.of(
+        g.means,
+        g.quats,
+        g.log_scales,
+        g.logit_opacities,
+        np.concatenate([g.sh[:, :1], g.sh[np.arange(700) % 300, 1:]], 1),
+    )
+    (tmp_path / "a.sog").write_bytes(zipped(sog_files(g, palette=300, width=28)))
+    assert_within_its_steps(read_gaussians(tmp_path / "a.sog"), shared, 2)
+
+
+def test_the_lost_first_entry_of_early_codebooks(tmp_path):
+    files = sog_files(some_gaussians(100, 0))
+
+    def lose(meta):
+        meta["scales"]["codebook"][0] = None
+
+    (tmp_path / "a.sog").write_bytes(with_meta(files, lose))
+    assert len(read_gaussians(tmp_path / "a.sog")) == 100
+
+
+def test_no_rotation_is_dropped_and_antialiasing_ignored_aloud(tmp_path):
+    g = some_gaussians(20, 0)
+    files = sog_files(g)
+    pixels = cv2.imdecode(np.frombuffer(files["quats.webp"], np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels[0, 3, 3] = 251
+    files["quats.webp"] = cv2.imencode(".webp", pixels, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    (tmp_path / "a.sog").write_bytes(with_meta(files, lambda meta: meta.update(antialias=True)))
+    lines = []
+    read = read_sog(tmp_path / "a.sog", report=lines.append)
+    np.testing.assert_allclose(read.means, np.delete(g.means, 3, 0), atol=1e-3)
+    assert len(lines) == 2 and "anti-aliased" in lines[0] and "dropped 1 of 20" in lines[1]
+
+
+def test_archives_that_cannot_be(tmp_path):
+    path = tmp_path / "a.sog"
+    files = sog_files(some_gaussians(30, 1))
+    good = zipped(files)
+    assert "empty" in refused(path, b"")
+    assert "not a ZIP" in refused(path, b"spam" * 50)
+    assert "not a ZIP" in refused(path, good[: len(good) // 2])
+    assert "no meta.json" in refused(path, zipped({"other.json": b"{}"}))
+    assert "'sh0.webp'" in refused(path, zipped({k: v for k, v in files.items() if k != "sh0.webp"}))
+    assert "method" in refused(path, zipped(files, zipfile.ZIP_LZMA))
+    assert "damaged" in refused(path, good.replace(files["quats.webp"], files["quats.webp"][::-1]))
+    assert "not JSON" in refused(path, zipped(files | {"meta.json": b"{"}))
+    assert "not JSON" in refused(path, zipped(files | {"meta.json": b"[" * 100_000}))
+    assert "not JSON" in refused(path, zipped(files | {"meta.json": b"\xff\xfe\xfa"}))
+    assert "no splat" in refused(path, zipped(files | {"meta.json": b"[1, 2]"}))
+    assert "no splat" in refused(path, zipped(files | {"meta.json": b'{"frames": []}'}))
+    assert "more than" in refused(path, zipped(files | {"meta.json": b" " * (2 << 20)}))
+    assert "not a WebP" in refused(path, zipped(files | {"sh0.webp": b"\x89PNG" + bytes(60)}))
+    assert "damaged" in refused(path, zipped(files | {"sh0.webp": files["sh0.webp"][:60]}))
+    assert ".sog" in refused(tmp_path / "a.ply", good)
+
+
+def test_metas_that_cannot_be(tmp_path):
+    path = tmp_path / "a.sog"
+    files = sog_files(some_gaussians(30, 1))
+
+    def says(*keys, value) -> str:
+        def change(meta):
+            for key in keys[:-1]:
+                meta = meta[key]
+            meta[keys[-1]] = value
+
+        return refused(path, with_meta(files, change))
+
+    assert "version 3" in says("version", value=3)
+    assert "version []" in says("version", value=[])
+    for count in (None, -1, 1.5, "30", 10**12):
+        assert "no count" in says("count", value=count)
+    assert "no Gaussians" in says("count", value=0)
+    assert "holds 36 of 37" in says("count", value=37)
+    assert "lacks 'scales'" in says("scales", value=7)
+    assert "finite" in says("means", "mins", value=[0, float("nan"), 0])
+    assert "finite" in says("means", "maxs", value=[0, 10**400, 0])
+    assert "finite" in says("means", "maxs", value=[1, 2])
+    assert "none of its 30" in says("means", "maxs", value=[900, 900, 900])
+    assert "codebook" in says("scales", "codebook", value=[])
+    assert "codebook" in says("sh0", "codebook", value=["a"] * 256)
+    assert "none of its 30" in says("sh0", "codebook", value=[0.5])
+    assert "encoding" in says("quats", "encoding", value="euler")
+    for name in ("../secret.webp", "/etc/passwd", "a\\b", "..", "", "C:x", "a\nb", "a\0b"):
+        assert "no file beside" in says("quats", "files", value=[name])
+    assert "names no image" in says("means", "files", value=["means_l.webp"])
+    assert "names no image" in says("quats", "files", value="quats.webp")
+    assert "bands" in says("shN", "bands", value=2)
+    assert "beyond its SH palette" in says("shN", "count", value=29)
+    assert "beyond its SH palette" in says("shN", "count", value=10**9)
+    assert "fits no degree" in says("shN", "files", value=["quats.webp", "shN_labels.webp"])
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + kind + struct.pack("<I", len(body)) + body
+
+
+def test_webp_sizes_of_all_kinds():
+    image = np.zeros((7, 300, 3), np.uint8)
+    assert webp_size(webp(image.reshape(-1, 3), 300)) == (300, 7)
+    assert webp_size(cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()) == (300, 7)
+    extended = bytes([0x10, 0, 0, 0]) + (299).to_bytes(3, "little") + (6).to_bytes(3, "little") + bytes(8)
+    assert webp_size(chunk(b"VP8X", extended)) == (300, 7)
+    assert webp_size(b"RIFF") is None and webp_size(bytes(64)) is None and webp_size(chunk(b"ANIM", bytes(30))) is None
+
+
+def test_bombs_are_refused_without_unpacking_them(tmp_path):
+    """An image of 16,384 x 16,384 in its header, an honest one of a colour all over, a gigabyte of deflated zeros."""
+    path = tmp_path / "a.sog"
+    files = sog_files(some_gaussians(30, 0))
+    size = 16383 | 16383 << 14
+    claims = zipped(files | {"means_l.webp": chunk(b"VP8L", b"\x2f" + struct.pack("<I", size) + bytes(60))})
+    flat = cv2.imencode(".webp", np.full((5000, 5000, 3), 7, np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    zeros = b"".join(packer.compress(bytes(1 << 20)) for _ in range(300)) + packer.flush()
+    deflated = zipped(files | {"means_l.webp": bytes(300 << 20)}, zipfile.ZIP_DEFLATED)
+    lying = deflated.replace(struct.pack("<I", 300 << 20), struct.pack("<I", 1 << 20))
+    assert zeros[:1000] in deflated
+    tracemalloc.start()
+    assert "pixels" in refused(path, claims)
+    assert "pixels" in refused(path, zipped(files | {"means_l.webp": flat}))
+    assert "claims 314572800 bytes" in refused(path, deflated)
+    assert "means_l.webp" in refused(path, lying)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100 << 20
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_damaged_archives_load_finite_or_are_refused(tmp_path, version, capfd):
+    """Damage to the archive, which checksums find, and to what stands in it, behind honest checksums."""
+    files = sog_files(some_gaussians(60, 1), version)
+    path = tmp_path / "a.sog"
+
+    def inside():
+        for seed, (name, data) in enumerate(files.items()):
+            for copy in damaged(data, 60, seed):
+                yield zipped(files | {name: copy})
+
+    outcomes = read_or_refuse(lambda p: read_sog(p, report=str), path, damaged(zipped(files), 300))
+    assert outcomes["refused"] > 100
+    outcomes = read_or_refuse(lambda p: read_sog(p, report=str), path, inside())
+    assert min(outcomes.values()) > 30
+    assert capfd.readouterr().err == ""  # OpenCV, too, says nothing beside the one line
+
+
+def test_colours_come_in_their_order(tmp_path):
+    """Red stays red: images hold RGB, and the decoder gives BGR."""
+    g = some_gaussians(4, 0)
+    sh = np.tile(np.array([0.9, 0.0, -0.9], np.float32) / np.float32(C0) / 4, (4, 1, 1))
+    (tmp_path / "a.sog").write_bytes(zipped(sog_files(Gaussians.of(*g_columns(g), sh), width=4)))
+    np.testing.assert_allclose(read_gaussians(tmp_path / "a.sog").sh, sh, atol=0.03)
+
+
+def g_columns(g: Gaussians) -> tuple:
+    return g.means, g.quats, g.log_scales, g.logit_opacities

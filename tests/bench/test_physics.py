@@ -1,0 +1,81 @@
+"""The physics table in its quick form, and the command that prints it."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import vrgs
+from bench import check, physics
+from bench import device_agreement as devices
+
+HERE = [m for m in check.MEASUREMENTS if m.tested == "test_physics"]
+
+
+@pytest.mark.usefixtures("ti_cpu")
+@pytest.mark.parametrize("measurement", HERE, ids=lambda m: m.name)
+def test_the_table_holds(measurement):
+    rows = list(check.show(check.measured([measurement], quick=True)))
+    assert rows
+    assert not [r for r in rows if r["pass"] is False]
+    if all(r["pass"] is None for r in rows):
+        pytest.skip(rows[0]["note"])
+
+
+def test_another_process_finds_the_same_positions_on_the_cpu(ti_cpu):
+    """So that what differs between CUDA and CPU comes from CUDA."""
+    if ti_cpu.cfg.arch == ti_cpu.cuda:
+        pytest.skip("this is the CPU's half")
+    x = devices.moved(contacts=False)
+    assert np.isfinite(x).all()
+    assert_array_equal(devices.moved_in_another_process(contacts=False), x)
+
+
+def rows_of(*verdicts) -> tuple[check.Measurement, ...]:
+    """Measurements of one row each, with these verdicts."""
+    rows = [{"check": str(v), "reference": 1.0, "measured": np.float64(2), "tolerance": 3, "pass": v} for v in verdicts]
+    return tuple(check.Measurement(lambda r=r: [r], lambda r=r: [r, r], r["check"]) for r in rows)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "status", "summary"),
+    [
+        ((True, True), 0, "2 of 2 rows pass;"),
+        ((False, True), 1, "1 of 2"),
+        ((None, True), 0, "1 of 2 rows pass, 1 skip"),
+    ],
+)
+def test_the_command_prints_writes_and_returns_its_verdict(monkeypatch, tmp_path, capsys, verdicts, status, summary):
+    monkeypatch.setattr(check, "MEASUREMENTS", rows_of(*verdicts))
+    assert vrgs.main(["--arch", "cpu", "check", "--quick", "--json", str(tmp_path / "t.json")]) == status
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == list(check.HEAD) and lines[-1].startswith(summary)
+    assert [line.split()[-1] for line in lines[1:-1]] == [check.VERDICTS[v] for v in verdicts]
+    rows = json.loads((tmp_path / "t.json").read_text())
+    assert [r["pass"] for r in rows] == list(verdicts)
+    assert rows[0] == {
+        "check": str(verdicts[0]),
+        "reference": 1.0,
+        "measured": 2.0,
+        "tolerance": 3,
+        "pass": verdicts[0],
+    }
+
+
+def test_the_full_form_is_the_default(monkeypatch, capsys):
+    monkeypatch.setattr(check, "MEASUREMENTS", rows_of(True))
+    assert vrgs.main(["check"]) == 0
+    assert "2 of 2 rows pass" in capsys.readouterr().out
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_measuring(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(check, "MEASUREMENTS", [])
+    assert vrgs.main(["check", "--json", str(tmp_path / "no" / "t.json")]) == 2
+    assert "cannot write" in capsys.readouterr().err
+
+
+def test_a_row_out_of_tolerance_or_not_a_number_fails():
+    assert physics.row("", 2.0, 2.01, 0.01)["pass"]
+    assert not physics.row("", 2.0, 2.03, 0.01)["pass"]
+    assert not physics.row("", 2.0, np.nan, 0.01)["pass"]

@@ -1,0 +1,206 @@
+"""Pictures, timings and statistics of a display, without a window."""
+
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from display.headless.headless import Progress
+from display.picture import fit, pixels_of, save_png, side_by_side
+from display.protocol import Frame
+from display.run_stats import peak_memory_mb, run_stats, write_stats
+from display.timing import Timings
+from display.window.panel import pace
+from tests.support.fake_world import FakeWorld, fake_scene
+
+WIDTH, HEIGHT = 320, 180
+CAMERA = perspective(WIDTH, HEIGHT, 0.9, look_at((0, 0, 3), (0, 0, 0)))
+
+
+# pictures
+
+
+@pytest.mark.parametrize(
+    "picture, frame, expected",
+    [
+        ((960, 540), (960, 540), (0, 0, 960, 540)),
+        ((960, 540), (1920, 1080), (0, 0, 1920, 1080)),
+        ((100, 100), (300, 200), (50, 0, 200, 200)),
+        ((960, 540), (960, 800), (0, 130, 960, 540)),
+    ],
+)
+def test_fit_keeps_the_aspect_and_centres(picture, frame, expected):
+    assert fit(picture, frame) == expected
+
+
+def test_pixels_are_rgba_with_the_top_row_first(ti_cpu):
+    picture = ti_cpu.ndarray(ti_cpu.u32, (2, 3))
+    values = np.arange(6, dtype=np.uint32).reshape(2, 3) + np.uint32(0x40302010)
+    picture.from_numpy(values)
+    pixels = pixels_of(picture)
+    assert pixels.shape == (2, 3, 4)
+    assert pixels[0, 0].tolist() == [0x10, 0x20, 0x30, 0x40]
+    assert pixels[1, 2].tolist() == [0x15, 0x20, 0x30, 0x40]
+
+
+def test_png_holds_the_same_colours_and_no_transparency(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 255, (7, 5, 4), np.uint8)
+    save_png(tmp_path / "p.png", pixels)
+    read = cv2.imread(str(tmp_path / "p.png"), cv2.IMREAD_UNCHANGED)
+    assert (read == pixels[..., 2::-1]).all() and read.shape[2] == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
+    with pytest.raises(BadInput, match=r"nowhere.p\.png: cannot write the picture"):
+        save_png(tmp_path / "nowhere" / "p.png", pixels)
+
+
+def test_two_views_lie_side_by_side():
+    pixels = np.arange(4 * 3 * 4, dtype=np.uint8).reshape(4, 3, 4)
+    both = side_by_side(pixels, 2)
+    assert both.shape == (2, 6, 4)
+    assert (both[:, :3] == pixels[:2]).all() and (both[:, 3:] == pixels[2:]).all()
+
+
+def test_the_ball_is_drawn_where_the_ray_finds_it(ti_cpu):
+    """The fake world itself: its picture and its `pick` agree, so tests with it mean something."""
+    world = FakeWorld(fake_scene(), width=WIDTH, height=HEIGHT)
+    world.step(Frame(0.016, 0.016, [CAMERA]))
+    pixels = pixels_of(world.picture).astype(int)
+    red = pixels[..., 0] > 2 * pixels[..., 1]
+    for v, u in [(90, 160), (90, 165 + 30), (20, 20), (90, 10), (120, 150)]:
+        assert red[v, u] == (world.pick(*CAMERA.ray(u + 0.5, v + 0.5)) is not None), (u, v)
+
+
+# numbers
+
+
+def test_timings_tell_the_first_run_apart():
+    timings = Timings()
+    for seconds in (5.0, 0.002, 0.001, 0.003):
+        timings.add("render", seconds)
+    timings.add("once", 0.5)
+    assert timings.as_dict()["render"] == pytest.approx({"median_ms": 2.0, "worst_ms": 3.0, "first_ms": 5000.0})
+    assert timings.as_dict()["once"] == pytest.approx({"median_ms": 500.0, "worst_ms": 500.0, "first_ms": 500.0})
+    assert [row[0] for row in timings.recent()] == ["render", "once"]
+    assert timings.latest("render", "once", "never") == pytest.approx(timings._samples["render"][-1] + 0.5)
+
+
+def test_recent_timings_forget_what_is_long_ago():
+    timings = Timings()
+    for seconds in [0.1] * 50 + [0.001] * 200:
+        timings.add("render", seconds)
+    assert timings.recent()[0][2] == pytest.approx(1.0)
+    assert timings.as_dict()["render"]["worst_ms"] == pytest.approx(100.0)
+
+
+def test_the_recent_frame_rate_is_that_of_the_last_second():
+    timings = Timings()
+    assert timings.recent_fps() == 0
+    timings._frames.extend([0.5] * 20 + [0.01] * 100)
+    assert timings.recent_fps() == pytest.approx(100)
+    timings._frames.append(2.0)
+    assert timings.recent_fps() == pytest.approx(0.5)
+
+
+def test_a_stage_is_timed_and_frames_are_counted():
+    timings = Timings(budget=0.01)
+    for pause in (0.0, 0.02, 0.02):
+        with timings.stage("nap"):
+            time.sleep(pause)
+        timings.frame()
+    assert timings.as_dict()["nap"]["median_ms"] >= 20
+    assert 5 < timings.fps < 50 and timings.missed == 2
+    timings.rest()
+    time.sleep(0.05)
+    timings.frame()
+    assert timings.missed == 2  # the pause is not a missed frame
+
+
+def test_a_display_that_knows_what_it_missed_is_believed():
+    timings = Timings(budget=10.0)
+    for missed in (5, 0, 2, 1):  # the first frame compiles
+        timings.frame(missed)
+    assert timings.missed == 3 and 0.0 < timings.worst < 1.0
+    timings._frames.append(0.2)
+    assert pace(timings) == ["longest frame 200 ms, 3 missed"]
+    timings.photon.extend([0.03, 0.02, 0.5])
+    timings.dropped = 1.25
+    assert pace(timings)[1:] == ["from motion to light 30 ms", "1.2 s left out: too slow for real time"]
+
+
+def test_exact_timings_wait_for_the_device(ti_cpu, monkeypatch):
+    calls = []
+    monkeypatch.setattr(ti_cpu, "sync", lambda: calls.append(1))
+    timings = Timings()
+    with timings.stage("a"):
+        pass
+    timings.exact = True
+    with timings.stage("a"):
+        pass
+    assert len(calls) == 1
+
+
+def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
+    world = FakeWorld(fake_scene(), width=32, height=16)
+    camera = perspective(32, 16, 0.9, look_at((0, 0, 3), (0, 0, 0)))
+    for index in range(3):
+        world.step(Frame(1 / 60, index / 60, [camera]))
+        world.timings.frame()
+    path = tmp_path / "stats.json"
+    write_stats(path, run_stats(world, 3) | {"odd": np.float32("nan"), "many": np.arange(2), "flag": np.bool_(True)})
+    stats = json.loads(path.read_text())
+    promised = "frames fps stages gaussians vertices tets substeps dt score finite peak_memory_mb"
+    promised += " missed_frames worst_frame_ms dropped_seconds"
+    assert set(promised.split()) <= set(stats)
+    assert stats["frames"] == 3 and stats["finite"] is True and stats["fps"] > 0
+    assert {"median_ms", "worst_ms"} <= set(stats["stages"]["render"])
+    assert stats["odd"] is None and stats["many"] == [0, 1] and stats["flag"] is True
+    assert [p.name for p in tmp_path.iterdir()] == ["stats.json"]
+
+
+def test_stats_that_cannot_be_written_are_bad_input(tmp_path):
+    with pytest.raises(BadInput, match="cannot write the statistics"):
+        write_stats(tmp_path / "nowhere" / "stats.json", {})
+
+
+def test_peak_memory_grows_with_what_is_held():
+    before = peak_memory_mb()
+    assert 20 < before < 100_000
+    block = np.ones(int(1.2 * before * 1e6 / 8))  # alone more than all before
+    assert peak_memory_mb() > before and block[-1] == 1
+
+
+@pytest.mark.parametrize("tty", [True, False])
+def test_progress_is_shown_on_long_runs_only(tty):
+    for total, expected in ((1000, 10), (20, 0)):
+        out = io.StringIO()
+        out.isatty = lambda: tty
+        progress = Progress(total, out)
+        progress._begin -= 1.0  # as if a second had passed
+        for k in range(total):
+            progress.show(k + 1)
+        progress.end()
+        text = out.getvalue()
+        assert ("1000 of 1000" in text) == (total == 1000)
+        if tty:
+            assert text.count("\r") >= bool(expected) and (not text or text.endswith("\n"))
+        else:
+            assert len(text.splitlines()) == expected
+
+
+def test_displays_import_nothing_heavy_until_they_open():
+    """`python vrgs.py --headless` must run where there is no OpenGL."""
+    heavy = ["glfw", "moderngl", "imgui_bundle", "cv2", "taichi"]
+    code = (
+        f"import sys, display.window.window, display.headless.headless; print([m for m in {heavy} if m in sys.modules])"
+    )
+    root = Path(__file__).resolve().parents[2]
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
+    assert out.stdout.strip() == "[]"

@@ -1,0 +1,337 @@
+"""Copies, sizes, turns and undo in a running world: bodies and picture stay one, the scene's game does not notice."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from core.camera import look_at, perspective
+from display.body_registry import FULL
+from display.picture import pixels_of
+from display.protocol import Frame
+from scenes.ring_toss import RUBBER
+from scenes.scene import Body, Hand, Light, Plane, Scene
+
+SIZE = (160, 90)
+RED, BLUE = 0, 1
+DT = 1 / 60
+
+
+class Counting:
+    """A game that remembers how many bodies it was shown, and where."""
+
+    duration = 1.0
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self):
+        self.seen, self.score, self.message = [], 0, ""
+
+    def update(self, time, bodies):
+        self.seen = [(b.name, b.centroid.copy()) for b in bodies]
+        self.score += 1
+
+    def hands(self, time, bodies):
+        return []
+
+
+class Play:
+    """A world of two rings on a floor."""
+
+    def __init__(self):
+        from display.world import World
+
+        rings = [Body("ring_red", RUBBER, (-0.15, 0.02, 0.0)), Body("ring_blue", RUBBER, (0.15, 0.02, 0.0))]
+        light = Light((0.3, 2.0, 0.3))
+        scene = Scene(rings, light, (0.0, 0.5, 0.9), (0.0, 0.1, 0.0), [Plane((0, 0, 0), (0, 1, 0))], game=Counting())
+        self.camera = perspective(*SIZE, scene.fov_y, look_at(scene.eye, scene.target))
+        self.world, self.time = World(scene, width=SIZE[0], height=SIZE[1]), 0.0
+
+    def step(self, frames=1, *hands, **commands):
+        for k in range(frames):
+            self.time += DT
+            self.world.step(Frame(DT, self.time, [self.camera], list(hands), commands if k == 0 else {}))
+
+    def do(self, **commands):
+        """Only these commands; no time passes."""
+        self.world.editor.begin()
+        self.world.apply(commands)
+        self.world.apply({})  # what had to wait for room
+        self.world.paused = True
+        self.world.step(Frame(0.0, self.time, [self.camera], []))
+        self.world.paused = False
+
+    def motion(self):
+        s = self.world.solver.snapshot()
+        return [s[name] for name in ("x", "carry", "v", "v_carry")]
+
+    def picture(self):
+        return pixels_of(self.world.picture).copy()
+
+    def shown(self, k):
+        """Means of the Gaussians that show body k, as the device has them."""
+        run = self.world.embedding.runs[k]
+        count = self.world.editor.cast._counts[run.part]
+        return self.world.splats.mean.to_numpy()[run.gaussian : run.gaussian + count]
+
+
+@pytest.fixture(scope="module")
+def shared(ti_cpu) -> Play:
+    return Play()
+
+
+@pytest.fixture
+def play(shared) -> Play:
+    shared.do(reset=True, interaction="physics", light=shared.world.scene.light)
+    shared.world.editor.history.done.clear()
+    shared.world.editor.history.undone.clear()
+    shared.world.editor.selected = None
+    shared.world.editor._gripped = []
+    shared.step()
+    return shared
+
+
+def equal(before, after):
+    for a, b in zip(before, after, strict=True):
+        assert_array_equal(a, b)
+
+
+def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
+    play.step(3)
+    motion, picture, score, time = play.motion(), play.picture(), play.world.score, play.world.time
+    play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
+    for k in range(6):
+        play.step(1, Hand((0.15, 0.02 + 0.03 * k, 0.08), grip=True))
+    assert play.world.bodies()[BLUE].held and play.world.selected == BLUE
+    play.step(2)
+    thrown = play.motion()
+    assert (play.picture() != picture).any()
+    play.do(undo=True)
+    equal(motion, play.motion())
+    assert_array_equal(play.picture(), picture)
+    assert (play.world.score, play.world.time) == (score, time)
+    play.do(redo=True)
+    equal(thrown, play.motion())
+    play.do(undo=True)
+    equal(motion, play.motion())
+    play.do(undo=True)
+    equal(motion, play.motion())
+    assert play.world.notice == "Nothing to undo."
+
+
+def test_a_hand_that_takes_nothing_is_no_action(play):
+    play.step(2, Hand((0.0, 1.0, 0.0), grip=True))
+    assert play.world.editor.history.done == []
+
+
+def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play):
+    play = Play() if play.world.editor.cast.grown else play
+    world = play.world
+    solver, tree = world.solver, world.splats.tree
+    motion = play.motion()
+    world.apply({"duplicate": RED})
+    assert world.notice.startswith("Making room") and world.solver is solver and len(world.bodies()) == 2
+    world.apply({})
+    assert len(world.bodies()) == 3 and world.solver is not solver
+    assert solver.state.tree.destroyed and tree.destroyed
+    equal([a[: len(b)] for a, b in zip(play.motion(), motion, strict=True)], motion)
+
+
+def test_a_copy_looks_like_its_original_and_stands_above_it(play):
+    before, gaussians = play.picture(), play.world.splats.count
+    own = play.world.editor.cast._counts[BLUE]
+    play.do(duplicate=BLUE)
+    world = play.world
+    assert world.splats.count == gaussians + own and len(world.bodies()) == 3 and world.selected == 2
+    original, copy = world.bodies()[BLUE], world.bodies()[2]
+    aside = copy.centroid - original.centroid
+    assert copy.name == original.name and copy.low[1] > original.high[1]
+    assert_allclose(play.shown(2), play.shown(BLUE) + aside, atol=2e-6)
+    a, b = world.embedding.runs[BLUE].gaussian, world.embedding.runs[2].gaussian
+    for one, other in zip(world.splats.read(a, own), world.splats.read(b, own), strict=True):
+        assert_array_equal(one, other)
+    assert_allclose(world.splats.cov.to_numpy()[b : b + own], world.splats.cov.to_numpy()[a : a + own], atol=1e-9)
+    blue = lambda p: ((p[..., 2].astype(int) - p[..., 0]) > 60).sum()  # noqa: E731
+    assert blue(play.picture()) > 1.25 * blue(before)
+    play.step(30)
+    assert 0 < world.bodies()[2].low[1] < original.high[1] + 0.02  # it lies on the other one
+
+
+def test_the_game_sees_the_scenes_own_bodies_only(play):
+    play.do(duplicate=RED)
+    play.do(remove=RED)
+    play.step()
+    names, places = zip(*play.world.scene.game.seen, strict=True)
+    assert names == ("ring_red", "ring_blue") and places[RED][0] > 100.0
+    assert_allclose(places[BLUE], play.world.bodies()[0].centroid)
+    assert len(play.world.bodies()) == 2
+
+
+def test_what_is_taken_away_is_not_drawn_and_comes_back(play):
+    before, motion = play.picture(), play.motion()
+    play.do(remove=BLUE)
+    assert len(play.world.bodies()) == 1
+    picture = play.picture()
+    assert ((picture[..., 2].astype(int) - picture[..., 0]) > 60).sum() == 0
+    play.do(remove=0)
+    assert play.world.bodies() == [] and (play.picture()[..., :3] == 0).all()
+    play.step(2)
+    play.do(undo=True)
+    play.do(undo=True)
+    equal(motion, play.motion())
+    assert_array_equal(play.picture(), before)
+
+
+def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
+    play.step(20)
+    before, cov, foot = play.shown(BLUE), play.world.splats.cov.to_numpy(), play.world.bodies()[BLUE]
+    first, count = play.world.embedding.runs[BLUE].gaussian, play.world.editor.cast._counts[BLUE]
+    about = np.array([foot.centroid[0], foot.low[1], foot.centroid[2]])
+    for factor, size in ((1.5, 1.5), (1.4, 2.1)):
+        play.do(rescale=(BLUE, factor))
+        assert_allclose(play.shown(BLUE), about + size * (before - about), atol=2e-5)
+        now = play.world.splats.cov.to_numpy()[first : first + count]
+        assert_allclose(now, size**2 * cov[first : first + count], rtol=1e-3, atol=1e-8)
+        assert_allclose(play.world.bodies()[BLUE].low[1], foot.low[1], atol=1e-5)
+    play.do(rescale=(BLUE, 4.0))
+    assert play.world.notice == FULL
+    play.step()
+    play.do(undo=True)
+    assert_allclose(play.shown(BLUE), before, atol=2e-6)
+    play.do(rescale=(BLUE, 0.05))
+    play.do(rescale=(BLUE, 0.05))
+    assert_allclose(play.world.solver.parts[BLUE].shape.factor, 0.2)
+    assert play.world.notice == "It is as small as it can be."
+
+
+def test_a_body_is_turned_and_stays_on_the_floor(play):
+    play.step(20)
+    before = play.world.bodies()[BLUE]
+    play.do(rotate=(BLUE, (np.cos(0.5), np.sin(0.5), 0.0, 0.0)))
+    after = play.world.bodies()[BLUE]
+    assert_allclose(np.abs(before.axis @ after.axis), np.cos(1.0), atol=0.02)
+    assert_allclose(after.low[1], before.low[1], atol=1e-5)
+    assert after.high[1] > before.high[1] + 0.05
+
+
+def test_a_drag_is_one_action_two_keys_are_two(play):
+    for _ in range(4):
+        play.do(rescale=(RED, 1.02))
+    for _ in range(3):
+        play.step()
+    play.do(rescale=(RED, 1.1))
+    light = play.world.light
+    for k in range(5):
+        play.do(light=Light((0.1 * k, 2.0, 0.0)))
+    assert [s.action for s in play.world.editor.history.done] == ["rescale", "rescale", "light"]
+    motion = play.motion()
+    play.do(undo=True)
+    assert play.world.light == light
+    equal(motion, play.motion())  # the light alone went back
+    play.do(undo=True)
+    assert_allclose(play.world.solver.parts[RED].shape.factor, 1.02**4)
+
+
+def test_reset_gives_the_scene_and_can_be_taken_back(play):
+    start = play.motion()
+    play.do(duplicate=RED)
+    play.do(rescale=(BLUE, 1.5))
+    play.do(material=(RED, "jelly"))
+    play.do(remove=RED)
+    play.step(3)
+    changed = play.motion()
+    play.do(reset=True)
+    play.step()
+    equal(start, play.motion())
+    assert not play.world.editor.cast.changed
+    play.do(undo=True)
+    equal(changed, play.motion())
+    assert [p.body.name for p in play.world.solver.parts] == ["ring_blue", "ring_red"]
+    assert play.world.solver.parts[0].shape.factor == 1.5
+
+
+def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
+    hand = Hand((0.15, 0.02, 0.08), grip=True)
+    play.do(duplicate=RED)  # room is made
+    play.do(reset=True, interaction="transform")
+    play.step(1, hand)
+    play.step(1, Hand((0.15, 0.3, 0.08), grip=True))
+    high = play.world.bodies()[BLUE]
+    assert high.held and high.low[1] > 0.25
+    play.step(1, Hand((0.15, 0.3, 0.08), grip=True), rescale=(BLUE, 1.5))
+    larger = play.world.bodies()[BLUE]
+    assert larger.held
+    assert_allclose(larger.centroid, high.centroid, atol=1e-5)
+    play.step(1, Hand((0.25, 0.3, 0.08), grip=True), duplicate=None)
+    assert_allclose(play.world.bodies()[BLUE].centroid - larger.centroid, [0.1, 0.0, 0.0], atol=1e-5)
+    copy = play.world.bodies()[2]
+    assert not copy.held and copy.low[1] > larger.high[1] - 1e-4
+    play.step(5)
+    assert_allclose(play.world.bodies()[2].centroid, copy.centroid, atol=1e-6)  # time stands still
+
+
+def test_a_held_body_follows_the_hand_through_changes_of_its_size(play):
+    """A change in each frame of a drag: none of the hand's way is lost, and all of it is one action."""
+    play.do(duplicate=RED)  # room is made
+    play.do(reset=True, interaction="transform")
+    play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
+    motion, count = play.motion(), len(play.world.editor.history.done)
+    start = play.world.bodies()[BLUE]
+    for k in range(1, 6):
+        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), rescale=(BLUE, 1.1))
+        body = play.world.bodies()[BLUE]
+        assert body.held
+        grown, before = body.high - body.low, start.high - start.low
+        assert_allclose(grown, 1.1**k * before, rtol=1e-3)
+        assert_allclose(body.centroid - start.centroid, [0.02 * k, 0.05 * k, 0.0], atol=1e-5)
+    assert len(play.world.editor.history.done) == count + 1
+    play.do(interaction="physics")
+    play.step(75)  # it bounces thrice
+    rest = play.world.bodies()[BLUE]
+    assert_allclose((rest.high - rest.low)[[0, 2]], grown[[0, 2]], rtol=0.05)  # it is that large, and lies on the floor
+    assert 0.0 < rest.low[1] + 5e-3 < 0.03 and np.abs(rest.velocity).max() < 0.2
+    play.do(undo=True)
+    equal(motion, play.motion())
+
+
+def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
+    from taichi.lang import impl
+
+    trees = None
+    for _ in range(40):
+        play.do(duplicate=RED)
+        if play.world.notice == FULL:
+            break
+        trees = trees or impl.get_runtime().prog.get_snode_tree_size()
+    assert play.world.notice == FULL
+    assert 6 <= len(play.world.bodies()) < 40
+    assert impl.get_runtime().prog.get_snode_tree_size() == trees
+    motion, picture, steps = play.motion(), play.picture(), len(play.world.editor.history.done)
+    play.do(duplicate=RED)
+    equal(motion, play.motion())
+    assert_array_equal(picture, play.picture())
+    assert len(play.world.editor.history.done) == steps
+    play.do(remove=RED)
+    play.do(duplicate=0)
+    assert len(play.world.bodies()) == len(motion[0]) // len(play.world.solver.parts[0].shape.vertices)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        {"duplicate": 7},
+        {"remove": -1},
+        {"rescale": (0, 0.0)},
+        {"rescale": (0, float("nan"))},
+        {"rotate": (0, (0.0, 0.0, 0.0, 0.0))},
+        {"material": (0, "unobtainium")},
+        {"duplicate": None},
+        {"select": 9},
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(play, command):
+    motion, steps = play.motion(), len(play.world.editor.history.done)
+    play.do(**command)
+    assert play.world.notice and "\n" not in play.world.notice
+    equal(motion, play.motion())
+    assert len(play.world.editor.history.done) == steps

@@ -1,0 +1,204 @@
+"""Bare hands as controllers, who plays where both are there, the poking finger, what is felt: with made-up joints."""
+
+from types import SimpleNamespace as N
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from display.xr import hand_joints as J
+from display.xr.actions import Controller
+from display.xr.finger_poke import LENGTH, RADIUS, Poke
+from display.xr.hand_joints import BONES, HandInput, bones, curls
+from display.xr.hand_skeleton import RELAXED, about, along, posed
+from display.xr.hand_tracking import HANDOVER, LOCATION, PATIENCE, Sides, joints_of
+from display.xr.player import GRAB_REACH, PINCH_REACH, Player
+from scenes import registry
+
+PINCH, FIST, POINT = (0.7, 0.6, 0.2, 0.2, 0.2), (0.8, 1.0, 1.0, 1.0, 1.0), (0.5, 0.0, 1.0, 1.0, 1.0)
+HALF = (0.35, 0.3, 0.2, 0.2, 0.2)
+WORLD = N(interaction="physics", demo=False, paused=False)
+
+
+def frame(position=(0.0, 1.0, -0.4), yaw=0.3):
+    return J.pose_of(np.array(position), about((0, 1, 0), yaw))
+
+
+def does(*poses, left=False):
+    """What a hand does in these poses, one after the other."""
+    hand = HandInput()
+    return [("grab", "pinch", "")[0 if c.grab else 1 if c.pinch else 2] for c in map(hand.read, track(poses, left))]
+
+
+def track(poses, left=False):
+    return [None if p is None else posed(p, left=left, frame=frame()) for p in poses]
+
+
+@pytest.mark.parametrize("left", [False, True])
+def test_finger_and_thumb_pinch_and_a_fist_grabs(left):
+    assert does(RELAXED, PINCH, RELAXED, FIST, RELAXED, left=left) == ["", "pinch", "", "grab", ""]
+
+
+def test_a_hand_that_points_holds_nothing():
+    assert does(POINT, (0.0,) * 5) == ["", ""]
+
+
+def test_what_is_begun_goes_on_until_it_is_clearly_over():
+    apart = [np.linalg.norm(j.position[J.THUMB_TIP] - j.position[J.INDEX_TIP]) for j in track([PINCH, HALF, RELAXED])]
+    wide = (0.62, 0.54, 0.2, 0.2, 0.2)
+    between = np.linalg.norm(np.subtract(*posed(wide).position[[J.THUMB_TIP, J.INDEX_TIP]]))
+    assert apart[0] < J.PINCHED < between < J.PARTED < apart[1]
+    assert does(wide, PINCH, wide, HALF, wide) == ["", "pinch", "pinch", "", ""]
+    loose = (0.5, 0.55, 0.55, 0.55, 0.55)
+    assert J.OPEN < curls(posed(loose))[1] < J.FIST
+    assert does(loose, FIST, loose, RELAXED, loose) == ["", "grab", "grab", "", ""]
+
+
+def test_a_fist_on_the_way_back_is_no_pinch():
+    """In a fist thumb and index may touch; it grabs all the same, and opens without pinching."""
+    assert "pinch" not in does(FIST, (0.8, 0.8, 0.8, 0.8, 0.8), (0.8, 0.7, 0.9, 0.9, 0.9))
+
+
+def test_a_lost_hand_goes_on_with_what_it_did():
+    hand = HandInput()
+    pinching, lost, back = (hand.read(j) for j in track([PINCH, None, (0.62, 0.54, 0.2, 0.2, 0.2)]))
+    assert pinching.pinch == 1.0 and lost.grip is None and back.pinch == 1.0
+
+
+def test_a_pinch_holds_between_the_fingers_and_a_fist_in_the_palm():
+    pinch, fist = (HandInput().read(posed(p, frame=frame())) for p in (PINCH, FIST))
+    tips = posed(PINCH, frame=frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
+    assert_allclose(pinch.grip[:3, 3], tips.mean(0), atol=1e-12)
+    assert_allclose(fist.grip[:3, 3], posed(FIST, frame=frame()).position[J.PALM], atol=1e-12)
+    player = Player(registry.load("ring_toss"))
+    hands, _ = player.advance([pinch, fist], np.eye(4), None)
+    assert [h.grip for h in hands] == [True, True] and [h.reach for h in hands] == [PINCH_REACH, GRAB_REACH]
+    stage = player.standpoint.matrix
+    assert_allclose(hands[0].position, (stage @ [*tips.mean(0), 1.0])[:3])
+    assert len(hands[0].touch) == len(BONES)
+    a = np.array([t.a for t in hands[0].touch])
+    assert_allclose(a, bones(posed(PINCH, frame=frame()))[:, :3] @ stage[:3, :3].T + stage[:3, 3], atol=1e-12)
+
+
+def test_bones_are_where_the_joints_are_and_not_too_thick():
+    joints = posed()
+    wild = J.Joints(joints.position, joints.rotation, np.linspace(0.0, 0.3, J.COUNT))
+    capsules = bones(wild)
+    assert capsules.shape == (19, 7)
+    assert (capsules[:, 6] >= J.THINNEST).all() and (capsules[:, 6] <= J.THICKEST).all()
+    for (a, b), row in zip(BONES, capsules, strict=True):
+        assert_allclose(row[:6], [*joints.position[a], *joints.position[b]])
+
+
+def test_bends_add_up_and_do_not_depend_on_where_the_hand_is():
+    straight, fist = curls(posed((0.0,) * 5)), curls(posed((1.0,) * 5))
+    assert (straight[1:] < np.radians(10)).all() and (fist[1:] > np.radians(200)).all()
+    assert_allclose(curls(posed(PINCH, frame=frame((1, 2, 3), 2.0))), curls(posed(PINCH)), atol=1e-9)
+    assert_allclose(curls(posed(PINCH, left=True)), curls(posed(PINCH)), atol=1e-9)
+
+
+def test_a_hand_points_along_its_forearm_however_it_pinches():
+    aims = [J.aim_of(posed(p, frame=frame())) for p in (RELAXED, PINCH)]
+    assert_allclose(aims[0], aims[1], atol=1e-12)
+    assert np.linalg.det(aims[0][:3, :3]) == pytest.approx(1.0)
+    ahead = frame()[:3, :3] @ [0, 0, -1]
+    assert -aims[0][:3, 2] @ ahead > 0.9
+
+
+def test_the_skeleton_is_made_of_rotations_along_its_bones():
+    joints = posed(PINCH, left=True, frame=frame())
+    assert_allclose(
+        joints.rotation @ np.swapaxes(joints.rotation, 1, 2), np.tile(np.eye(3), (J.COUNT, 1, 1)), atol=1e-9
+    )
+    assert_allclose(np.linalg.det(joints.rotation), 1.0)
+    for finger in J.FINGERS:
+        for j in finger[:-1]:
+            way = joints.position[j + 1] - joints.position[j]
+            assert -joints.rotation[j][:, 2] @ way > 0.995 * np.linalg.norm(way)
+    assert_allclose(along([0.0, 0.0, -2.0]), np.eye(3), atol=1e-12)
+
+
+def location_table(joints):
+    table = np.zeros(J.COUNT, LOCATION)
+    table["orientation"][:, 3] = 1.0
+    table["position"], table["radius"] = joints.position, joints.radius
+    return table
+
+
+def test_joints_are_read_as_the_runtime_lays_them_out():
+    assert LOCATION.itemsize == 40  # XrSpaceLocationFlags, XrPosef, float; and the end's padding below
+    read = joints_of(location_table(posed()))
+    assert_allclose(read.position, posed().position, atol=1e-6)
+    assert_allclose(read.rotation, np.tile(np.eye(3), (J.COUNT, 1, 1)))
+    for field, value in (("position", np.nan), ("radius", np.inf), ("orientation", 0.0)):
+        table = location_table(posed())
+        table[field][3] = value
+        assert joints_of(table) is None
+
+
+IDLE, BUSY = Controller(grip=np.eye(4)), Controller(grip=np.eye(4), pinch=0.5)
+
+
+def plays(sides, time, controller, hand):
+    chosen = sides.choose([controller, Controller()], [posed() if hand else None, None], time)[0]
+    return "controller" if chosen is controller else "hand" if chosen.joints is not None else "frozen"
+
+
+def test_a_controller_plays_while_it_is_used_and_a_hand_else():
+    sides = Sides()
+    assert plays(sides, 0.0, IDLE, True) == "hand"
+    assert plays(sides, 0.1, BUSY, True) == "controller"
+    assert plays(sides, 0.1 + 0.9 * HANDOVER, IDLE, True) == "controller"
+    assert plays(sides, 0.2 + HANDOVER, IDLE, True) == "hand"
+
+
+def test_a_lost_hand_is_not_replaced_at_once():
+    sides = Sides()
+    assert plays(sides, 0.0, IDLE, True) == "hand"
+    assert plays(sides, 0.5 * PATIENCE, IDLE, False) == "frozen"
+    assert plays(sides, 0.6 * PATIENCE, IDLE, True) == "hand"
+    assert plays(sides, 2.0 * PATIENCE, IDLE, False) == "controller"
+
+
+def test_without_hands_controllers_play_as_ever():
+    sides = Sides()
+    assert [plays(sides, t, IDLE, False) for t in (0.0, 5.0)] == ["controller"] * 2
+
+
+def test_a_touched_trigger_stretches_out_a_finger_and_a_grip_draws_it_in():
+    poke, outs = Poke(), []
+    held = Controller(grip=frame(), point=True)
+    for c, grips in [(held, False)] * 8 + [(Controller(grip=frame(), grab=1.0, point=True), True)] * 8:
+        poke.stretch(c, grips)
+        outs.append(poke.out)
+    assert outs[0] < 0.3 and outs[7] == 1.0 and outs[-1] == 0.0
+    assert (np.diff(outs[:8]) >= 0).all() and np.abs(np.diff(outs)).max() < 0.2
+    poke.out = 1.0
+    piece = poke.pieces(held)[0]
+    assert_allclose(np.linalg.norm(piece[3:6] - piece[:3]), LENGTH)
+    assert_allclose((piece[3:6] - piece[:3]) / LENGTH, frame()[:3, :3] @ [0, 0, -1], atol=1e-12)
+    assert piece[6] == RADIUS
+    assert len(Poke().pieces(held)) == 0
+
+
+def test_a_pulled_trigger_pinches_at_the_fingers_tip():
+    player = Player(registry.load("ring_toss"))
+    half, pulled = Controller(grip=frame(), pinch=0.4), Controller(grip=frame(), pinch=1.0)
+    for _ in range(8):
+        hands, _ = player.advance([half, Controller()], np.eye(4), None)
+    assert not hands[0].grip and len(hands[0].touch) == 1
+    tip = np.array(hands[0].touch[0].b)
+    hands, _ = player.advance([pulled, Controller()], np.eye(4), None)
+    assert hands[0].grip and hands[0].reach == PINCH_REACH
+    assert_allclose(hands[0].position, tip, atol=1e-9)
+
+
+def test_hands_feel_a_touch_begin_and_go_on():
+    player, felt = Player(registry.load("ring_toss")), []
+    actions = N(pulse=lambda h, strength, seconds: felt.append((h, strength)))
+    for force in (0.0, 0.0, 2.0, 2.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0):
+        push = [np.zeros(3), np.array([0.0, 0.0, force])]
+        player.feel(N(hand_forces=list, touch_forces=lambda p=push: p), actions)
+    assert {h for h, _ in felt} == {1}
+    assert 3 <= len(felt) < 8 and felt[0][1] > 0.5  # a tap, then less and less
+    assert all(0.0 < s <= 1.0 for _, s in felt)

@@ -1,0 +1,133 @@
+"""Nothing is compiled in the midst of play: not by the first grip, throw, touch, look, change or size of picture."""
+
+from types import SimpleNamespace as N
+
+import numpy as np
+import pytest
+
+from core.camera import look_at, perspective
+from display.edit.editor import COMPILING, Editor
+from display.protocol import Frame
+from scenes import ring_toss
+from scenes.scene import Hand, Touch
+from tests.support.compiling import compiled
+
+YELLOW = 1
+TURN = (0.99, 0.0, 0.14, 0.0)
+
+
+class Play:
+    """The ring toss in small pictures, for a headset or in a window."""
+
+    def __init__(self, *, headset: bool):
+        from display.world import World
+        from display.xr import avatar as shown
+
+        self.scene, self.frames, self.size, self.views = ring_toss.build(), 0, (96, 64), 1 + headset
+        how = {"fingers": True, "room": True, "props": shown.skins()} if headset else {}
+        self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
+        self.parts = shown.hidden() if headset else None
+
+    def frame(self, *hands, **commands):
+        self.frames += 1
+        view = look_at(np.add(self.scene.eye, [0.001 * self.frames, 0, 0]), self.scene.target)
+        cameras = [perspective(*self.size, 0.9, view)] * self.views
+        if self.parts is not None:
+            self.parts[:] = np.nan
+            self.parts[52] = np.column_stack([np.eye(3), hands[0].position if hands else np.zeros(3)])
+        self.world.step(Frame(1 / 60, self.frames / 60, cameras, list(hands), commands, parts=self.parts))
+        self.world.hand_forces(), self.world.touch_forces(), self.world.stats()
+
+    def rim(self):
+        """A place on the yellow ring, (3,) [m]."""
+        return self.world.bodies()[YELLOW].centroid + [0.0, 0.0, ring_toss.RING_RADIUS]
+
+    def throw(self):
+        at = self.rim()
+        self.frame(Hand(tuple(at)), Hand())
+        for k in range(4):
+            self.frame(Hand(tuple(at + [0, 0.03 * k, -0.02 * k]), grip=True, reach=0.05), Hand())
+            assert self.world.bodies()[YELLOW].held
+        self.frame(Hand(tuple(at + [0, 0.12, -0.08])), Hand())
+        assert not self.world.bodies()[YELLOW].held
+
+    def touch(self):
+        at = self.rim()
+        for k in range(3):
+            tip = at + [0.0, 0.06 - 0.02 * k, 0.0]
+            self.frame(Hand(tuple(tip), touch=(Touch(tuple(tip), tuple(tip + [0, 0.05, 0]), 0.009),)))
+
+    def stretch(self):
+        """Two hands draw it out in transform mode, and let go."""
+        self.frame(interaction="transform")
+        at = self.rim()
+        for k in range(4):
+            other = at + [0.03 * k, 0.0, -2 * ring_toss.RING_RADIUS - 0.02 * k]
+            self.frame(*(Hand(tuple(p), grip=k > 0, reach=0.05) for p in (at, other)))
+        self.frame(Hand(tuple(at)), Hand())
+        self.frame(interaction="physics")
+
+    def resize(self, width: int, height: int):
+        self.size = width, height
+        self.world.resize(width, height)
+        self.frame()
+
+
+def unchanged(world, before: dict, means: np.ndarray) -> None:
+    """Bodies and what is seen of them are as they were."""
+    after = world.solver.snapshot()
+    for name in ("x", "carry", "v", "v_carry", "mending"):
+        np.testing.assert_array_equal(before[name], after[name])
+    world.refresh()
+    np.testing.assert_array_equal(world.splats.mean.to_numpy(), means)
+
+
+@pytest.mark.parametrize("headset", [pytest.param(False, marks=pytest.mark.long), True])
+def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
+    play = Play(headset=headset)
+    before, means = play.world.solver.snapshot(), play.world.splats.mean.to_numpy()
+    play.world.warm_up()
+    unchanged(play.world, before, means)
+    play.frame()
+    with compiled() as names:
+        play.throw()
+        play.touch()
+        for commands in ({"undo": True}, {"redo": True}, {"select": YELLOW}, {"rotate": (None, TURN)}):
+            play.frame(**commands)
+        if headset:  # in a window the first copy, or a body of another size, makes room, which is said
+            play.frame(duplicate=None)
+            assert len(play.world.bodies()) == 4
+            play.frame(rescale=(None, 0.8))
+        for commands in ({"material": (0, "plush")}, {"undo": True}, {"remove": 0}):
+            play.frame(**commands)
+        play.frame(light=play.scene.light)
+        play.frame(pause=True)
+        play.frame(pause=False, reset=True)
+        if headset:
+            play.stretch()
+        play.world.pick(play.scene.eye, np.subtract(play.scene.target, play.scene.eye))
+        play.resize(48, 32)
+        play.resize(96, 64)
+        play.frame(demo=True)
+        play.frame()
+    assert names == []
+
+
+def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
+    """A made-up world: one frame stands still, with a notice."""
+    world = N(solver=N(fresh=False), motions=[])
+    editor = Editor(world, cast=None)
+    for name in ("material", "undo", "select"):
+        setattr(editor, f"_{name}", lambda asked: setattr(world.solver, "fresh", asked == "wood"))
+
+    def frame(**commands):
+        editor.begin()
+        editor.apply(commands)
+        return editor.waits, editor.notice == COMPILING
+
+    assert frame() == (False, False)
+    assert frame(material="plush") == (False, False)
+    assert frame(material="wood") == (True, True)
+    assert frame() == (False, True)
+    world.solver.fresh = False
+    assert frame(undo=True) == (False, False)

@@ -1,0 +1,294 @@
+"""What is recorded plays again: exactly, whatever hands are made of, after a death too; and nothing else is taken."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace as N
+
+import h5py
+import numpy as np
+import pytest
+
+import vrgs
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from core.material import Material
+from display.protocol import Frame
+from display.record import packing
+from display.record.command_text import from_text, to_text
+from display.record.packing import pack, size_of, unpack
+from display.record.recording import Recording
+from display.record.replay import Replay, fitted
+from scenes.scene import BodyState, Hand, Light
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMERA = perspective(64, 48, 0.9, look_at((0, 1, 2), (0, 0, 0)))
+
+
+class Ball:
+    """A world of one ball that follows the first hand."""
+
+    def __init__(self):
+        self.at, self.frames = np.zeros(3), []
+
+    def step(self, frame):
+        self.frames.append((frame, frame.cameras() if callable(frame.cameras) else frame.cameras))
+        if frame.hands and frame.hands[0] is not None:
+            self.at = self.at + frame.dt * (np.array(frame.hands[0].position) - self.at)
+
+    def bodies(self):
+        return [BodyState("ball", self.at, self.at, self.at, self.at, self.at, False)]
+
+
+def some_frames(count=200, dt=1 / 90):
+    rng = np.random.default_rng(5)
+    frames = []
+    for k in range(count):
+        q = rng.normal(size=4)
+        hands = [Hand(tuple(rng.normal(size=3).tolist()), tuple((q / np.linalg.norm(q)).tolist()), k % 7 > 3, 0.05)]
+        hands += [Hand()] if k % 3 else []
+        commands = {5: {"pause": True}, 6: {"step": True}, 9: {"light": Light((1.0, 2.0, 3.0)), "reset": True}}.get(
+            k, {}
+        )
+        cameras = [dataclasses.replace(CAMERA, cx=30.0 + 0.01 * k)] * (k % 3)
+        frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, step=None if k % 2 else 1 / 90))
+    return frames
+
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def record(path, frames, world=None, close=True):
+    """A recording of these frames."""
+    world = world or Ball()
+    recording = Recording(path)
+    recording.about = {"scene": "ring_toss", "seed": 3, "arch": "cpu", "world": {"sort": "radial"}}
+    for frame in frames:
+        world.step(recording.note(frame))
+        recording.after(world)
+    if close:
+        recording.close()
+    return recording
+
+
+def same(a, b) -> bool:
+    cameras = [[dataclasses.astuple(c)[:6] + (c.world_to_camera.tobytes(),) for c in f.cameras] for f in (a, b)]
+    mine, theirs = (dataclasses.replace(f, cameras=[]) for f in (a, b))
+    return cameras[0] == cameras[1] and mine == theirs
+
+
+def test_frames_come_back_as_they_were(tmp_path):
+    frames = some_frames()
+    record(tmp_path / "play.h5", frames)
+    replay = Replay.load(tmp_path / "play.h5")
+    assert len(replay) == 200 and all(same(a, b) for a, b in zip(frames, replay._frames, strict=True))
+    assert [p.name for p in tmp_path.iterdir()] == ["play.h5"]
+    assert sorted(replay._states) == [0, 90, 180, 199]
+    with h5py.File(tmp_path / "play.h5") as file:
+        assert len(json.loads(file.attrs["layouts"])) == 1 and file.attrs["format"] == "vrgs-recording"
+
+
+def test_cameras_are_taken_down_when_the_world_asks_for_them(tmp_path):
+    asked = []
+    late = Frame(0.1, 0.1, lambda: (asked.append(1), [CAMERA, CAMERA])[1], [])
+    world = Ball()
+    record(tmp_path / "play.h5", [late, Frame(0.1, 0.2, [], []), late], world)
+    assert len(asked) == 2 and [len(cameras) for _, cameras in world.frames] == [2, 0, 2]
+    assert [len(f.cameras) for f in Replay.load(tmp_path / "play.h5")._frames] == [2, 0, 2]
+
+
+def test_a_hand_without_a_pose_is_recorded_as_none(tmp_path):
+    hands = [Hand((float("nan"), 0.0, 0.0)), None, Hand()]
+    record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], hands)])
+    assert Replay.load(tmp_path / "play.h5")._frames[0].hands == [None, None, Hand()]
+
+
+@dataclasses.dataclass
+class Finger:
+    a: tuple = (0.0, 1.0, 2.0)
+    radius: float = 0.1
+
+
+@dataclasses.dataclass
+class Rich(Hand):
+    """A hand as it may become."""
+
+    touch: tuple = ()
+    joints: np.ndarray | None = None
+    kind: str = "fist"
+    count: int = 3
+
+
+def test_fields_that_a_hand_may_gain_are_recorded_too(monkeypatch):
+    monkeypatch.setattr(packing, "CLASSES", {**packing.CLASSES, "Rich": Rich, "Finger": Finger})
+    for hand in (
+        Rich(),
+        Rich(touch=(Finger(), Finger((1.0, 1.0, 1.0), 0.2)) * 10, joints=np.arange(6, dtype=np.float32).reshape(2, 3)),
+        Rich(touch=(Finger(), None, (1, 2.5, True, ())), kind="pinch", joints=np.zeros((0, 3))),
+    ):
+        layout, numbers = pack(hand)
+        again = unpack(json.loads(json.dumps(layout)), np.array(numbers))
+        assert size_of(layout) == len(numbers) and repr(again) == repr(hand)
+        if hand.joints is not None:
+            assert again.joints.dtype == hand.joints.dtype and again.joints.shape == hand.joints.shape
+    assert len(json.dumps(pack(Rich(touch=(Finger(),) * 40))[0])) == len(
+        json.dumps(pack(Rich(touch=(Finger(),) * 20))[0])
+    )
+    with pytest.raises(TypeError, match="a set cannot be recorded"):
+        pack(Rich(kind={1}))
+
+
+@pytest.mark.parametrize(
+    "layout",
+    ["x", [], {}, None, 3, ["t", -1, "f"], ["t", 10**9, "f"], ["a", "object", [1]], ["a", "float64", [10**6, 10**6]],
+     {"c": "Path", "f": {}}, {"c": "Hand", "f": {"eval": "f"}}, {"c": "BodyState", "f": {}}, ["f", "f"], ["s", 3],
+     {"c": ["Hand"], "f": {}}, ["a", "float64", [-1]], ["a", "float64", "12"]],
+)  # fmt: skip
+def test_what_is_no_layout_is_refused(layout):
+    with pytest.raises(BadInput):
+        unpack(layout, np.zeros(3))
+    deep = layout
+    for _ in range(2000):
+        deep = ["t", deep]
+    for ask in (size_of, lambda value: unpack(value, np.zeros(3))):
+        with pytest.raises(BadInput, match="too deep"):
+            ask(deep)
+
+
+def test_numbers_that_do_not_fit_their_layout_are_refused():
+    layout, numbers = pack(Hand())
+    for wrong in (numbers[:-1], [*numbers, 1.0], []):
+        with pytest.raises(BadInput):
+            unpack(layout, np.array(wrong))
+
+
+def test_commands_come_back_as_they_were_and_others_are_refused():
+    commands = {"reset": True, "interaction": "transform", "light": Light((0.0, 1.0, 2.0), kind="directional")}
+    commands |= {"duplicate": None, "select": 3, "rescale": (None, 1.5), "rotate": (2, (1.0, 0.0, 0.0, 0.0))}
+    commands |= {"material": (0, Material(1e4, 0.3, 900.0)), "undo": True, "demo": False}
+    assert from_text(to_text(7, commands)) == (7, commands)
+    assert from_text(to_text(7, {"rescale": (np.int64(2), np.float64(1.5))})) == (7, {"rescale": (2, 1.5)})
+    for text in (
+        "", "3", "{}", "[" * 100_000, '{"frame": 1.5}', '{"frame": 1, "select": -1}',
+        '{"frame": true}', '{"frame": 1, "eval": "x"}', '{"frame": 1, "pause": 1}',
+        '{"frame": 1, "interaction": "both"}', '{"frame": 1, "light": 3}',
+        '{"frame": 1, "light": {"Light": {"colour": 1}}}',
+        '{"frame": 1, "light": {"Light": {"position": [1, 2]}}}', '{"frame": 1, "rescale": [1, NaN]}',
+        '{"frame": 1, "rotate": [1, [1, 2, 3]]}', '{"frame": 1, "material": [1, 5]}',
+    ):  # fmt: skip
+        with pytest.raises(BadInput):
+            from_text(text)
+
+
+def test_a_command_that_nobody_knows_is_left_out_with_a_line(tmp_path, capsys):
+    record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], {"sing": True}), Frame(0.1, 0.2, [], [], {"reset": True})])
+    assert [f.commands for f in Replay.load(tmp_path / "play.h5")._frames] == [{}, {"reset": True}]
+    assert capsys.readouterr().err == f"{tmp_path / 'play.h5'}: not recorded: the command 'sing' is not known\n"
+
+
+def play_again(replay, shown, *, paced, world=None):
+    """(world, how often it was presented) after a replay on a display whose frames are these."""
+    world, presented = world or Ball(), []
+    display = N(frames=lambda: iter(shown), present=lambda world: presented.append(len(world.frames)))
+    for frame in replay.frames(display, world, paced=paced):
+        world.step(frame)
+        display.present(world)
+    return world, presented
+
+
+def test_a_replay_does_the_same_and_says_so(tmp_path):
+    frames = some_frames()
+    world = Ball()
+    record(tmp_path / "play.h5", frames, world)
+    camera = perspective(100, 50, 0.9, look_at((0, 1, 2), (0, 0, 0)))
+    for rate, paced in ((90, False), (90, True), (30, True), (144, True)):
+        replay = Replay.load(tmp_path / "play.h5")
+        shown = [Frame(1 / rate, 0.0, [camera])] * 1000
+        again, presented = play_again(replay, shown, paced=paced)
+        assert np.array_equal(again.at, world.at) and len(again.frames) == 200
+        assert replay.report() == "replayed 200 frames, largest difference 0 m"
+        wanted = 200 * rate / 90 if paced else 200
+        assert abs(len(presented) - wanted) <= 3, "not at its pace"
+        drawn = [cameras for _, cameras in again.frames if cameras]
+        assert all((c.width, c.height) == (100, 50) for cameras in drawn for c in cameras)
+    replay = Replay.load(tmp_path / "play.h5")
+    other = Ball()
+    other.at = np.array([1.0, 0.0, 0.0])
+    play_again(replay, [Frame(1 / 90, 0.0, [camera])] * 120, paced=False, world=other)
+    text = replay.report()
+    assert text.startswith("replayed 120 of 200 frames, largest difference 0.9") and text.endswith(" m")
+
+
+def test_a_replay_in_a_window_is_held_by_its_pause(tmp_path):
+    record(tmp_path / "play.h5", some_frames(20))
+    shown = [Frame(1 / 90, 0.0, [CAMERA], [], {"pause": True} if k in (5, 50) else {}) for k in range(80)]
+    world, presented = play_again(Replay.load(tmp_path / "play.h5"), shown, paced=True)
+    assert len(world.frames) == 20 and len(set(presented[5:50])) == 1
+
+
+def test_a_view_fills_a_picture_of_another_size():
+    c = fitted(CAMERA, 320, 120)
+    assert (c.width, c.height, c.fy, c.cx, c.cy) == (320, 120, CAMERA.fy * 2.5, 160.0, 60.0)
+    assert c.fx / c.fy == pytest.approx(CAMERA.fx / CAMERA.fy)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [(["--replay", "none.h5"], "no such file"), (["--replay", "none.h5", "--xr"], "leave out --xr")],
+)
+def test_the_command_line_says_what_is_wrong(capsys, words, says):
+    assert vrgs.main(words) == 2
+    err = capsys.readouterr().err
+    assert says in err and err.count("\n") == 1
+
+
+PROGRAM = """
+import os, sys
+sys.path.insert(0, {root!r})
+os.environ["ENABLE_TAICHI_HEADER_PRINT"] = "False"
+import numpy as np, vrgs
+from display.world import World
+worlds, make = [], World.__init__
+def made(self, *args, **how):
+    worlds.append(self)
+    make(self, *args, **how)
+World.__init__ = made
+status = vrgs.main(sys.argv[2:])
+np.savez(sys.argv[1], x=worlds[0].solver.x.to_numpy(), v=worlds[0].solver.v.to_numpy(), time=worlds[0].time)
+sys.exit(status)
+"""
+
+
+def test_what_was_played_is_played_again_bit_for_bit(tmp_path):
+    """A ring is taken from the table and lifted; then the same from the recording, with other options than its own."""
+    file, film = tmp_path / "play.h5", tmp_path / "again.png"
+    said, ends = [], []
+    for name, words in {
+        "first": ["--frames", 64, "--headless", "--record-input", file],
+        "again": ["--replay", file, "--headless", "--snapshot", film, "--interaction", "transform"],
+    }.items():
+        end = tmp_path / f"{name}.npz"
+        command = [
+            sys.executable,
+            "-c",
+            PROGRAM.format(root=str(ROOT)),
+            end,
+            "--arch",
+            "cpu",
+            "--size",
+            "32x24",
+            *words,
+        ]
+        done = subprocess.run([str(w) for w in command], capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr[-2000:]
+        said.append(done.stdout)
+        ends.append(dict(np.load(end)))
+    assert said == ["", "replayed 64 frames, largest difference 0 m\n"] and film.exists()
+    assert all(np.array_equal(ends[0][key], ends[1][key]) for key in ("x", "v", "time"))
+    replay = Replay.load(file)
+    assert replay.about["interaction"] == "physics" and sorted(replay._states) == [0, 60, 63]
+    assert any(f.hands[0].grip for f in replay._frames), "nobody took anything"
+    rise = [c[:, 1].max() for _, c in sorted(replay._states.items())]
+    assert rise[-1] > rise[0] + 0.02

@@ -1,0 +1,184 @@
+"""Recordings as files: those that broke off, full disks, and files that are damaged or made to do harm."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from core.errors import BadInput
+from display.record.recording import Recording
+from display.record.replay import Replay
+from tests.display.test_recording import Ball, record, same, some_frames
+
+ROOT = Path(__file__).resolve().parents[2]
+
+DIES = """
+import sys; sys.path.insert(0, {root!r})
+from tests.display.test_recording import record, some_frames
+recording = record({path!r}, some_frames(460), close=False)
+recording.settle()
+print("written", flush=True)
+import time
+while True: time.sleep(1)
+"""
+
+
+def test_a_session_that_is_killed_leaves_what_was_until_then(tmp_path):
+    path = tmp_path / "play.h5"
+    program = DIES.format(root=str(ROOT), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "written\n"
+        process.send_signal(signal.SIGKILL)
+    assert not path.exists()
+    replay = Replay.load(tmp_path / "play.h5.part")
+    assert len(replay) == 451 and all(same(a, b) for a, b in zip(some_frames(451), replay._frames, strict=True))
+    with pytest.raises(BadInput, match=r"play\.h5\.part is what a session that broke off has left"):
+        Recording(path)
+
+
+def test_the_end_of_a_play_that_fails_is_kept(tmp_path):
+    with pytest.raises(RuntimeError), Recording(tmp_path / "play.h5") as recording:
+        recording.about = {"scene": "ring_toss"}
+        world = Ball()
+        for frame in some_frames(30):
+            world.step(recording.note(frame))
+            recording.after(world)
+        raise RuntimeError("the runtime went away")
+    assert len(Replay.load(tmp_path / "play.h5")) == 30
+
+
+def test_a_play_that_never_began_leaves_nothing(tmp_path):
+    with pytest.raises(BadInput), Recording(tmp_path / "play.h5"):
+        raise BadInput("no headset")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_where_nothing_can_be_written_a_line_says_so_at_once(tmp_path):
+    with pytest.raises(BadInput, match="cannot write"):
+        Recording(tmp_path / "nowhere" / "play.h5")
+    with pytest.raises(BadInput, match="is a folder"):
+        Recording(tmp_path)
+
+
+def test_a_disk_that_fills_up_does_not_end_the_play(tmp_path, capsys, monkeypatch):
+    recording = record(tmp_path / "play.h5", some_frames(100), close=False)
+
+    def full():
+        raise OSError("No space left on device")
+
+    recording.settle()
+    monkeypatch.setattr(recording._file, "flush", full)
+    world = Ball()
+    for frame in some_frames(200):
+        world.step(recording.note(frame))
+        recording.after(world)
+    recording.close()
+    assert "nothing more is recorded (No space left" in capsys.readouterr().err
+    assert not (tmp_path / "play.h5").exists()
+
+
+def spoil(path, change):
+    with h5py.File(path, "r+") as file:
+        change(file)
+
+
+def put(name, value, at=0):
+    def change(file):
+        file[name][at] = value
+
+    return change
+
+
+def attribute(key, value):
+    return lambda file: file.attrs.__setitem__(key, value)
+
+
+def about(**changes):
+    return attribute("about", json.dumps({"scene": "ring_toss", **changes}))
+
+
+def longer(name, rows=5):
+    return lambda file: file[name].resize(len(file[name]) + rows, axis=0)
+
+
+def huge(file):
+    del file["frames/dt"]
+    file.create_dataset("frames/dt", (10**12,), np.float64, chunks=(10**6,))
+
+
+def linked(file):
+    del file["hands/numbers"]
+    file["hands/numbers"] = h5py.ExternalLink("/etc/passwd", "/x")
+
+
+SPOILED = {
+    "is not a recording": attribute("format", "vrgs-asset"),
+    "of version 9": attribute("version", 9),
+    "no JSON": attribute("about", "{"),
+    "which scene": attribute("about", "[]"),
+    "its seed cannot": about(seed="x"),
+    "its body cannot": about(body=["a"]),
+    "its arch is none": about(arch="tpu"),
+    "its sort is none": about(world={"sort": "quick"}),
+    "options of its world": about(world={"sort": [1]}),
+    "its vertices or": about(vertices=-3),
+    "its layouts are no JSON": attribute("layouts", "?"),
+    "its layouts are no list": attribute("layouts", "{}"),
+    "stands for a hand is none": attribute("layouts", '[["t", 9, "f"]]'),
+    "not as long as": attribute("layouts", '["f"]'),
+    "is nothing that a hand has": attribute("layouts", '[{"c": "os", "f": {"x": ["t", 9, "f"]}}]'),
+    "frames/dt holds": put("frames/dt", np.nan, 3),
+    "frames/dt holds values": put("frames/dt", -1.0),
+    "frames/time holds": put("frames/time", np.inf),
+    "frames/step holds": put("frames/step", 1e9),
+    "frames/hands holds": put("frames/hands", 1000),
+    "frames/cameras holds": put("frames/cameras", -1),
+    "hands/numbers holds": put("hands/numbers", np.nan),
+    "hands/layout holds": put("hands/layout", 7),
+    "hands/layout has shape": longer("hands/layout"),
+    "cameras/values holds a camera": put("cameras/values", np.zeros(22)),
+    "cameras/values holds": put("cameras/values", np.full(22, np.nan)),
+    "cameras/values has shape": longer("cameras/values"),
+    "frames/time has shape": longer("frames/dt"),
+    "commands/text is no text": put("commands/text", 255),
+    "a command is no JSON": put("commands/text", ord("x")),
+    "states/count holds": put("states/count", 10**7),
+    "states/centroids has shape": longer("states/centroids"),
+    "states/frame holds": put("states/frame", 10**9),
+    "claims": huge,
+    "is a link": linked,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("says", SPOILED)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, says):
+    path = tmp_path / "play.h5"
+    record(path, some_frames(12))
+    with h5py.File(path, "r+") as file:  # readable all the same
+        layout = json.loads(file.attrs["layouts"])
+    assert len(layout) == 1
+    spoil(path, SPOILED[says])
+    with pytest.raises(BadInput, match=says) as raised:
+        Replay.load(path)
+    assert str(raised.value).startswith(f"{path}: ") and "\n" not in str(raised.value) and len(str(raised.value)) < 400
+
+
+def test_a_truncated_file_is_refused_wherever_it_ends(tmp_path):
+    path = tmp_path / "play.h5"
+    record(path, some_frames(100))
+    whole, begin = path.read_bytes(), time.monotonic()
+    for share in (0, 0.001, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.9999):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(BadInput, match=path.name):
+            Replay.load(path)
+    for other in (b"not a recording", b"\x89HDF\r\n\x1a\n" + b"\0" * 2000):
+        path.write_bytes(other)
+        with pytest.raises(BadInput, match=path.name):
+            Replay.load(path)
+    assert time.monotonic() - begin < 60  # it hangs nowhere

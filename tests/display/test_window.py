@@ -1,0 +1,273 @@
+"""The real window under Xvfb, driven by a mouse and keys from outside (xdotool)."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.xvfb import NEEDS_XVFB, XServer
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from display.window.gl_window import has_display
+from display.window.window import Window, project
+from tests.support.fake_world import RADIUS, fake_scene
+
+pytestmark = NEEDS_XVFB
+ROOT = Path(__file__).resolve().parents[2]
+WIDTH, HEIGHT = 640, 480
+CAMERA = perspective(WIDTH, HEIGHT, 0.9, look_at((0, 0, 3), (0, 0, 0)))
+BALL = (WIDTH // 2, HEIGHT // 2)
+FREE = (WIDTH - 60, HEIGHT - 60)  # neither ball nor panel
+
+
+class Session:
+    """A running window on the ball's world, and its log of frames."""
+
+    def __init__(self, screen: XServer, log: Path, *options: str):
+        self.screen, self._log = screen, log
+        command = [sys.executable, str(ROOT / "tests" / "support" / "fake_world.py"), str(log), *options]
+        command += ["--width", str(WIDTH), "--height", str(HEIGHT)]
+        self.process = subprocess.Popen(command, env=screen.env, cwd=log.parent, stdout=subprocess.PIPE, text=True)
+        self.window = screen.wait_for_window("Ball")
+        self.until(lambda frame: frame["steps"] > 3)
+
+    def frames(self) -> list[dict]:
+        """All frames so far; a line that is still being written is left out."""
+        lines = self._log.read_text().split("\n")[:-1] if self._log.exists() else []
+        return [json.loads(line) for line in lines]
+
+    def until(self, condition, *, seconds: float = 20.0) -> dict:
+        """Wait for a frame from now on that meets the condition, and return it."""
+        begin, end = max(len(self.frames()) - 1, 0), time.monotonic() + seconds
+        while time.monotonic() < end:
+            frames = self.frames()[begin:]
+            for frame in frames:
+                if condition(frame):
+                    return frame
+            assert self.process.poll() is None, f"the window ended with status {self.process.returncode}"
+            time.sleep(0.05)
+        raise AssertionError(f"not within {seconds:.0f} s; the last frame is {frames[-1] if frames else None}")
+
+    def after(self, count: int = 3) -> dict:
+        """The state after a few more frames."""
+        number = len(self.frames()) + count
+        self.until(lambda _: len(self.frames()) >= number)
+        return self.frames()[-1]
+
+
+@pytest.fixture(scope="module")
+def screen():
+    with XServer(1280, 800) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def running(screen, tmp_path_factory):
+    session = Session(screen, tmp_path_factory.mktemp("window") / "log.jsonl")
+    yield session
+    if session.process.poll() is None:
+        session.process.terminate()
+    session.process.wait(10)
+
+
+@pytest.fixture
+def session(running):
+    """The window as it begins: ball at rest, first view, no button held."""
+    running.screen.mouse_move(*FREE)
+    running.screen.key("Home")
+    running.screen.key("r")
+    running.until(lambda f: f["ball"] == [0, 0, 0] and f["eye"] == [0, 0, 3] and not f["grip"])
+    yield running
+    running.screen.mouse_up()
+
+
+def is_red(colour) -> bool:
+    return int(colour[0]) > 2 * int(colour[1])
+
+
+def test_the_picture_fills_the_window_the_right_way_up(session):
+    pixels = session.screen.pixels()[:HEIGHT, :WIDTH]
+    edge = CAMERA.fy * RADIUS / np.sqrt(3**2 - RADIUS**2)  # [px] the ball's radius on the screen
+    for dx, dy in [(0, 0), (edge - 3, 0), (0, edge - 3), (0, 3 - edge)]:
+        assert is_red(pixels[round(BALL[1] + dy), round(BALL[0] + dx)])
+    for dx, dy in [(edge + 3, 0), (0, edge + 3), (0, -edge - 3)]:
+        assert not is_red(pixels[round(BALL[1] + dy), round(BALL[0] + dx)])
+    lit, dark = pixels[BALL[1] - 40, BALL[0]], pixels[BALL[1] + 40, BALL[0]]
+    assert lit[0] > dark[0] + 30  # the light is above
+    left, right = pixels[HEIGHT - 5, 5].astype(int), pixels[HEIGHT - 5, WIDTH - 5].astype(int)
+    for colour, u in ((left, 5.5), (right, WIDTH - 4.5)):
+        d = CAMERA.ray(u, HEIGHT - 4.5)[1]
+        sky = 255 * np.array([0.3 + 0.25 * d[0], 0.45 + 0.3 * d[1], 0.6 + 0.2 * d[2]])
+        assert np.abs(colour - sky).max() < 3
+
+
+def test_the_panel_is_there_and_f1_hides_it(session):
+    shown = session.screen.pixels()[:HEIGHT, :WIDTH].astype(int)
+    session.screen.key("F1")
+    session.after()
+    hidden = session.screen.pixels()[:HEIGHT, :WIDTH].astype(int)
+    changed = np.abs(shown - hidden).max(-1) > 20
+    rows, columns = np.nonzero(changed)
+    assert changed[60:200, 30:250].mean() > 0.9  # a dark sheet at the top left
+    assert columns.max() < WIDTH / 2 + 20 or rows[columns > WIDTH / 2].max() < 60  # elsewhere only the score moves
+    session.screen.key("F1")
+    session.after()
+    again = session.screen.pixels()[:HEIGHT, :WIDTH].astype(int)
+    assert (np.abs(again - shown).max(-1) > 20)[60:200, 30:250].mean() < 0.05
+
+
+def test_a_body_is_grabbed_dragged_and_thrown(session):
+    end = (BALL[0] + 120, BALL[1] - 60)
+    session.screen.drag(BALL, end, seconds=0.8, steps=20, release=False)
+    held = session.until(lambda f: f["grip"])
+    assert np.allclose(held["hand"][2], RADIUS, atol=1e-6)  # the near side of the ball
+    time.sleep(0.5)
+    still = session.after()
+    assert still["held"] and np.allclose(project(CAMERA, np.array(still["hand"])), end, atol=1.5)
+    assert still["eye"] == [0, 0, 3]  # the camera stays
+    session.screen.mouse_up()
+    session.until(lambda f: not f["grip"] and not f["held"])
+
+
+def test_a_body_flies_on_when_let_go_in_motion(session):
+    session.screen.drag(BALL, (BALL[0] + 200, BALL[1]), seconds=0.6, steps=30)
+    thrown = session.until(lambda f: not f["grip"] and f["ball"][0] > 0.1)
+    assert 0.3 < thrown["speed"] < 8.0
+    later = session.after(5)
+    assert later["ball"][0] > thrown["ball"][0] + 0.02
+
+
+def test_the_wheel_pushes_a_held_body_away(session):
+    session.screen.mouse_move(*BALL)
+    time.sleep(0.2)
+    session.screen.mouse_down()
+    session.until(lambda f: f["held"])
+    session.screen.wheel(3)
+    far = session.until(lambda f: f["grip"] and f["hand"][2] < -0.1)
+    assert far["held"] and far["eye"] == [0, 0, 3]
+    session.screen.mouse_up()
+    session.until(lambda f: not f["held"])
+
+
+def test_drags_beside_the_body_move_the_camera(session):
+    session.screen.drag(FREE, (FREE[0] - 100, FREE[1]), seconds=0.3)
+    turned = session.until(lambda f: f["eye"][0] > 0.5)
+    assert np.isclose(np.linalg.norm(turned["eye"]), 3.0) and not turned["grip"]
+    session.screen.key("Home")
+    session.until(lambda f: f["eye"] == [0, 0, 3])
+    session.screen.drag(FREE, (FREE[0] - 60, FREE[1]), button=3, seconds=0.3)
+    looked = session.until(lambda f: abs(f["forward"][0]) > 0.05)
+    assert np.allclose(looked["eye"], (0, 0, 3)) and looked["forward"][0] < 0  # to the left
+    session.screen.key("Home")
+    session.screen.mouse_move(*FREE)
+    session.screen.wheel(2)
+    session.until(lambda f: np.isclose(f["eye"][2], 3 * 0.9**2))
+
+
+def test_walking_with_a_held_key(session):
+    session.screen.key_down("w")
+    session.until(lambda f: f["eye"][2] < 2.5)
+    session.screen.key_up("w")
+    stopped = session.after()
+    assert session.after(5)["eye"] == stopped["eye"]
+
+
+def test_space_pauses_and_n_steps_once(session):
+    session.screen.key("space")
+    paused = session.until(lambda f: f["paused"])
+    assert session.after(5)["steps"] == paused["steps"]
+    session.screen.key("n")
+    session.until(lambda f: f["steps"] == paused["steps"] + 1)
+    assert session.after(5)["steps"] == paused["steps"] + 1
+    session.screen.key("space")
+    session.until(lambda f: not f["paused"] and f["steps"] > paused["steps"] + 3)
+
+
+def test_t_switches_between_physics_and_transform(session):
+    session.screen.key("t")
+    session.until(lambda f: f["interaction"] == "transform")
+    session.screen.key("t")
+    session.until(lambda f: f["interaction"] == "physics")
+
+
+def test_editing_keys_and_buttons_reach_the_world(session):
+    keys = {"ctrl+z": "undo", "ctrl+shift+z": "redo", "u": "undo", "ctrl+d": "duplicate", "Delete": "remove"}
+    for key, command in {**keys, "plus": "rescale", "minus": "rescale", "period": "rotate"}.items():
+        before = len(session.frames())
+        session.screen.key(key)
+        session.until(lambda f, c=command, n=before: any(c in g["commands"] for g in session.frames()[n:]))
+    assert session.frames()[-1]["eye"] == [0, 0, 3]  # no key walks
+    before = len(session.frames())
+    session.screen.click(54, 156)
+    session.until(lambda f: any("undo" in g["commands"] for g in session.frames()[before:]))
+    session.screen.mouse_move(*FREE)
+
+
+def test_the_panel_has_the_mouse_while_it_is_under_it(session):
+    """Its buttons work, and a drag on it neither turns the camera nor grabs."""
+    session.screen.click(64, 69)
+    session.until(lambda f: f["paused"])
+    session.screen.click(64, 69)
+    session.until(lambda f: not f["paused"])
+    session.screen.click(215, 98)
+    session.until(lambda f: f["interaction"] == "transform")
+    session.screen.click(88, 98)
+    session.until(lambda f: f["interaction"] == "physics")
+    session.screen.drag((64, 294), (30, 294), seconds=0.3)  # the slider of the light's x
+    lit = session.until(lambda f: f["light"][0] < -2.0)
+    assert lit["eye"] == [0, 0, 3] and not lit["grip"]
+    session.screen.wheel(2)
+    assert session.after()["eye"] == [0, 0, 3]
+
+
+def test_the_picture_takes_the_size_of_the_window(session):
+    session.screen.do("windowsize", session.window, 800, 500)
+    session.until(lambda f: f["size"] == [800, 500])
+    session.after()
+    pixels = session.screen.pixels()
+    assert is_red(pixels[250, 400]) and not is_red(pixels[250, 400 + 100])
+    assert pixels[495, 795].any() and not pixels[510:, :].any()
+    session.screen.do("windowsize", session.window, WIDTH, HEIGHT)
+    session.until(lambda f: f["size"] == [WIDTH, HEIGHT])
+
+
+def test_time_is_real_and_steps_are_bounded(session):
+    session.after(5)
+    begin, n = time.monotonic(), len(session.frames())
+    time.sleep(1.0)
+    passed = sum(f["dt"] for f in session.frames()[n:])
+    assert max(f["dt"] for f in session.frames()) <= 1 / 20
+    assert passed <= time.monotonic() - begin + 0.2
+    fastest = min(f["dt"] for f in session.frames()[n:])
+    if max(f["dt"] for f in session.frames()[n:]) < 1 / 20:  # a busy machine runs in slow motion
+        assert passed > 0.8, f"fastest step {fastest}"
+
+
+def test_escape_quits_with_status_zero_and_a_clean_output(tmp_path):
+    with XServer(800, 600) as screen:
+        session = Session(screen, tmp_path / "log.jsonl")
+        screen.key("Escape")
+        assert session.process.wait(20) == 0
+    last = session.process.stdout.read().splitlines()[-1]
+    assert json.loads(last)["fps"] > 0
+    assert [p.name for p in tmp_path.iterdir()] == ["log.jsonl"]  # no settings file left behind
+
+
+def test_no_display_is_one_line_that_names_the_way_out(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not has_display()
+    with pytest.raises(BadInput, match="no display to open a window on; run with --headless instead"):
+        Window(fake_scene())
+
+
+def test_a_display_that_does_not_answer_is_no_display(tmp_path):
+    code = "from display.window.gl_window import has_display; print(has_display())"
+    env = {"DISPLAY": ":987", "PATH": "/usr/bin", "HOME": str(tmp_path)}
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True)
+    assert out.stdout.strip() == "False", out.stderr
+    assert out.stderr == ""

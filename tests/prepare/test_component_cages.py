@@ -1,0 +1,235 @@
+"""Splats of several pieces: a cage for each in one asset, and each a body of its own in a scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import vrgs
+from assets.asset import Asset, Cage, Embedded
+from assets.asset_check import check, check_cage
+from assets.components import piece_of_vertices, pieces_of
+from assets.file_access import replacing_all
+from assets.gaussians import Gaussians, concatenate
+from assets.splat_files import write_gaussians
+from bench.shells import ball, ring
+from core.errors import BadInput
+from core.material import Material
+from core.point_location import Locator
+from display.scene_bodies import load_bodies
+from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN
+from prepare.cage.component_cages import shared_out
+from prepare.cage.level_set import contact_grid
+from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices, pieces
+from prepare.cleaning import clean, clean_pieces
+from prepare.pipeline import prepare
+from scenes.scene import Body, Light, Scene
+
+
+def moved(g: Gaussians, *to: float, scale: float = 1.0) -> Gaussians:
+    return g.transformed(np.eye(3), to, scale)
+
+
+def two(gap: float = 1.0) -> Gaussians:
+    """A ball of radius 1, and beside it a ring of two thirds its size."""
+    return concatenate([ball(), moved(ring(), 2.2 + gap, 0.0, 0.0, scale=0.66)])
+
+
+def test_vertices_are_shared_out_by_area_and_specks_get_none():
+    assert shared_out(np.array([3.0, 1.0]), 1000).tolist() == [750, 250]
+    assert shared_out(np.array([3.0, 0.1, 1.0]), 1000).tolist() == [750, 0, 250]
+    assert shared_out(np.array([1.0]), 50).tolist() == [50]
+    assert shared_out(np.ones(3), 100).tolist().count(50) == 2
+    many = shared_out(np.ones(40), 100_000)
+    assert (many > 0).sum() == 32 and abs(many.sum() - 100_000) < 32
+
+
+def test_cleaning_keeps_pieces_that_are_bodies():
+    """Ball and ring stay; a few floaters, a flat sheet and a smear as large as the ring do not."""
+    rng = np.random.default_rng(0)
+    sheet = ball(900, open_below=-2)
+    sheet = replace(sheet, means=(sheet.means * [1.0, 0.0, 1.0] + [-6.0, 0.0, 0.0]).astype(np.float32))
+    floaters = moved(ball().select(rng.integers(0, 2000, 20)), 0.0, 7.0, 0.0, scale=0.1)
+    smear = replace(ring().select(np.arange(3)), log_scales=np.full((3, 3), 0.0, np.float32))
+    both = two()
+    kept, number, counts = clean_pieces(concatenate([both, sheet, floaters, smear]))
+    assert len(kept) == len(both) and counts["kept"] == len(both)
+    assert np.bincount(number).tolist() == sorted((len(ball()), len(ring())), reverse=True)
+    assert counts["specks"] == 1  # the sheet; 20 Gaussians are no piece
+    assert counts["huge"] + counts["apart"] == len(sheet) + 23
+    alone = ball()
+    kept, number, counts = clean_pieces(alone)
+    assert len(kept) == len(clean(alone)[0]) and (number == 0).all()
+    with pytest.raises(BadInput, match="on a plane"):
+        clean_pieces(sheet)
+
+
+@pytest.fixture(scope="module")
+def pair(ti_cpu) -> Asset:
+    return prepare(two(), vertices=800, up="+y", scale=0.4, pieces=True)
+
+
+def test_each_piece_keeps_the_promises(pair):
+    cage, figures = pair.cage, pair.provenance["figures"]
+    check(pair, "pair")
+    check_cage(cage, "pair")
+    own = pieces(cage.tets)
+    assert own.max() == 1 and figures["pieces"] == 2 and pair.provenance["counts"]["specks"] == 0
+    assert abs(len(cage.vertices) - 800) <= 0.15 * 800
+    assert dihedral_angles(cage.vertices, cage.tets).min() >= ANGLE_MIN
+    assert len(non_manifold_vertices(cage.surface)) == 0
+    g = pair.gaussians
+    assert len(g) == pair.provenance["counts"]["kept"] > 0.99 * len(two())
+    of_tet = own[pair.embedded.host]
+    assert (of_tet == of_tet[:, :1]).all()  # no Gaussian hangs between two bodies
+    for k in range(2):
+        mine = of_tet[:, 0] == k
+        tets = cage.tets[own == k]
+        inside = Locator(cage.vertices, tets).find(g.means[mine & (g.opacities > 0.5)].astype(np.float64)) >= 0
+        assert inside.mean() >= INSIDE_MIN
+    assert_allclose(np.ptp(g.means[:, 0]), 0.4, rtol=0.05)
+
+
+def test_the_distance_grid_is_that_of_both(pair):
+    grid, x = pair.sdf, pair.cage.vertices.astype(np.float64)
+    piece = piece_of_vertices(pair.cage)
+    for k in range(2):
+        middle = (x[piece == k].min(0) + x[piece == k].max(0)) / 2
+        away = (x[piece == k][:, 0].max() - middle[0]) * (
+            0.85 if k else 0.0
+        )  # in the ring's tube, in the ball's middle
+        i = np.rint((middle + [away, 0, 0] - grid.origin) / grid.spacing).astype(int)
+        assert grid.values[tuple(i)] < 0
+    assert (grid.values[[0, -1]] > 0).all() and (grid.values[..., [0, -1]] > 0).all()
+
+
+def test_the_grid_of_far_pieces_stays_small():
+    axis = np.arange(12.0)
+    phi = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1) - 5.5, axis=-1) - 4
+    near = contact_grid([(phi, np.zeros(3), 1.0)])
+    far = contact_grid([(phi, np.zeros(3), 1.0), (phi, np.array([300.0, 0, 0]), 1.0)])
+    assert max(near.values.shape) <= 58 and max(far.values.shape) <= 162
+
+
+def test_two_far_apart_are_as_well_made_as_two_near(ti_cpu):
+    """Forty radii between them: each piece has a grid of its own."""
+    asset = prepare(two(40.0), vertices=800, up="+y", pieces=True)
+    assert asset.provenance["figures"]["pieces"] == 2
+    assert asset.provenance["figures"]["inside"] >= INSIDE_MIN
+
+
+def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_cpu, monkeypatch):
+    """A gap of 4 % of the extent: the Gaussians count as one cluster, the filled shape, as fine as for 15,000 vertices,
+    falls into two."""
+    monkeypatch.setattr("prepare.cage.component_cages.NODES_RANGE", (144, 144))
+    near = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
+    assert clean_pieces(near)[1].max() == 0
+    asset = prepare(near, vertices=800, up="+y", pieces=True)
+    assert asset.provenance["figures"]["pieces"] == 2
+    assert_allclose(*(p.cage.volumes().sum() for p in pieces_of(asset)), rtol=0.1)
+    alone = prepare(near, vertices=400, up="+y")
+    assert alone.provenance["figures"]["pieces"] == 1 and alone.provenance["counts"]["stray"] > 2000
+
+
+def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):
+    pair.save(tmp_path / "pair.h5")
+    body = Body(str(tmp_path / "pair.h5"), Material.named("plush"), position=(0.0, 1.0, 0.0), scale=0.5)
+    _, moving, _ = load_bodies(Scene([body], Light((0, 2, 0)), (0, 1, 1), (0, 0, 0)))
+    assert len(moving) == 2
+    vertices = sum(len(soft.vertices) for soft, _ in moving)
+    assert vertices == len(pair.cage.vertices) and sum(len(p.gaussians) for _, p in moving) == len(pair.gaussians)
+    assert len(moving[0][0].tets) >= len(moving[1][0].tets)
+    for soft, part in moving:
+        soft.check()
+        assert soft.sdf is None and part.host.max() < len(soft.tets)
+        corners = np.einsum("nkj,nkjc->nkc", part.weights, soft.vertices[soft.tets[part.host]])
+        # corners of large Gaussians on the surface extrapolate; their mean stays near the centre
+        off = np.linalg.norm(corners.mean(1) - part.gaussians.means, axis=1)
+        assert np.median(off) < 1e-4 and off.max() < 0.02
+    static, _, _ = load_bodies(Scene([replace(body, material=None)], None, (0, 1, 1), (0, 0, 0)))
+    assert len(static) == 1 and len(static[0][1]) == 1  # what does not move stays whole, with the grid of all
+
+
+def test_corners_in_another_piece_are_brought_home():
+    """Two tets far apart; a Gaussian with one corner in the other one keeps its shape."""
+    tet = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    x = np.concatenate([tet, tet + [5, 0, 0]]).astype(np.float32)
+    tets = np.arange(8, dtype=np.int32).reshape(2, 4)
+    faces = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+    cage = Cage(x, tets, np.concatenate([faces, faces + 4]).astype(np.int32))
+    places = np.array([[0.1, 0.1, 0.1], [0.4, 0.1, 0.1], [0.1, 0.4, 0.1], [0.1, 0.1, 0.4]])
+    host = np.array([[0, 0, 1, 0]], np.int32)
+    base = tet + np.array([5.0, 0, 0]) * host[0][:, None, None]
+    last = np.stack([np.linalg.solve((b[1:] - b[0]).T, p - b[0]) for b, p in zip(base, places, strict=True)])
+    weights = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)[None].astype(np.float32)
+    g = ball(60).select(np.arange(1))
+    first, second = pieces_of(Asset(g, cage, Embedded(host, weights)))
+    assert len(first.gaussians) == 1 and len(second.gaussians) == 0
+    again = np.einsum("kj,kjc->kc", first.embedded.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
+    assert_allclose(again, places, atol=1e-5)
+    assert pieces_of(first)[0] is first
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pieces_are_those_of_the_faces(seed):
+    """Random chains of tets, against prepare.cage.mesh_quality.pieces; there only pieces without shared vertices count."""
+    rng = np.random.default_rng(seed)
+    tets, first = [], 0
+    for length in rng.integers(1, 60, 7):
+        tets.append(first + np.arange(length)[:, None] + np.arange(4))
+        first += length + 3
+    order = rng.permutation(first)
+    tets = order[np.concatenate(tets)]
+    found = piece_of_vertices(Cage(np.zeros((first, 3), np.float32), tets, None))
+    reference = pieces(tets)
+    for k in range(7):
+        assert len(np.unique(found[tets[reference == k]])) == 1
+    assert len(np.unique(found)) == 7 and (found[tets[:, 0]] == 0).sum() == np.bincount(reference).max()
+
+
+def test_the_command_keeps_all_pieces_and_says_how_many(ti_cpu, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    write_gaussians(tmp_path / "two.ply", two())
+    line = ["prepare", str(tmp_path / "two.ply"), "--out", str(tmp_path / "two.h5"), "--vertices", "400", "--up", "+y"]
+    assert vrgs.main([*line, "--pieces", "--cells", "uniform", "--no-report"]) == 0
+    said = capsys.readouterr().out
+    assert "2 pieces, each with a cage of its own" in said and "in uniform cells" in said
+    made = Asset.load(tmp_path / "two.h5").provenance
+    assert made["figures"]["pieces"] == 2 and made["options"]["pieces"] and made["options"]["cells"] == "uniform"
+    assert vrgs.main([*line, "--force", "--no-report"]) == 0
+    said = capsys.readouterr().out
+    assert "the largest is taken" in said and "--pieces keeps all" in said
+    assert Asset.load(tmp_path / "two.h5").provenance["figures"]["cells"] == "adaptive"
+
+
+@pytest.mark.parametrize(
+    "options, message",
+    [
+        (["prepare", "two.ply", "--out", "o.h5", "--pieces", "--rig", "r.glb"], "--pieces is for"),
+        (["prepare", "two.ply", "--out", "o.h5", "--pieces", "--static"], "--pieces belongs to bodies"),
+        (["--pieces", "--headless"], "belong to --body"),
+    ],
+)
+def test_pieces_where_there_can_be_none_are_refused(ti_cpu, tmp_path, capsys, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    write_gaussians(tmp_path / "two.ply", ball(200))
+    assert vrgs.main(options) == 2
+    assert message in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["two.ply"]
+
+
+def test_of_several_files_all_are_written_or_none(tmp_path):
+    (tmp_path / "b").write_text("old")
+    with (
+        pytest.raises(BadInput, match=f"{tmp_path}/b: is full"),
+        replacing_all(tmp_path / "a", tmp_path / "b") as files,
+    ):
+        files[0].write_text("new")
+        raise BadInput(f"{files[1]}: is full")
+    assert [p.name for p in tmp_path.iterdir()] == ["b"] and (tmp_path / "b").read_text() == "old"
+    with replacing_all(tmp_path / "a", tmp_path / "b") as files:
+        for file in files:
+            file.write_text("new")
+        assert not (tmp_path / "a").exists()
+    assert [(tmp_path / n).read_text() for n in "ab"] == ["new", "new"]

@@ -1,0 +1,154 @@
+"""vrgs.py prepare, given what cannot be used: one line, exit status 2, and no file where there was none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import vrgs
+from assets.asset import Asset
+from assets.gaussians import concatenate
+from assets.splat_files import write_gaussians
+from assets.up_axis import extent
+from bench.sample_scenes import table_and_jug
+from bench.shells import ball
+from core.errors import BadInput
+from tests.prepare.test_pipeline import BAD, PLANE, some
+
+COLUMNS = [
+    *"xyz",
+    "opacity",
+    *(f"{k}_{i}" for k in ("f_dc", "scale") for i in range(3)),
+    *map("rot_{}".format, range(4)),
+]
+EMPTY = b"ply\nformat binary_little_endian 1.0\nelement vertex 0\n" + b"".join(
+    b"property float %s\n" % name.encode() for name in COLUMNS
+)
+NAMES = ("transparent", "plane", "few", "mist")
+SPLATS = {
+    "transparent": BAD["all transparent"][0],
+    "plane": some(500, means=PLANE),
+    "few": some(12),
+    "mist": BAD["mist"][0],
+}
+SAID = {"transparent": "all 500 Gaussians are transparent", "plane": "plane or a line", "few": "12", "mist": "opaque"}
+
+
+@pytest.fixture
+def prepared(ti_cpu, tmp_path, capfd, monkeypatch):
+    """Runs the command in an empty folder; gives the status, the lines that were said, and what files are new."""
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+
+    def run(name: str, *options: str):
+        there = set(tmp_path.iterdir())
+        status = vrgs.main(["prepare", str(tmp_path / name), "--out", str(tmp_path / "out.h5"), *options])
+        said = capfd.readouterr()
+        new = sorted(p.name for p in set(tmp_path.iterdir()) - there if p.name != "cache")
+        assert not any((tmp_path / "cache").rglob("*.npz"))
+        return status, said, new
+
+    return run
+
+
+def assert_refused(found, message: str) -> None:
+    status, said, new = found
+    complaints = [line for line in said.err.splitlines() if line.startswith("vrgs:")]
+    assert status == 2 and new == []
+    assert len(complaints) == 1 and message in complaints[0]
+    assert "Traceback" not in said.err and "wrote" not in said.out
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_splat_without_a_solid_body(prepared, tmp_path, name):
+    write_gaussians(tmp_path / f"{name}.ply", SPLATS[name])
+    assert_refused(prepared(f"{name}.ply"), SAID[name])
+
+
+@pytest.mark.parametrize("content, message", [(EMPTY + b"end_header\n", "no Gaussians"), (b"", "is empty")])
+def test_an_empty_splat(prepared, tmp_path, content, message):
+    (tmp_path / "empty.ply").write_bytes(content)
+    assert_refused(prepared("empty.ply"), message)
+
+
+@pytest.mark.parametrize("vertices", ["50000000", "49", "100001"])
+def test_a_cage_of_fifty_million_vertices(prepared, tmp_path, vertices):
+    write_gaussians(tmp_path / "ball.ply", ball())
+    assert_refused(prepared("ball.ply", "--vertices", vertices), f"a cage of {vertices} vertices")
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_a_splat_of_impossible_size(prepared, tmp_path, factor):
+    body = ball(500)
+    body = replace(body, means=(body.means * factor).astype(np.float32))
+    write_gaussians(tmp_path / "ball.ply", body)
+    assert_refused(prepared("ball.ply"), "extent is")
+
+
+def test_of_two_bodies_far_apart_the_larger_is_taken_and_that_is_said(prepared, tmp_path):
+    body = ball()
+    other = body.select(np.arange(len(body)) < len(body) // 3)
+    far = replace(other, means=other.means + np.float32(40))
+    write_gaussians(tmp_path / "two.ply", concatenate([far, body]))
+    status, said, new = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
+    assert status == 0 and new == ["out.h5"]
+    line = next(line for line in said.out.splitlines() if "apart: the largest" in line)
+    left = int(line.split(" Gaussians left out; --pieces keeps all")[0].split()[-1])
+    assert len(other) <= left < 1.05 * len(other)
+    assert abs(len(Asset.load(tmp_path / "out.h5").gaussians) - len(body)) < 0.02 * len(body)
+
+
+def test_of_two_equal_bodies_far_apart_one_is_taken(prepared, tmp_path):
+    body = ball(2000)
+    far = replace(body, means=body.means + np.float32(40))
+    write_gaussians(tmp_path / "two.ply", concatenate([far, body]))
+    status, said, _ = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
+    assert status == 0 and sum("--pieces keeps all" in line for line in said.out.splitlines()) == 1
+
+
+def cells_of(g) -> float:
+    """The --cell [m] at which the splat, 6 m long, asks for 50 million cells."""
+    low, high = extent(g.means.astype(np.float64))
+    return float(np.cbrt(((high - low) * 6.0 / (high - low).max()).prod() / 50e6))
+
+
+SCENES = {
+    "transparent": (SPLATS["transparent"], (), "opaque"),
+    "plane": (some(500, means=PLANE[:, [0, 2, 1]]), ("--up", "+y"), "nothing stands above the floor"),
+    "few": (SPLATS["few"], (), "only 12 of 12"),
+    "table": (table_and_jug(), ("--scale", "6", "--cell", f"{cells_of(table_and_jug()):.4g}"), "cells, the limit is"),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_that_is_none(prepared, tmp_path, name):
+    """Of the table a grid of 50 million cells is asked for."""
+    splats, options, message = SCENES[name]
+    write_gaussians(tmp_path / f"{name}.ply", splats)
+    assert_refused(prepared(f"{name}.ply", "--static", *options), message)
+
+
+def test_an_empty_scene(prepared, tmp_path):
+    (tmp_path / "empty.ply").write_bytes(EMPTY + b"end_header\n")
+    assert_refused(prepared("empty.ply", "--static"), "no Gaussians")
+
+
+def refuse(*_, **__):
+    raise BadInput("out.h5: cannot be written (No space left on device)")
+
+
+def test_objects_cut_out_are_not_left_behind_without_their_scene(prepared, tmp_path, monkeypatch):
+    """The scene's own file is the last to be written, and all of them appear at once."""
+    Asset(table_and_jug()).save(tmp_path / "in.h5")
+    monkeypatch.setattr("assets.asset.Asset.save", refuse)
+    assert_refused(prepared("in.h5", "--static", "--cut", "7"), "No space left")
+
+
+def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):
+    write_gaussians(tmp_path / "ball.ply", ball(1000))
+    monkeypatch.setattr("commands.prepare.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
+    monkeypatch.setattr(
+        "commands.prepare.report_texts", lambda *_, **__: ("page", "\ud800")
+    )  # no UTF-8: cannot be written
+    with pytest.raises(UnicodeEncodeError):
+        prepared("ball.ply", "--vertices", "200", "--up", "+y")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["ball.ply", "cache"]

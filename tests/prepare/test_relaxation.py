@@ -1,0 +1,85 @@
+"""Relaxing and polishing a cage: the kernels against their twin, longer substeps, better angles, the wished volume."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from assets.asset_check import check_cage
+from prepare.cage.mesh_quality import dihedral_angles, volumes
+from prepare.cage.quality_energy import Stiffness
+from prepare.cage.relaxation import Surface, relax
+from prepare.cage.sliver_removal import polish, smallest
+from prepare.cage.stuffing import stuff
+from tests.prepare.test_stuffing import bumpy, sampled, sphere, torus
+from tests.support.reference_stiffness import energy
+
+
+def test_the_gradient_of_the_twin_is_right():
+    """Central differences on two tets that share a face; 1e-6 steps leave nine digits."""
+    rng = np.random.default_rng(0)
+    x, tets = rng.normal(size=(5, 3)), np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
+    wrong = volumes(x, tets) < 0
+    tets[wrong] = tets[wrong][:, [0, 1, 3, 2]]
+    _, gradient, _ = energy(x, tets, 5.0)
+    numeric = np.zeros_like(gradient)
+    for i in np.ndindex(x.shape):
+        step = np.zeros_like(x)
+        step[i] = 1e-6
+        numeric[i] = (energy(x + step, tets, 5.0)[0] - energy(x - step, tets, 5.0)[0]) / 2e-6
+    assert_allclose(gradient, numeric, atol=1e-7 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("distance, cell", [(torus, 0.2), (lambda p: bumpy(p, 1), 0.25)])
+def test_relaxing_makes_longer_substeps_stable_and_keeps_the_shape(ti_cpu, distance, cell):
+    values, origin, spacing = sampled(distance)
+    before = stuff(values, origin, spacing, cell=cell)
+    after = relax(before, values, origin, spacing)
+    check_cage(after, "relaxed")
+    longer = np.sqrt(energy(before.vertices, before.tets)[2].max() / energy(after.vertices, after.tets)[2].max())
+    assert longer > 1.5  # of the substep; measured 1.9 to 2.6
+    assert dihedral_angles(after.vertices, after.tets).min() >= 12
+    before_volume, after_volume = (volumes(c.vertices, c.tets).sum() for c in (before, after))
+    assert_allclose(after_volume, before_volume, rtol=0.02)
+
+
+def test_the_kernels_agree_with_the_twin(ti_cpu):
+    """Both in float64; only the order of sums differs."""
+    cage = stuff(*sampled(torus), cell=0.25)
+    x = cage.vertices.astype(np.float64)
+    kernels = Stiffness(cage.tets, len(x))
+    for unit in (1.0, 300.0):
+        (value, gradient, kappa), (twin, by_twin, of_twin) = kernels.at(x, unit), energy(x, cage.tets, unit)
+        assert_allclose(value, twin, rtol=1e-11)
+        assert_allclose(gradient, by_twin, atol=1e-11 * np.abs(by_twin).max())
+        assert_allclose(kappa, of_twin, rtol=1e-11)
+    x[cage.tets[0, 0]] = x[cage.tets[0, 1]] + 10  # inverted
+    assert kernels.at(x)[0] == np.inf
+
+
+@pytest.mark.parametrize("growth", [-0.02, 0.03])
+def test_a_cage_gets_the_volume_asked_for(ti_cpu, growth):
+    values, origin, spacing = sampled(sphere)
+    cage = stuff(values, origin, spacing, cell=0.25)
+    wanted = (1 + growth) * 4 / 3 * np.pi
+    after = relax(cage, values, origin, spacing, volume=wanted)
+    check_cage(after, "grown")
+    assert_allclose(volumes(after.vertices, after.tets).sum(), wanted, rtol=0.003)
+    radius = np.linalg.norm(after.vertices[np.unique(after.surface)], axis=1)
+    assert np.ptp(radius) < 0.01  # it grew evenly
+
+
+def test_polishing_lifts_the_worst_angle_and_stays_on_the_surface():
+    values, origin, spacing = sampled(sphere)
+    cage = stuff(values, origin, spacing, cell=0.25)
+    x, outer = cage.vertices.astype(np.float64), np.unique(cage.surface)
+    surface = Surface(values, origin, spacing)
+    level = surface.at(x[outer])
+    inner = np.setdiff1d(cage.tets, outer)[:30]
+    bad = x.copy()
+    bad[inner] += np.random.default_rng(0).normal(0, 0.05, (len(inner), 3))
+    assert volumes(bad, cage.tets).min() > 0
+    before = dihedral_angles(bad, cage.tets).min()
+    after = polish(bad, cage.tets, surface, outer, level, np.full(len(x), 0.25))
+    assert before < 10 and dihedral_angles(after, cage.tets).min() > 12
+    assert np.abs(surface.at(after[outer]) - level).max() < 0.002
+    assert_allclose(smallest(after[cage.tets]), dihedral_angles(after, cage.tets).min(1), atol=1e-6)

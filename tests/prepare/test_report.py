@@ -1,0 +1,103 @@
+"""The report of a preparation: numbers that agree with the asset, pictures that show it, a page that stands alone."""
+
+import json
+import xml.etree.ElementTree as ET
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.shells import ball
+from prepare.mesh_drawing import PAPER
+from prepare.pipeline import prepare
+from prepare.report import examine, histogram, html_of, length, report_names, report_texts
+from prepare.report_pictures import HEIGHT, WIDTH
+
+
+@pytest.fixture(scope="module")
+def made(ti_cpu):
+    found = []
+    asset = prepare(ball(), vertices=300, scale=0.5, up="+y", look=found.append)
+    return asset, found, *examine(asset, found)
+
+
+def test_the_numbers_are_those_of_the_ball(made):
+    """A ball half a metre across whose lowest part is missing; the cage lies close around the Gaussians."""
+    asset, _, numbers, _ = made
+    assert numbers["cage"]["vertices"] == len(asset.cage.vertices)
+    assert numbers["cage"]["pieces"] == 1 and numbers["cage"]["euler_characteristic"] == 2
+    assert_allclose(numbers["cage"]["volume"], asset.cage.volumes().sum())
+    assert_allclose(numbers["surface"]["volume"], asset.provenance["figures"]["filled"], rtol=0.02)
+    assert_allclose(numbers["dihedral"]["min"], asset.provenance["figures"]["min_dihedral"], atol=0.01)
+    assert sum(numbers["dihedral"]["histogram"]) == 6 * len(asset.cage.tets)
+    assert_allclose(numbers["enclosure"]["inside"], asset.provenance["figures"]["inside"], atol=1e-3)
+    both = numbers["distance"]
+    for way in ("gaussians_to_cage", "cage_to_gaussians"):
+        assert 0 < both[way]["mean"] < both[way]["p95"] < both[way]["max"] <= both["hausdorff"]
+    assert both["gaussians_to_cage"]["max"] < 0.05
+    assert 0.1 < both["cage_to_gaussians"]["max"] < 0.25  # the middle of the missing underside is far from all
+
+
+def test_each_picture_shows_the_body_in_the_middle(made):
+    *_, pictures = made
+    assert set(pictures) == {"splat", "cells", "surface", "cage", "enclosure"}
+    for name, picture in pictures.items():
+        assert picture.shape == (HEIGHT, WIDTH, 3) and picture.dtype == np.uint8
+        drawn = (np.abs(picture.astype(int) - PAPER) > 4).any(-1)
+        assert 0.1 < drawn.mean() < 0.8, name
+        assert drawn[HEIGHT // 2, WIDTH // 2], name
+        assert not drawn[[0, -1]].any() and not drawn[:, [0, -1]].any(), name
+    cells = pictures["cells"].reshape(-1, 3).astype(int)
+    assert (cells[:, 2] - cells[:, 0] > 30).sum() > 3000  # what is enclosed shows where it is cut open
+    assert (cells[:, 0] - cells[:, 2] > 30).sum() > 1000
+
+
+class Page(HTMLParser):
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags, self.sources, self.text = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for key, value in attrs if key in ("src", "href")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_page_stands_alone_and_escapes_what_a_file_says(made):
+    _, _, numbers, pictures = made
+    evil = "<script>alert(1)</script>"
+    numbers = numbers | {"asset": numbers["asset"] | {"source": evil}, "notes": [evil]}
+    page = Page(html_of(evil, numbers, pictures))
+    assert "script" not in page.tags and page.text.count(evil) == 4  # title, heading, source, note
+    assert page.tags.count("img") == 5 and page.tags.count("svg") == 1
+    assert all(s.startswith("data:image/png;base64,") for s in page.sources)
+
+
+def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
+    dihedral = made[2]["dihedral"]
+    root = ET.fromstring(histogram(dihedral))
+    bars = [r for r in root if r.tag == "rect"][1:]
+    assert len(bars) == sum(c > 0 for c in dihedral["histogram"])
+    heights = np.array([float(r.get("height")) for r in bars])
+    counts = np.array([c for c in dihedral["histogram"] if c])
+    assert_allclose((heights / heights.max()) ** 2, counts / counts.max(), atol=2e-3)
+
+
+def test_both_texts_say_the_same(made, monkeypatch):
+    asset, made_of, numbers, pictures = made
+    monkeypatch.setattr("prepare.report.examine", lambda *_: (dict(numbers), pictures))  # kernels compile anew
+    page, data = report_texts(asset, made_of, "ball.h5", notes=("said",))
+    numbers = json.loads(data)
+    assert numbers["notes"] == ["said"] and numbers["cage"]["mesher"] == "stuffing"
+    assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page
+    assert f"{numbers['cage']['vertices']:,}" in page
+    assert [p.name for p in report_names(Path("ball.h5"))] == ["ball.report.html", "ball.report.json"]
+
+
+def test_lengths_have_units_that_suit_them():
+    assert [length(x) for x in (2.0, 0.25, 0.00123)] == ["2 m", "25 cm", "1.23 mm"]

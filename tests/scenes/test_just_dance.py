@@ -1,0 +1,170 @@
+"""What moves by itself among other things: rings bounce off the dancer, and hands do not carry it off."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from assets.asset import Asset
+from assets.library import find_asset, moves_by_itself
+from core.errors import BadInput
+from core.material import STATURE, material_named, moving_named
+from prepare.rig.skin_weights import least_volumes
+from scenes import registry
+from scenes.scene import Hand
+
+DT = 1 / 60  # [s]
+
+
+@pytest.fixture(scope="module")
+def stage(ti_cpu):
+    """The scene in a world that draws nothing, and the dancer's asset."""
+    from display.world import World
+
+    world = World(registry.load("just_dance"), width=32, height=32)
+    world.renderer.render = lambda cameras: None
+    world.shadow.cast = lambda: None
+    return world, Asset.load(find_asset("dancer"))
+
+
+def shape(world, asset) -> np.ndarray:
+    """The dancer's cage as it is now [m], (V, 3)."""
+    return world.solver.x.to_numpy()[: len(asset.cage.vertices)].astype(np.float64)
+
+
+def test_a_ring_bounces_off_the_dancer(stage):
+    """It flies at the dancer from the front, comes back towards where it came from, and leaves the dancer whole."""
+    from display.protocol import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    game, speeds, least = world.scene.game, [], 1.0
+    for k in range(round(3.2 / DT)):
+        world.step(Frame(DT, (k + 1) * DT, [], world.scripted_hands((k + 1) * DT)))
+        dancer, ring = world.bodies()
+        if game.throw is not None and not ring.held and k * DT > game.begun + game.throw.released_at:
+            speeds.append(ring.velocity[2])
+        if k % 6 == 0:
+            rest = asset.cage.vertices.astype(np.float64)
+            least = min(least, least_volumes(asset.cage.tets, np.stack([rest, shape(world, asset)])).min())
+    game.verify(world.bodies())
+    assert min(speeds) < -0.8 and speeds[-1] > -0.2  # towards the dancer; stopped
+    assert ring.centroid[2] > 0.5 * (dancer.low + dancer.high)[2]
+    assert least > 0.1 and world.stats()["finite"]
+
+
+def test_a_hand_does_not_stop_the_dance(stage):
+    """It takes hold of a thigh and is moved away: skin gives way, the bones go on; let go, all is as it was."""
+    from display.protocol import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
+    place = np.array(world.scene.bodies[2].position)
+    led = a.vertices[a.driven]
+    free = np.setdiff1d(np.arange(len(rest)), led)
+    grip = place + rest[free[np.argmin(np.linalg.norm(rest[free] - rest.mean(0), axis=1))]]
+    for k in range(round(2.4 / DT)):
+        time = (k + 1) * DT
+        hand = Hand(tuple(grip + [0.0, 0.0, 0.1 * min(time / 0.4, 1.0)]), grip=0.1 < time < 0.8, reach=0.05)
+        world.step(Frame(DT, time, [], [hand]))
+        x = shape(world, asset)
+        if k == round(0.6 / DT):
+            assert world.bodies()[0].held
+        wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
+        assert_allclose(x[led], wanted, atol=2e-5)
+    assert least_volumes(asset.cage.tets, np.stack([rest, x])).min() > 0.2 and world.stats()["finite"]
+
+
+def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
+    a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
+    place = np.array(world.scene.bodies[2].position)
+    led, first = a.vertices[a.driven], world.solver.vertex_offset[body]
+    wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
+    x = world.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
+    return x[led], wanted @ move[:3, :3].T + move[:3, 3]
+
+
+def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage):
+    from display.protocol import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    for k in range(12):
+        world.step(Frame(DT, (k + 1) * DT, []))
+    grip = 0.5 * (world.bodies()[0].low + world.bodies()[0].high)
+    world.apply({"interaction": "transform"})
+    half = (np.cos(0.25), 0.0, np.sin(0.25), 0.0)
+    for k in range(5):
+        hand = Hand(tuple(grip + [0.05 * k, 0.0, 0.02 * k]), half if k else (1.0, 0.0, 0.0, 0.0), True, 0.2)
+        world.step(Frame(DT, 0.0, [], [hand]))
+        assert world.bodies()[0].held
+    R = np.array([[np.cos(0.5), 0.0, np.sin(0.5)], [0.0, 1.0, 0.0], [-np.sin(0.5), 0.0, np.cos(0.5)]])
+    move = np.eye(4)
+    move[:3, :3], move[:3, 3] = R, grip + [0.2, 0.0, 0.08] - R @ grip
+    world.apply({"interaction": "physics"})
+    for k in range(6):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 0, (13 + k) * DT, move), atol=1e-4)
+    assert world.stats()["finite"] and np.abs(world.bodies()[0].velocity).max() < 2.0  # nothing snapped
+    world.apply({"undo": True})
+    world.step(Frame(DT, 0.0, []))
+    assert_allclose(*led_and_wanted(world, asset, 0, 13 * DT, np.eye(4)), atol=1e-4)
+    assert world.interaction == "physics"
+
+
+@pytest.mark.long
+def test_a_copy_dances_along_at_its_size_and_goes(stage):
+    from display.protocol import Frame
+
+    world, asset = stage
+    world.apply({"reset": True})
+    for k in range(6):
+        world.step(Frame(DT, (k + 1) * DT, []))
+    world.apply({"duplicate": 0})
+    world.apply({})  # room is made
+    world.shadow.cast = lambda: None
+    aside = world.bodies()[2].centroid - world.bodies()[0].centroid
+    assert abs(aside[1]) < 1e-5 and np.hypot(aside[0], aside[2]) > 0.1  # beside it, on the table
+    move = np.eye(4)
+    move[:3, 3] = aside
+    body = world.bodies()[2]
+    foot = np.array([body.centroid[0], body.low[1], body.centroid[2]])
+    for k in range(4):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 2, (7 + k) * DT, move), atol=1e-4)
+    body = world.bodies()[2]
+    foot = np.array([body.centroid[0], body.low[1], body.centroid[2]])
+    world.apply({"rescale": (2, 0.8)})
+    assert not world.notice
+    scale = np.diag([0.8, 0.8, 0.8, 1.0])
+    scale[:3, 3] = 0.2 * foot
+    world.apply({"remove": 1})  # the ring: the copy is body 1 now
+    for k in range(4):
+        world.step(Frame(DT, 0.0, []))
+        assert_allclose(*led_and_wanted(world, asset, 1, (11 + k) * DT, scale @ move), atol=1e-4)
+        assert_allclose(*led_and_wanted(world, asset, 0, (11 + k) * DT, np.eye(4)), atol=1e-4)
+    world.apply({"remove": 0})
+    world.step(Frame(DT, 0.0, []))
+    assert_allclose(*led_and_wanted(world, asset, 0, 15 * DT, scale @ move), atol=1e-4)
+    assert world.stats()["finite"] and len(world.motions) == 1
+    world.apply({"reset": True})
+    world.step(Frame(DT, 0.0, []))
+    assert len(world.bodies()) == 2
+    assert_allclose(*led_and_wanted(world, asset, 0, DT, np.eye(4)), atol=1e-4)
+
+
+def test_what_stands_still_cannot_dance():
+    with pytest.raises(BadInput, match="does not move by itself"):
+        registry.load("just_dance", body="ring_red")
+    assert moves_by_itself("ring_red") is None
+    assert_allclose(moves_by_itself("dancer"), np.ptp(Asset.load(find_asset("dancer")).cage.vertices[:, 1]))
+
+
+def test_a_small_dancer_is_softer_and_a_giant_is_not_harder():
+    flesh = material_named("flesh")
+    assert moving_named("flesh", STATURE) == moving_named("flesh", 3.0) == flesh
+    half = moving_named("flesh", STATURE / 2)
+    assert_allclose(half["young"], flesh["young"] / 4)
+    assert {k: v for k, v in half.items() if k != "young"} == {k: v for k, v in flesh.items() if k != "young"}
+    assert moving_named("flesh", 0.01)["young"] == 1e3

@@ -1,0 +1,76 @@
+"""The renderer's kernels once with Taichi's checks on: every index within its field, no integer overflow."""
+
+import numpy as np
+import pytest
+
+from tests.render.test_projection import CAMERA, gaussians
+from tests.support.drawing import Drawing
+from tests.support.hard_pictures import DEGREE, SIDE, hard_pictures
+from tests.support.runtime import runtime
+
+
+@pytest.fixture(scope="module")
+def checked():
+    """Taichi with debug=True, for this file alone."""
+    with runtime(debug=True) as ti:
+        yield ti
+
+
+@pytest.mark.parametrize(("views", "sort"), [(1, "z"), (2, "z"), (2, "pixel")])
+def test_every_index_is_within_its_field(checked, views, sort):
+    from dataclasses import replace
+
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    g = gaussians(2000, 3)
+    eyes = [CAMERA]
+    if views == 2:
+        matrix = CAMERA.world_to_camera.copy()
+        matrix[0, 3] -= 0.064
+        eyes.append(replace(CAMERA, world_to_camera=matrix))
+    renderer = Renderer(Splats(g), CAMERA.width, CAMERA.height, views=views, sort=sort)
+    renderer.render(eyes)
+    pixels = renderer.pixels()[..., :3]
+    assert pixels.shape == (views, CAMERA.height, CAMERA.width, 3) and np.ptp(pixels) > 100
+    if views == 2:
+        assert (pixels[0] != pixels[1]).any()
+    renderer.destroy()
+
+
+def test_every_index_is_within_its_field_in_hard_pictures(checked):
+    """Odd sizes, nothing at all, the whole sky, thousands in a pixel; two eyes."""
+    drawing = Drawing(4100, 2, SIDE, degree=DEGREE)
+    for g, eyes in hard_pictures().values():
+        images = drawing.draw(g, eyes)
+        assert all(np.isfinite(image).all() for image in images)
+        assert images[1].max() > 0.5 or len(g) == 0
+
+
+def test_every_index_of_a_shadow_is_within_its_field(checked):
+    """A light that looks at all of it, then one that most of it lies behind."""
+    from render.shadow_map import Shadow
+    from render.splats import Splats
+    from scenes.scene import Light
+
+    g = gaussians(400, 0)
+    splats = Splats(g)
+    shadow = Shadow(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
+    shadow.cast()
+    light = splats.light.to_numpy()[: len(g)]
+    assert light.min() < 0.8 and light.max() > 0.9
+    shadow.set_light(Light((0.1, 0.2, 0.0), (3.0, 0.2, 0.0)))
+    shadow.cast()
+    assert np.isfinite(splats.light.to_numpy()).all()
+
+
+def test_the_checks_are_on(checked):
+    ti = checked
+    field = ti.field(ti.i32, 4)
+
+    @ti.kernel
+    def beyond():
+        field[7] = 1
+
+    with pytest.raises(ti.TaichiAssertionError, match="with indices"):
+        beyond()

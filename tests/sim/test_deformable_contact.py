@@ -1,0 +1,174 @@
+"""Deformable bodies against one another, through the solver."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.sample_meshes import box
+from bench.torus import torus
+from core.material import Material
+from scenes.scene import Capsule, Plane
+from sim.contact.tet_planes import neighbors
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.5, damping=8.0)
+RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6, damping=4.0)
+FLOOR = Plane((0, 0, 0), (0, 1, 0))
+DT = 1 / 60
+SIDE = 0.08
+
+
+@pytest.fixture(scope="module")
+def cubes(ti_cpu):
+    """Two cubes, one upon the other, and turned against it."""
+    x, tets, surface = box((SIDE,) * 3, (2, 2, 2))
+    turned = (np.cos(0.2), 0, np.sin(0.2), 0)
+    low = SoftBody("low", x - SIDE / 2, tets, surface, SOFT, position=(0, 0.04, 0))
+    high = SoftBody("high", x - SIDE / 2, tets, surface, SOFT, turned, (0.001, 0.122, 0))
+    return Solver([low, high], [FLOOR], hands=0)
+
+
+@pytest.fixture(autouse=True)
+def gravity_down(request):
+    if "cubes" in request.fixturenames:
+        request.getfixturevalue("cubes").reset()
+        request.getfixturevalue("cubes").gravity = (0.0, -9.81, 0.0)
+
+
+def run(solver, seconds):
+    for _ in range(round(seconds / DT)):
+        solver.step(DT, [])
+
+
+def positions(solver):
+    x, o = solver.x.to_numpy(), solver.vertex_offset
+    return [x[o[b] : o[b + 1]].astype(np.float64) for b in range(len(o) - 1)]
+
+
+def speed(solver):
+    return np.linalg.norm(solver.v.to_numpy()[: solver.state.sizes.vertices], axis=1)
+
+
+def rows(solver):
+    """Point, distance, normal and impulse of the listed pair rows."""
+    contacts = solver._constraints[0]
+    r, n = contacts.rows.listed.to_numpy(), contacts.rows.listed_count[None]
+    r = np.sort(r[:n][r[:n] >= contacts.pairs.begin])
+    table = (contacts.rows.phi, contacts.rows.normal, contacts.rows.impulse)
+    return r - contacts.pairs.begin, *(f.to_numpy()[r] for f in table)
+
+
+def test_neighbours_share_a_face():
+    _, tets, surface = box((1, 1, 1), (3, 2, 2))
+    across = neighbors(tets)
+    assert (across == -1).sum() == len(surface)
+    for t, k in np.argwhere(across >= 0):
+        assert set(np.delete(tets[t], k)) < set(tets[across[t, k]])
+
+
+def test_a_stack_comes_to_rest_and_stays(cubes):
+    run(cubes, 4)
+    before, fastest = positions(cubes), speed(cubes).max()
+    assert fastest < 5e-3
+    run(cubes, 6)
+    assert speed(cubes).max() < max(0.5 * fastest, 1e-4)
+    drift = np.abs(np.concatenate(positions(cubes)) - np.concatenate(before)).max()
+    assert drift < 1e-3, drift
+    low, high = cubes.bodies()
+    assert low.low[1] > -1e-4
+    assert_allclose(high.low[1], low.high[1], atol=2e-3)  # the upper one sinks in where the lower one yields
+
+
+def test_a_stack_carries_its_weight(cubes):
+    run(cubes, 6)
+    p, phi, _, impulse = rows(cubes)
+    body = cubes._constraints[0].samples.body.to_numpy()[p]
+    force = (impulse * np.where(body == 1, 1, -1)[:, None]).sum(0) / cubes.state.dt[None] ** 2
+    weight = SIDE**3 * 1000 * 9.81
+    assert_allclose(force, [0, weight, 0], atol=0.02 * weight)
+    assert_allclose(cubes.contact_forces(), [[0, weight, 0]] * 2, atol=0.02 * weight)
+    assert phi.min() > -1e-4
+
+
+def test_friction_holds_a_stack_on_a_slope(cubes):
+    """Friction 0.5 on both contacts; the ground falls by 10 degrees at once, then by 45."""
+    run(cubes, 2)
+    before = positions(cubes)
+    cubes.gravity = (9.81 * np.sin(np.radians(10)), -9.81 * np.cos(np.radians(10)), 0.0)
+    run(cubes, 2)
+    moved = [np.abs(a.mean(0) - b.mean(0)).max() for a, b in zip(positions(cubes), before, strict=True)]
+    assert max(moved) < 8e-3, moved  # they lean
+    cubes.gravity = (9.81 * np.sin(np.radians(45)), -9.81 * np.cos(np.radians(45)), 0.0)
+    run(cubes, 1)
+    assert positions(cubes)[0][:, 0].mean() > 0.2
+
+
+def test_a_collision_conserves_momentum(cubes):
+    """The upper cube comes down at 5 m/s and must not pass; both momenta to 1e-4 of what is exchanged."""
+    cubes.gravity = (0.0, 0.0, 0.0)
+    start = cubes.snapshot()
+    x, v = start["x"].astype(np.float64), np.zeros_like(start["x"])
+    n = cubes.vertex_offset[1]
+    x[:, 1] += 0.5
+    x[n:, 1] += 0.05
+    v[n:, 1] = -5
+    cubes.restore({"x": x, "v": v})
+    m = cubes.state.mass.to_numpy()[: len(x), None].astype(np.float64)
+    before = (m * v).sum(0), (m * np.cross(x, v)).sum(0)
+    run(cubes, 0.1)
+    x, v = np.concatenate(positions(cubes)), cubes.v.to_numpy()[: len(x)]
+    assert_allclose((m * v).sum(0), before[0], atol=1e-4 * 2.5)
+    assert_allclose((m * np.cross(x, v)).sum(0), before[1], atol=2e-3 * 0.3)  # normals are those before the step
+    assert positions(cubes)[1][:, 1].mean() > positions(cubes)[0][:, 1].mean() + 0.05
+    assert v[:n, 1].mean() < -1.5
+    assert 0.5 * (m * v**2).sum() < 0.5 * SIDE**3 * 1000 * 25
+
+
+def test_distance_and_normal_in_a_deformed_host(cubes):
+    """For x = A X + t: phi = phi_0 / |A^-T N| and n = A^-T N / |A^-T N| at the host's upper face."""
+    A = np.array([[1.1, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.05]])
+    rest = cubes.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
+    n = cubes.vertex_offset[1]
+    x = np.concatenate([rest[:n] @ A.T, (0.5 * rest[n:] + (0, 0.0615, 0)) @ A.T]) + (0, 1, 0)
+    cubes.gravity = (0.0, 0.0, 0.0)
+    cubes.restore({"x": x, "v": np.zeros_like(x)})
+    cubes.step(1e-6, [])
+    p, phi, normal, _ = rows(cubes)
+    samples = cubes._constraints[0].samples
+    at = (x[samples.host_ids[p]] * samples.host_weights[p][..., None]).sum(1) - (0, 1, 0)
+    X = at @ np.linalg.inv(A).T
+    above = (samples.body.to_numpy()[p] == 1) & (np.abs(X[:, 0]) < 0.03) & (np.abs(X[:, 2]) < 0.03) & (X[:, 1] < 0.045)
+    assert above.sum() >= 9
+    g = np.linalg.inv(A).T @ np.array([0, 1.0, 0])
+    assert_allclose(phi[above], (X[above, 1] - SIDE / 2) / np.linalg.norm(g), atol=2e-5)
+    assert_allclose(normal[above], np.tile(g / np.linalg.norm(g), (above.sum(), 1)), atol=2e-3)
+
+
+@pytest.mark.long
+def test_rings_stack_on_a_peg_and_rest(ti_cpu):
+    """Three rings dropped over a peg, each onto the last, repeatably."""
+    x, tets, surface = torus(0.08, 0.016, 16, 2)
+    turned = (np.cos(0.1), np.sin(0.1), 0, 0)
+    rings = [
+        SoftBody(f"ring{k}", x, tets, surface, RUBBER, turned, (0.02 - 0.02 * k, 0.35 + 0.08 * k, 0.01))
+        for k in range(3)
+    ]
+    solver = Solver(rings, [FLOOR, Capsule((0, 0, 0), (0, 0.3, 0), 0.02)], hands=0)
+    run(solver, 1.0)
+    early = np.concatenate(positions(solver))
+    run(solver, 3.0)
+    energy = (speed(solver) ** 2).sum()
+    run(solver, 2.0)
+    states = solver.bodies()
+    for s in states:
+        assert np.hypot(s.centroid[0], s.centroid[2]) < 0.08 and s.high[1] < 0.15
+        assert s.low[1] > -1e-3
+    assert states[2].centroid[1] > states[0].centroid[1] + 0.01
+    assert (speed(solver) ** 2).sum() <= max(energy, 1e-6)
+    assert speed(solver).max() < 0.02
+    _, phi, _, impulse = rows(solver)
+    assert phi[np.linalg.norm(impulse, axis=1) > 0].min() > -1e-3
+    solver.reset()
+    run(solver, 1.0)
+    assert (np.concatenate(positions(solver)) == early).all()

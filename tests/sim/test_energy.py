@@ -1,0 +1,265 @@
+"""The elastic constraint against float64 twins: energy, stress, stiffness bound, projection, order of summation."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bench import fem
+from bench.sample_meshes import box
+from core.material import Material
+from sim.body_model import Part, RestShape
+from sim.elastic.time_step import LIMIT, lame, largest_substep, stiffness_bounds
+from sim.model import Assembly
+from sim.soft_body import SoftBody
+
+MATERIAL = Material(young=1e5, poisson=0.4, density=1000.0)
+MU, LAM = lame(MATERIAL)
+
+
+def energy(F):
+    """Twin of sim.elastic.energy.energy_density: Psi [J/m^3] of F (..., 3, 3)."""
+    J, I1 = np.linalg.det(F), (F**2).sum((-2, -1))
+    return MU / 2 * (I1 - 3) - MU * (J - 1) + LAM / 2 * (J - 1) ** 2 + MU / 2 * np.maximum(1 - I1, 0) ** 2
+
+
+def stress(F):
+    """Twin of sim.elastic.energy.stress: P = dPsi/dF [Pa]."""
+    f1, f2, f3 = np.moveaxis(F, -1, 0)
+    cof = np.stack([np.cross(f2, f3), np.cross(f3, f1), np.cross(f1, f2)], -1)
+    J, I1 = np.linalg.det(F)[..., None, None], (F**2).sum((-2, -1))[..., None, None]
+    return MU * (1 - 2 * np.maximum(1 - I1, 0)) * F + (LAM * (J - 1) - MU) * cof
+
+
+def deformations() -> np.ndarray:
+    """At rest, rotated, small, large, flat, inverted and crushed, (n, 3, 3)."""
+    rng = np.random.default_rng(1)
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    Q *= np.sign(np.linalg.det(Q))
+    some = [np.eye(3), Q, np.eye(3) + 1e-3 * rng.normal(size=(3, 3)), Q @ np.diag([2.0, 1.0, 0.6])]
+    some += [
+        np.diag([1.0, 1.0, 0.0]),
+        np.diag([-1.0, 1.0, 1.0]),
+        0.3 * Q,
+        Q @ np.diag([0.8, 0.2, 0.1]),
+        *rng.normal(size=(6, 3, 3)),
+    ]
+    return np.array(some)
+
+
+def test_the_stress_is_the_gradient_of_the_energy():
+    F, h = deformations(), 1e-6
+    for k in range(3):
+        for l in range(3):
+            d = np.zeros((3, 3))
+            d[k, l] = h
+            slope = (energy(F + d) - energy(F - d)) / (2 * h)
+            assert_allclose(stress(F)[:, k, l], slope, rtol=1e-6, atol=1e-4 * MU)
+
+
+def test_small_strains_are_linear_elasticity():
+    """P = 2 mu eps + lambda_L tr(eps) I to first order: the constants mean what they say."""
+    e = 1e-6 * np.random.default_rng(2).normal(size=(3, 3))
+    eps, lam_L = (e + e.T) / 2, LAM - MU
+    assert_allclose(stress(np.eye(3) + e), 2 * MU * eps + lam_L * np.trace(eps) * np.eye(3), rtol=1e-3, atol=1e-7 * MU)
+
+
+def test_the_device_stress_and_energy_equal_their_twins(ti_cpu):
+    ti = ti_cpu
+    from sim.elastic.energy import energy_density
+    from sim.elastic.energy import stress as device_stress
+
+    F = deformations()
+    n = len(F)
+    inputs, P, psi = ti.Matrix.field(3, 3, ti.f32, n), ti.Matrix.field(3, 3, ti.f32, n), ti.field(ti.f32, n)
+
+    @ti.kernel
+    def run(mu: ti.f32, lam: ti.f32):
+        for i in range(n):
+            P[i], I1, grow = device_stress(inputs[i], mu, lam)
+            psi[i] = energy_density(I1, grow, mu, lam)
+
+    inputs.from_numpy(F.astype(np.float32))
+    run(MU, LAM)
+    F = F.astype(np.float32).astype(np.float64)
+    scale = LAM * (1 + (F**2).sum((1, 2)) ** 2)  # fp32 rounds sums of terms of this size
+    assert np.all(np.abs(psi.to_numpy() - energy(F)) < 2e-6 * scale)
+    assert np.all(np.abs(P.to_numpy() - stress(F)) < 2e-6 * scale[:, None, None])
+
+
+class OneMesh:
+    """A small mesh on the device, with the loops of one sweep."""
+
+    def __init__(self, ti, single: bool):
+        from sim.elastic.energy import Elastic
+        from sim.state import State
+
+        self.x, self.tets, _ = box((0.2, 0.1, 0.1), (2, 1, 1))
+        rng = np.random.default_rng(3)
+        self.x = self.x + rng.uniform(-0.01, 0.01, self.x.shape)
+        self.w = rng.uniform(50.0, 100.0, len(self.x))
+        self.w[0] = 0.0
+        self.kappa = stiffness_bounds(self.x, self.tets, self.w, MATERIAL)
+        self.dt = largest_substep(self.kappa.max())
+        body = SoftBody("mesh", self.x, self.tets, self.tets[:1, :3], MATERIAL)
+        part = Part(body, RestShape.of(body))
+        part.w = self.w
+        self.mu, self.lam = lame(MATERIAL)
+        bodies = Assembly([part])
+        self.state = s = State(bodies.sizes)
+        s.load(bodies)
+        s.dt[None] = self.dt
+        self.elastic = e = Elastic(s)
+        e.load(bodies)
+        self.moved = ti.Vector.field(3, ti.f32, s.V)
+        moved = self.moved
+
+        @ti.kernel
+        def sweep(first: ti.template()):
+            for t in range(s.T):
+                if t < s.tet_count[None]:
+                    e.project_tet(t, first, single)
+            for i in range(s.V):
+                if i < s.vertex_count[None]:
+                    moved[i] = e.summed(i)
+
+        self.sweep = sweep
+
+    def run(self, y, first: bool = True) -> np.ndarray:
+        """Corrections (V, 3) of positions y, half of which are given as increments."""
+        from core.fields import upload
+
+        upload(self.state.x, self.x)
+        upload(self.state.dx, y - self.x)
+        self.sweep(first)
+        return self.moved.to_numpy()[: len(self.x)].astype(np.float64)
+
+    def gradients(self, y):
+        """dU/dx of each tet (T, 4, 3), U (T,), W (T,) in float64."""
+        X, Y = self.x[self.tets], y[self.tets]
+        D = np.swapaxes(X[:, 1:] - X[:, :1], 1, 2)
+        B, V = np.linalg.inv(D), np.linalg.det(D) / 6
+        F = np.swapaxes(Y[:, 1:] - Y[:, :1], 1, 2) @ B
+        H = V[:, None, None] * stress(F) @ np.swapaxes(B, 1, 2)
+        g = np.concatenate([-H.sum(-1)[:, None], np.swapaxes(H, 1, 2)], axis=1)
+        return g, V * energy(F), (self.w[self.tets] * (g**2).sum(-1)).sum(1), (F**2).sum((1, 2)), np.linalg.det(F)
+
+    def of_volume(self, y):
+        """Stiffness of each tet's volume, lam V sum w |cof F grad N|^2 [1/s^2] (T,), in float64."""
+        X, Y = self.x[self.tets], y[self.tets]
+        D = np.swapaxes(X[:, 1:] - X[:, :1], 1, 2)
+        B, V = np.linalg.inv(D), np.linalg.det(D) / 6
+        F = np.swapaxes(Y[:, 1:] - Y[:, :1], 1, 2) @ B
+        gradients = np.concatenate([-B.sum(1, keepdims=True), B], axis=1)
+        h = gradients @ np.swapaxes(np.linalg.det(F)[:, None, None] * np.swapaxes(np.linalg.inv(F), 1, 2), 1, 2)
+        return self.lam * V * (self.w[self.tets] * (h**2).sum(-1)).sum(1)
+
+    def gather(self, s, g):
+        total = np.zeros_like(self.x)
+        np.add.at(total, self.tets, s[:, None, None] * g)
+        return self.w[:, None] * total
+
+
+def states(mesh: OneMesh) -> list[np.ndarray]:
+    """Slightly strained and rotated; stretched twice along x; stretched far, with its volume kept."""
+    rng = np.random.default_rng(4)
+    c, s = np.cos(0.7), np.sin(0.7)
+    rotated = mesh.x @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T
+    return [rotated + 1e-3 * rng.normal(size=mesh.x.shape), mesh.x * [2.0, 0.8, 0.8], mesh.x * [12.0, 0.3, 0.28]]
+
+
+@pytest.fixture(scope="module")
+def single(ti_cpu):
+    return OneMesh(ti_cpu, single=True)
+
+
+@pytest.mark.parametrize("k", [0, 1, 2], ids=["strained", "stretched", "far stretched"])
+def test_a_single_sweep_equals_its_twin(single, k):
+    from sim.elastic.energy import BRAKE, CROWD, CRUSHED, FAR_STRETCHED, SQUEEZED
+
+    y = states(single)[k]
+    g, U, W, I1, J = single.gradients(y)
+    q = np.minimum(W / (2 * U), single.kappa * np.maximum(1, I1**2 / 9))
+    far = (I1 > FAR_STRETCHED) | (J - 1 < CRUSHED)
+    assert far.all() == bool(k) and far.any() == bool(k)
+    step = np.minimum(single.dt**2, np.minimum(1 / (CROWD * q), 1 / (SQUEEZED * single.of_volume(y))))
+    shortened = step < single.dt**2, 1 / (SQUEEZED * single.of_volume(y)) < 1 / (CROWD * q)
+    assert k < 2 or (shortened[0] & shortened[1]).any()
+    along = np.einsum("tkc,tkc->t", g, (y - single.x)[single.tets])
+    s = -np.where(far, step + BRAKE * (1 - step / single.dt**2) * along / W, single.dt**2)
+    expected = single.gather(s, g)
+    assert_allclose(single.run(y), expected, atol=2e-5 * np.abs(expected).max())
+
+
+def test_several_sweeps_carry_the_multiplier(ti_cpu):
+    mesh = OneMesh(ti_cpu, single=False)
+    y, lam, a, size = states(mesh)[0], 0.0, 1 / mesh.dt**2, 0.0
+    for first in (True, False, False):
+        g, U, W, I1, _ = mesh.gradients(y)
+        C = np.sqrt(2 * U)
+        q = np.minimum(W / (2 * U), mesh.kappa * np.maximum(1, I1**2 / 9))
+        s = -(1 + a * lam / C) / (q + a)
+        lam = lam + C * s
+        expected = mesh.gather(s, g)
+        size = np.abs(expected).max() if first else size  # later sweeps correct less, with the same rounding
+        assert_allclose(mesh.run(y, first), expected, atol=2e-4 * size)
+        y = y + expected
+
+
+def test_corrections_keep_momentum(single):
+    """sum_i dx_i / w_i = 0, the prescribed vertex's share included: forces of a tet cancel."""
+    single.run(states(single)[0])
+    e = single.elastic
+    forces = e.correction.to_numpy()[e.slot.to_numpy()[: len(single.tets)]].astype(np.float64)
+    assert np.abs(forces.sum((0, 1))).max() < 1e-6 * np.abs(forces).sum()
+
+
+def test_nothing_happens_at_rest_and_in_rigid_motion(single):
+    c, s = np.cos(2.0), np.sin(2.0)
+    turned = single.x @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T + [0.3, 0.1, 0.2]
+    size = np.abs(single.x).max()
+    for y in (single.x, turned):
+        assert np.abs(single.run(y)).max() < 1e-6 * size
+
+
+def test_kappa_bounds_the_stiffness_of_every_tet():
+    """The largest eigenvalue of W^1/2 K W^1/2 of one tet, K from linear FEM, is at most kappa and not far below."""
+    rng = np.random.default_rng(5)
+    x, tets, _ = box((0.3, 0.2, 0.2), (3, 2, 2))
+    x = x + rng.uniform(-0.02, 0.02, x.shape)
+    w = rng.uniform(10.0, 100.0, len(x))
+    kappa = stiffness_bounds(x, tets, w, MATERIAL)
+    for t in range(len(tets)):
+        K = fem.stiffness(x[tets[t]], np.array([[0, 1, 2, 3]]), MATERIAL.young, MATERIAL.poisson).toarray()
+        root = np.sqrt(np.repeat(w[tets[t]], 3))
+        largest = np.linalg.eigvalsh(root[:, None] * K * root).max()
+        assert 0.3 * kappa[t] < largest <= kappa[t] * (1 + 1e-9)
+
+
+def test_the_rule_keeps_the_jacobi_sum_stable():
+    """Positions x* = x + dt v, forces at x*: stable while dt^2 (largest eigenvalue of the assembled W K) < 4/3."""
+    import scipy.sparse as sp
+    import scipy.sparse.linalg as spla
+
+    from sim.soft_body import SoftBody
+
+    x, tets, surface = box((1.0, 0.2, 0.2), (10, 2, 2), mirror=False)
+    for nu in (0.0, 0.3, 0.45, 0.49):
+        material = Material(1e5, nu, 1000.0)
+        w = 1 / SoftBody("bar", x, tets, surface, material).masses()
+        root = sp.diags(np.sqrt(np.repeat(w, 3)))
+        A = root @ fem.stiffness(x, tets, material.young, nu) @ root
+        largest = spla.eigsh(A, k=1, return_eigenvectors=False)[0]
+        dt = largest_substep(stiffness_bounds(x, tets, w, material).max())
+        assert dt * np.sqrt(stiffness_bounds(x, tets, w, material).max()) == pytest.approx(LIMIT)
+        assert dt**2 * largest < 4 / 3
+
+
+def test_the_slots_of_a_vertex_lie_together():
+    from sim.elastic.energy import corner_slots
+
+    _, tets, _ = box((1, 1, 1), (2, 2, 2))
+    slot, begin = corner_slots(tets, 27)
+    assert_array_equal(np.sort(slot.ravel()), np.arange(4 * len(tets)))
+    for t in range(len(tets)):
+        for k in range(4):
+            assert begin[tets[t, k]] <= slot[t, k] < begin[tets[t, k] + 1]

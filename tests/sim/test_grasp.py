@@ -1,0 +1,156 @@
+"""Hands through the solver: grip, lift, carry, throw, and pulling at what does not give."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.sample_meshes import box
+from core.material import Material
+from scenes.scene import Box, Hand
+from sim.hands.grasp import FORCE
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
+DT = 1 / 60
+MASS = 0.06**3 * 1000  # of a cube [kg]
+TABLE = Box((0, -0.05, 0), (0.5, 0.05, 0.5))
+
+
+@pytest.fixture(scope="module")
+def solver(ti_cpu):
+    """Two cubes on a table, 20 cm apart."""
+    x, tets, surface = box((0.06,) * 3, (3, 3, 3))
+    cubes = [SoftBody(f"cube{k}", x - 0.03, tets, surface, SOFT, position=(0.2 * k, 0.03, 0)) for k in range(2)]
+    return Solver(cubes, [TABLE], hands=2)
+
+
+@pytest.fixture(autouse=True)
+def begin(solver):
+    solver.reset()
+    solver.gravity = (0.0, -9.81, 0.0)
+
+
+def contacts(solver):
+    return solver._constraints[0]
+
+
+def play(solver, seconds, *paths, grip=True, reach=0.04, turn=None):
+    """Run with hands whose positions are functions of the time since now [s]."""
+    frames = round(seconds / DT)
+    for f in range(frames):
+        t = (f + 1) * DT
+        rotation = (1.0, 0.0, 0.0, 0.0) if turn is None else turn(t)
+        solver.step(DT, [Hand(tuple(path(t)), rotation, grip, reach) for path in paths])
+
+
+def still(*position):
+    return lambda t: np.array(position, float)
+
+
+def test_a_hand_grips_the_nearest_body_within_reach(solver):
+    play(solver, 2 * DT, still(0.2, 0.07, 0))
+    assert contacts(solver).gripped() == [1, -1]
+    assert [b.held for b in solver.bodies()] == [False, True]
+    play(solver, DT, still(0.2, 0.07, 0), grip=False)
+    assert contacts(solver).gripped() == [-1, -1]
+
+
+def test_a_hand_out_of_reach_grips_nothing(solver):
+    play(solver, 2 * DT, still(0.0, 0.12, 0))
+    assert contacts(solver).gripped() == [-1, -1]
+    play(solver, 2 * DT, still(0.0, 0.03, 0))  # closed already: coming near does not grip
+    assert contacts(solver).gripped() == [-1, -1]
+
+
+def test_a_small_reach_takes_the_nearest_vertices(solver):
+    """Over a corner, 2 cm from the next vertices: within 1.6 cm lies one, within half as much again two more."""
+    play(solver, DT, still(0.03, 0.065, 0.03), reach=0.016)
+    x = solver.x.to_numpy()[np.flatnonzero(contacts(solver).hands.held.to_numpy())]
+    assert_allclose(x[np.lexsort(x.T)], [[0.03, 0.06, 0.01], [0.01, 0.06, 0.03], [0.03, 0.06, 0.03]], atol=1e-4)
+
+
+def test_a_held_body_is_lifted_and_hangs_with_its_weight(solver):
+    play(solver, 1.0, lambda t: np.array([0, 0.06 + 0.2 * min(t, 0.5), 0]))
+    play(solver, 1.5, still(0, 0.16, 0))
+    body = solver.bodies()[0]
+    assert 0.08 < body.low[1] < 0.1  # lifted by 10 cm, less its own stretch
+    assert_allclose(contacts(solver).hands.forces()[0], [0, MASS * 9.81, 0], atol=0.05 * MASS * 9.81)
+    assert solver.bodies()[1].low[1] > -1e-4
+
+
+def test_a_body_flies_on_with_the_velocity_of_the_hand(solver):
+    solver.gravity = (0.0, 0.0, 0.0)
+    play(solver, 0.3, still(0, 0.05, 0))
+    play(solver, 0.4, lambda t: np.array([0, 0.05 + (2.0 * (t - 0.1) if t > 0.2 else 5.0 * t**2), 0]))
+    play(solver, 3 * DT, still(0, 0, 0), grip=False)
+    assert_allclose(solver.bodies()[0].velocity, [0, 2, 0], atol=0.1)
+
+
+def test_a_turning_hand_turns_the_body(solver):
+    solver.gravity = (0.0, 0.0, 0.0)
+    x0 = solver.x.to_numpy()[:64]
+
+    def turn(t):
+        half = 0.5 * np.pi / 2 * min(t / 0.5, 1.0)
+        return (np.cos(half), np.sin(half), 0.0, 0.0)
+
+    play(solver, 0.3, still(0, 0.1, 0), reach=0.05)
+    play(solver, 1.5, still(0, 0.1, 0), reach=0.05, turn=turn)
+    r = x0 - (0, 0.1, 0)
+    expected = np.stack([r[:, 0], -r[:, 2], r[:, 1]], 1) + (0, 0.1, 0)  # y -> z -> -y about x
+    assert np.abs(solver.x.to_numpy()[:64] - expected).max() < 5e-3
+
+
+def test_pulling_through_the_table_stays_finite_and_comes_back(solver):
+    """The hand's force is clamped, so the cube stays on the table however deep the hand goes."""
+    play(solver, 0.5, still(0, 0.05, 0))
+    play(solver, 0.5, lambda t: np.array([0, 0.05 - 2 * t, 0]))
+    force = np.linalg.norm(contacts(solver).hands.forces()[0])
+    assert force <= 1.001 * FORCE
+    assert solver.stats["finite"]
+    play(solver, 0.5, lambda t: np.array([0, -0.95 + 2 * t, 0]))
+    play(solver, DT, still(0, 0.05, 0), grip=False)
+    play(solver, 3.0, still(0, 1, 0), grip=False)
+    body = solver.bodies()[0]
+    assert solver.stats["finite"]
+    assert body.low[1] > -1e-3 and 0.05 < body.high[1] < 0.07
+
+
+def test_two_hands_stretch_a_body(solver):
+    play(solver, 0.3, still(-0.03, 0.03, 0), still(0.03, 0.03, 0), reach=0.025)
+    assert contacts(solver).gripped() == [0, 0]
+    for sign in (1, -1):
+        play(
+            solver,
+            0.8,
+            lambda t, s=sign: np.array([-0.03 - 0.02 * (0.5 - 0.5 * s + s * t / 0.8), 0.03, 0]),
+            lambda t, s=sign: np.array([0.03 + 0.02 * (0.5 - 0.5 * s + s * t / 0.8), 0.03, 0]),
+            reach=0.025,
+        )
+        if sign == 1:
+            body = solver.bodies()[0]
+            assert 0.075 < body.high[0] - body.low[0] < 0.1  # body and springs in series, equally stiff
+    body = solver.bodies()[0]
+    assert_allclose(body.high[0] - body.low[0], 0.06, atol=0.006)
+
+
+def test_transform_reports_what_is_gripped(solver):
+    solver.interaction = "transform"
+    try:
+        before = solver.x.to_numpy()[:64]
+        play(solver, DT, still(0, 0.05, 0))
+        play(solver, 10 * DT, lambda t: np.array([t, 0.05, 0]))
+        assert contacts(solver).gripped() == [0, -1]
+        assert_allclose(solver.x.to_numpy()[:64], before + (10 * DT, 0, 0), atol=1e-6)
+    finally:
+        solver.interaction = "physics"
+
+
+def test_a_grip_begins_without_a_jerk(solver):
+    """A hand that moved 10 cm in the frame in which it closes takes the body where it is."""
+    solver.gravity = (0.0, 0.0, 0.0)
+    play(solver, DT, still(0.0, 0.15, 0), grip=False)
+    play(solver, DT, still(0.0, 0.05, 0))
+    assert contacts(solver).gripped()[0] == 0
+    assert np.abs(solver.v.to_numpy()).max() < 1e-3

@@ -1,0 +1,201 @@
+"""Soft bodies with rigid ones in one solver, kinematic baskets and plates, and driven vertices."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.sample_meshes import box
+from bench.torus import torus
+from core.errors import BadInput
+from core.material import Material
+from scenes.scene import Hand, Plane
+from sim.rigid.rigid_body import RigidBody
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+FRAME = 1 / 60
+SOFT = Material(young=3e4, poisson=0.3, density=500.0, friction=0.6, damping=4.0)
+FLOOR = Plane((0, 0, 0), (0, 1, 0), 0.6)
+SIDE = 0.1
+BRICK = (0.08, 0.08, 0.16)
+
+
+def cube(name, position, side=SIDE, cells=2, **options):
+    x, tets, surface = box((side,) * 3, (cells,) * 3)
+    return SoftBody(name, x - side / 2, tets, surface, SOFT, position=position, **options)
+
+
+def basket(center):
+    """A bottom and four walls, kinematic, 0.3 m wide."""
+    t, w, h = 0.02, 0.3, 0.15
+    plates = [((w, t, w), (0, 0, 0))]
+    plates += [((t, h, w), (s * w / 2, h / 2, 0)) for s in (-1, 1)] + [
+        ((w, h, t), (0, h / 2, s * w / 2)) for s in (-1, 1)
+    ]
+    return [
+        RigidBody.box(f"basket {k}", size, density=500.0, position=tuple(np.add(center, place)), kinematic=True)
+        for k, (size, place) in enumerate(plates)
+    ]
+
+
+@pytest.fixture(scope="module")
+def place(ti_cpu):
+    """Scenes that stand far apart, and where each one's bodies are."""
+    ring = SoftBody("ring", *torus(0.12, 0.03, 20, 2), SOFT, position=(4, 0.031, 0))
+    x, tets, surface = box((0.4, 0.05, 0.05), (6, 1, 1))
+    root = np.flatnonzero(x[:, 0] < 1e-9)
+    scenes = {
+        "tower": [
+            *(RigidBody.box(f"brick {k}", BRICK, density=400.0, position=(0, 0.04 + 0.08 * k, 0)) for k in range(4)),
+            cube("ball", (-0.4, 0.22, 0), velocity=(5.0, 0.5, 0), cells=3),
+        ],
+        "collision": [
+            cube("soft", (8, 2, 0)),
+            RigidBody.box("hard", (0.1, 0.08, 0.12), density=700.0, position=(8.16, 2.02, 0.01), velocity=(-3, 0, 0)),
+        ],
+        "ring": [ring, RigidBody.box("load", (0.3, 0.04, 0.12), density=500.0, position=(4, 0.085, 0))],
+        "basket": [*basket((12, 0.5, 0)), cube("toy", (12, 0.57, 0)), cube("other", (12.02, 0.68, 0.02))],
+        "plate": [
+            RigidBody.box("plate", (1.0, 0.05, 0.4), density=500.0, position=(16, 0.5, 0), kinematic=True),
+            cube("rider", (16, 0.575 + 1e-4, 0)),
+        ],
+        "cantilever": [SoftBody("cantilever", x, tets, surface, SOFT, position=(20, 1, 0), pinned=root)],
+    }  # fmt: skip
+    where, bodies = {}, []
+    for name, new in scenes.items():
+        where[name] = slice(len(bodies), len(bodies) + len(new))
+        bodies += new
+    return Solver(bodies, [FLOOR], hands=2), where, root
+
+
+def started(place, gravity=(0.0, -9.81, 0.0)):
+    solver, where, _ = place
+    solver.gravity = gravity
+    solver.reset()
+    return solver, where
+
+
+def run(solver, seconds, hands=()):
+    for _ in range(round(seconds / FRAME)):
+        solver.step(FRAME, list(hands))
+
+
+def momentum(solver, bodies):
+    """Linear momentum, and angular momentum about the origin, of some bodies [SI], from all their vertices."""
+    p, L, m = np.zeros(3), np.zeros(3), solver._movers
+    x, v, mass = (f.to_numpy().astype(np.float64) for f in (solver.x, solver.v, solver.state.mass))
+    for b in range(bodies.start, bodies.stop):
+        mine = slice(solver.vertex_offset[b], solver.vertex_offset[b + 1])
+        q = mass[mine, None] * v[mine]
+        p += q.sum(0)
+        if solver._parts[b].body.rigid:
+            at = m.x.to_numpy()[b].astype(np.float64)
+            L += np.cross(at, q.sum(0)) + m.spin.to_numpy()[b]
+        else:
+            L += np.cross(x[mine], q).sum(0)
+    return p, L
+
+
+@pytest.mark.long
+def test_a_free_collision_of_soft_and_rigid_conserves_momentum(place):
+    solver, where = started(place, (0.0, 0.0, 0.0))
+    pair = where["collision"]
+    p0, L0 = momentum(solver, pair)
+    run(solver, 0.2)
+    p, L = momentum(solver, pair)
+    soft, hard = solver.bodies()[pair]
+    assert soft.velocity[0] < -0.8 and hard.velocity[0] > -2.5  # they met
+    assert_allclose(p, p0, atol=1e-4 * np.linalg.norm(p0))
+    assert_allclose(L, L0, atol=2e-3 * np.linalg.norm(p0) * SIDE)
+
+
+def test_a_soft_ball_knocks_over_a_stack_of_bricks(place):
+    solver, where = started(place)
+    run(solver, 1.5)
+    *bricks, ball = solver.bodies()[where["tower"]]
+    assert max(b.centroid[1] for b in bricks) < 0.25  # the highest stood at 0.28
+    assert max(b.centroid[0] for b in bricks) > 0.1
+    assert min(b.low[1] for b in [*bricks, ball]) > -2e-3
+    assert ball.velocity[0] < 3.0
+
+
+def test_a_soft_ring_carries_a_brick(place):
+    solver, where = started(place)
+    run(solver, 2.0)
+    ring, load = solver.bodies()[where["ring"]]
+    assert load.low[1] > 0.03 and ring.low[1] > -1e-3
+    assert_allclose(load.centroid[[0, 2]], (4, 0), atol=5e-3)
+    assert np.linalg.norm(load.velocity) < 2e-2  # the ring still swings a little
+    at = [ring.centroid + [s * 0.12, 0, 0] for s in (-1, 1)]
+    run(solver, FRAME, [Hand(tuple(p), grip=True, reach=0.05) for p in at])
+    for k in range(60):  # lifted by two hands, the brick upon it comes along
+        up = 0.25 * (k + 1) / 60
+        solver.step(FRAME, [Hand(tuple(p + [0, up, 0]), grip=True, reach=0.05) for p in at])
+    ring, lifted = solver.bodies()[where["ring"]]
+    assert lifted.low[1] > load.low[1] + 0.15
+    assert lifted.low[1] > ring.centroid[1] - 0.02
+
+
+def test_a_lifted_basket_keeps_what_is_in_it(place):
+    solver, where = started(place)
+    pieces = range(where["basket"].start, where["basket"].start + 5)
+    run(solver, 0.5)
+    start = [solver.bodies()[b].centroid for b in pieces]
+    for k in range(90):
+        s = np.sin(0.5 * np.pi * min(k + 1, 60) / 60) ** 2
+        for b, c in zip(pieces, start, strict=True):
+            solver.drive(b, c + np.array([0.4, 0.5, 0.2]) * s)
+        solver.step(FRAME)
+    bottom = solver.bodies()[pieces[0]].centroid
+    assert_allclose(bottom, start[0] + [0.4, 0.5, 0.2], atol=1e-5)
+    for toy in solver.bodies()[where["basket"]][5:]:
+        assert (np.abs(toy.centroid - bottom)[[0, 2]] < 0.13).all()
+        assert toy.low[1] > bottom[1] + 0.01 - 3e-3
+
+
+def test_a_plate_carries_a_soft_cube_by_friction(place):
+    solver, where = started(place)
+    plate = where["plate"].start
+    run(solver, 0.5)
+    start, x = solver.bodies()[plate + 1].centroid[0], 0.0
+    for k in range(60):
+        x += min(k / 30, 1.0) * 0.4 * FRAME
+        solver.drive(plate, (16 + x, 0.5, 0))
+        solver.step(FRAME)
+    rider = solver.bodies()[plate + 1]
+    assert_allclose(rider.velocity[0], 0.4, atol=0.04)
+    assert_allclose(rider.centroid[0] - start, x, atol=0.01)
+
+
+def test_driven_vertices_move_evenly_and_shake_the_rest(place):
+    solver, where = started(place, (0.0, 0.0, 0.0))
+    body, root = where["cantilever"].start, place[2]
+    first = solver.vertex_offset[body]
+    rest = solver.x.to_numpy()[first + root].astype(np.float64)
+    fastest = 0.0
+    for k in range(60):
+        y = 0.05 * np.sin(2 * np.pi * 2 * (k + 1) * FRAME)
+        solver.drive_vertices(body, root, rest + [0, y, 0])
+        solver.step(FRAME)
+        assert_allclose(solver.x.to_numpy()[first + root], rest + [0, y, 0], atol=1e-6)
+        v = solver.v.to_numpy()[first : solver.vertex_offset[body + 1]]
+        fastest = max(fastest, np.linalg.norm(v, axis=1).max())
+        assert np.abs(v[root]).max() == 0.0  # between frames they stand still
+    assert 0.3 < fastest < 4.0  # the root moves at up to 0.63 m/s; a jump in one substep would give 30
+    rest[0, 1] += 0.001
+    for i, x in zip(root, rest, strict=True):
+        solver.targets[first + int(i)] = x.tolist()
+    solver.drive_surface(body)
+    solver.step(FRAME)
+    assert_allclose(solver.x.to_numpy()[first + root], rest, atol=1e-6)
+
+
+def test_what_cannot_be_driven_is_said(place):
+    solver, where, root = place
+    body = where["cantilever"].start
+    with pytest.raises(BadInput, match="only pinned vertices"):
+        solver.drive_vertices(body, [int(root.max()) + 1], np.zeros((1, 3)))
+    with pytest.raises(BadInput, match="cannot be driven to positions"):
+        solver.drive_vertices(body, root, np.zeros((1, 3)))
+    with pytest.raises(BadInput, match="only a kinematic"):
+        solver.drive(body, (0, 0, 0))

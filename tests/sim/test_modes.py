@@ -1,0 +1,71 @@
+"""What the descent path prepares: colours of vertices, and the softest modes of bodies."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bench import fem
+from bench.physics import BAR, LEFT, SURFACE, TETS
+from bench.sample_meshes import box
+from core.material import Material
+from sim.elastic.coloring import color_ranges, color_vertices
+from sim.elastic.modes import MODES, softest_modes
+from sim.elastic.time_step import lame
+from sim.soft_body import SoftBody
+
+
+def test_no_tet_has_two_vertices_of_one_colour():
+    for cells in ((10, 2, 2), (5, 5, 5)):
+        _, tets, _ = box((1, 1, 1), cells)
+        n = tets.max() + 1
+        movable = np.arange(n) % 7 != 0
+        color = color_vertices(tets, movable)
+        assert_array_equal(color >= 0, movable)
+        corners = np.sort(np.where(color[tets] >= 0, color[tets], -1 - np.arange(4)), axis=1)
+        assert (np.diff(corners, axis=1) > 0).all()
+        assert color.max() < 12
+        order, begin = color_ranges(color)
+        assert_array_equal(np.sort(order), np.flatnonzero(movable))
+        for c in range(color.max() + 1):
+            assert (color[order[begin[c] : begin[c + 1]]] == c).all()
+
+
+def test_the_modes_are_the_rigid_ones_and_the_softest():
+    """Orthonormal in the masses; no softer than linear FEM, and the first elastic ones at most 20% faster."""
+    import scipy.sparse as sp
+    import scipy.sparse.linalg as spla
+
+    material = Material(1e7, 0.3, 1000.0)
+    mass = SoftBody("bar", BAR, TETS, SURFACE, material).masses()
+    mu, lam = lame(material)
+    for movable in (np.ones(len(BAR), bool), ~np.isin(np.arange(len(BAR)), LEFT)):
+        U, squares = softest_modes(BAR, TETS, mass, movable, mu, lam - mu)
+        assert U.shape == (len(BAR), MODES, 3) and (U[~movable] == 0).all()
+        flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+        assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-5)
+        free = np.repeat(movable, 3)
+        K = fem.stiffness(BAR, TETS, material.young, material.poisson)[free][:, free]
+        exact = spla.eigsh(K, 10, sp.diags(np.repeat(mass, 3)[free]), sigma=-1.0, return_eigenvectors=False)
+        ratio = np.sqrt(squares[6:10] / np.sort(exact)[6:10])
+        assert (ratio > 0.999).all() and (ratio < 1.2).all()
+        if movable.all():
+            assert np.sqrt(squares[:6]).max() < 1e-3 * np.sqrt(squares[6])
+
+
+@pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 1, 3), (6, 1, 1), (9, 9, 1)])
+def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
+    """The lattice then moves in ways that no vertex follows; once those were all the modes of such a body."""
+    x, tets, surface = box((0.08, 0.02, 0.06), cells)
+    x = x - x.mean(0)
+    material = Material(1e7, 0.3, 1000.0)
+    mass = SoftBody("box", x, tets, surface, material).masses()
+    mu, lam = lame(material)
+    U, squares = softest_modes(x, tets, mass, np.ones(len(x), bool), mu, lam - mu)
+    flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+    count = min(MODES, 3 * len(x))
+    assert_allclose(flat.T @ flat, np.diag(np.arange(MODES) < count), atol=1e-9)
+    for axis in np.eye(3):
+        for motion in (np.tile(axis, (len(x), 1)), np.cross(axis, x)):
+            wanted = (np.sqrt(mass)[:, None] * motion).ravel()
+            assert_allclose(flat[:, :6] @ (flat[:, :6].T @ wanted), wanted, atol=1e-9)
+    assert np.sqrt(squares[:6]).max() < 1e-3 * np.sqrt(squares[6])

@@ -1,0 +1,176 @@
+"""Rigid bodies through the solver: free motion, bouncing, friction, stacks, kinematic bodies, hands."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import physics_contact
+from bench.playground import SIDE, playground
+from core.errors import BadInput
+from scenes.scene import Hand
+from sim.rigid.rigid_body import RigidBody
+from sim.solver import Solver
+
+FRAME = 1 / 60
+
+
+@pytest.fixture(scope="module")
+def place(ti_cpu):
+    return playground()
+
+
+@pytest.fixture(scope="module")
+def free(ti_cpu):
+    """A book that spins about its middle axis, and a box that only flies."""
+    book = RigidBody.box("book", (0.3, 0.2, 0.1), density=1000.0, spin=(0.05, 5.0, 0.0), velocity=(0.1, 0, 0))
+    return Solver([book, RigidBody.box("box", (0.1,) * 3, density=500.0, position=(3, 3, 3))], contacts=False)
+
+
+def momentum(solver, b=0):
+    """Spin momentum and energy of a body."""
+    m = solver._movers
+    L, omega = (f.to_numpy()[b].astype(np.float64) for f in (m.spin, m.omega))
+    return L, 0.5 * L @ omega
+
+
+def check(rows):
+    for r in rows:
+        print(f"{r['check']:50s} reference {r['reference']:<12.6g} measured {r['measured']:.6g}")
+    assert rows and not [r for r in rows if not r["pass"]]
+
+
+def test_a_free_spin_about_the_middle_axis_flips_and_keeps_momentum_and_energy(free):
+    free.reset()
+    free.gravity = (0.0, 0.0, 0.0)
+    (L0, E0), sides = momentum(free), []
+    for _ in range(300):
+        free.step(FRAME)
+        sides.append(free._movers.R.to_numpy()[0][1, 1])
+    L, E = momentum(free)
+    assert_allclose(L, L0, rtol=0, atol=1e-6 * np.linalg.norm(L0))
+    assert_allclose(E, E0, rtol=1e-4)
+    assert min(sides) < -0.9 and max(sides) > 0.9  # it tumbled (Dzhanibekov)
+    assert_allclose(free.bodies()[0].velocity, [0.1, 0, 0], atol=1e-6)
+
+
+def test_a_free_fall_is_exact_in_fp32(free):
+    free.reset()
+    free.gravity = (0.0, -9.81, 0.0)
+    for _ in range(30):
+        free.step(FRAME)
+    box = free.bodies()[1]
+    assert_allclose(box.velocity[1], -9.81 * 0.5, rtol=1e-4)
+    assert_allclose(box.centroid[1] - 3, -0.5 * 9.81 * 0.5 * (0.5 + free.stats["dt"]), rtol=1e-4)
+
+
+@pytest.mark.long
+def test_rebounds_reach_e_squared(place):
+    check(physics_contact.rigid_bounce(place))
+
+
+@pytest.mark.long
+def test_stacks_stand(place):
+    check(physics_contact.rigid_stack(place))
+
+
+def test_boxes_hold_and_slide_at_the_friction_angle(place):
+    check(physics_contact.slope(place))
+
+
+def test_a_heavy_box_rests_on_a_light_one(place):
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 3.0)
+    light, heavy = solver.bodies()[where["heavy_on_light"]]
+    assert_allclose(light.centroid[1], SIDE / 2, atol=2e-3)
+    assert_allclose(heavy.centroid[1], 1.5 * SIDE, atol=4e-3)
+    assert np.linalg.norm(heavy.velocity) < 0.2  # a hundred to one: it sways, but stays up
+
+
+def test_a_plate_carries_a_box_by_friction(place):
+    solver, where = physics_contact.started(place)
+    plate, load = where["conveyor"].start, where["conveyor"].start + 1
+    physics_contact.run(solver, 0.3)
+    start, x = solver.bodies()[load].centroid[0], 0.0
+    for k in range(60):
+        x += min(k / 20, 1.0) * 0.5 * FRAME  # to 0.5 m/s in a third of a second
+        solver.drive(plate, (x, 0.5, 14))
+        solver.step(FRAME)
+    assert_allclose(solver.bodies()[plate].velocity[0], 0.5, rtol=1e-3)
+    assert_allclose(solver.bodies()[load].velocity[0], 0.5, rtol=0.02)
+    assert_allclose(solver.bodies()[load].centroid[0] - start, x, atol=2e-3)
+    physics_contact.run(solver, 0.5)
+    assert_allclose(solver.bodies()[plate].centroid, (x, 0.5, 14), atol=1e-6)
+    assert np.linalg.norm(solver.bodies()[load].velocity) < 1e-3
+
+
+def test_a_hand_lifts_and_turns_a_box(place):
+    solver, where = physics_contact.started(place)
+    top = where["stack"].start + 4
+    start = solver.bodies()[top].centroid
+    corner = start + SIDE / 2
+    for k in range(90):
+        a = 0.5 * np.pi * min(k / 60, 1.0)
+        hand = Hand(corner + [0, 0.3 * min(k / 60, 1.0), 0], (np.cos(a / 2), 0, np.sin(a / 2), 0), True, 0.06)
+        solver.step(FRAME, [hand])
+    box = solver.bodies()[top]
+    assert box.held
+    assert_allclose(box.centroid, corner + [-0.05, 0.25, 0.05], atol=5e-3)
+    assert_allclose(solver.hand_forces()[0], [0, 9.81, 0], atol=0.1)
+    physics_contact.run(solver, 1.0)
+    assert solver.bodies()[top].centroid[1] < start[1] + 0.2  # let go
+
+
+def test_transform_mode_moves_a_box(place):
+    solver, where = physics_contact.started(place)
+    top = where["stack"].start + 4
+    corner = solver.bodies()[top].centroid + SIDE / 2
+    solver.interaction = "transform"
+    for k in range(3):
+        solver.step(FRAME, [Hand(corner + [0.1 * k, 0.2 * k, 0], (1, 0, 0, 0), True, 0.06)])
+    solver.interaction = "physics"
+    moved = solver.bodies()[top].centroid
+    assert_allclose(moved, corner - SIDE / 2 + [0.2, 0.4, 0], atol=1e-5)
+    solver.step(FRAME)
+    assert_allclose(solver.bodies()[top].centroid, moved, atol=2e-3)  # it begins to fall from there
+
+
+def test_contact_forces_carry_the_weights(place):
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 1.0)
+    forces = solver.contact_forces()[where["stack"]]
+    assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.02)  # 1 kg each, whatever stands on it
+
+
+def test_a_snapshot_is_gone_on_from(place):
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 0.25)
+    kept, ends = solver.snapshot(), []
+    for _ in range(2):
+        solver.restore(kept)
+        physics_contact.run(solver, 0.25)
+        ends.append(solver.x.to_numpy())
+    assert np.array_equal(*ends)
+    physics_contact.started(place)
+    physics_contact.run(solver, 0.5)
+    bounced = where["bouncing"].stop - 2  # the liveliest box has met the floor in between
+    assert_allclose(solver.bodies()[bounced].centroid, ends[0][solver.vertex_offset[bounced] :][:8].mean(0), atol=1e-3)
+
+
+def test_runs_repeat_bit_for_bit(place):
+    solver, _ = place
+    ends = []
+    for _ in range(2):
+        physics_contact.started(place)
+        physics_contact.run(solver, 0.7)
+        ends.append(solver.x.to_numpy())
+    assert np.array_equal(*ends)
+
+
+def test_what_cannot_be_is_said(place):
+    solver, where = place
+    with pytest.raises(BadInput, match="only a kinematic rigid body"):
+        solver.drive(where["stack"].start, (0, 0, 0))
+    with pytest.raises(BadInput, match="span no convex piece"):
+        RigidBody.convex("flat", np.eye(3), density=1000.0)
+    with pytest.raises(BadInput, match="restitution"):
+        RigidBody.box("rubber", (1, 1, 1), density=1000.0, restitution=1.5).check()

@@ -1,0 +1,165 @@
+"""Distances and normals of static shapes against float64 twins, and the distance grid of a cage at rest."""
+
+import numpy as np
+import pytest
+import taichi as ti
+from numpy.testing import assert_allclose
+
+from assets.asset import DistanceGrid
+from bench.sample_meshes import box
+from bench.torus import torus
+from core.rotation import matrices_from_quaternions
+from scenes.scene import Box, Capsule, Plane
+from sim.contact.contact_samples import skin, surface_points
+from sim.contact.rest_distance import rest_grid
+from sim.contact.static_shapes import Colliders, StaticGrid
+
+PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
+CAPSULE = Capsule((0.1, 0.0, 0.2), (0.3, 0.4, 0.1), 0.05, friction=0.75)
+BOX = Box((-0.2, 0.3, 0.1), (0.1, 0.3, 0.2))
+
+
+def plane_twin(p):
+    return (p - PLANE.point) @ np.array([0, 0.6, 0.8])
+
+
+def capsule_twin(p):
+    a, b = np.array(CAPSULE.a), np.array(CAPSULE.b)
+    t = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(p - a - t[..., None] * (b - a), axis=-1) - CAPSULE.radius
+
+
+def box_twin(p):
+    q = np.abs(p - BOX.center) - BOX.half_size
+    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+
+
+def trilinear_twin(grid: DistanceGrid, p):
+    q = (p - grid.origin) / grid.spacing
+    i = np.minimum(q.astype(int), np.array(grid.values.shape) - 2)
+    f = q - i
+    phi = np.zeros(len(p))
+    for corner in np.ndindex(2, 2, 2):
+        phi += np.where(corner, f, 1 - f).prod(1) * np.asarray(grid.values, np.float64)[tuple((i + corner).T)]
+    return phi
+
+
+def measure(shapes, points):
+    """Distance, normal, friction of `nearest` at points (N, 3)."""
+    colliders, n = Colliders(shapes), len(points)
+    p, normal = ti.Vector.field(3, ti.f32, n), ti.Vector.field(3, ti.f32, n)
+    phi, friction = ti.field(ti.f32, n), ti.field(ti.f32, n)
+    p.from_numpy(points.astype(np.float32))
+
+    @ti.kernel
+    def run():
+        for i in range(n):
+            phi[i], normal[i], friction[i] = colliders.nearest(p[i])
+
+    run()
+    result = phi.to_numpy(), normal.to_numpy(), friction.to_numpy()
+    colliders.destroy()
+    return result
+
+
+def numeric_gradient(f, p, h=1e-6):
+    return np.stack([(f(p + h * e) - f(p - h * e)) / (2 * h) for e in np.eye(3)], -1)
+
+
+@pytest.mark.parametrize("shape, twin", [(PLANE, plane_twin), (CAPSULE, capsule_twin), (BOX, box_twin)])
+def test_analytic_distance_and_normal(ti_cpu, shape, twin):
+    points = np.random.default_rng(0).uniform(-0.7, 0.9, (4000, 3)).astype(np.float32).astype(np.float64)
+    phi, normal, friction = measure([shape], points)
+    assert_allclose(phi, twin(points), atol=3e-7)  # a few float32 steps at 1 m
+    gradient = numeric_gradient(twin, points)
+    smooth = np.abs(np.linalg.norm(gradient, axis=1) - 1) < 1e-5  # away from edges, where the direction jumps
+    assert smooth.mean() > 0.95
+    assert_allclose(normal[smooth], gradient[smooth], atol=2e-4)  # r / |r| near an axis, in float32
+    assert (friction == np.float32(shape.friction)).all()
+
+
+def test_centre_of_a_capsule_and_of_a_box_have_a_normal(ti_cpu):
+    points = np.array([CAPSULE.a, BOX.center])
+    _, normal, _ = measure([CAPSULE, BOX], points)
+    assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-6)
+
+
+def sphere_grid(n=24, radius=0.3, dtype=np.float16):
+    spacing = 0.04
+    origin = np.array([-0.5, -0.45, -0.4])
+    at = origin + spacing * np.stack(np.meshgrid(*[np.arange(n)] * 3, indexing="ij"), -1)
+    return DistanceGrid((np.linalg.norm(at, axis=-1) - radius).astype(dtype), origin, spacing)
+
+
+def test_grid_is_trilinear_in_its_own_frame(ti_cpu):
+    grid, q = sphere_grid(), np.array([0.8, 0.0, 0.6, 0.0])
+    R, scale, t = matrices_from_quaternions(q[None])[0], 1.7, np.array([0.3, -1.0, 0.2])
+    rng = np.random.default_rng(1)
+    local = grid.origin + grid.spacing * rng.uniform(0.01, 22.99, (4000, 3))
+    phi, normal, _ = measure([StaticGrid(grid, tuple(q), tuple(t), scale)], scale * local @ R.T + t)
+    expected = trilinear_twin(grid, local)
+    shell = expected > -3.99 * grid.spacing
+    assert_allclose(phi[shell], scale * expected[shell], atol=2e-6)
+    f = (local - grid.origin) / grid.spacing % 1
+    inner = shell & (np.abs(f - 0.5).max(1) < 0.499)  # the gradient jumps from cell to cell
+    gradient = numeric_gradient(lambda p: trilinear_twin(grid, p), local[inner])
+    gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
+    assert_allclose(normal[inner], gradient @ R.T, atol=2e-3)  # float32 positions in cells of 0.04
+
+
+def test_grid_says_nothing_outside_and_deep_inside(ti_cpu):
+    grid = sphere_grid()
+    outside, deep, shell = [2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.28, 0.0, 0.0]
+    phi, _, _ = measure([StaticGrid(grid)], np.array([outside, deep, shell]))
+    assert phi[0] > 100 and phi[1] > 100
+    assert_allclose(phi[2], -0.02, atol=2e-3)
+
+
+def test_nearest_of_several_shapes(ti_cpu):
+    points = np.random.default_rng(2).uniform(-0.4, 0.4, (2000, 3))
+    phi, _, friction = measure([PLANE, CAPSULE, BOX], points)
+    each = np.stack([plane_twin(points), capsule_twin(points), box_twin(points)])
+    assert_allclose(phi, each.min(0), atol=3e-7)
+    clear = np.sort(each, axis=0)[1] - each.min(0) > 1e-6
+    expected = np.array([s.friction for s in (PLANE, CAPSULE, BOX)])[each.argmin(0)]
+    assert_allclose(friction[clear], expected[clear])
+
+
+def test_distance_grid_of_a_cage(ti_cpu):
+    """Against the exact box, near the surface; signs everywhere."""
+    size = np.array([0.3, 0.1, 0.2])
+    x, tets, surface = box(size, (3, 2, 2))
+    grid = rest_grid(x, tets, surface, nodes=30)
+    nodes = grid.origin + grid.spacing * np.stack(
+        np.meshgrid(*(np.arange(n) for n in grid.values.shape), indexing="ij"), -1
+    )
+    q = np.abs(nodes - size / 2) - size / 2
+    exact = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+    near = np.abs(exact) < 3 * grid.spacing
+    assert_allclose(grid.values[near], exact[near], atol=2e-6)
+    clear = np.abs(exact) > 1e-6
+    assert (np.sign(grid.values[clear]) == np.sign(exact[clear])).all()
+    assert np.abs(grid.values - exact).max() < 2 * grid.spacing
+
+
+def test_surface_points_cover_the_surface_evenly():
+    x, _, surface = torus(0.08, 0.016, 24, 2)
+    points = surface_points(x, surface, 0.01)
+    at = (x[points.ids] * points.weights[..., None]).sum(1)
+    assert_allclose(points.weights.sum(1), 1, atol=1e-12)
+    assert set(np.unique(surface)) == set(points.ids[points.weights[:, 0] == 1, 0])
+    added = points.weights[:, 0] < 1
+    away = np.linalg.norm(at[:, None] - at[None], axis=-1) + np.eye(len(at))
+    assert away[added].min() > 0.0075 - 1e-9
+    rng = np.random.default_rng(0)
+    anywhere = (x[surface[rng.integers(len(surface), size=3000)]] * rng.dirichlet([1, 1, 1], 3000)[..., None]).sum(1)
+    assert np.linalg.norm(anywhere[:, None] - at[None], axis=-1).min(1).max() < 0.009
+    assert len(surface_points(x, surface, 0.002, most=700).ids) <= 700
+
+
+def test_skin_is_what_the_cage_adds_to_the_visible_surface():
+    grid = sphere_grid(48, dtype=np.float32)
+    x = 0.33 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], np.float64)
+    points = surface_points(x, np.array([[0, 1, 2], [0, 2, 3]]), 1.0)
+    assert_allclose(skin(points, x, grid), 0.03, atol=2e-3)
+    assert (skin(points, x, None) == 0).all()

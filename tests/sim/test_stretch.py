@@ -1,0 +1,120 @@
+"""Two hands in transform mode: a body follows both, with its size; what they leave is to be rescaled, and is."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.sample_meshes import box
+from core.material import Material
+from scenes.scene import Box, Hand
+from sim.hands.two_hand_scaling import LEAST, MOST, turn_between
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
+DT, SIDE = 1 / 60, 0.06
+X, TETS, SURFACE = box((SIDE,) * 3, (3, 3, 3))
+BESIDE = SIDE / 2 + 0.005
+
+
+@pytest.fixture(scope="module")
+def solver(ti_cpu):
+    """Two cubes on a table, in the hands of an editor."""
+    cubes = [SoftBody(f"cube{k}", X - SIDE / 2, TETS, SURFACE, SOFT, position=(0.2 * k, SIDE / 2, 0)) for k in range(2)]
+    return Solver(cubes, [Box((0, -0.05, 0), (0.5, 0.05, 0.5))], interaction="transform", room=6.0)
+
+
+@pytest.fixture(autouse=True)
+def begin(solver):
+    solver.reset()
+    if (size := np.ptp(solver.x.to_numpy()[: len(X), 0])) != SIDE:
+        solver.rescale(0, SIDE / size)
+    solver.reset()
+    solver.interaction = "transform"
+
+
+def hold(solver, left, right, grips=(True, True)):
+    """One frame with the hands at these places; where the first cube is then."""
+    hands = [Hand(tuple(p), grip=g, reach=0.02) for p, g in zip((left, right), grips, strict=True)]
+    solver.step(DT, hands)
+    return solver.x.to_numpy()[: len(X)]
+
+
+def gripped(solver):
+    """Both hands on the sides of the first cube."""
+    a, b = np.array([-BESIDE, SIDE / 2, 0]), np.array([BESIDE, SIDE / 2, 0])
+    hold(solver, a, b, (False, False))
+    x = hold(solver, a, b)
+    assert solver._constraints[0].gripped() == [0, 0]
+    return a, b, x
+
+
+def test_a_body_grows_with_the_distance_of_two_hands_about_their_middle(solver):
+    a, b, x = gripped(solver)
+    after = hold(solver, 1.5 * (a - [0, SIDE / 2, 0]) + [0, 0.1, 0], 1.5 * (b - [0, SIDE / 2, 0]) + [0, 0.1, 0])
+    assert_allclose(after, 1.5 * (x - [0, SIDE / 2, 0]) + [0, 0.1, 0], atol=1e-6)
+    assert solver.stretched() is None  # not yet
+    other = solver.x.to_numpy()[len(X) : 2 * len(X)]
+    assert_allclose(other.mean(0), [0.2, SIDE / 2, 0], atol=1e-3)
+
+
+def test_it_turns_with_the_line_between_them(solver):
+    a, b, x = gripped(solver)
+    m = 0.5 * (a + b)
+    after = hold(solver, m + [0, -BESIDE, 0], m + [0, BESIDE, 0])
+    r = x - m
+    assert_allclose(after, m + np.stack([-r[:, 1], r[:, 0], r[:, 2]], 1), atol=1e-6)
+
+
+@pytest.mark.parametrize("keeps", [(False, False), (True, False)])
+def test_the_rescaled_body_is_where_the_preview_was(solver, keeps):
+    """About its foot if both hands let go, about its centre of mass if one holds on."""
+    a, b, x = gripped(solver)
+    seen = hold(solver, a + [-0.02, 0.05, 0.01], b + [0.03, 0.05, 0.0])
+    after = hold(solver, a + [-0.02, 0.05, 0.01], b + [0.03, 0.05, 0.0], keeps)
+    edge = lambda p: np.linalg.norm(p[1] - p[0]) / np.linalg.norm(x[1] - x[0])  # noqa: E731
+    assert_allclose(edge(after), 1.0, atol=1e-4)  # its own size
+    body, factor = solver.stretched()
+    assert body == 0 and solver.stretched() is None
+    assert_allclose(factor, edge(seen), rtol=1e-4)
+    stay = after.mean(0) if keeps[0] else np.array([after[:, 0].mean(), after[:, 1].min(), after[:, 2].mean()])
+    solver.rescale(body, factor, about=stay)
+    assert_allclose(solver.x.to_numpy()[: len(X)], seen, atol=2e-4)
+
+
+def test_a_trembling_hand_rescales_nothing(solver):
+    a, b, _ = gripped(solver)
+    hold(solver, a - [0.0003, 0, 0], b)
+    hold(solver, a, b, (False, False))
+    assert solver.stretched() is None
+
+
+def test_sizes_are_bounded(solver):
+    a, b, _ = gripped(solver)
+    wide = hold(solver, a - [0.9, 0, 0], b)
+    assert_allclose(np.ptp(wide[:, 0]), MOST * SIDE, rtol=1e-3)
+    narrow = hold(solver, b, b)
+    assert_allclose(np.ptp(narrow, axis=0).max(), LEAST * SIDE, rtol=0.01)
+    assert np.isfinite(narrow).all()
+
+
+def test_physics_never_sees_a_preview(solver):
+    a, b, _ = gripped(solver)
+    hold(solver, a - [0.05, 0, 0], b)
+    solver.interaction = "physics"
+    x = hold(solver, a - [0.05, 0, 0], b, (False, False))
+    assert_allclose(np.ptp(x, axis=0), SIDE, rtol=0.05)
+    assert solver.stretched() is not None
+    assert solver.stats["finite"]
+
+
+def test_the_shortest_turn():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a, b = rng.normal(size=(2, 3))
+        a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+        for to in (b, a, -a):
+            R = turn_between(a, to)
+            assert_allclose(R @ a, to, atol=1e-4)
+            assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
+            assert np.linalg.det(R) > 0

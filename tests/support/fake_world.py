@@ -1,0 +1,206 @@
+"""A world of one ball before a coloured sky, cheap enough to test displays with.
+
+Run as a program it opens the real window on it and writes what each frame asked for, one JSON a line:
+    python tests/support/fake_world.py LOG.jsonl [--width W] [--height H] [--frames N] [--no-vsync]
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import taichi as ti
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from display.timing import Timings
+from scenes.scene import BodyState, Light, Scene
+
+RADIUS = 0.3  # [m]
+RED = (230, 60, 50)
+vec3 = ti.types.vector(3, ti.f32)
+
+
+class BallGame:
+    """Scores once the ball has left its place."""
+
+    def __init__(self):
+        self.reset()
+
+    def reset(self) -> None:
+        self.score, self.message = 0, "Throw the red ball."
+
+    def update(self, time, bodies) -> None:
+        if np.linalg.norm(bodies[0].centroid) > 0.5:
+            self.score, self.message = 1, "Well thrown!"
+
+    def hands(self, time, bodies) -> list:
+        return []
+
+    def verify(self, bodies) -> None:
+        assert self.score == 1
+
+
+def fake_scene() -> Scene:
+    """Camera 3 m in front of the ball, which is at the origin."""
+    return Scene(
+        bodies=[], light=Light(position=(1.0, 2.0, 1.5)), eye=(0.0, 0.0, 3.0), target=(0.0, 0.0, 0.0), game=BallGame()
+    )
+
+
+@ti.kernel
+def paint(
+    picture: ti.types.ndarray(ti.u32, ndim=2),
+    view: ti.i32,
+    height: ti.i32,
+    eye: vec3,
+    right: vec3,
+    down: vec3,
+    forward: vec3,
+    fx: ti.f32,
+    fy: ti.f32,
+    ball: vec3,
+    light: vec3,
+):
+    """Ray cast: sky coloured by direction, ball shaded by the angle to the light."""
+    for i, j in ti.ndrange(height, picture.shape[1]):
+        x = (j + 0.5 - 0.5 * picture.shape[1]) / fx
+        y = (i + 0.5 - 0.5 * height) / fy
+        d = (x * right + y * down + forward).normalized()
+        colour = 255.0 * ti.math.clamp(vec3(0.3 + 0.25 * d.x, 0.45 + 0.3 * d.y, 0.6 + 0.2 * d.z), 0.0, 1.0)
+        b = d.dot(eye - ball)
+        root = b * b - (eye - ball).dot(eye - ball) + RADIUS * RADIUS
+        if root > 0 and -b - ti.sqrt(root) > 0:
+            n = (eye + (-b - ti.sqrt(root)) * d - ball) / RADIUS
+            colour = (0.4 + 0.6 * ti.max(n.dot((light - ball).normalized()), 0.0)) * vec3(RED)
+        r, g, a = ti.cast(colour.x, ti.u32), ti.cast(colour.y, ti.u32), ti.cast(colour.z, ti.u32)
+        picture[view * height + i, j] = r | (g << ti.u32(8)) | (a << ti.u32(16)) | ti.u32(4278190080)
+
+
+class FakeWorld:
+    """What a display needs of `World`: the ball hangs still, follows a hand, flies on when thrown."""
+
+    def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
+        self.scene, self.light, self.views = scene, scene.light, views
+        self.timings, self.paused, self.interaction, self.moving = Timings(), False, "physics", False
+        self.steps, self.selected, self.notice = 0, None, ""
+        self.resize(width, height)
+        self._reset()
+
+    def _reset(self) -> None:
+        self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
+        self.scene.game.reset()
+
+    def resize(self, width: int, height: int) -> None:
+        self.picture = ti.ndarray(ti.u32, (self.views * height, width))
+        self.renderer_size = (width, height)
+
+    def apply(self, commands: dict) -> None:
+        if commands.get("reset"):
+            self._reset()
+        self.light = commands.get("light", self.light)
+        self.interaction = commands.get("interaction", self.interaction)
+        self.paused = commands.get("pause", self.paused)
+
+    def step(self, frame) -> None:
+        self.apply(frame.commands)
+        if not self.paused or frame.commands.get("step"):
+            with self.timings.stage("simulate"):
+                self._move(frame)
+        height = self.renderer_size[1]
+        with self.timings.stage("render"):
+            for view, camera in enumerate(frame.cameras):
+                assert (camera.width, camera.height) == self.renderer_size
+                rows = camera.world_to_camera[:3, :3]
+                axes = [vec3(*row) for row in rows]
+                eye, ball, light = vec3(*camera.position), vec3(*self.ball), vec3(*self.light.position)
+                paint(self.picture, view, height, eye, *axes, camera.fx, camera.fy, ball, light)
+
+    def _move(self, frame) -> None:
+        self.steps += 1
+        grip = [hand for hand in frame.hands if hand.grip]
+        if grip and self._held is None and np.linalg.norm(grip[0].position - self.ball) <= RADIUS + grip[0].reach:
+            self._held = self.ball - grip[0].position
+        if not grip:
+            self._held = None
+        if self._held is not None:
+            goal = np.array(grip[0].position) + self._held
+            self.velocity = (goal - self.ball) / max(frame.dt, 1e-6)
+            self.ball = goal
+        else:
+            self.ball = self.ball + self.velocity * frame.dt
+        self.moving = bool(np.any(self.velocity))
+        self.scene.game.update(frame.time, self.bodies())
+
+    def pick(self, origin, direction):
+        b = direction @ (origin - self.ball)
+        root = b * b - (origin - self.ball) @ (origin - self.ball) + RADIUS**2
+        return (-b - np.sqrt(root), 0) if root > 0 and -b - np.sqrt(root) > 0 else None
+
+    def bodies(self) -> list[BodyState]:
+        low, high = self.ball - RADIUS, self.ball + RADIUS
+        up = np.array([0.0, 1.0, 0.0])
+        return [BodyState("ball", self.ball, self.velocity, low, high, up, self._held is not None)]
+
+    @property
+    def score(self) -> int:
+        return self.scene.game.score
+
+    @property
+    def message(self) -> str:
+        return self.scene.game.message
+
+    def stats(self) -> dict:
+        counts = {"gaussians": 1_234_567, "vertices": 2000, "tets": 8123, "substeps": 17, "dt": 1e-3}
+        return {**counts, "score": self.score, "finite": bool(np.isfinite(self.ball).all())}
+
+
+def main() -> None:
+    """Open the window and log its frames."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("log")
+    parser.add_argument("--width", type=int, default=960)
+    parser.add_argument("--height", type=int, default=540)
+    parser.add_argument("--frames", type=int, default=10**9)
+    parser.add_argument("--no-vsync", action="store_true")
+    args = parser.parse_args()
+    from display.window.window import Window
+
+    ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True)
+    scene = fake_scene()
+    with Window(scene, title="Ball", width=args.width, height=args.height, vsync=not args.no_vsync) as window:
+        world = FakeWorld(scene, width=window.size[0], height=window.size[1])
+        with open(args.log, "w", encoding="utf-8", buffering=1) as log:
+            for frame in window.frames():
+                world.step(frame)
+                window.present(world)
+                log.write(json.dumps(record(frame, world)) + "\n")
+                if world.steps >= args.frames:
+                    break
+    print(json.dumps({"fps": world.timings.fps, **world.timings.as_dict()}))
+
+
+def record(frame, world) -> dict:
+    """One frame for the log."""
+    hand = frame.hands[0] if frame.hands else None
+    return {
+        "dt": frame.dt,
+        "eye": frame.cameras[0].position.tolist(),
+        "forward": frame.cameras[0].world_to_camera[2, :3].tolist(),
+        "size": world.renderer_size,
+        "hand": list(hand.position) if hand else None,
+        "grip": hand is not None and hand.grip,
+        "ball": world.ball.tolist(),
+        "speed": float(np.linalg.norm(world.velocity)),
+        "held": world._held is not None,
+        "commands": {k: v if isinstance(v, (bool, str)) else str(v) for k, v in frame.commands.items()},
+        "paused": world.paused,
+        "interaction": world.interaction,
+        "steps": world.steps,
+        "light": world.light.position,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""One Taichi runtime after another in a process."""
+
+import gc
+from contextlib import contextmanager
+
+
+@contextmanager
+def runtime(arch: str = "cpu", **options):
+    """Taichi, started anew on "cpu" or "cuda", with further options of ti.init.
+
+    What of a runtime is freed only once there is another takes memory of that one with it, and kernels crash. Solvers
+    are full of cycles, so it is the garbage collector that frees them: here, between two runtimes.
+    """
+    import taichi as ti
+
+    from core.runtime import quicken
+
+    _end(ti)
+    backend = {"cpu": ti.cpu, "cuda": ti.cuda}[arch]
+    ti.init(arch=backend, default_fp=ti.f32, random_seed=0, offline_cache=True, log_level=ti.WARN, **options)
+    quicken()
+    yield ti
+    _end(ti)
+
+
+def _end(ti) -> None:
+    ti.reset()
+    gc.collect()

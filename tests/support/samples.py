@@ -1,0 +1,50 @@
+"""Small made-up inputs that several test files use."""
+
+import numpy as np
+
+from assets.gaussians import SH_COUNTS, Gaussians
+from core.errors import BadInput
+
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+
+
+def some_gaussians(n: int = 30, degree: int = 3, seed: int = 0) -> Gaussians:
+    """Random Gaussians with centres within some metres and sizes of some centimetres."""
+    rng = np.random.default_rng(seed)
+    return Gaussians.of(
+        rng.normal(size=(n, 3)),
+        rng.normal(size=(n, 4)),
+        rng.normal(-3, 1, size=(n, 3)),
+        rng.normal(size=n),
+        rng.normal(0, 0.3, size=(n, SH_COUNTS[degree], 3)),
+    )
+
+
+def damaged(good: bytes, trials: int, seed: int = 0):
+    """Copies of a file with truncations (each fourth) or one to three flipped bits."""
+    rng = np.random.default_rng(seed)
+    for trial in range(trials):
+        data = bytearray(good)
+        if trial % 4 == 0:
+            data = data[: rng.integers(0, len(good))]
+        else:
+            for at in rng.integers(0, len(good), 1 + trial % 3):
+                data[at] ^= 1 << rng.integers(0, 8)
+        yield bytes(data)
+
+
+def read_or_refuse(read, path, copies) -> dict[str, int]:
+    """How many copies were read, as finite Gaussians, and how many refused in one line; fails on anything else."""
+    outcomes = {"read": 0, "refused": 0}
+    for data in copies:
+        path.write_bytes(data)
+        try:
+            g = read(path)
+        except BadInput as e:
+            assert "\n" not in str(e) and str(path) in str(e)
+            outcomes["refused"] += 1
+            continue
+        assert all(np.isfinite(getattr(g, name)).all() for name in FIELDS)
+        np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=2e-3)
+        outcomes["read"] += 1
+    return outcomes

@@ -151,9 +151,9 @@ def open_recorder(args, display):
     """What films a window; a headless display films itself."""
     if args.headless or not args.record:
         return contextlib.nullcontext()
-    from display.headless.film import Recorder
+    from display.headless.film import FilmWriter
 
-    return contextlib.closing(Recorder(args.record, *display.size))
+    return contextlib.closing(FilmWriter(args.record, *display.size))
 
 
 def prepared_body(args) -> str | None:

@@ -22,7 +22,7 @@ from bench.soak_acts import ARENA, MOST_BODIES, NODES, SIZES, Hands, Ranges, bod
 from bench.soak_watch import FRAME, Failure, Watch, inverted
 from scenes.scene import Hand, Plane
 from sim.hands.grasp import FORCE
-from sim.model import Room
+from sim.model import Capacity
 from sim.solver import Solver
 
 HANDLING, SETTLING = 6.0, 3.0  # [s]
@@ -30,7 +30,7 @@ EDITS_PER_SECOND = 0.7
 RECOVERY = (2.0, 12.0)  # [s] at least, at most
 CROSSINGS = 12.0  # of a wave through a body, in which it recovers
 GRAVITY = (0.0, -9.81, 0.0)
-ROOM = Room(
+ROOM = Capacity(
     vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MOST_BODIES * NODES**3, bodies=MOST_BODIES
 )
 

@@ -16,7 +16,7 @@ from sim.solver import LONGEST_FRAME, Solver
 UNMOVED = 1e-4  # [m]; rounding
 
 
-class Motion:
+class AnimationTargets:
     """The motion of body number `body` of a solver, where it is placed; its own clock starts at rest.
 
     vertices  of the body at rest [m], scaled as it is placed, (V, 3)
@@ -51,14 +51,14 @@ class Motion:
         matrices = self.world_from_body @ self.animation.matrices(self.time)
         self.skinning.pose(matrices, self.solver.targets, self.solver.vertex_offset[self.body])
 
-    def moved(self, by: np.ndarray, body: int | None = None) -> Motion:
+    def moved(self, by: np.ndarray, body: int | None = None) -> AnimationTargets:
         """The same motion at another place, `by` (4, 4) of an affine map of the world; also that of a copy `body`."""
         other = copy(self)
         other.world_from_body = by @ self.world_from_body
         other.body = self.body if body is None else body
         return other
 
-    def settled(self) -> Motion:
+    def settled(self) -> AnimationTargets:
         """The motion where a hand has put the body while time stood still."""
         self._pose()
         led = self.animation.vertices[self.animation.driven] + self.solver.vertex_offset[self.body]

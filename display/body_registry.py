@@ -16,13 +16,13 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import keeping_kernels
 from core.runtime import is_out_of_memory
-from render.shadow_map import Shadow
+from render.shadow_map import ShadowMap
 from scenes.scene import BodyState
 from sim.embedding import Run
-from sim.model import MAX_BODIES, NoRoom, Room
+from sim.model import MAX_BODIES, Capacity, CapacityError
 
 ROOM = 4.0  # times what the scene has: of vertices and Gaussians
-MORE = Room(bodies=MAX_BODIES, factor=ROOM)
+MORE = Capacity(bodies=MAX_BODIES, factor=ROOM)
 FULL = "There is no room for that: remove something first."
 MAKING = "Making room for more bodies: some seconds, once."
 GONE = 1e3  # [m] to the side, where the game sees what was taken away
@@ -40,7 +40,7 @@ class NotYet(Exception):
     """It will take seconds: the user should see why before it begins."""
 
 
-class Cast:
+class BodyRegistry:
     """The members in the order of the solver's bodies. `world` has solver, splats, embedding, shadow and renderer."""
 
     def __init__(self, world, first: int, *, grown: bool = False):
@@ -75,17 +75,17 @@ class Cast:
         the first time that room is wanted."""
         try:
             return edit()
-        except NoRoom as e:
+        except CapacityError as e:
             if self.grown or len(self.members) >= MAX_BODIES:
-                raise NoRoom(FULL) from e
+                raise CapacityError(FULL) from e
         if not self.announced:
             self.announced = True
             raise NotYet
         self._grow()
         try:
             return edit()
-        except NoRoom as e:
-            raise NoRoom(FULL) from e
+        except CapacityError as e:
+            raise CapacityError(FULL) from e
 
     def follow(self, members: tuple[Member, ...]) -> None:
         """Let the picture show these members where the solver has them."""
@@ -113,7 +113,7 @@ class Cast:
         self._read()
         runs = [Run(m.part, 0, 0) for m in members]
         if self._places(members)[-1] > self.world.splats.capacity or not self.world.embedding.fits(runs, self._packed):
-            raise NoRoom("no room for Gaussians")
+            raise CapacityError("no room for Gaussians")
 
     def _places(self, members: tuple[Member, ...]) -> list[int]:
         """Where the Gaussians of each begin, and where the last ones end."""
@@ -140,7 +140,7 @@ class Cast:
             made.append(splats)
             embedding = world.embedding.larger(self._packed, ROOM)
             made.append(embedding)
-            shadow = Shadow(splats, world.light, (world.shadow.begin, splats.count))
+            shadow = ShadowMap(splats, world.light, (world.shadow.begin, splats.count))
             made.append(shadow)
             renderer = world.make_renderer(splats)
         except (MemoryError, RuntimeError) as e:

@@ -16,7 +16,7 @@ from core.morton import morton_order
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Body, Scene
 from sim.contact.static_shapes import StaticGrid
-from sim.embedding import EmbeddedPart
+from sim.embedding import EmbeddedBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody
 
@@ -25,7 +25,7 @@ def load_bodies(
     scene: Scene,
 ) -> tuple[
     list[tuple[Gaussians, list[StaticGrid]]],
-    list[tuple[SoftBody | RigidBody, EmbeddedPart]],
+    list[tuple[SoftBody | RigidBody, EmbeddedBody]],
     dict[int, tuple[Body, Animation]],
 ]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
@@ -61,7 +61,7 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]
     return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
 
 
-def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedPart]:
+def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedBody]:
     """The simulated body and its Gaussians, both at rest in the body's frame."""
     if asset.cage is None or asset.embedded is None:
         raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
@@ -88,7 +88,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         pinned=led,
         loose=led is not None,
     )
-    part = EmbeddedPart(
+    part = EmbeddedBody(
         host=asset.embedded.host[order],
         weights=asset.embedded.weights[order],
         gaussians=gaussians,

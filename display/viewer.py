@@ -78,7 +78,7 @@ def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
     return Scene(bodies=[], light=None, eye=tuple(eye), target=tuple(middle), fov_y=FOV_Y, background=BACKDROP)
 
 
-class Viewing:
+class Viewer:
     """What a display needs of a world. Draws only when the camera or the picture's size has changed."""
 
     def __init__(self, gaussians: Gaussians, scene: Scene, *, width: int, height: int, sort: str = MOVING_SORT):
@@ -143,7 +143,7 @@ def run(args) -> None:
         display = Window(scene, title=Path(args.file).name, width=width, height=height)
     with display:
         start_taichi(args.arch)
-        world = Viewing(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)
+        world = Viewer(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)
         for frame in itertools.islice(display.frames(), args.frames):
             world.step(frame)
             display.present(world)

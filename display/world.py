@@ -14,21 +14,21 @@ import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
 from core.morton import morton_order
-from display.animation_targets import Motion
-from display.body_registry import MORE, ROOM, Cast
+from display.animation_targets import AnimationTargets
+from display.body_registry import MORE, ROOM, BodyRegistry
 from display.clock import Cost, moves
 from display.edit.editor import Editor
 from display.protocol import Frame
 from display.scene_bodies import load_bodies
 from display.timing import Timings
 from render.renderer import Renderer
-from render.shadow_map import Shadow
-from render.skinned_props import Props, Skin
+from render.shadow_map import ShadowMap
+from render.skinned_props import Skin, SkinnedProps
 from render.sort_modes import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import BodyState, Hand, Light, Scene
 from sim.embedding import Embedding
-from sim.model import Room
+from sim.model import Capacity
 from sim.solver import Solver
 
 SCRIPT_DT = 1 / 60  # [s]
@@ -80,7 +80,7 @@ class World:
             concatenate([still, *(s.gaussians for s in props), *(p.gaussians for _, p in moving)]),
             room=first + math.ceil(times * count),
         )
-        self.props = Props(self.splats, props, len(still)) if props else None
+        self.props = SkinnedProps(self.splats, props, len(still)) if props else None
         self._colliders = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
         self._fingers = fingers
         self.solver = self.make_solver([body for body, _ in moving], MORE if grown else None, interaction)
@@ -92,15 +92,17 @@ class World:
                 offset += len(part.gaussians)
             how = {"scheme": embedding, "with_rotation": self.splats.coefficients > 1, "room": times}
             self.embedding = Embedding(parts, **how)
-        self.motions = [Motion(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()]
-        self.shadow = Shadow(self.splats, scene.light, (casts, self.splats.count))
+        self.motions = [
+            AnimationTargets(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()
+        ]
+        self.shadow = ShadowMap(self.splats, scene.light, (casts, self.splats.count))
         self.views, self.sort, self.outputs = views, sort, "deep" if depth else "rgba8"
         self.renderer: Renderer | None = None
         self.resize(width, height)
-        self.editor = Editor(self, Cast(self, first, grown=grown))
+        self.editor = Editor(self, BodyRegistry(self, first, grown=grown))
         self.refresh()
 
-    def make_solver(self, bodies: list, room: Room | None, interaction: str | None = None) -> Solver:
+    def make_solver(self, bodies: list, room: Capacity | None, interaction: str | None = None) -> Solver:
         """A solver of the scene for these bodies."""
         scene = self.scene
         return Solver(

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from render.footprint import WINDOW_COLUMNS
-from render.prefix_sum import Scan
+from render.prefix_sum import PrefixSum
 from render.projection import Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
 
@@ -22,7 +22,7 @@ class DepthOrder:
         self.projection = projection
         capacity = projection.splats.capacity
         self.sorter = RadixSort(capacity, drop=True)
-        self.scan = Scan(capacity)
+        self.scan = PrefixSum(capacity)
         self.pairs = self.scan.total
         self.first_pair = ti.field(ti.i32)
         builder = ti.FieldsBuilder()
@@ -49,7 +49,7 @@ class DepthOrder:
 
 
 @ti.data_oriented
-class Bins:
+class TileBins:
     """Room for `capacity` pairs, sorted by tile; within a tile they stay in depth order.
 
     `begin[t]..end[t]` of `members`, i64 of (t, Gaussian), belong to tile t; tiles of all views are numbered

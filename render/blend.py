@@ -6,7 +6,7 @@ alpha_i = min(0.999, o_i exp(-0.5 d^T Sigma_2D^-1 d)).                    Kerbl 
 
 import taichi as ti
 
-from render.binning import Bins
+from render.binning import TileBins
 from render.footprint import STEPS
 from render.radix_sort import value_of
 
@@ -43,7 +43,7 @@ def exp2(x: ti.f32) -> ti.f32:
 class Blend:
     """Draws binned splats; `with_color` and `with_depth` say which sums are wanted, the others stay 0."""
 
-    def __init__(self, bins: Bins, *, with_color: bool, with_depth: bool):
+    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool):
         self.bins = bins
         projection = bins.projection
         self.place, self.conic = projection.place, projection.conic

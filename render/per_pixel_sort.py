@@ -7,7 +7,7 @@ the window has is put right.                                      Radl 2024 (Sto
 
 import taichi as ti
 
-from render.binning import Bins
+from render.binning import TileBins
 from render.blend import ACROSS, ALPHA_MAX, BATCH, CELL, CELL_BITS, CHECK, CPU_TILE, GPU_TILE, OPAQUE, QUAD, Blend, exp2
 from render.footprint import STEPS
 from render.radix_sort import value_of
@@ -19,7 +19,7 @@ NEAREST = 1e30  # [1/m] of places in the window that hold nothing: they leave fi
 
 
 @ti.data_oriented
-class Resort(Blend):
+class PerPixelSort(Blend):
     """Draws binned splats as `Blend` does, but each pixel in the order of its own ray, within `window` splats.
 
     A place in the window is (near, veil, name): 1/z where the ray meets the splat, its alpha, which Gaussian.
@@ -27,7 +27,7 @@ class Resort(Blend):
     and the first of them leaves.
     """
 
-    def __init__(self, bins: Bins, *, with_color: bool, with_depth: bool, window: int = WINDOW):
+    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, window: int = WINDOW):
         super().__init__(bins, with_color=with_color, with_depth=with_depth)
         self.window = window
 

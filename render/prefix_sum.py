@@ -40,7 +40,7 @@ def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
 
 
 @ti.data_oriented
-class Scan:
+class PrefixSum:
     """Prefix sums over up to `capacity` items.
 
     Each chunk is summed, the sums are scanned, each chunk is scanned from its offset. A sum that

@@ -6,9 +6,9 @@ import taichi as ti
 from core.camera import Camera
 from core.errors import BadInput
 from core.fields import keeping_kernels
-from render.binning import Bins, DepthOrder
+from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, Blend
-from render.per_pixel_sort import WINDOW, Resort
+from render.per_pixel_sort import WINDOW, PerPixelSort
 from render.projection import Projection
 from render.splats import Splats
 
@@ -18,7 +18,7 @@ MOST_PAIRS = 1 << 28  # 4 GiB of sort buffers
 
 
 @ti.data_oriented
-class Raster:
+class Rasterizer:
     """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see Blend.draw)."""
 
     def __init__(
@@ -39,7 +39,7 @@ class Raster:
         self.splats, self.sink = splats, sink
         self.blend, self.wants = Blend, {"with_color": color, "with_depth": depth}
         if sort == "pixel":
-            self.blend, self.wants = Resort, {**self.wants, "window": window}
+            self.blend, self.wants = PerPixelSort, {**self.wants, "window": window}
         self.projection = Projection(
             splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
         )
@@ -55,7 +55,7 @@ class Raster:
             with keeping_kernels():
                 self.stage.bins.destroy()
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
-        self.stage = DrawStage(self.blend(Bins(self.order, capacity), **self.wants), self.sink)
+        self.stage = TilePass(self.blend(TileBins(self.order, capacity), **self.wants), self.sink)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
@@ -101,7 +101,7 @@ class Raster:
 
 
 @ti.data_oriented
-class DrawStage:
+class TilePass:
     """The kernels that know the room for pairs; a larger room is a new object, compiled anew."""
 
     def __init__(self, blend: Blend, sink):

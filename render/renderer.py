@@ -5,7 +5,7 @@ import taichi as ti
 
 from core.camera import Camera
 from render.per_pixel_sort import WINDOW
-from render.rasterizer import Raster
+from render.rasterizer import Rasterizer
 from render.splats import Splats
 
 NEAR, FAR = 0.2, 100.0  # [m] of a depth of 0 and of 1; what is nearer counts as at NEAR
@@ -115,7 +115,7 @@ class Renderer:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
         how = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "window": window}
-        self.raster = Raster(splats, width, height, views=views, sink=self.sink, **how)
+        self.raster = Rasterizer(splats, width, height, views=views, sink=self.sink, **how)
 
     def resize(self, width: int, height: int) -> None:
         """Draw another size [px] from now on; not for outputs="float". `picture` is a new array."""

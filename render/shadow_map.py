@@ -9,7 +9,7 @@ import taichi as ti
 from core.camera import look_at
 from render.footprint import clamp
 from render.projection import NEAR, vec3, vec4
-from render.rasterizer import Raster
+from render.rasterizer import Rasterizer
 from render.splats import Splats
 from scenes.scene import Light
 
@@ -40,7 +40,7 @@ class DepthMap:
 
 
 @ti.data_oriented
-class Shadow:
+class ShadowMap:
     """Writes `splats.light`, 1 - strength (1 - visibility), when `cast()` is called.
 
     Gaussians [begin, end) = `dynamic` move; `end` may change. The map of static casters is drawn once per light, in
@@ -59,7 +59,7 @@ class Shadow:
         if self.end != splats.count:
             raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
         self.map = DepthMap(resolution)
-        self.raster = Raster(splats, resolution, resolution, views=1, sink=self.map, color=False)
+        self.raster = Rasterizer(splats, resolution, resolution, views=1, sink=self.map, color=False)
         self.lens = ti.Vector.field(4, ti.f32)  # of each layer, as Projection.camera
         self.low, self.high = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)  # box of what moves [m]
         self.exposed = ti.field(ti.f32)  # 1 where no static thing hides a static Gaussian from the light

@@ -37,7 +37,7 @@ class Skin:
 
 
 @ti.data_oriented
-class Props:
+class SkinnedProps:
     """Moves the Gaussians of skins, which lie one after the other in the splats from `begin` on. Their parts are
     numbered across all of them."""
 

@@ -12,12 +12,12 @@ from core.errors import BadInput
 from core.fields import Download, Upload
 from core.material import Material
 from core.rotation import matrices_from_quaternions, quaternion_from_matrix
-from sim.body_model import Part, motion
-from sim.kinematic_targets import Driven
-from sim.model import Assembly
-from sim.recovery import Rescue
+from sim.body_model import BodyModel, motion
+from sim.kinematic_targets import KinematicTargets
+from sim.model import Model
+from sim.recovery import NonFiniteRecovery
 from sim.reductions import best_rotation
-from sim.rigid.rigid_bodies import Movers
+from sim.rigid.rigid_bodies import RigidBodies
 from sim.soft_body import SoftBody
 
 ASIDE = 0.01  # [m] between a body and its copy
@@ -29,10 +29,10 @@ class Editing:
     BadInput, and nothing has changed, if a body cannot be simulated or there is no room for it.
     """
 
-    _parts: list[Part]
-    _movers: Movers | None
-    _driven: Driven
-    _rescue: Rescue
+    _parts: list[BodyModel]
+    _movers: RigidBodies | None
+    _driven: KinematicTargets
+    _rescue: NonFiniteRecovery
 
     @property
     def _bodies(self) -> list[SoftBody]:
@@ -44,7 +44,7 @@ class Editing:
 
     def add(self, body: SoftBody) -> int:
         """A further body, at its start; its index."""
-        part = Part.of(body, self._parts)
+        part = BodyModel.of(body, self._parts)
         self._change([*self._parts, part], [*self._motions(), part.start], self._grips())
         return len(self._parts) - 1
 
@@ -148,7 +148,7 @@ class Editing:
             high = value.astype(np.float32)
             values += [high, snapshot.get(low, value - high)]
         if parts != self._parts:
-            self._load(Assembly(parts))
+            self._load(Model(parts))
         if not editing:
             self._mending.hold(snapshot.get("mending", np.zeros((4, len(parts)))))
         self._write(values)
@@ -158,11 +158,11 @@ class Editing:
         self._transform.reset(held=editing)
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[BodyModel, ...]:
         """The bodies that there are, with their shapes."""
         return tuple(self._parts)
 
-    def reset(self, parts: tuple[Part, ...] | None = None) -> None:
+    def reset(self, parts: tuple[BodyModel, ...] | None = None) -> None:
         """All bodies, or those that these `parts` were, back at their starts; grips and contacts are forgotten."""
         parts = self._parts if parts is None else list(parts)
         self._change(parts, [p.start for p in parts], [])
@@ -197,7 +197,7 @@ class Editing:
     def _grips(self) -> list:
         return [c.grips() for c in self._constraints]
 
-    def _change(self, parts: list[Part], motions: list[np.ndarray], grips: list) -> None:
+    def _change(self, parts: list[BodyModel], motions: list[np.ndarray], grips: list) -> None:
         values = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
         state = dict(zip(("x", "carry", "v", "v_carry"), values, strict=True))
         self.restore({**state, "bodies": tuple(parts), "grips": tuple(grips)}, editing=True)

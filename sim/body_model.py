@@ -117,14 +117,14 @@ class RestShape:
         return n * np.sign(n[np.argmax(np.abs(n))])
 
 
-class Part:
+class BodyModel:
     """A body of the solver, its shape, and what both give with its material."""
 
     def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
         self.body, self.shape = body, shape
 
     @classmethod
-    def of(cls, body: SoftBody | RigidBody, others: list[Part]) -> Part:
+    def of(cls, body: SoftBody | RigidBody, others: list[BodyModel]) -> BodyModel:
         """A checked body; it shares the shape of another one with the same mesh."""
         shape = next((p.shape for p in others if p.shape.fits(body)), None)
         body.check()
@@ -164,20 +164,20 @@ class Part:
         v = self.body.start_velocities()
         return motion(self.body.start(), v if self.body.rigid else np.where(self.w[:, None] > 0.0, v, 0.0))
 
-    def with_material(self, material: Material) -> Part:
-        return Part(self.body.of_material(material), self.shape)
+    def with_material(self, material: Material) -> BodyModel:
+        return BodyModel(self.body.of_material(material), self.shape)
 
-    def placed(self, rotation, position) -> Part:
+    def placed(self, rotation, position) -> BodyModel:
         """The same body with another start."""
-        return Part(replace(self.body, rotation=rotation, position=position), self.shape)
+        return BodyModel(replace(self.body, rotation=rotation, position=position), self.shape)
 
-    def scaled(self, factor: float) -> Part:
+    def scaled(self, factor: float) -> BodyModel:
         """The body `factor` times as large, its start scaled about its centre of mass."""
         shape = self.shape.scaled(factor)
         old = np.average(self.body.start(), axis=0, weights=self.mass)
         body = replace(self.body, vertices=shape.vertices, sdf=shape.sdf)
         shift = old - np.average(body.start(), axis=0, weights=self.mass)
-        return Part(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
+        return BodyModel(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
 
 
 def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:

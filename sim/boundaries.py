@@ -10,17 +10,17 @@ import numpy as np
 
 from core.errors import BadInput
 from scenes.scene import IDENTITY
-from sim.body_model import Part
-from sim.kinematic_targets import Driven
-from sim.rigid.rigid_bodies import Movers
+from sim.body_model import BodyModel
+from sim.kinematic_targets import KinematicTargets
+from sim.rigid.rigid_bodies import RigidBodies
 
 
 class Boundaries:
     """Part of the Solver."""
 
-    _parts: list[Part]
-    _movers: Movers | None
-    _driven: Driven
+    _parts: list[BodyModel]
+    _movers: RigidBodies | None
+    _driven: KinematicTargets
 
     def drive(self, body: int, position, rotation=IDENTITY) -> None:
         """Where a kinematic rigid body is at the end of the next frame: x = R(rotation) rest + position."""

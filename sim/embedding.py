@@ -7,7 +7,7 @@ import taichi as ti
 
 from core.fields import round_up_capacity
 from core.quaternion import polar_quaternion
-from sim.embedding_weights import LANES, EmbeddedPart, merge, one_level, pack, two_level
+from sim.embedding_weights import LANES, EmbeddedBody, merge, one_level, pack, two_level
 
 MOST_STRETCH = 4.0  # of a Gaussian, root mean square over its axes: so far its neighbours hide the gaps
 NOTHING = {
@@ -52,7 +52,7 @@ class Embedding:
 
     def __init__(
         self,
-        parts: list[EmbeddedPart],
+        parts: list[EmbeddedBody],
         *,
         scheme: str = "two-level",
         with_rotation: bool = True,

@@ -16,7 +16,7 @@ FLATTEST = 1e-9  # 6 volumes over the longest edge cubed; below this float32 wei
 
 
 @dataclass(frozen=True)
-class EmbeddedPart:
+class EmbeddedBody:
     """The Gaussians of one body and how its cage holds them. Body frame: asset frame times scale.
 
     host           cage tet of each local corner, (N, 4)
@@ -44,7 +44,7 @@ def rest_covariances(gaussians: Gaussians) -> np.ndarray:
     return S[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
-def two_level(part: EmbeddedPart, rows: slice, locator: Locator | None):
+def two_level(part: EmbeddedBody, rows: slice, locator: Locator | None):
     """Vertices (n, 16), weights m (n, 16) and gradients g [1/m] (n, 16, 3) of the local tetrahedra."""
     vertex = part.tets[part.host[rows]]
     W = np.asarray(part.weights[rows], np.float64)
@@ -66,7 +66,7 @@ def two_level(part: EmbeddedPart, rows: slice, locator: Locator | None):
     return vertex.reshape(len(W), 16), m, g
 
 
-def one_level(part: EmbeddedPart, rows: slice, locator: Locator):
+def one_level(part: EmbeddedBody, rows: slice, locator: Locator):
     """The same of the single tet that holds the centre, or the nearest: (n, 4), (n, 4), (n, 4, 3)."""
     means = np.asarray(part.gaussians.means[rows], np.float64)
     host = locator.find(means)
@@ -76,7 +76,7 @@ def one_level(part: EmbeddedPart, rows: slice, locator: Locator):
     return locator.tets[host], locator.weights(host, means), locator.gradients(host)
 
 
-def merge(part: EmbeddedPart, collect) -> tuple[np.ndarray, ...]:
+def merge(part: EmbeddedBody, collect) -> tuple[np.ndarray, ...]:
     """Sum up the entries of equal vertices: row (E,) ascending, vertex (E,), factors (E, 4) = (g, m)."""
     locator = Locator(part.rest, part.tets) if collect is one_level else None
     found = []
@@ -93,7 +93,7 @@ def merge(part: EmbeddedPart, collect) -> tuple[np.ndarray, ...]:
     return tuple(np.concatenate(a) for a in zip(*found, strict=True))
 
 
-def pack(part: EmbeddedPart, row: np.ndarray, vertex: np.ndarray, factors: np.ndarray) -> dict:
+def pack(part: EmbeddedBody, row: np.ndarray, vertex: np.ndarray, factors: np.ndarray) -> dict:
     """Lay the entries out in slices of LANES Gaussians, slot by slot: a sorted, sliced ELLPACK matrix."""
     n = len(part.gaussians)
     # The anchor, the vertex of the largest weight, needs no factors: the weights sum to 1, the gradients to 0.

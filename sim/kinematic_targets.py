@@ -11,7 +11,7 @@ from sim.state import State
 
 
 @ti.data_oriented
-class Driven:
+class KinematicTargets:
     """target vec3[V] [m]: where each vertex is to be;   wanted i32[V]: 1 if it is driven in this frame."""
 
     def __init__(self, state: State):

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from core.errors import BadInput
-from sim.body_model import Part
+from sim.body_model import BodyModel
 from sim.elastic.time_step import lame
 
 REACH = 0.5  # of an edge; a vertex that crosses more in a substep has lost its elements (5e4 Pa: at 30-100 m/s)
@@ -26,7 +26,7 @@ class Sizes:
 
 
 @dataclass(frozen=True)
-class Room:
+class Capacity:
     """How much the solver's fields hold, which cannot grow: the first bodies `factor` times, and at least these totals.
 
     samples: points of contact; nodes: of the bodies' distance grids, each different one counted once. Kernels are
@@ -44,9 +44,9 @@ class Room:
     rigid: bool = False
 
     @classmethod
-    def of(cls, room: Room | float | None) -> Room:
+    def of(cls, room: Capacity | float | None) -> Capacity:
         """A factor as a Room for as many bodies as there can be; None: nothing but what rounding up leaves."""
-        if isinstance(room, Room):
+        if isinstance(room, Capacity):
             return room
         return cls() if room is None else cls(bodies=MAX_BODIES, factor=float(room))
 
@@ -57,23 +57,23 @@ class Room:
     @property
     def grows(self) -> bool:
         """Whether more may come than is there at first."""
-        return self != Room()
+        return self != Capacity()
 
 
-class NoRoom(BadInput):
+class CapacityError(BadInput):
     """What the fields hold does not suffice."""
 
 
 def fit(what: str, need: int, capacity: int) -> None:
     """NoRoom if `need` things do not fit."""
     if need > capacity:
-        raise NoRoom(f"no room for {need} {what}: there is room for {capacity} (see Room)")
+        raise CapacityError(f"no room for {need} {what}: there is room for {capacity} (see Room)")
 
 
-class Assembly:
+class Model:
     """Bodies in the order of their indices, with the offsets of each among all vertices, tets and triangles, (B+1,)."""
 
-    def __init__(self, parts: list[Part]):
+    def __init__(self, parts: list[BodyModel]):
         self.parts = list(parts)
         shapes = [p.shape for p in parts]
         self.vertex_begin = ends([len(s.vertices) for s in shapes])

@@ -18,7 +18,7 @@ STRANGE, BROKEN = 1, 2  # states of a body
 
 
 @ti.data_oriented
-class Rescue:
+class NonFiniteRecovery:
     """good vec3[V] [m]: where the vertices last were in good order;   mark i32[B] of each body;   count i32[]"""
 
     def __init__(self, state: State):

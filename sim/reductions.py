@@ -5,8 +5,8 @@ import taichi as ti
 
 from core.fields import Upload
 from scenes.scene import BodyState
-from sim.elastic.damping import Chunks
-from sim.model import MAX_BODIES, Assembly, stacked
+from sim.elastic.damping import ReductionBlocks
+from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
 
 FAR = 3.0e38  # larger than any distance, finite in float32
@@ -23,10 +23,10 @@ def finite(a) -> ti.i32:
 
 
 @ti.data_oriented
-class Summary:
+class Reductions:
     """`bodies()`, `moved()`, `pick()` of the solver."""
 
-    def __init__(self, state: State, chunks: Chunks):
+    def __init__(self, state: State, chunks: ReductionBlocks):
         self.state, self.chunks = state, chunks
         self.builder = ti.FieldsBuilder()
         self.rest_center, self.last = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
@@ -40,7 +40,7 @@ class Summary:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rest_center])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Tell of these bodies."""
         self.names = [p.body.name for p in assembly.parts]
         self.driven = [p.body.pinned is not None for p in assembly.parts]

@@ -10,22 +10,22 @@ from core.errors import BadInput
 from core.fields import destroy_fields
 from scenes.scene import BodyState, Hand
 from sim.body_editing import Editing
-from sim.body_model import Part
+from sim.body_model import BodyModel
 from sim.boundaries import Boundaries
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
-from sim.elastic.damping import Chunks, Damping
-from sim.elastic.energy import Elastic
+from sim.elastic.damping import Damping, ReductionBlocks
+from sim.elastic.energy import Elasticity
 from sim.elastic.time_step import LIMIT, Plan, choose_plan
-from sim.elastic.untangling import Mending
-from sim.elastic.vbd import DescentSubsteps
+from sim.elastic.untangling import Untangling
+from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.xpbd import jacobi
 from sim.hands.transform import Transform
-from sim.kinematic_targets import Driven
-from sim.model import Assembly, Room
-from sim.recovery import Rescue
-from sim.reductions import Summary
-from sim.rigid.rigid_bodies import LONGEST_SUBSTEP, MOST_PASSES, PASS, Movers
+from sim.kinematic_targets import KinematicTargets
+from sim.model import Capacity, Model
+from sim.recovery import NonFiniteRecovery
+from sim.reductions import Reductions
+from sim.rigid.rigid_bodies import LONGEST_SUBSTEP, MOST_PASSES, PASS, RigidBodies
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.state import State
@@ -61,10 +61,10 @@ class Solver(Editing, Boundaries):
         self_contact: bool = True,
         frame_dt: float = 1 / 60,
         path: str = "auto",
-        room: Room | float | None = None,
+        room: Capacity | float | None = None,
         fingers: bool = False,
     ):
-        room = Room.of(room)
+        room = Capacity.of(room)
         if not bodies and not room.grows:
             raise BadInput("nothing to simulate: no body has a cage and a material")
         if collision_passes < 1:
@@ -72,24 +72,28 @@ class Solver(Editing, Boundaries):
         self._wanted = {"frame_dt": frame_dt, "path": path, "substep": substep, "iterations": iterations}
         self.collision_passes, self.interaction = collision_passes, interaction
         self.gravity = tuple(float(g) for g in gravity)
-        self._parts: list[Part] = []
+        self._parts: list[BodyModel] = []
         for b in bodies:
-            self._parts.append(Part.of(b, self._parts))
-        first = Assembly(self._parts)
-        self._movers: Movers | None = None
+            self._parts.append(BodyModel.of(b, self._parts))
+        first = Model(self._parts)
+        self._movers: RigidBodies | None = None
         self._with_rigid = first.rigid or room.rigid
         plan = self._choose(first)
         s = self.state = State(first.sizes, room)
         self.x, self.v, self.rest, self.w, self.tets, self.body_of_vertex = (
             s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
         )  # fmt: skip
-        self._elastic, self._chunks = Elastic(s), Chunks(s)
-        self._damping, self._summary, self._transform = Damping(s, self._chunks), Summary(s, self._chunks), Transform(s)
-        self._mending, self._driven = Mending(s, self._summary, self._damping), Driven(s)
-        self._rescue = Rescue(s)
+        self._elastic, self._chunks = Elasticity(s), ReductionBlocks(s)
+        self._damping, self._summary, self._transform = (
+            Damping(s, self._chunks),
+            Reductions(s, self._chunks),
+            Transform(s),
+        )
+        self._mending, self._driven = Untangling(s, self._summary, self._damping), KinematicTargets(s)
+        self._rescue = NonFiniteRecovery(s)
         if self._with_rigid:
             passes = min(max(math.ceil(plan.substep / PASS), 1), MOST_PASSES)
-            self._movers = Movers(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
+            self._movers = RigidBodies(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
             s.coupled, s.movers = True, self._movers
         options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
         options["fingers"] = fingers
@@ -101,7 +105,7 @@ class Solver(Editing, Boundaries):
         self._load(first)
         self.reset()
 
-    def _choose(self, assembly: Assembly) -> Plan:
+    def _choose(self, assembly: Model) -> Plan:
         """Path, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
         kappas = assembly.kappas
         stiffest = assembly.parts[int(np.argmax(kappas))].body.name if assembly.parts else "nothing"
@@ -115,7 +119,7 @@ class Solver(Editing, Boundaries):
         if plan.path not in self._paths:
             parts = self.state, self._elastic, self._constraints
             if plan.path == "descent":
-                substeps = DescentSubsteps(*parts, self._chunks, iterations=plan.iterations)
+                substeps = VBDSubsteps(*parts, self._chunks, iterations=plan.iterations)
             else:
                 substeps = jacobi(*parts, iterations=plan.iterations)
             self._paths[plan.path] = substeps
@@ -124,7 +128,7 @@ class Solver(Editing, Boundaries):
         if self._movers is not None:
             self._movers.iterations = plan.iterations
 
-    def _load(self, assembly: Assembly) -> None:
+    def _load(self, assembly: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
         plan = self._choose(assembly)
         self.state.check_room(assembly.sizes)

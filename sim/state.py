@@ -72,7 +72,7 @@ more launch, and equal capacities let scenes of different sizes share compiled k
 import taichi as ti
 
 from core.fields import Upload, round_up_capacity
-from sim.model import MAX_BODIES, Assembly, Room, Sizes, fit
+from sim.model import MAX_BODIES, Capacity, Model, Sizes, fit
 
 SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
 
@@ -100,7 +100,7 @@ class State:
         vertex_count, tet_count, triangle_count, body_count   i32, device copies of `sizes`
     """
 
-    def __init__(self, first: Sizes, room: Room = Room()):
+    def __init__(self, first: Sizes, room: Capacity = Capacity()):
         """Room for what is there `first` and what may come; `serial`: loops are better not spread over threads."""
         vertices, tets, triangles = (room.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
         self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and tets < SERIAL_BELOW
@@ -132,7 +132,7 @@ class State:
         self.tree = self.builder.finalize()
         self._upload: Upload | None = None
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take these bodies, of which only the motion is left to be set."""
         columns = assembly.columns()
         if self._upload is None:

@@ -9,7 +9,7 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from display.body_registry import Cast
+from display.body_registry import BodyRegistry
 from scenes.scene import BodyState
 
 GAP = 0.01  # [m] between a body and its copy
@@ -21,7 +21,7 @@ class Changes:
     """Part of the Editor. Bodies are named by their index, or None: the selected one. BadInput, and nothing has
     changed, if something cannot be."""
 
-    cast: Cast
+    cast: BodyRegistry
     selected: int | None
 
     def _index(self, k) -> int:

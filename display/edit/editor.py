@@ -5,11 +5,11 @@ from __future__ import annotations
 from time import monotonic
 
 from core.errors import BadInput
-from display.body_registry import MAKING, Cast, NotYet
+from display.body_registry import MAKING, BodyRegistry, NotYet
 from display.edit.edit_commands import Changes
 from display.edit.selection_marker import SHOWN
-from display.edit.undo_stack import History, Step
-from display.edit.world_snapshot import Moment, bring_back, moment_of, step_of
+from display.edit.undo_stack import Step, UndoStack
+from display.edit.world_snapshot import WorldSnapshot, bring_back, moment_of, step_of
 from scenes.scene import BodyState, Hand
 
 TOGETHER = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
@@ -23,8 +23,8 @@ COMMANDS = ("select", "remove", "duplicate", "rescale", "rotate", "material", "u
 class Editor(Changes):
     """Carries out the commands that change bodies. `selected`: the body that was last held or pointed out."""
 
-    def __init__(self, world, cast: Cast):
-        self.world, self.cast, self.history = world, cast, History()
+    def __init__(self, world, cast: BodyRegistry):
+        self.world, self.cast, self.history = world, cast, UndoStack()
         self.selected: int | None = None
         self._motions = tuple(world.motions)  # as the scene has them
         self._last: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
@@ -97,7 +97,7 @@ class Editor(Changes):
         if step is not None:
             self.history.add(step)
 
-    def _moment(self) -> Moment:
+    def _moment(self) -> WorldSnapshot:
         return moment_of(self.world, self.cast, self.selected)
 
     def _light_step(self) -> Step:
@@ -125,7 +125,7 @@ class Editor(Changes):
 
     # hands
 
-    def before_step(self, hands: list[Hand]) -> Moment | None:
+    def before_step(self, hands: list[Hand]) -> WorldSnapshot | None:
         """How things are, if a hand is about to close: then it may take something."""
         grips = [h is not None and h.grip for h in hands]
         before = self._gripped + [False] * len(grips)
@@ -134,7 +134,7 @@ class Editor(Changes):
             return None
         return self._moment()
 
-    def after_step(self, moment: Moment | None, before: list[BodyState], bodies: list[BodyState]) -> None:
+    def after_step(self, moment: WorldSnapshot | None, before: list[BodyState], bodies: list[BodyState]) -> None:
         """A hand that has taken something has begun an action."""
         taken = [k for k, (a, b) in enumerate(zip(before, bodies, strict=True)) if b.held and not a.held]
         if taken:

@@ -22,7 +22,7 @@ class Step:
     sizes: dict[int, int] = field(default_factory=dict)
 
 
-class History:
+class UndoStack:
     """The last actions, no more than `steps`, and of no more than `size` bytes together: the oldest are forgotten."""
 
     def __init__(self, steps: int = MOST_STEPS, size: int = MOST_BYTES):

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from display.body_registry import Cast, Member
+from display.body_registry import BodyRegistry, Member
 from display.edit.undo_stack import Step
 
 
 @dataclass(frozen=True)
-class Moment:
+class WorldSnapshot:
     """Everything of a running world but its light and its settings."""
 
     solver: dict
@@ -24,16 +24,16 @@ class Moment:
     selected: int | None
 
 
-def moment_of(world, cast: Cast, selected: int | None) -> Moment:
+def moment_of(world, cast: BodyRegistry, selected: int | None) -> WorldSnapshot:
     """How things are now; hands count as open."""
     world.settle()
     snapshot = {**world.solver.snapshot(), "grips": ()}
     game = {} if world.scene.game is None else deepcopy(vars(world.scene.game))
     motions = tuple((m, m.time) for m in world.motions)
-    return Moment(snapshot, cast.members, motions, world.time, world.owed, game, selected)
+    return WorldSnapshot(snapshot, cast.members, motions, world.time, world.owed, game, selected)
 
 
-def bring_back(moment: Moment, world, cast: Cast) -> None:
+def bring_back(moment: WorldSnapshot, world, cast: BodyRegistry) -> None:
     """Let everything be as it was then."""
     cast.with_room(lambda: world.solver.restore(moment.solver))
     world.motions = [motion for motion, _ in moment.motions]
@@ -46,7 +46,7 @@ def bring_back(moment: Moment, world, cast: Cast) -> None:
     world.refresh()
 
 
-def step_of(action: str, moment: Moment) -> Step:
+def step_of(action: str, moment: WorldSnapshot) -> Step:
     """The moment as a step of the history, with what it takes."""
     sizes = {id(a): a.nbytes for a in moment.solver.values() if isinstance(a, np.ndarray)}
     for part in moment.solver["bodies"]:

@@ -10,7 +10,7 @@ from display.picture import pixels_of
 FPS = 30.0
 
 
-class Recorder:
+class FilmWriter:
     """An MP4 of `width` x `height` [px] at 30 frames a second; complete after `close`. Raises BadInput."""
 
     def __init__(self, path: str | Path, width: int, height: int):

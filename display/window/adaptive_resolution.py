@@ -9,7 +9,7 @@ SETTLE = 4  # frames at a level before the next decision: the first one after a 
 BLEND = 0.3  # weight of the latest frame in the mean
 
 
-class Quality:
+class AdaptiveResolution:
     """`share` after each frame's `note`. What was found out about the machine is kept while nothing moves."""
 
     def __init__(self):

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.camera import Camera
 from display.window.mouse_hand import NEAREST, MouseHand
-from display.window.orbit_camera import Orbit
+from display.window.orbit_camera import OrbitCamera
 from scenes.scene import Hand
 
 TURN = np.pi  # [rad] of turning for a drag over the picture's height
@@ -48,7 +48,7 @@ TURNED = np.pi / 12  # [rad] about the vertical axis
 class Controls:
     """One drag at a time, keys held, and commands for the world. Positions in picture pixels."""
 
-    def __init__(self, orbit: Orbit, hand: MouseHand):
+    def __init__(self, orbit: OrbitCamera, hand: MouseHand):
         self.orbit, self.hand = orbit, hand
         self.drag: str | None = None  # "grab", "turn", "look" or "pan"
         self.panel = True

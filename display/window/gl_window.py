@@ -34,7 +34,7 @@ def has_display() -> bool:
     return bool(glfw.init())
 
 
-class Surface:
+class GLWindow:
     """One open window. Raises BadInput without a display or without OpenGL 3.3.
 
     Events are ("key", name, down), ("button", "left"|"right"|"middle", down, x, y), ("move", x, y),

@@ -11,7 +11,7 @@ NEAREST, FARTHEST = 0.05, 200.0  # [m] from eye to target
 ZOOM_STEP = 0.9  # distance after one notch of the wheel
 
 
-class Orbit:
+class OrbitCamera:
     """An eye and the target it looks at [m], upright (+y), with a vertical field of view [rad]."""
 
     def __init__(self, eye, target, fov_y: float):

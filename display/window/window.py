@@ -12,11 +12,11 @@ from display.edit.selection_marker import COLOUR, marked, strokes
 from display.picture import PictureTexture, fit
 from display.protocol import Frame
 from display.window import theme
-from display.window.adaptive_resolution import Quality
+from display.window.adaptive_resolution import AdaptiveResolution
 from display.window.controls import Controls
-from display.window.gl_window import Surface
+from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
-from display.window.orbit_camera import Orbit
+from display.window.orbit_camera import OrbitCamera
 from display.window.panel import Panel
 from scenes.scene import BodyState, Scene
 
@@ -33,11 +33,11 @@ class Window:
     """
 
     def __init__(self, scene: Scene, *, title: str = "VR-GS", width: int = 1280, height: int = 720, vsync: bool = True):
-        self._surface = Surface(title, width, height, vsync=vsync)
+        self._surface = GLWindow(title, width, height, vsync=vsync)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(scene, title, self._surface.scale)
-        self._quality = Quality()
-        self._controls = Controls(Orbit(scene.eye, scene.target, scene.fov_y), MouseHand())
+        self._quality = AdaptiveResolution()
+        self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._seen = None  # where the camera was in the last frame
         self._cursor = (0.0, 0.0)

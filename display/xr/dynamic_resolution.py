@@ -22,7 +22,7 @@ LEAST = 0.5  # of a side: coarser is not worth seeing
 GRAIN = 8  # [px] to which a side is rounded
 
 
-class Resolution:
+class DynamicResolution:
     """`note` each frame's work, then draw pictures of `size`.
 
     full   (width, height) [px] of the largest picture

@@ -12,7 +12,7 @@ LENGTH, RADIUS = 0.09, 0.009  # [m] of the finger
 STRETCH = 1 / 6  # of its length in a frame: were it there at once, it would be inside what is near
 
 
-class Poke:
+class FingerPoke:
     """How far one hand's finger is out, 0 to 1."""
 
     def __init__(self):

@@ -17,14 +17,14 @@ from display.window.gl_window import has_display
 from display.xr import avatar as shown_parts
 from display.xr import graphics_binding as graphics
 from display.xr.depth_layer import EXTENSION
-from display.xr.dynamic_resolution import Resolution
+from display.xr.dynamic_resolution import DynamicResolution
 from display.xr.mirror import mirror
 from display.xr.openxr_runtime import INSTEAD, Runtime
 from display.xr.player import TAP, Player
-from display.xr.pose_filter import Steady
+from display.xr.pose_filter import PoseFilter
 from display.xr.poses import eye_camera
 from display.xr.session import Lost, Session
-from display.xr.status_log import News
+from display.xr.status_log import StatusLog
 from display.xr.wrist_panel import WristPanel
 from scenes.scene import Scene
 
@@ -55,13 +55,13 @@ class Headset:
             graphics.check(self._runtime, self._mirror.gl)
             width, height = np.max(self._runtime.views, axis=0)
             self.size = tuple(int(np.clip(round(side * scale), SMALLEST, LARGEST)) for side in (width, height))
-            self._resolution = Resolution(self.size)
+            self._resolution = DynamicResolution(self.size)
             self._open()
         except BaseException:
             self.close()
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
-        self._clock, self._steady, self._news, self._wrist = Clock(), Steady(), News(), WristPanel()
+        self._clock, self._steady, self._news, self._wrist = Clock(), PoseFilter(), StatusLog(), WristPanel()
         self._commands: dict = {}
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)

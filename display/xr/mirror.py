@@ -7,7 +7,7 @@ import ctypes
 from core.errors import BadInput
 from display.picture import PictureTexture
 from display.window.gl_context import context_of
-from display.window.gl_window import INSTEAD, Surface, has_display
+from display.window.gl_window import INSTEAD, GLWindow, has_display
 from display.window.panel import Panel
 from scenes.scene import Scene
 
@@ -24,7 +24,7 @@ class Mirror:
     egl = None
 
     def __init__(self, scene: Scene, title: str, width: int, height: int, views: int):
-        self._surface = Surface(title, width, height, vsync=False)  # the headset sets the pace
+        self._surface = GLWindow(title, width, height, vsync=False)  # the headset sets the pace
         self.gl = self._surface.gl
         self.texture = PictureTexture(self.gl, views=views)
         self._panel = Panel(scene, title, self._surface.scale)

@@ -8,7 +8,7 @@ from display.xr import avatar as shown
 from display.xr import finger_poke as poking
 from display.xr.actions import LET_GO, PRESS, Controller
 from display.xr.poses import Standpoint, position_rotation
-from display.xr.teleport import Stride, on_the_floor
+from display.xr.teleport import Teleport, on_the_floor
 from scenes.scene import Hand, Scene
 from sim.hands.grasp import FORCE
 
@@ -33,9 +33,9 @@ class Player:
         self._reach = [GRAB_REACH, GRAB_REACH]
         self._by_tip = [False, False]
         self._seen = [Controller(), Controller()]
-        self._pokes = [poking.Poke(), poking.Poke()]
+        self._pokes = [poking.FingerPoke(), poking.FingerPoke()]
         self._touch: list[tuple] = [(), ()]
-        self._pushed, self._stride = False, Stride()
+        self._pushed, self._stride = False, Teleport()
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None  # a ray in the world from (3,) to a spot (3,) [m]
         self._took, self._felt = [False, False], [0.0, 0.0]
 

@@ -16,7 +16,7 @@ SPEED, TURNING = 2.0, 2 * np.pi  # [m/s], [rad/s] of a hand that is led
 LONGEST = 0.5  # [s]
 
 
-class Steady:
+class PoseFilter:
     """`lead` the controllers of each frame."""
 
     def __init__(self):

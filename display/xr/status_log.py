@@ -12,7 +12,7 @@ OFF = 0.2  # [s] without a frame, and it was taken off
 OFTEN, LATELY = 5, 60.0  # so many losses in so many seconds, and it is given up
 
 
-class News:
+class StatusLog:
     """Follows a session and tells."""
 
     def __init__(self):

@@ -17,7 +17,7 @@ NEAR = 0.05  # [m] from a body's bounds within which a pinch may be meant for it
 DOWN = 0.12  # sine of the angle below the horizon from which on a hand points at the floor, and not just ahead
 
 
-class Stride:
+class Teleport:
     """What the left hand does about it."""
 
     def __init__(self):

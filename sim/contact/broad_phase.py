@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import round_up_capacity
-from sim.elastic.damping import Chunks
+from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES
 from sim.state import State
 
@@ -14,7 +14,7 @@ MAX_CELLS = 24  # of the hash along each axis of a query; a box that large has e
 
 
 @ti.data_oriented
-class Bounds:
+class BodyBounds:
     """Per body: box of positions low, high vec3[B] [m], and of velocities slow, fast vec3[B] [m/s].
 
     speed f32[B] [m/s]: that of the fastest vertex, at most
@@ -22,7 +22,7 @@ class Bounds:
     pace f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
     """
 
-    def __init__(self, state: State, chunks: Chunks):
+    def __init__(self, state: State, chunks: ReductionBlocks):
         self.state, self.chunks = state, chunks
         self.builder = ti.FieldsBuilder()
         self.partial = ti.Vector.field(3, ti.f32)

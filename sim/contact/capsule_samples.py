@@ -11,7 +11,7 @@ MAX_CAPSULES = 32
 
 
 @ti.data_oriented
-class Spots:
+class CapsuleSamples:
     """Points on the axes of thin static capsules: place vec3, radius f32 [m], friction f32, group i32.
 
     Per capsule: low, high vec3 the box of its axis, thickness f32 its radius [m].

@@ -25,7 +25,7 @@ MOST = 7  # vertices of a row: a triangle's and a tet's
 
 
 @ti.data_oriented
-class Rows:
+class ContactConstraints:
     """The table of rows, and the sums that they make.
 
     normal vec3[R], phi f32[R] [m], friction vec2[R] = (mu_s, mu_k), pace f32[R] [m/s]

@@ -3,7 +3,7 @@
 import numpy as np
 import taichi as ti
 
-from sim.contact.constraints import Rows
+from sim.contact.constraints import ContactConstraints
 from sim.model import MAX_BODIES
 from sim.state import State
 
@@ -11,7 +11,7 @@ UNIT = 1e-6  # [N] of the integer sums, which do not depend on the order of summ
 
 
 @ti.data_oriented
-class Forces:
+class ContactForces:
     """push vec3[V] [m]: what static shapes did to each vertex in the last substep;   total i64[B,3] [UNIT]."""
 
     def __init__(self, state: State):
@@ -34,7 +34,7 @@ class Forces:
     def forget(self, i):
         self.push[i] = ti.Vector([0.0, 0.0, 0.0])
 
-    def per_body(self, rows: Rows) -> np.ndarray:
+    def per_body(self, rows: ContactConstraints) -> np.ndarray:
         """Force of all contacts on each body in the last substep [N], (B, 3) float64."""
         self._sum(rows)
         return self.total.to_numpy()[: self.state.body_count[None]] * UNIT

@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 from assets.asset import DistanceGrid
 from core.fields import Upload, round_up_capacity
 from scenes.scene import Capsule
-from sim.body_model import Part, RestShape
+from sim.body_model import BodyModel, RestShape
 from sim.contact.static_shapes import Shape, StaticGrid
-from sim.model import Assembly, Room, fit, stacked
+from sim.model import Capacity, Model, fit, stacked
 from sim.state import State
 
 FINEST, COARSEST = 0.004, 0.02  # [m] spacing that is worth its cost; spacing that still finds a finger
@@ -121,14 +121,14 @@ def inner_of(shape: RestShape) -> SurfacePoints:
     return SurfacePoints(np.repeat(inside[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(inside), 1)))
 
 
-def limp(part: Part) -> bool:
+def limp(part: BodyModel) -> bool:
     """Whether a body cannot carry itself on Earth."""
     m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
     return not part.shape.rigid and m.density * 9.81 * height > LIMP * m.young
 
 
 @ti.data_oriented
-class Samples:
+class ContactSamples:
     """Samples of all bodies on the device.
 
     ids vec3i[P] global vertex indices;   weight vec3[P];   body i32[P];   skin f32[P] [m]
@@ -136,7 +136,7 @@ class Samples:
     host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: State, first: Assembly, spacing: float, room: Room = Room()):
+    def __init__(self, state: State, first: Model, spacing: float, room: Capacity = Capacity()):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
         inner = sum(len(p.shape.once(inner_of).ids) for p in first.parts if limp(p))
@@ -154,17 +154,17 @@ class Samples:
             [self.ids, self.weight, self.single, self.of_vertex, self.body, self.skin, self.count],
         )
 
-    def _points(self, assembly: Assembly) -> list[SurfacePoints]:
+    def _points(self, assembly: Model) -> list[SurfacePoints]:
         return [s.once(points_of, self.spacing) for s in assembly.shapes]
 
-    def check_room(self, assembly: Assembly) -> None:
+    def check_room(self, assembly: Model) -> None:
         fit("samples", sum(len(p.ids) for p in self._points(assembly)), self.capacity)
 
-    def triangle_points(self, assembly: Assembly) -> int:
+    def triangle_points(self, assembly: Model) -> int:
         """How many samples are not vertices."""
         return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(assembly))
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the samples of these bodies; inner vertices of limp ones too, as far as there is room."""
         points = self._points(assembly)
         skins = [s.once(skin_of, self.spacing) for s in assembly.shapes]

@@ -12,20 +12,20 @@ triangles, and samples in other bodies, become rows of a system (sim/contact/con
 import taichi as ti
 
 from scenes.scene import Hand
-from sim.contact.broad_phase import Bounds
-from sim.contact.constraints import Rows
-from sim.contact.contact_forces import Forces
-from sim.contact.contact_samples import Samples, spacing_for
-from sim.contact.deformable_contact import Pairs
-from sim.contact.self_collision import Folding, foldable
-from sim.contact.static_contact import Nearby
-from sim.contact.static_shapes import Colliders, Shape
-from sim.contact.swept_bounds import Foresight
-from sim.elastic.damping import Chunks
+from sim.contact.broad_phase import BodyBounds
+from sim.contact.constraints import ContactConstraints
+from sim.contact.contact_forces import ContactForces
+from sim.contact.contact_samples import ContactSamples, spacing_for
+from sim.contact.deformable_contact import DeformableContact
+from sim.contact.self_collision import SelfCollision, foldable
+from sim.contact.static_contact import StaticContact
+from sim.contact.static_shapes import Shape, StaticShapes
+from sim.contact.swept_bounds import SweptBounds
+from sim.elastic.damping import ReductionBlocks
 from sim.hands.fingers import Fingers
-from sim.hands.grasp import Grips, Hands
-from sim.model import Assembly, Room, fit
-from sim.rigid.rigid_bodies import Movers
+from sim.hands.grasp import Grasps, Grips
+from sim.model import Capacity, Model, fit
+from sim.rigid.rigid_bodies import RigidBodies
 from sim.rigid.rigid_broad_phase import GROUPS
 from sim.rigid.rigid_contact import RigidContacts
 from sim.rigid.rigid_shapes import RigidShapes
@@ -41,27 +41,27 @@ class Contacts:
     def __init__(
         self,
         state: State,
-        first: Assembly,
+        first: Model,
         shapes: list[Shape],
-        chunks: Chunks,
+        chunks: ReductionBlocks,
         *,
         hands: int = 2,
         self_contact: bool = True,
         spacing: float | None = None,
-        room: Room = Room(),
-        movers: Movers | None = None,
+        room: Capacity = Capacity(),
+        movers: RigidBodies | None = None,
         fingers: bool = False,
     ):
         self.state = state
-        self.samples = Samples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
-        self.colliders = Colliders(shapes)
-        self.hands = Hands(state, self.samples, hands)
-        self.bounds = Bounds(state, chunks)
-        self.foresight = Foresight(state, self.hands, self.bounds)
+        self.samples = ContactSamples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
+        self.colliders = StaticShapes(shapes)
+        self.hands = Grasps(state, self.samples, hands)
+        self.bounds = BodyBounds(state, chunks)
+        self.foresight = SweptBounds(state, self.hands, self.bounds)
         meets = [foldable(p.shape) for p in first.parts if p.body.rigid or not p.body.loose]
         folds = self_contact and (room.grows or any(meets))
-        self.folding = Folding(state, chunks, self.bounds) if folds else None
-        self.pairs = Pairs(state, first, self.samples, shapes, self.bounds, self.folding, room, fingers)
+        self.folding = SelfCollision(state, chunks, self.bounds) if folds else None
+        self.pairs = DeformableContact(state, first, self.samples, shapes, self.bounds, self.folding, room, fingers)
         self.anything = bool(shapes) or self.pairs.needed
         points = room.grows or self.samples.triangle_points(first) > 0
         self.has_pairs = self.pairs.needed or (bool(shapes) and points)
@@ -79,22 +79,22 @@ class Contacts:
             self.fingers = Fingers(state, self.pairs, self.bounds, size, hands=hands, movers=movers, shapes=near)
             size += self.fingers.size
             self.anything = self.has_pairs = True
-        self.rows = Rows(state, size, movers, size - self.begin_fingers)
+        self.rows = ContactConstraints(state, size, movers, size - self.begin_fingers)
         if self.coupled:
             self.rigid.rows = self.rows
             movers.grip.follow(self.hands)
-        self.movers, self.forces = movers, Forces(state)
+        self.movers, self.forces = movers, ContactForces(state)
         later += self.rows.capacity if self.soft or fingers else 0  # rows between rigid bodies alone are in groups
         self.stage_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
-        self.nearby = Nearby(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
+        self.nearby = StaticContact(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
 
-    def check_room(self, assembly: Assembly) -> None:
+    def check_room(self, assembly: Model) -> None:
         self.pairs.check_room(assembly)
         self.samples.check_room(assembly)
         if self.anything and not self.has_pairs:
             fit("samples on triangles", self.samples.triangle_points(assembly), 0)
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         self.samples.load(assembly)
         self.pairs.load(assembly)
         if self.coupled:

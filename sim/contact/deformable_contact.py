@@ -15,17 +15,17 @@ from assets.asset import DistanceGrid
 from core.fields import Upload
 from scenes.scene import Capsule
 from sim.body_model import RestShape, scaled_grid
-from sim.contact.broad_phase import Bounds
-from sim.contact.capsule_samples import Spots
-from sim.contact.constraints import Rows
-from sim.contact.contact_samples import Samples
-from sim.contact.device_grids import FAR, Grids
-from sim.contact.nearest_tet import Hosts
+from sim.contact.broad_phase import BodyBounds
+from sim.contact.capsule_samples import CapsuleSamples
+from sim.contact.constraints import ContactConstraints
+from sim.contact.contact_samples import ContactSamples
+from sim.contact.device_grids import FAR, DistanceGrids
+from sim.contact.nearest_tet import NearestTets
 from sim.contact.rest_distance import rest_grid
-from sim.contact.self_collision import Folding
+from sim.contact.self_collision import SelfCollision
 from sim.contact.static_shapes import Shape
-from sim.contact.vertex_normals import Normals
-from sim.model import MAX_BODIES, Assembly, Room, fit
+from sim.contact.vertex_normals import VertexNormals
+from sim.model import MAX_BODIES, Capacity, Model, fit
 from sim.state import State
 
 FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
@@ -37,47 +37,47 @@ OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next
 
 
 @ti.data_oriented
-class Pairs:
+class DeformableContact:
     """Fills the rows of points near foreign tets: row begin + p for point p (see sim/contact/nearest_tet.py)."""
 
     def __init__(
         self,
         state: State,
-        first: Assembly,
-        samples: Samples,
+        first: Model,
+        samples: ContactSamples,
         shapes: list[Shape],
-        bounds: Bounds,
-        folding: Folding | None,
-        room: Room = Room(),
+        bounds: BodyBounds,
+        folding: SelfCollision | None,
+        room: Capacity = Capacity(),
         fingers: bool = False,
     ):
         self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
-        self.spots = Spots([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
+        self.spots = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
         self.rigid = first.rigid or room.rigid
         self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
         self.needed = self.needed or fingers  # these look for tets and distances, too
         self.needed = self.needed and (first.soft or room.grows)  # rigid bodies alone have no tets to be in
-        self.grids = Grids(self._grids(first), room)
-        self.hosts = Hosts(state, samples, self.spots, bounds, folding)
-        self.normals = Normals(state)
+        self.grids = DistanceGrids(self._grids(first), room)
+        self.hosts = NearestTets(state, samples, self.spots, bounds, folding)
+        self.normals = VertexNormals(state)
         self.rim = ti.field(ti.f32)
         self.builder = ti.FieldsBuilder()
         self.builder.dense(ti.i, MAX_BODIES).place(self.rim)
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rim])
 
-    def _grids(self, assembly: Assembly) -> list[DistanceGrid]:
+    def _grids(self, assembly: Model) -> list[DistanceGrid]:
         return [s.once(grid_of) for s in assembly.shapes] if self.needed or self.rigid else []
 
-    def check_room(self, assembly: Assembly) -> None:
+    def check_room(self, assembly: Model) -> None:
         if assembly.soft:
             fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
         if assembly.rigid:
             fit("rigid bodies", 1, int(self.rigid))
         self.grids.check_room(self._grids(assembly))
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the grids and tets of these bodies."""
         if self.needed or self.rigid:
             self.grids.load(self._grids(assembly))
@@ -90,7 +90,7 @@ class Pairs:
         """Rows at most."""
         return self.hosts.hash.points if self.needed else 0
 
-    def detect(self, rows: Rows) -> None:
+    def detect(self, rows: ContactConstraints) -> None:
         """List the rows of points that are near a foreign tet; needs up-to-date Bounds."""
         if self.needed:
             self.normals.update()

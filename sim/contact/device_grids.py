@@ -6,7 +6,7 @@ import taichi as ti
 from assets.asset import DistanceGrid
 from core.fields import Upload, round_up_capacity
 from sim.body_model import same_grid
-from sim.model import Room, fit
+from sim.model import Capacity, fit
 
 FAR = 1e3  # [m], the distance of what is nowhere near
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache
@@ -19,7 +19,7 @@ def corner(value):
 
 
 @ti.data_oriented
-class Grids:
+class DistanceGrids:
     """Distance grids, each in its own frame, concatenated.
 
     values   f32[N]   signed distances [m], grid after grid, last axis fastest
@@ -27,7 +27,7 @@ class Grids:
     dims     vec3i[G] nodes per axis;   origin vec3[G] [m];   spacing f32[G] [m]
     """
 
-    def __init__(self, first: list[DistanceGrid], room: Room = Room()):
+    def __init__(self, first: list[DistanceGrid], room: Capacity = Capacity()):
         self.size = round_up_capacity(room.sized("nodes", sum(g.values.size for g in distinct(first))))
         self.builder = ti.FieldsBuilder()
         self.values = ti.field(ti.f32)

@@ -9,13 +9,13 @@ import numpy as np
 import taichi as ti
 
 from core.fields import Upload
-from sim.contact.broad_phase import MARGIN, Bounds, PointHash
-from sim.contact.capsule_samples import MAX_CAPSULES, Spots
-from sim.contact.contact_samples import Samples
+from sim.contact.broad_phase import MARGIN, BodyBounds, PointHash
+from sim.contact.capsule_samples import MAX_CAPSULES, CapsuleSamples
+from sim.contact.contact_samples import ContactSamples
 from sim.contact.device_grids import FAR, corner
-from sim.contact.self_collision import Folding
+from sim.contact.self_collision import SelfCollision
 from sim.contact.tet_planes import beyond, neighbors_of, outward
-from sim.model import MAX_BODIES, Assembly, stacked
+from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
 
 GROUPS = MAX_BODIES + MAX_CAPSULES
@@ -24,7 +24,7 @@ SEEDS = 64  # tets of a body at which the search for what is far away begins
 
 
 @ti.data_oriented
-class Hosts:
+class NearestTets:
     """host i32[N]: the foreign tet that is nearest to a point; neighbor vec4i[T]: tets across each corner's face.
 
     Within a cell's size that is exact. For what may come from farther away until the next search, it begins at the
@@ -33,7 +33,14 @@ class Hosts:
     overlap f32[B,G] [m]: how far body b and group g may approach until the next search, 0 if they cannot meet
     """
 
-    def __init__(self, state: State, samples: Samples, spots: Spots, bounds: Bounds, folding: Folding | None):
+    def __init__(
+        self,
+        state: State,
+        samples: ContactSamples,
+        spots: CapsuleSamples,
+        bounds: BodyBounds,
+        folding: SelfCollision | None,
+    ):
         self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.spots, self.bounds = state, samples, spots, bounds
         self.hash = PointHash(samples.capacity + spots.size)
@@ -52,7 +59,7 @@ class Hosts:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.neighbor, self.hash.cell])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the tets of these bodies."""
         shapes, begin = assembly.shapes, assembly.tet_begin
         near = [s.root.once(neighbors_of) for s in shapes]

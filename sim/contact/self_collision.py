@@ -16,9 +16,9 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.body_model import RestShape
-from sim.contact.broad_phase import MARGIN, Bounds
-from sim.elastic.damping import Chunks
-from sim.model import MAX_BODIES, Assembly
+from sim.contact.broad_phase import MARGIN, BodyBounds
+from sim.elastic.damping import ReductionBlocks
+from sim.model import MAX_BODIES, Model
 from sim.state import State
 
 APART = 5.0  # times a body's reach, which is half an edge: what is closer at rest does not meet
@@ -27,7 +27,7 @@ SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 
 
 @ti.data_oriented
-class Folding:
+class SelfCollision:
     """folded, loose i32[B]: what may touch itself, what passes through itself
     way f32[B] [m]: how far two points may approach, apart from what the whole body does
 
@@ -36,7 +36,7 @@ class Folding:
     strayed, restless f32[B]: the largest distances r [m] and r_v [m/s] from the fits
     """
 
-    def __init__(self, state: State, chunks: Chunks, bounds: Bounds):
+    def __init__(self, state: State, chunks: ReductionBlocks, bounds: BodyBounds):
         self.state, self.chunks, self.bounds = state, chunks, bounds
         self.builder = ti.FieldsBuilder()
         self.sums, self.total, self.folded = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
@@ -53,7 +53,7 @@ class Folding:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.loose])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take which of these bodies pass through themselves."""
         self._upload([np.array([not p.body.rigid and p.body.loose for p in assembly.parts])])
 

@@ -5,22 +5,30 @@ A vertex meets them at once and exactly, one after the other; a point on a trian
 
 import taichi as ti
 
-from sim.contact.constraints import Rows
-from sim.contact.contact_forces import Forces
-from sim.contact.contact_samples import Samples
+from sim.contact.constraints import ContactConstraints
+from sim.contact.contact_forces import ContactForces
+from sim.contact.contact_samples import ContactSamples
 from sim.contact.device_grids import FAR, corner
 from sim.contact.response import FIRM, least, respond, respond_metric
-from sim.contact.static_shapes import Colliders
+from sim.contact.static_shapes import StaticShapes
 from sim.state import State
 
 NEAR = 8  # static shapes that one sample can be near at once; of more, the nearest count
 
 
 @ti.data_oriented
-class Nearby:
+class StaticContact:
     """near i32[P,8]: shapes near sample p, near_count i32[P]. `paces` f32[B] [m/s] are those of sim/contact/broad_phase.py."""
 
-    def __init__(self, state: State, samples: Samples, colliders: Colliders, rows: Rows, forces: Forces, paces):
+    def __init__(
+        self,
+        state: State,
+        samples: ContactSamples,
+        colliders: StaticShapes,
+        rows: ContactConstraints,
+        forces: ContactForces,
+        paces,
+    ):
         self.state, self.samples, self.colliders, self.rows, self.forces = state, samples, colliders, rows, forces
         self.paces = paces
         self.near, self.near_count = ti.field(ti.i32), ti.field(ti.i32)

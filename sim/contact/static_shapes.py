@@ -9,7 +9,7 @@ from assets.asset import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
-from sim.contact.device_grids import FAR, Grids, corner
+from sim.contact.device_grids import FAR, DistanceGrids, corner
 
 PLANE, CAPSULE, BOX, GRID = range(4)
 MAX_SHAPES = 128
@@ -31,7 +31,7 @@ Shape = Plane | Capsule | Box | StaticGrid
 
 
 @ti.data_oriented
-class Colliders:
+class StaticShapes:
     """All static shapes, flat.
 
     kind i32, a vec3, b vec3, radius f32, friction f32, frame mat3 (grid from world, without scale), scale f32,
@@ -44,7 +44,7 @@ class Colliders:
             raise BadInput(f"{len(shapes)} static shapes, the limit is {MAX_SHAPES}")
         self.shapes = list(shapes)
         grids = [s.grid for s in shapes if isinstance(s, StaticGrid)]
-        self.grids = Grids(grids)
+        self.grids = DistanceGrids(grids)
         self.grids.load(grids)
         self.builder = ti.FieldsBuilder()
         self.kind, self.grid = ti.field(ti.i32), ti.field(ti.i32)

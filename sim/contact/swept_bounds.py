@@ -12,9 +12,9 @@ may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic a
 
 import taichi as ti
 
-from sim.contact.broad_phase import MARGIN, Bounds
+from sim.contact.broad_phase import MARGIN, BodyBounds
 from sim.elastic.energy import energy_density
-from sim.hands.grasp import Hands
+from sim.hands.grasp import Grasps
 from sim.model import MAX_BODIES
 from sim.state import State
 
@@ -22,10 +22,10 @@ ROUNDS = 3  # of passing a push on before the next search: a, b, c, d in a row
 
 
 @ti.data_oriented
-class Foresight:
+class SweptBounds:
     """spring, haste f32[B] [m/s]: the two maxima above;   hit f32[2,B] [m/s]: speeds passed on."""
 
-    def __init__(self, state: State, hands: Hands, bounds: Bounds):
+    def __init__(self, state: State, hands: Grasps, bounds: BodyBounds):
         self.state, self.hands, self.bounds = state, hands, bounds
         self.builder = ti.FieldsBuilder()
         self.spring, self.haste, self.hit = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)

@@ -8,7 +8,7 @@ UNIT = 2.0**20  # integer steps in a unit normal: sums of integers do not depend
 
 
 @ti.data_oriented
-class Normals:
+class VertexNormals:
     """normal vec3[V]: unit mean of the normals of a vertex's triangles, 0 inside;   sum vec3i[V]."""
 
     def __init__(self, state: State):

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.quaternion import matrix, polar_quaternion
-from sim.elastic.damping import Chunks
+from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES
 from sim.state import State
 
@@ -11,10 +11,10 @@ TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
 
 
 @ti.data_oriented
-class Turning:
+class BestFitRotation:
     """turn mat3[B] = R of each body, which `rotations()` finds, a kernel."""
 
-    def __init__(self, state: State, chunks: Chunks):
+    def __init__(self, state: State, chunks: ReductionBlocks):
         self.state, self.chunks = state, chunks
         self.builder = ti.FieldsBuilder()
         self.turn, self.sums = ti.Matrix.field(3, 3, ti.f32), ti.field(ti.f32)

@@ -13,7 +13,7 @@ import taichi as ti
 
 from core.fields import Upload, round_up_capacity, two_sum
 from sim.elastic.xpbd import predict
-from sim.model import MAX_BODIES, Assembly
+from sim.model import MAX_BODIES, Model
 from sim.state import State
 
 SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
@@ -21,7 +21,7 @@ CHUNK = 64  # vertices that one thread sums; chunks never straddle bodies, so su
 
 
 @ti.data_oriented
-class Chunks:
+class ReductionBlocks:
     """The vertices of all bodies in runs of at most CHUNK: begin, end, body of each; run range of each body."""
 
     def __init__(self, state: State):
@@ -33,7 +33,7 @@ class Chunks:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.span, self.of_body])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Cut up the vertices of these bodies."""
         rows = [
             (begin, min(begin + CHUNK, last), b)
@@ -51,7 +51,7 @@ class Chunks:
 class Damping:
     """`run(t)` damps the velocities by t [s] worth and predicts the increments of the next substep."""
 
-    def __init__(self, state: State, chunks: Chunks):
+    def __init__(self, state: State, chunks: ReductionBlocks):
         self.state, self.chunks = state, chunks
         self.builder = ti.FieldsBuilder()
         self.sums, self.total = ti.field(ti.f32), ti.field(ti.f32)

@@ -10,7 +10,7 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.body_model import RestShape
-from sim.model import Assembly, stacked
+from sim.model import Model, stacked
 from sim.state import State
 
 FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
@@ -88,7 +88,7 @@ def energy_density(I1, grow, mu, lam):
 
 
 @ti.data_oriented
-class Elastic:
+class Elasticity:
     """Rest shape of all tets, and their projection.
 
     rest_inverse (3,3)[T] = D_m^-1 [1/m], volume f32[T] [m^3], kappa f32[T] [1/s^2] stiffness bound of each tet
@@ -113,7 +113,7 @@ class Elastic:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the rest shapes of these bodies."""
         a, shapes = assembly, assembly.shapes
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size

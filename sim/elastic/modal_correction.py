@@ -17,16 +17,16 @@ nothing of the energy here: the step would become nothing, and what the push lef
 import taichi as ti
 
 from core.fields import Upload
-from sim.elastic.best_fit_rotation import Turning
-from sim.elastic.damping import Chunks
-from sim.elastic.energy import Elastic, fine_stress
+from sim.elastic.best_fit_rotation import BestFitRotation
+from sim.elastic.damping import ReductionBlocks
+from sim.elastic.energy import Elasticity, fine_stress
 from sim.elastic.modes import MODES, modes_of
-from sim.model import MAX_BODIES, Assembly, stacked
+from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
 
 
 @ti.data_oriented
-class Coarse:
+class ModalCorrection:
     """The coarse step as `kernels()`, to be launched in their order.
 
     shape vec3[V*MODES], square f32[B*MODES]: U_k and w_k;   turn mat3[B] = R
@@ -34,7 +34,7 @@ class Coarse:
     force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B*MODES] = q
     """
 
-    def __init__(self, state: State, elastic: Elastic, chunks: Chunks, target, reaction, hold):
+    def __init__(self, state: State, elastic: Elasticity, chunks: ReductionBlocks, target, reaction, hold):
         self.state, self.elastic, self.chunks = state, elastic, chunks
         self.target, self.reaction, self.hold = target, reaction, hold
         V, C = state.V, chunks.size
@@ -51,11 +51,11 @@ class Coarse:
         self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
         self.builder.dense(ti.ij, (C, 2)).place(self.slope)
         self.tree = self.builder.finalize()
-        self.turning = Turning(state, chunks)
+        self.turning = BestFitRotation(state, chunks)
         self.turn = self.turning.turn
         self._upload = Upload([self.shape, self.square])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the modes of these bodies."""
         modes = [p.shape.once(modes_of, tuple((p.w == 0.0).tolist()), p.material) for p in assembly.parts]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])

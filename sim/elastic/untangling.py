@@ -19,9 +19,9 @@ from core.fields import Upload
 from core.quaternion import polar_quaternion
 from sim.elastic.damping import Damping
 from sim.elastic.time_step import lame
-from sim.model import MAX_BODIES, Assembly
+from sim.model import MAX_BODIES, Model
 from sim.recovery import LOST
-from sim.reductions import Summary
+from sim.reductions import Reductions
 from sim.state import State
 
 DURATION = 0.6  # [s] from the last inverted tet on
@@ -33,10 +33,10 @@ LIMP = 200.0  # [Pa] Young's modulus of a limp body: g and kinks must not hold o
 
 
 @ti.data_oriented
-class Mending:
+class Untangling:
     """`begin_frame` learns what is tangled, `run` leads it. Both do nothing, and cost nothing, where nothing is."""
 
-    def __init__(self, state: State, summary: Summary, damping: Damping):
+    def __init__(self, state: State, summary: Reductions, damping: Damping):
         self.state, self.summary, self.damping = state, summary, damping
         self.limp = ti.field(ti.i32)
         self.quaternion = ti.Vector.field(4, ti.f32)
@@ -49,7 +49,7 @@ class Mending:
         self.parts = []
         self.status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; whether it is tangled and held
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Other bodies from now on; those that stay go on mending."""
         known = dict(zip(map(id, self.parts), self.kept().T, strict=True))
         self.parts = assembly.parts

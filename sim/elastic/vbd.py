@@ -25,11 +25,11 @@ from core.errors import BadInput
 from core.fields import Upload, round_up_capacity
 from sim.contact.response import inverse
 from sim.elastic.coloring import color_ranges, colors_of
-from sim.elastic.damping import Chunks
-from sim.elastic.energy import Elastic, corners_of, fine_stress
-from sim.elastic.modal_correction import Coarse
+from sim.elastic.damping import ReductionBlocks
+from sim.elastic.energy import Elasticity, corners_of, fine_stress
+from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.xpbd import blocks, commit, stages
-from sim.model import Assembly, stacked
+from sim.model import Model, stacked
 from sim.state import State
 
 MOST_COLORS = 64
@@ -38,7 +38,7 @@ CRUSHED = 5.0  # ... whose second derivative along b is at most 4 mu |b|^2, whic
 
 
 @ti.data_oriented
-class DescentSubsteps:
+class VBDSubsteps:
     """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python.
 
     order i32[V], color_begin i32[C+1]: vertices by colour;   corner i32[4T]: 4 t + k of each slot (sim/elastic/energy.py)
@@ -49,7 +49,9 @@ class DescentSubsteps:
 
     piece = 16  # substeps behind one call from Python, at most
 
-    def __init__(self, state: State, elastic: Elastic, constraints: list, chunks: Chunks, *, iterations: int):
+    def __init__(
+        self, state: State, elastic: Elasticity, constraints: list, chunks: ReductionBlocks, *, iterations: int
+    ):
         self.state, self.elastic, self.iterations = state, elastic, iterations
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
@@ -64,14 +66,14 @@ class DescentSubsteps:
             self.builder.dense(ti.i, state.V).place(f)
         self.tree = self.builder.finalize()
         self.answers = True
-        self.coarse = Coarse(state, elastic, chunks, self.target, self.reaction, self.hold)
+        self.coarse = ModalCorrection(state, elastic, chunks, self.target, self.reaction, self.hold)
         self._upload = Upload([self.order, self.corner, self.color_begin])
         self._memory = Upload([self.fall, self.reaction, self.hold, self.external, self.mobility])
         self.colors = 0
         self.kernels: tuple | None = None
         self.graphs: dict[int, ti.graph.Graph] = {}
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the colours and modes of these bodies."""
         parts = assembly.parts
         colors = [p.shape.root.once(colors_of, tuple((p.w == 0.0).tolist())) for p in parts]

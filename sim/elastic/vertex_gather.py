@@ -11,14 +11,14 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.elastic.energy import CRUSHED, FAR_STRETCHED, energy_density, safe_step, slots_of, stress
-from sim.model import Assembly, stacked
+from sim.model import Model, stacked
 from sim.state import State
 
 OTHERS = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]  # the other corners of each corner
 
 
 @ti.data_oriented
-class Gather:
+class VertexGather:
     """What a vertex needs of each tet around it, in the slots of sim/elastic/energy.py: those of a vertex lie together.
 
     The fields are one scalar each, because neighbouring threads read neighbouring slots:
@@ -49,7 +49,7 @@ class Gather:
         self.tree = self.builder.finalize()
         self._upload = Upload([*self.other, *self.gradient, self.corner, self.kappa, self.begin])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the rest shapes of these bodies."""
         a, shapes = assembly, assembly.shapes
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size

@@ -3,8 +3,8 @@
 import taichi as ti
 
 from core.fields import two_sum
-from sim.elastic.energy import Elastic
-from sim.model import Assembly
+from sim.elastic.energy import Elasticity
+from sim.model import Model
 from sim.rigid.rigid_motion import place
 from sim.state import State
 
@@ -47,16 +47,16 @@ def _commit(s: ti.template(), i, d):
     predict(s, i)
 
 
-def jacobi(state: State, elastic: Elastic, constraints: list, *, iterations: int):
+def jacobi(state: State, elastic: Elasticity, constraints: list, *, iterations: int):
     """Substeps in the form that suits the device: one kernel that stays on CUDA, where launches cost most."""
     if ti.cfg.arch == ti.cuda and iterations == 1 and not state.coupled:
-        from sim.elastic.xpbd_persistent import Persistent
+        from sim.elastic.xpbd_persistent import PersistentXPBD
 
-        return Persistent(state, constraints)
-    return Substeps(state, elastic, constraints, iterations=iterations)
+        return PersistentXPBD(state, constraints)
+    return XPBDSubsteps(state, elastic, constraints, iterations=iterations)
 
 
-class Substeps:
+class XPBDSubsteps:
     """Substeps of `iterations` sweeps each; `run(substeps)` replays several with one call from Python.
 
     One sweep: all tets; all vertices gather, and meet static shapes and hands; the constraints' pairs, and what these
@@ -65,7 +65,7 @@ class Substeps:
 
     piece = 16  # substeps behind one call from Python, at most
 
-    def __init__(self, state: State, elastic: Elastic, constraints: list, *, iterations: int):
+    def __init__(self, state: State, elastic: Elasticity, constraints: list, *, iterations: int):
         self.state, self.elastic = state, elastic
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
@@ -78,7 +78,7 @@ class Substeps:
             self.kernels.append(self.closing())
         self.graphs: dict[int, ti.graph.Graph] = {}
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take other bodies: all that these kernels read is the state's and the elements'."""
 
     def run(self, substeps: int) -> None:

@@ -10,9 +10,9 @@ import sys
 
 import taichi as ti
 
-from sim.elastic.vertex_gather import Gather
+from sim.elastic.vertex_gather import VertexGather
 from sim.elastic.xpbd import commit
-from sim.model import Assembly
+from sim.model import Model
 from sim.state import State
 
 BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
@@ -35,13 +35,13 @@ def multiprocessors() -> int:
 
 
 @ti.data_oriented
-class Persistent:
+class PersistentXPBD:
     """`run(n)` makes n substeps of one sweep each."""
 
     piece = 128  # substeps behind one call, at most: damping acts between calls
 
     def __init__(self, state: State, constraints: list):
-        self.state, self.gather = state, Gather(state)
+        self.state, self.gather = state, VertexGather(state)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.mobility, self.answers = state.w, False  # see State
@@ -53,7 +53,7 @@ class Persistent:
         self.builder.dense(ti.i, 32).place(self.released)
         self.tree = self.builder.finalize()
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take other bodies."""
         self.gather.load(assembly)
 

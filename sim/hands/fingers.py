@@ -15,8 +15,8 @@ import taichi as ti
 
 from core.fields import Upload
 from scenes.scene import Hand
-from sim.contact.broad_phase import MARGIN, Bounds
-from sim.contact.constraints import Rows
+from sim.contact.broad_phase import MARGIN, BodyBounds
+from sim.contact.constraints import ContactConstraints
 from sim.contact.response import PAD_DEPTH, PAD_TIME
 from sim.hands.finger_contact import CAPSULES, EACH, SPOTS, FingerContact
 from sim.hands.grasp import FORCE
@@ -39,7 +39,7 @@ class Fingers(FingerContact):
     total i64[H,3]: force sums [1e-6 N]
     """
 
-    def __init__(self, state: State, pairs, bounds: Bounds, begin: int, *, hands: int, movers, shapes):
+    def __init__(self, state: State, pairs, bounds: BodyBounds, begin: int, *, hands: int, movers, shapes):
         self.state, self.bounds, self.begin, self.movers, self.shapes = state, bounds, begin, movers, shapes
         self.hosts, self.grids, self.coupled = pairs.hosts, pairs.grids, movers is not None
         self.hands, self.count = max(hands, 1), max(hands, 1) * EACH
@@ -73,7 +73,7 @@ class Fingers(FingerContact):
         """Whether there is anything to search for; the first time always, lest the first touch wait for compilers."""
         return self.active or not self._compiled
 
-    def search(self, rows: Rows) -> None:
+    def search(self, rows: ContactConstraints) -> None:
         """List the rows of spots that may touch something before the next search; after `widen`."""
         self.find(rows)
         if not self._compiled:
@@ -131,7 +131,7 @@ class Fingers(FingerContact):
                 box.extra[b] += more
                 box.pace[b] += more
 
-    def forces(self, rows: Rows) -> list[np.ndarray]:
+    def forces(self, rows: ContactConstraints) -> list[np.ndarray]:
         """Force of each hand on what it touches in the last substep [N], (3,) each."""
         if not self.active:
             return [np.zeros(3)] * self.hands

@@ -18,10 +18,10 @@ import taichi as ti
 
 from core.fields import Download
 from scenes.scene import Hand
-from sim.contact.contact_samples import Samples
+from sim.contact.contact_samples import ContactSamples
 from sim.hands.grasp_state import Grip, Grips, Trail, finite, longer, pose, take
 from sim.hands.throw import AIM, change
-from sim.model import Assembly, stacked
+from sim.model import Model, stacked
 from sim.state import State
 
 FREQUENCY = 20.0  # [Hz] of the whole body on its springs: stiffer than an arm, softer than a pin
@@ -33,7 +33,7 @@ OMEGA = 2.0 * math.pi * FREQUENCY
 
 
 @ti.data_oriented
-class Hands:
+class Grasps:
     """Grips of up to `count` hands.
 
     held i32[V]: bit h = hand h holds the vertex;   place vec3[H,V]: where, in the hand's frame [m]
@@ -42,7 +42,7 @@ class Hands:
     total i64[H,3]: force sums [1e-6 N]
     """
 
-    def __init__(self, state: State, samples: Samples, count: int):
+    def __init__(self, state: State, samples: ContactSamples, count: int):
         self.state, self.samples, self.count = state, samples, count
         H = max(count, 1)
         self.builder = ti.FieldsBuilder()
@@ -57,7 +57,7 @@ class Hands:
         self.tree = self.builder.finalize()
         self._motion = Download([state.x, state.v])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Other bodies from now on."""
         self.assembly, self.offsets = assembly, assembly.vertex_begin
         self.masses = stacked([p.mass for p in assembly.parts])

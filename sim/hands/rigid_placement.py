@@ -7,7 +7,7 @@ from sim.state import State
 
 
 @ti.data_oriented
-class Moved:
+class RigidPlacement:
     """start vec3[V] [m]: where the vertices of such a body were when it was kept."""
 
     def __init__(self, state: State):

@@ -4,8 +4,8 @@ import numpy as np
 
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Hand
-from sim.hands.rigid_placement import Moved
-from sim.hands.two_hand_scaling import Stretch
+from sim.hands.rigid_placement import RigidPlacement
+from sim.hands.two_hand_scaling import TwoHandScaling
 from sim.state import State
 
 
@@ -17,8 +17,8 @@ class Transform:
     """
 
     def __init__(self, state: State):
-        self.moved = Moved(state)
-        self.stretch = Stretch(state)
+        self.moved = RigidPlacement(state)
+        self.stretch = TwoHandScaling(state)
         self.grips: dict[int, tuple[int, np.ndarray]] = {}  # hand -> body, hand_from_world at the grip
         self._poses: dict[int, np.ndarray] = {}  # hand -> world_from_hand after the last step, of those that hold
         self._held: dict[int, np.ndarray] = {}  # the same of those that go on holding what was changed

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scenes.scene import Hand
-from sim.hands.rigid_placement import Moved
+from sim.hands.rigid_placement import RigidPlacement
 from sim.state import State
 
 LEAST, MOST = 0.25, 4.0  # times as large, in one go
@@ -32,11 +32,11 @@ class Pair:
     middle: np.ndarray = None  # m, (3,)
 
 
-class Stretch:
+class TwoHandScaling:
     """What two hands hold; `moved` has the vertices of such bodies as they were when the second hand took them."""
 
     def __init__(self, state: State):
-        self.state, self.moved = state, Moved(state)
+        self.state, self.moved = state, RigidPlacement(state)
         self.reset()
 
     def reset(self) -> None:

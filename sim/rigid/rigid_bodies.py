@@ -17,13 +17,13 @@ from core import quaternion
 from core.errors import BadInput
 from core.fields import Upload
 from core.rotation import matrices_from_quaternions, quaternion_from_matrix
-from sim.body_model import Part
+from sim.body_model import BodyModel
 from sim.contact.constraints import LENGTH, SHARE
 from sim.hands.grasp_state import Grips
-from sim.model import MAX_BODIES, Assembly
+from sim.model import MAX_BODIES, Model
 from sim.reductions import best_rotation
 from sim.rigid.rigid_body import RigidBody
-from sim.rigid.rigid_grasp import RigidGrip
+from sim.rigid.rigid_grasp import RigidGrasp
 from sim.rigid.rigid_motion import DRIVEN, FREE, SOFT, follow, move, place, predict, refresh
 from sim.state import State
 
@@ -34,7 +34,7 @@ MOTION = ("x", "carry", "v", "v_carry", "q", "q_carry", "spin")
 
 
 @ti.data_oriented
-class Movers:
+class RigidBodies:
     """All rigid bodies, indexed like all bodies; soft ones have kind SOFT and no place here.
 
     kind i32[B];   center vec3 centre of mass in the body frame;   w f32 = 1/m;   restitution, reach f32 [m]
@@ -63,18 +63,18 @@ class Movers:
                 self.builder.dense(ti.i, MAX_BODIES).place(f)
         self.builder.dense(ti.ijk, (MAX_BODIES, 1 + passes, 6)).place(self.sums)
         self.tree = self.builder.finalize()
-        self.grip = RigidGrip(self, hands)
+        self.grip = RigidGrasp(self, hands)
         self._constants = Upload(
             [self.kind, self.center, self.w, self.restitution, self.reach, self.inertia, self.inverse_inertia]
         )
         self._motion = Upload([getattr(self, name) for name in MOTION])
-        self.parts: list[Part] = []
+        self.parts: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def check_room(self, assembly: Assembly) -> None:
+    def check_room(self, assembly: Model) -> None:
         """There is room for as many rigid bodies as there can be bodies."""
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take these bodies, of which those that are rigid move here; poses and momenta come by `fit`."""
         self.parts, self.begin = assembly.parts, assembly.vertex_begin
         B = len(self.parts)

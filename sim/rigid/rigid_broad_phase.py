@@ -7,13 +7,13 @@ static shapes count as one body.
 
 import taichi as ti
 
-from sim.contact.broad_phase import Bounds
-from sim.contact.constraints import Rows
-from sim.contact.contact_samples import Samples
+from sim.contact.broad_phase import BodyBounds
+from sim.contact.constraints import ContactConstraints
+from sim.contact.contact_samples import ContactSamples
 from sim.contact.device_grids import FAR
-from sim.contact.static_shapes import MAX_SHAPES, Colliders
-from sim.model import MAX_BODIES, Assembly
-from sim.rigid.rigid_bodies import FREE, SOFT, Movers
+from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
+from sim.model import MAX_BODIES, Model
+from sim.rigid.rigid_bodies import FREE, SOFT, RigidBodies
 from sim.rigid.rigid_shapes import RigidShapes
 from sim.state import State
 
@@ -34,16 +34,16 @@ class RigidSearch:
     def __init__(
         self,
         state: State,
-        movers: Movers,
-        samples: Samples,
-        colliders: Colliders,
+        movers: RigidBodies,
+        samples: ContactSamples,
+        colliders: StaticShapes,
         shapes: RigidShapes,
-        bounds: Bounds,
+        bounds: BodyBounds,
         begin: int,
     ):
         self.state, self.movers, self.samples, self.bounds = state, movers, samples, bounds
         self.colliders, self.shapes, self.begin = colliders, shapes, begin
-        self.rows: Rows | None = None  # comes before any kernel is compiled
+        self.rows: ContactConstraints | None = None  # comes before any kernel is compiled
         self.size_of_rows = SLOTS * samples.capacity
         self.shape, self.patience, self.entry = (ti.field(ti.i32) for _ in range(3))
         self.distance, self.bounce = ti.field(ti.f32), ti.field(ti.f32)
@@ -56,7 +56,7 @@ class RigidSearch:
         self.builder.place(self.total)
         self.tree = self.builder.finalize()
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         self.shapes.load(assembly)
 
     def reset(self) -> None:

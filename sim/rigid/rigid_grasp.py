@@ -9,13 +9,13 @@ import numpy as np
 import taichi as ti
 
 from core import quaternion
-from sim.hands.grasp import FORCE, LIGHTEST, OMEGA, Hands
+from sim.hands.grasp import FORCE, LIGHTEST, OMEGA, Grasps
 
 TORQUE = 0.1 * FORCE  # [N m] of one hand at most: its force at the width of a hand
 
 
 @ti.data_oriented
-class RigidGrip:
+class RigidGrasp:
     """What each hand h holds: body i32[H] (-1 none), place vec3 [m] and attitude vec4 in the hand's frame.
 
     force vec3[H] [N]: of the last substep, on the body
@@ -32,7 +32,7 @@ class RigidGrip:
         self.tree = self.builder.finalize()
         self.reset()
 
-    def follow(self, hands: Hands) -> None:
+    def follow(self, hands: Grasps) -> None:
         """Take the hands' poses and grips from here; before any kernel is compiled, if ever."""
         self.hands, self.holds = hands, self.count > 0
 

@@ -5,11 +5,11 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.body_model import RestShape
-from sim.contact.contact_samples import Samples, points_of
-from sim.contact.device_grids import FAR, Grids, corner
+from sim.contact.contact_samples import ContactSamples, points_of
+from sim.contact.device_grids import FAR, DistanceGrids, corner
 from sim.contact.static_shapes import box_distance
-from sim.model import MAX_BODIES, Assembly
-from sim.rigid.rigid_bodies import Movers
+from sim.model import MAX_BODIES, Model
+from sim.rigid.rigid_bodies import RigidBodies
 
 OVERHANG = 5e-4  # [m] a corner so far beyond a box's edge still stands on it: bodies as wide as each other are stacked
 AGAINST = -0.05  # cosine; a face can bear a sample whose surface faces it by more than this
@@ -22,7 +22,7 @@ class RigidShapes:
     On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
     """
 
-    def __init__(self, movers: Movers, samples: Samples, grids: Grids):
+    def __init__(self, movers: RigidBodies, samples: ContactSamples, grids: DistanceGrids):
         self.movers, self.samples, self.grids = movers, samples, grids
         self.boxed, self.half, self.outward = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
         self.builder = ti.FieldsBuilder()
@@ -31,7 +31,7 @@ class RigidShapes:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.boxed, self.half, self.outward])
 
-    def load(self, assembly: Assembly) -> None:
+    def load(self, assembly: Model) -> None:
         """Take the shapes of these bodies."""
         shapes = assembly.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]

@@ -9,7 +9,7 @@ from bench.soak import soak, work
 from bench.soak_acts import MOST_BODIES, Hands, Ranges, generator, population
 from bench.soak_watch import Failure, Watch, elastic, inverted
 from scenes.scene import Hand
-from sim.body_model import Part
+from sim.body_model import BodyModel
 from sim.hands.grasp import FORCE
 from sim.solver import Solver
 
@@ -82,7 +82,7 @@ def test_what_an_edit_put_into_a_wall_has_time_to_come_out(solver):
 
 
 def test_energy_and_inversion_are_those_of_the_shape():
-    part = Part.of(bar("bar", 1e5, 0.0, 0.0), [])
+    part = BodyModel.of(bar("bar", 1e5, 0.0, 0.0), [])
     assert abs(elastic(part, BAR)) < 1e-9
     assert_allclose(elastic(part, BAR * [1.001, 1, 1]), 0.5 * 1e5 * 0.001**2 * 0.04, rtol=5e-3)
     assert inverted({"x": BAR, "bodies": (part,)}) == []

@@ -2,7 +2,7 @@
 
 import itertools
 
-from display.window.adaptive_resolution import LEVELS, PACE, STILL, Quality
+from display.window.adaptive_resolution import LEVELS, PACE, STILL, AdaptiveResolution
 
 
 def run(quality, begin, seconds, *, cost, moving):
@@ -17,7 +17,7 @@ def run(quality, begin, seconds, *, cost, moving):
 
 
 def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_still():
-    quality = Quality()
+    quality = AdaptiveResolution()
     now, shares = run(quality, 0.0, 3.0, cost=lambda share: 0.09 * share**2, moving=True)
     assert shares[0] == 1.0 and shares[-1] == 0.5  # 0.75 would take 50 ms
     now, shares = run(quality, now, 1.0, cost=lambda share: 0.09 * share**2, moving=False)
@@ -28,11 +28,11 @@ def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_st
 
 
 def test_a_fast_machine_draws_everything():
-    assert set(run(Quality(), 0.0, 2.0, cost=lambda share: 0.7 * PACE, moving=True)[1]) == {1.0}
+    assert set(run(AdaptiveResolution(), 0.0, 2.0, cost=lambda share: 0.7 * PACE, moving=True)[1]) == {1.0}
 
 
 def test_it_gets_finer_again_when_there_is_time_and_does_not_swing():
-    quality = Quality()
+    quality = AdaptiveResolution()
     now, _ = run(quality, 0.0, 2.0, cost=lambda share: 0.2 * share**2, moving=True)
     now, shares = run(quality, now, 2.0, cost=lambda share: 0.01 * share**2, moving=True)
     assert shares[-1] == 1.0
@@ -42,5 +42,5 @@ def test_it_gets_finer_again_when_there_is_time_and_does_not_swing():
 
 
 def test_what_pixels_do_not_change_ends_at_the_coarsest():
-    _, shares = run(Quality(), 0.0, 3.0, cost=lambda share: 0.2, moving=True)
+    _, shares = run(AdaptiveResolution(), 0.0, 3.0, cost=lambda share: 0.2, moving=True)
     assert shares[-1] == LEVELS[-1]

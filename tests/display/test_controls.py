@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from core.camera import look_at, perspective
 from display.window.controls import HELP, LARGER, WALKING, Controls
 from display.window.mouse_hand import FASTEST, MouseHand
-from display.window.orbit_camera import STEEPEST, Orbit
+from display.window.orbit_camera import STEEPEST, OrbitCamera
 from display.window.window import project
 from scenes.scene import Hand, Light
 from tests.support.fake_world import RADIUS, FakeWorld
@@ -38,14 +38,14 @@ class Target:
 
 @pytest.fixture
 def controls() -> Controls:
-    return Controls(Orbit((0, 0, 3), (0, 0, 0), 0.9), MouseHand())
+    return Controls(OrbitCamera((0, 0, 3), (0, 0, 0), 0.9), MouseHand())
 
 
 # camera
 
 
 def test_orbit_turns_around_the_target_and_stays_upright():
-    orbit = Orbit((0, 0, 3), (0, 0.5, 0), 0.9)
+    orbit = OrbitCamera((0, 0, 3), (0, 0.5, 0), 0.9)
     before = orbit.distance
     orbit.turn(np.pi / 2, 0.0)
     assert orbit.eye[0] > 2.9 and abs(orbit.eye[2]) < 1e-9  # to the right of the target
@@ -57,14 +57,14 @@ def test_orbit_turns_around_the_target_and_stays_upright():
 
 
 def test_look_keeps_the_eye_and_turns_left_for_positive_yaw():
-    orbit = Orbit((0, 0, 3), (0, 0, 0), 0.9)
+    orbit = OrbitCamera((0, 0, 3), (0, 0, 0), 0.9)
     orbit.look(0.3, 0.1)
     assert_allclose(orbit.eye, (0, 0, 3))
     assert orbit.target[0] < -0.5 and orbit.target[1] > 0.2
 
 
 def test_move_follows_the_camera_axes_and_reset_returns():
-    orbit = Orbit((3, 0, 0), (0, 0, 0), 0.9)  # looks along -x: right is -z
+    orbit = OrbitCamera((3, 0, 0), (0, 0, 0), 0.9)  # looks along -x: right is -z
     orbit.move(1.0, 2.0, 0.5)
     assert_allclose(orbit.eye, (2.5, 2.0, -1.0), atol=1e-12)
     assert_allclose(orbit.target, (-0.5, 2.0, -1.0), atol=1e-12)
@@ -73,7 +73,7 @@ def test_move_follows_the_camera_axes_and_reset_returns():
 
 
 def test_zoom_never_reaches_the_target():
-    orbit = Orbit((0, 0, 3), (0, 0, 0), 0.9)
+    orbit = OrbitCamera((0, 0, 3), (0, 0, 0), 0.9)
     orbit.zoom(1)
     assert_allclose(orbit.distance, 2.7)
     orbit.zoom(1000)

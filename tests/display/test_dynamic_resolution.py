@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from display.xr.dynamic_resolution import GRAIN, HIGH, LEAST, LOW, PATIENT, SETTLE, UP, Resolution
+from display.xr.dynamic_resolution import GRAIN, HIGH, LEAST, LOW, PATIENT, SETTLE, UP, DynamicResolution
 
 BUDGET = 1 / 90
 FULL = (1800, 1920)
@@ -13,7 +13,7 @@ FULL = (1800, 1920)
 
 def play(machine, frames, resolution=None):
     """The shares of a side over `frames` frames, each of which takes machine(frame, share of the pixels) budgets."""
-    resolution = resolution or Resolution(FULL)
+    resolution = resolution or DynamicResolution(FULL)
     shares = []
     for frame in range(frames):
         width, height = resolution.size
@@ -64,7 +64,7 @@ def test_where_pixels_are_not_the_burden_it_stops_at_the_least():
 
 
 def test_what_is_slow_for_other_reasons_does_not_cost_pixels():
-    resolution = Resolution(FULL)
+    resolution = DynamicResolution(FULL)
     for _ in range(300):
         resolution.note(3.0 * BUDGET, BUDGET, 0.5 * BUDGET)
     assert resolution.share == 1.0
@@ -74,11 +74,11 @@ def test_what_is_slow_for_other_reasons_does_not_cost_pixels():
 
 
 def test_a_small_picture_is_never_drawn_larger_than_it_is():
-    resolution = Resolution((17, 9))
+    resolution = DynamicResolution((17, 9))
     assert resolution.size == (17, 9)
     assert resolution.hold(0.99) and resolution.size == (16, 8)
     assert resolution.hold(0.5) and resolution.size == (8, 8)
-    resolution = Resolution(FULL)
+    resolution = DynamicResolution(FULL)
     assert resolution.hold(0.75) and resolution.size == (1352, 1440) and not resolution.hold(0.75)
     assert resolution.hold(0.1) and resolution.share == LEAST
 
@@ -86,6 +86,6 @@ def test_a_small_picture_is_never_drawn_larger_than_it_is():
 def test_growing_never_makes_a_frame_too_slow():
     assert LOW * (1 + UP) ** 2 < HIGH
     for full, share in itertools.product((FULL, (633, 712)), np.linspace(LEAST, 1 / (1 + UP), 50)):
-        small, large = Resolution(full), Resolution(full)
+        small, large = DynamicResolution(full), DynamicResolution(full)
         small.share, large.share = share, share * (1 + UP)
         assert LOW * np.prod(large.size) / np.prod(small.size) < HIGH  # rounded sides included

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from display.xr import hand_joints as J
 from display.xr.actions import Controller
-from display.xr.finger_poke import LENGTH, RADIUS, Poke
+from display.xr.finger_poke import LENGTH, RADIUS, FingerPoke
 from display.xr.hand_joints import BONES, HandInput, bones, curls
 from display.xr.hand_skeleton import RELAXED, about, along, posed
 from display.xr.hand_tracking import HANDOVER, LOCATION, PATIENCE, Sides, joints_of
@@ -166,7 +166,7 @@ def test_without_hands_controllers_play_as_ever():
 
 
 def test_a_touched_trigger_stretches_out_a_finger_and_a_grip_draws_it_in():
-    poke, outs = Poke(), []
+    poke, outs = FingerPoke(), []
     held = Controller(grip=frame(), point=True)
     for c, grips in [(held, False)] * 8 + [(Controller(grip=frame(), grab=1.0, point=True), True)] * 8:
         poke.stretch(c, grips)
@@ -178,7 +178,7 @@ def test_a_touched_trigger_stretches_out_a_finger_and_a_grip_draws_it_in():
     assert_allclose(np.linalg.norm(piece[3:6] - piece[:3]), LENGTH)
     assert_allclose((piece[3:6] - piece[:3]) / LENGTH, frame()[:3, :3] @ [0, 0, -1], atol=1e-12)
     assert piece[6] == RADIUS
-    assert len(Poke().pieces(held)) == 0
+    assert len(FingerPoke().pieces(held)) == 0
 
 
 def test_a_pulled_trigger_pinches_at_the_fingers_tip():

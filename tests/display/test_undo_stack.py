@@ -1,13 +1,13 @@
 """Taking back and doing again, without a world."""
 
-from display.edit.undo_stack import History, Step
+from display.edit.undo_stack import Step, UndoStack
 
 
 class Counter:
     """A number that actions change, and its history."""
 
     def __init__(self, **limits):
-        self.value, self.history = 0, History(**limits)
+        self.value, self.history = 0, UndoStack(**limits)
 
     def now(self, step: Step) -> Step:
         return Step(step.action, self.value, {id(self.value): 10})
@@ -64,7 +64,7 @@ def test_the_oldest_steps_are_forgotten():
 
 
 def test_so_are_those_that_take_too_much_but_what_is_shared_counts_once():
-    history, shared = History(steps=100, size=1000), object()
+    history, shared = UndoStack(steps=100, size=1000), object()
     for _ in range(20):
         own = object()
         history.add(Step("move", own, {id(own): 100, id(shared): 300}))

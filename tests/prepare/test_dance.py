@@ -66,7 +66,7 @@ def test_what_he_holds_is_found_and_stays_whole(dancer):
 def test_a_man_dances_without_tearing(dancer, shared):
     """Through the whole dance no tet is turned inside out, no edge much longer, and next to no Gaussian a spike."""
     from core.material import Material
-    from display.animation_targets import Motion
+    from display.animation_targets import AnimationTargets
     from scenes.scene import Body
     from sim.soft_body import SoftBody
     from sim.solver import Solver
@@ -78,7 +78,7 @@ def test_a_man_dances_without_tearing(dancer, shared):
     led = a.vertices[a.driven]
     body = SoftBody("dancer", cage.vertices, cage.tets, cage.surface, material, pinned=led, loose=True)
     solver = Solver([body], contacts=False)
-    motion = Motion(0, Body("dancer", material), a, cage.vertices, solver)
+    motion = AnimationTargets(0, Body("dancer", material), a, cage.vertices, solver)
     rest, shapes = cage.vertices.astype(np.float64), []
     for _ in range(round(60 * (RAMP + a.duration))):
         motion.drive(1 / 60)

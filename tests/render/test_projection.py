@@ -24,12 +24,12 @@ def project(g: Gaussians, *, antialias=False, crew=None):
 
     `crew` threads share each large splat; as many as the backend likes if None.
     """
-    from render.rasterizer import Raster
+    from render.rasterizer import Rasterizer
     from render.renderer import FloatImages
     from render.splats import Splats
 
     sink = FloatImages(1, CAMERA.height, CAMERA.width)
-    raster = Raster(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, antialias=antialias)
+    raster = Rasterizer(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, antialias=antialias)
     raster.set_camera(0, CAMERA)
     raster.stage.bins.crew = crew or raster.stage.bins.crew
     raster.draw(0)

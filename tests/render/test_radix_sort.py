@@ -20,13 +20,13 @@ KEYS = {
 def machines(ti_cpu):
     """One scan and three sorts; a kernel is compiled once per object, so the tests share them."""
     ti = ti_cpu
-    from render.prefix_sum import Scan
+    from render.prefix_sum import PrefixSum
     from render.radix_sort import RadixSort
 
     @ti.data_oriented
     class Machines:
         def __init__(self):
-            self.scan = Scan(CAPACITY)
+            self.scan = PrefixSum(CAPACITY)
             self.numbers, self.offsets = ti.field(ti.i32, CAPACITY), ti.field(ti.i32, CAPACITY)
             self.count = ti.field(ti.i32, ())
             self.full = RadixSort(CAPACITY)

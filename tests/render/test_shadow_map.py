@@ -33,12 +33,12 @@ def ball(center, radius: float, count: int) -> Gaussians:
 @pytest.fixture(scope="module")
 def stage(ti_cpu):
     """A floor, a ball above it that counts as moving, and their shadow; shared, as compiling takes seconds."""
-    from render.shadow_map import Shadow
+    from render.shadow_map import ShadowMap
     from render.splats import Splats
 
     floor, blob = sheet(2.0, 0.0, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
     splats = Splats(concatenate([floor, blob]))
-    return floor, blob, splats, Shadow(splats, LIGHT, (len(floor), len(floor) + len(blob)))
+    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor), len(floor) + len(blob)))
 
 
 def cast(stage, light: Light):
@@ -110,13 +110,13 @@ def test_a_moving_ball_takes_its_shadow_along_at_the_next_cast(stage):
 
 def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
     """A roof between light and ball: the ball is dark and casts no second shadow through it; a lampshade is nothing."""
-    from render.shadow_map import Shadow
+    from render.shadow_map import ShadowMap
     from render.splats import Splats
 
     floor, roof, blob = sheet(4.0, 0.0, 0.04), sheet(0.6, 0.8, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
     splats = Splats(concatenate([floor, roof, blob]))
     parts = [len(floor), len(floor) + len(roof)]
-    shadow = Shadow(splats, LIGHT, (parts[1], splats.count))
+    shadow = ShadowMap(splats, LIGHT, (parts[1], splats.count))
     shadow.cast()
     on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], parts)
     np.testing.assert_allclose(on_blob, 1 - LIGHT.strength, atol=0.02)
@@ -134,12 +134,12 @@ def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
 
 
 def test_nothing_that_moves_means_no_shadow(ti_cpu):
-    from render.shadow_map import Shadow
+    from render.shadow_map import ShadowMap
     from render.splats import Splats
 
     splats = Splats(sheet(0.2, 0.0, 0.02))
     splats.light.fill(0.5)
-    Shadow(splats, LIGHT, (splats.count, splats.count)).cast()
+    ShadowMap(splats, LIGHT, (splats.count, splats.count)).cast()
     np.testing.assert_array_equal(splats.light.to_numpy()[: splats.count], 1)
 
 

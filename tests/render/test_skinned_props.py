@@ -10,7 +10,7 @@ from display.xr import hand_mesh as hand_model
 from display.xr.actions import Controller
 from display.xr.hand_joints import COUNT, FINGERS, WRIST, pose_of
 from display.xr.hand_skeleton import about, posed
-from render.skinned_props import AWAY, C0, Props
+from render.skinned_props import AWAY, C0, SkinnedProps
 from render.splats import Splats, covariances
 from scenes.scene import Light
 
@@ -25,7 +25,7 @@ def all_skins():
 @pytest.fixture(scope="module")
 def drawn(ti_cpu, all_skins):
     splats = Splats(concatenate([s.gaussians for s in all_skins]))
-    return splats, Props(splats, all_skins, 0)
+    return splats, SkinnedProps(splats, all_skins, 0)
 
 
 def values(splats):

@@ -9,12 +9,12 @@ from tests.support import reference_render as reference
 
 
 def raster_of(g, sort):
-    from render.rasterizer import Raster
+    from render.rasterizer import Rasterizer
     from render.renderer import FloatImages
     from render.splats import Splats
 
     sink = FloatImages(1, CAMERA.height, CAMERA.width)
-    return Raster(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, sort=sort)
+    return Rasterizer(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, sort=sort)
 
 
 def order(raster, camera) -> np.ndarray:

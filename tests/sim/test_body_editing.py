@@ -12,10 +12,10 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Box, Hand
-from sim.body_model import Part, RestShape
-from sim.contact.device_grids import Grids
+from sim.body_model import BodyModel, RestShape
+from sim.contact.device_grids import DistanceGrids
 from sim.contact.rest_distance import rest_grid
-from sim.model import Room
+from sim.model import Capacity
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -23,7 +23,7 @@ DT = 1 / 60
 JELLY = Material(young=3e4, poisson=0.3, density=1000.0, friction=0.6, damping=8.0)
 TABLE = Box((0, -0.05, 0), (2.0, 0.05, 2.0))
 MOTION = ("x", "v", "carry", "v_carry")
-ROOM = Room(vertices=1000, tets=3000, triangles=1500, samples=1500, nodes=1_500_000, bodies=12)
+ROOM = Capacity(vertices=1000, tets=3000, triangles=1500, samples=1500, nodes=1_500_000, bodies=12)
 
 
 def cube(name="cube", side=0.06, cells=2, **start):
@@ -333,7 +333,7 @@ def test_a_script_of_edits_repeats_bit_for_bit_in_another_solver(solver):
 def test_grids_fill_gaps_that_others_left(ti_cpu):
     x, tets, surface = box((0.1,) * 3, (1,) * 3)
     small, large = (rest_grid(x, tets, surface, nodes=n) for n in (12, 20))
-    grids = Grids([small, small, large, large])
+    grids = DistanceGrids([small, small, large, large])
     assert grids.size < 2 * (small.values.size + large.values.size)  # each counts once
     for wanted in ([small, large, small], [large], [large, small], [small], []):
         grids.load(wanted)
@@ -347,7 +347,7 @@ def test_grids_fill_gaps_that_others_left(ti_cpu):
 
 
 def test_a_part_shares_the_shape_of_an_equal_mesh():
-    a = Part.of(CUBE, [])
-    assert Part.of(replace(CUBE, vertices=CUBE.vertices.copy()), [a]).shape is a.shape
-    assert Part.of(FINE, [a]).shape is not a.shape
+    a = BodyModel.of(CUBE, [])
+    assert BodyModel.of(replace(CUBE, vertices=CUBE.vertices.copy()), [a]).shape is a.shape
+    assert BodyModel.of(FINE, [a]).shape is not a.shape
     assert_allclose(a.shape.scaled(2.0).share, 8 * a.shape.share)

@@ -49,13 +49,13 @@ def test_every_index_is_within_its_field_in_hard_pictures(checked):
 
 def test_every_index_of_a_shadow_is_within_its_field(checked):
     """A light that looks at all of it, then one that most of it lies behind."""
-    from render.shadow_map import Shadow
+    from render.shadow_map import ShadowMap
     from render.splats import Splats
     from scenes.scene import Light
 
     g = gaussians(400, 0)
     splats = Splats(g)
-    shadow = Shadow(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
+    shadow = ShadowMap(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
     shadow.cast()
     light = splats.light.to_numpy()[: len(g)]
     assert light.min() < 0.8 and light.max() > 0.9

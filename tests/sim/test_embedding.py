@@ -35,10 +35,10 @@ class Carried:
     """Gaussians in a cage on the device: `to(x)` gives means, covariances and quaternions for vertices x."""
 
     def __init__(self, ti, gaussians, bar=BAR, *, scheme="two-level", embedded=None, **options):
-        from sim.embedding import EmbeddedPart, Embedding
+        from sim.embedding import EmbeddedBody, Embedding
 
         e = embedded or embed_in_bar(gaussians, bar)
-        self.stage = Embedding([EmbeddedPart(e.host, e.weights, gaussians, *bar)], scheme=scheme, **options)
+        self.stage = Embedding([EmbeddedBody(e.host, e.weights, gaussians, *bar)], scheme=scheme, **options)
         n = len(gaussians)
         self.x = ti.Vector.field(3, ti.f32, len(bar[0]))
         self.out = [ti.Vector.field(k, ti.f32, n) for k in (3, 6, 4)]
@@ -126,7 +126,7 @@ def test_the_device_agrees_with_the_equations_in_float64(ti_cpu, gaussians):
 
 
 def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
-    from sim.embedding import EmbeddedPart, Embedding
+    from sim.embedding import EmbeddedBody, Embedding
 
     ti, rng = ti_cpu, np.random.default_rng(3)
     a, b = random_gaussians(rng, 37), random_gaussians(rng, 50)
@@ -134,8 +134,8 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
     n = len(BAR[0])
     stage = Embedding(
         [
-            EmbeddedPart(ea.host, ea.weights, a, *BAR, vertex_offset=5, gaussian_offset=10),
-            EmbeddedPart(eb.host, eb.weights, b, *BAR, vertex_offset=5 + n, gaussian_offset=60),
+            EmbeddedBody(ea.host, ea.weights, a, *BAR, vertex_offset=5, gaussian_offset=10),
+            EmbeddedBody(eb.host, eb.weights, b, *BAR, vertex_offset=5 + n, gaussian_offset=60),
         ],
         with_rotation=False,
     )
@@ -157,12 +157,12 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
 @pytest.mark.parametrize("larger", [False, True])
 def test_parts_come_go_move_and_grow(ti_cpu, larger):
     """A copy five times as large carries Gaussians five times as large, farther than stretch alone may go."""
-    from sim.embedding import EmbeddedPart, Embedding, Run
+    from sim.embedding import EmbeddedBody, Embedding, Run
 
     ti, rng = ti_cpu, np.random.default_rng(4)
     a, b = random_gaussians(rng, 37), random_gaussians(rng, 50)
     n, room = len(BAR[0]), 1.0 if larger else 4.0
-    parts = [EmbeddedPart(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
+    parts = [EmbeddedBody(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
     parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
     stage = Embedding(parts, with_rotation=False, room=room)
     packed = stage.read()
@@ -211,12 +211,12 @@ def test_nothing_to_carry(ti_cpu):
 
 
 def test_a_flat_local_tetrahedron_is_refused(ti_cpu):
-    from sim.embedding import EmbeddedPart, Embedding
+    from sim.embedding import EmbeddedBody, Embedding
 
     one = Gaussians.of([[0.5, 0.1, 0.1]], [[1, 0, 0, 0]], [[-5, -5, -5]], [0], np.zeros((1, 1, 3)))
     weights = np.full((1, 4, 4), 0.25, np.float32)
     with pytest.raises(BadInput, match=r"Gaussian 0 .* flat"):
-        Embedding([EmbeddedPart(np.zeros((1, 4), np.int32), weights, one, *BAR)])
+        Embedding([EmbeddedBody(np.zeros((1, 4), np.int32), weights, one, *BAR)])
 
 
 def test_tiny_gaussians_far_from_the_origin_keep_their_digits(ti_cpu):

@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import fem
 from bench.sample_meshes import box
 from core.material import Material
-from sim.body_model import Part, RestShape
+from sim.body_model import BodyModel, RestShape
 from sim.elastic.time_step import LIMIT, lame, largest_substep, stiffness_bounds
-from sim.model import Assembly
+from sim.model import Model
 from sim.soft_body import SoftBody
 
 MATERIAL = Material(young=1e5, poisson=0.4, density=1000.0)
@@ -90,7 +90,7 @@ class OneMesh:
     """A small mesh on the device, with the loops of one sweep."""
 
     def __init__(self, ti, single: bool):
-        from sim.elastic.energy import Elastic
+        from sim.elastic.energy import Elasticity
         from sim.state import State
 
         self.x, self.tets, _ = box((0.2, 0.1, 0.1), (2, 1, 1))
@@ -101,14 +101,14 @@ class OneMesh:
         self.kappa = stiffness_bounds(self.x, self.tets, self.w, MATERIAL)
         self.dt = largest_substep(self.kappa.max())
         body = SoftBody("mesh", self.x, self.tets, self.tets[:1, :3], MATERIAL)
-        part = Part(body, RestShape.of(body))
+        part = BodyModel(body, RestShape.of(body))
         part.w = self.w
         self.mu, self.lam = lame(MATERIAL)
-        bodies = Assembly([part])
+        bodies = Model([part])
         self.state = s = State(bodies.sizes)
         s.load(bodies)
         s.dt[None] = self.dt
-        self.elastic = e = Elastic(s)
+        self.elastic = e = Elasticity(s)
         e.load(bodies)
         self.moved = ti.Vector.field(3, ti.f32, s.V)
         moved = self.moved

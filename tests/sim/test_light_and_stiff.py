@@ -7,7 +7,7 @@ from bench.sample_meshes import box
 from bench.torus import torus
 from core.material import Material
 from scenes.scene import Plane
-from sim.body_model import Part
+from sim.body_model import BodyModel
 from sim.elastic.time_step import CROSSINGS, DESCENT_SUBSTEPS, SHORTEST, bearable, choose_plan, wave_speed
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -59,7 +59,7 @@ def test_it_does_not_jump_from_the_floor(ti_cpu):
 
 def test_a_part_tells_how_it_is_simulated():
     x, tets, surface = box((0.06, 0.06, 0.06), (1, 1, 1))
-    part = Part.of(SoftBody("straw", x, tets, surface, Material(1e8, 0.49, 10.0)), [])
+    part = BodyModel.of(SoftBody("straw", x, tets, surface, Material(1e8, 0.49, 10.0)), [])
     assert part.material.young < part.body.material.young
     assert part.crossing == pytest.approx(SHORTEST / CROSSINGS)
     assert part.scaled(10.0).material.young == 1e8  # ten times as long to cross

@@ -12,7 +12,7 @@ from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.contact.contact_samples import skin, surface_points
 from sim.contact.rest_distance import rest_grid
-from sim.contact.static_shapes import Colliders, StaticGrid
+from sim.contact.static_shapes import StaticGrid, StaticShapes
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
 CAPSULE = Capsule((0.1, 0.0, 0.2), (0.3, 0.4, 0.1), 0.05, friction=0.75)
@@ -46,7 +46,7 @@ def trilinear_twin(grid: DistanceGrid, p):
 
 def measure(shapes, points):
     """Distance, normal, friction of `nearest` at points (N, 3)."""
-    colliders, n = Colliders(shapes), len(points)
+    colliders, n = StaticShapes(shapes), len(points)
     p, normal = ti.Vector.field(3, ti.f32, n), ti.Vector.field(3, ti.f32, n)
     phi, friction = ti.field(ti.f32, n), ti.field(ti.f32, n)
     p.from_numpy(points.astype(np.float32))

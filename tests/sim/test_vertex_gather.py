@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from scenes.scene import Plane
-from sim.body_model import Part
-from sim.elastic.vertex_gather import Gather
-from sim.elastic.xpbd import Substeps
-from sim.model import Assembly
+from sim.body_model import BodyModel
+from sim.elastic.vertex_gather import VertexGather
+from sim.elastic.xpbd import XPBDSubsteps
+from sim.model import Model
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -32,8 +32,8 @@ def test_the_sums_are_those_of_the_two_loops():
     """Slightly deformed, stretched, and inverted."""
     given = bodies()
     solver = Solver(given, contacts=False)
-    gather = Gather(solver.state)
-    gather.load(Assembly([Part.of(b, []) for b in given]))
+    gather = VertexGather(solver.state)
+    gather.load(Model([BodyModel.of(b, []) for b in given]))
     rng = np.random.default_rng(1)
     start = np.concatenate([b.start() for b in given])
     s, e, n = solver.state, solver._elastic, len(start)
@@ -77,7 +77,7 @@ def test_the_persistent_kernel_agrees_with_the_loops():
     if ti.cfg.arch != ti.cuda:
         pytest.skip("the persistent kernel is for CUDA")
     moved = []
-    for form in (None, Substeps):
+    for form in (None, XPBDSubsteps):
         x, tets, surface = box((0.2, 0.1, 0.1), (6, 3, 3))
         material = Material(5e4, 0.3, 1000.0, friction=0.3)
         lower = SoftBody("lower", x, tets, surface, material, velocity=(0.5, 0.0, 0.0))

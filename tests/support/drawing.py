@@ -14,7 +14,7 @@ class Drawing:
     """Draws up to `capacity` Gaussians of `degree` from `views` cameras, in pictures of up to side x side [px]."""
 
     def __init__(self, capacity: int, views: int, side: int, *, degree: int, **options):
-        from render.rasterizer import Raster
+        from render.rasterizer import Rasterizer
         from render.renderer import FloatImages
         from render.splats import Splats
 
@@ -23,7 +23,7 @@ class Drawing:
             Gaussians.of(np.zeros((capacity, 3)), np.ones((capacity, 4)), np.zeros((capacity, 3)), full[:, 0, 0], full)
         )
         self.sink, self.views = FloatImages(views, side, side), views
-        self.raster = Raster(self.splats, side, side, views=views, sink=self.sink, **options)
+        self.raster = Rasterizer(self.splats, side, side, views=views, sink=self.sink, **options)
 
     def draw(self, g: Gaussians, cameras: list[Camera]) -> list[np.ndarray]:
         """rgb (V, H, W, 3), alpha and depth [m] (V, H, W)."""

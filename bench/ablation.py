@@ -13,7 +13,6 @@ import taichi as ti
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
-from bench.sample_scenes import brick
 from display.headless.picture_strip import FAINT, FOOT, GAP, HEAD, INK, MARGIN, PANEL, PAPER, write
 from display.headless.test_floor import framing
 from display.picture import pixels_of
@@ -22,6 +21,7 @@ from render.renderer import Renderer
 from render.splats import Splats
 from sim.embedding import EmbeddedPart, Embedding
 from sim.embedding_weights import rest_covariances
+from tests.support.sample_scenes import brick
 
 SCHEMES = ("one-level", "two-level")
 DEFORMATIONS = {"90 degrees": 0.5 * np.pi, "180 degrees": np.pi, "360 degrees": 2 * np.pi, "stretch 1.5": None}

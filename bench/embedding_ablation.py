@@ -17,7 +17,7 @@ import taichi as ti
 from assets.gaussians import Gaussians
 from assets.library import SHIPPED
 from bench.ablation import DEFORMATIONS, SCHEMES, ablation, arch, body, carried, jump, moved, page
-from bench.bars import random_gaussians, tet_bar
+from bench.sample_meshes import random_gaussians, tet_bar
 from display.headless.video import claim
 from display.picture import save_png
 from display.run_stats import write_stats

@@ -21,7 +21,7 @@ import numpy as np
 
 from assets.splat_files import write_gaussians
 from bench.synthetic_room import room
-from bench.xvfb import XServer
+from tests.support.xvfb import XServer
 
 PROGRAM = Path(__file__).resolve().parents[1] / "vrgs.py"
 SIZE = (960, 540)

@@ -1,16 +1,23 @@
-"""The rows of the physics table that need no contact, measured through the public Solver.
+"""Rows of the physics table that need no contact, and CUDA against the CPU, measured through the public Solver.
 
-Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every function returns rows
+Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every measurement returns rows
 {"check", "reference", "measured", "tolerance", "pass"}; Taichi must be initialised.
 """
 
+import subprocess
+import sys
+import tempfile
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spla
+import taichi as ti
 
-from bench import fem
 from bench.sample_meshes import box
 from core.material import Material
+from scenes.scene import Plane
 from sim.soft_body import SoftBody, rest_volumes
 from sim.solver import Solver
 
@@ -18,11 +25,15 @@ DENSITY, G = 1000.0, 9.81
 BAR, TETS, SURFACE = box((1.0, 0.2, 0.2), (10, 2, 2), mirror=False)
 BAR = BAR - [0.0, 0.1, 0.1]
 LEFT, RIGHT = np.flatnonzero(BAR[:, 0] < 1e-9), np.flatnonzero(BAR[:, 0] > 1 - 1e-9)
+AGREEMENT_SUBSTEPS = 128  # both devices take these in whole launches; of 100 the CPU makes 105 shorter ones
+BENT_BAR_LENGTH = 0.3  # [m]
+MOST_APART = 1e-5  # of that length: a hundred roundings of float32 in another order
+MOST_APART_CONTACTS = 1e-3  # roundings decide which contacts stick: starts 3e-8 m apart end 1.3e-4 apart on one device
 DOWN = (np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5))  # turns +x to -y
 
 
 def row(check: str, reference: float, measured: float, tolerance: float, *, error: float | None = None) -> dict:
-    """A row; the error is relative to the reference unless it is given."""
+    """A row of the table; `error` is relative to the reference unless given."""
     error = abs(measured / reference - 1) if error is None else error
     return {
         "check": check,
@@ -34,18 +45,19 @@ def row(check: str, reference: float, measured: float, tolerance: float, *, erro
 
 
 def bar(name: str, young: float, poisson: float, damping: float, **place) -> SoftBody:
+    """The bar, of some material."""
     return SoftBody(name, BAR, TETS, SURFACE, Material(young, poisson, DENSITY, damping=damping), **place)
 
 
 def positions(solver: Solver) -> list[np.ndarray]:
-    """Positions of each body in float64, what fp32 lost included."""
+    """Positions [m] of each body in float64, the float32 remainders included."""
     q, o = solver.snapshot(), solver.vertex_offset
     x = q["x"].astype(np.float64) + q["carry"]
     return [x[a:b] for a, b in pairwise(o)]
 
 
 def free_fall() -> list[dict]:
-    """The fp32 trap: at dt = 1e-4, dt^2 g is under one unit in the last place of a position."""
+    """Free fall at several heights: at dt = 1e-4, dt^2 g is below one float32 unit in the last place of a position."""
     heights, duration = (0.3, 1.5, 3.0, 6.0), 0.5
     x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
     material = Material(1e5, 0.3, DENSITY, damping=0.0)
@@ -86,8 +98,8 @@ def statics() -> list[dict]:
 
     rows, weight = [], bodies[0].masses()[:, None] * [0.0, -G, 0.0]
     for k, b in enumerate(bodies[:4]):
-        K = fem.stiffness(start[k], TETS, b.material.young, b.material.poisson)
-        reference = -fem.solve(K, weight, LEFT)[RIGHT, 1].mean()
+        K = fem_stiffness(start[k], TETS, b.material.young, b.material.poisson)
+        reference = -fem_solve(K, weight, LEFT)[RIGHT, 1].mean()
         if k == 0:
             reference = DENSITY * G / (2 * young)
         name = "cantilever, sag [m]" if k == 3 else f"hanging bar, nu = {poissons[k]} [m]"
@@ -97,11 +109,11 @@ def statics() -> list[dict]:
     before, after = (rest_volumes(p, TETS)[middle].sum() for p in (start[1], x[1]))
     rows.append(row("uniaxial stress, dV/V", 0.4 * DENSITY * G * 0.5 / young, after / before - 1, 0.03))
 
-    K = fem.stiffness(BAR, TETS, young, 0.3)
+    K = fem_stiffness(BAR, TETS, young, 0.3)
     turned = np.zeros((len(BAR), 3))
     turned[RIGHT] = angle * np.cross([1, 0, 0], BAR[RIGHT])
     pinned = np.r_[LEFT, RIGHT]
-    u = fem.solve(K, np.zeros_like(BAR), pinned, turned[pinned])
+    u = fem_solve(K, np.zeros_like(BAR), pinned, turned[pinned])
     reference = np.cross(BAR[RIGHT], (K @ u.ravel()).reshape(-1, 3)[RIGHT]).sum(0)[0]
     force = elastic_forces(BAR, x[4] - [0, 0, 6], TETS, young, 0.3)
     measured = -np.cross(x[4][RIGHT] - [0, 0, 6], force[RIGHT]).sum(0)[0]
@@ -127,8 +139,37 @@ def elastic_forces(vertices: np.ndarray, x: np.ndarray, tets: np.ndarray, young:
     return force
 
 
+def fem_stiffness(x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> sp.csr_matrix:
+    """Stiffness matrix (3V, 3V) [N/m] of linear elasticity with constant-strain tets, float64."""
+    lam, mu = young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
+    D = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)
+    volume, inner = np.linalg.det(D) / 6, np.linalg.inv(D)
+    g = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # (T, 4, 3) gradients of the shape functions
+    # K_ab = V (lam g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I)
+    K = lam * np.einsum("tai,tbj->taibj", g, g) + mu * np.einsum("taj,tbi->taibj", g, g)
+    K += mu * np.einsum("tak,tbk,ij->taibj", g, g, np.eye(3))
+    K *= volume[:, None, None, None, None]
+    dof = (3 * tets[:, :, None] + np.arange(3)).reshape(len(tets), 12)
+    rows, cols = np.repeat(dof, 12, axis=1).ravel(), np.tile(dof, (1, 12)).ravel()
+    n = 3 * len(x)
+    return sp.coo_matrix((K.reshape(-1), (rows, cols)), shape=(n, n)).tocsr()
+
+
+def fem_solve(K: sp.csr_matrix, force: np.ndarray, fixed: np.ndarray, displacement=0.0) -> np.ndarray:
+    """Displacements (V, 3) under nodal forces (V, 3), with the vertices `fixed` displaced as given."""
+    u = np.zeros_like(force, np.float64)
+    u[fixed] = displacement
+    held = np.zeros(force.shape, bool)
+    held[fixed] = True
+    free = np.flatnonzero(~held.ravel())
+    load = force.ravel() - K @ u.ravel()
+    flat = u.ravel()
+    flat[free] += spla.spsolve(K[free][:, free].tocsc(), load[free])
+    return flat.reshape(-1, 3)
+
+
 def vibration() -> list[dict]:
-    """First longitudinal mode of the free bar, nu = 0: f = sqrt(E/rho) / 2L; it falls meanwhile."""
+    """Frequency of the first longitudinal mode of the free, falling bar, nu = 0: f = sqrt(E/rho) / 2L."""
     young = 1e6
     b = bar("bar", young, 0.0, 0.0)
     solver = Solver([b], contacts=False)
@@ -146,7 +187,7 @@ def vibration() -> list[dict]:
 
 
 def spin() -> list[dict]:
-    """A free spinning bar loses what the implicit step takes, L = L0 exp(-omega^2 dt t), and keeps its momentum."""
+    """Angular momentum of a free spinning bar, L = L0 exp(-omega^2 dt t) in an implicit step, and linear momentum."""
     omega, duration = 10.0, 1.0
     b = bar("bar", 1e6, 0.3, 0.0, position=(1, 1, 1))
     m = b.masses()
@@ -176,7 +217,7 @@ def spin() -> list[dict]:
 
 
 def recovery() -> list[dict]:
-    """A mirrored, a flattened, a random and a shrunken start: nothing inverted after 3 s, volume within 0.5%."""
+    """Inverted tets and volume 3 s after a mirrored, a flattened, a random and a shrunken start."""
     poissons = {"mirrored": 0.3, "flat": 0.3, "random": 0.3, "shrunken": 0.0}
     names = tuple(poissons)
     bodies = [bar(n, 1e5, poissons[n], 10.0, position=(0, 0, 3 * k)) for k, n in enumerate(names)]
@@ -197,7 +238,7 @@ def recovery() -> list[dict]:
 
 
 def long_run(substeps: int = 1_000_000) -> list[dict]:
-    """Undamped vibration for very many substeps: finite, and no energy from nowhere."""
+    """Largest kinetic energy over many undamped substeps, relative to the start."""
     x, tets, surface = box((0.3, 0.1, 0.1), (3, 1, 1))
     b = SoftBody("bar", x, tets, surface, Material(1e5, 0.3, DENSITY, damping=0.0))
     m = b.masses()
@@ -214,6 +255,57 @@ def long_run(substeps: int = 1_000_000) -> list[dict]:
             u = solver.snapshot()["v"].astype(np.float64)
             most = max(most, 0.5 * m @ (u**2).sum(1) if np.isfinite(u).all() else np.inf)
     return [row(f"{substeps:.0e} undamped substeps, energy / first", 1.0, most / before, 0.01, error=most / before - 1)]
+
+
+def cuda_and_cpu() -> list[dict]:
+    """Largest difference of a vertex between the devices; without a CUDA GPU the rows are skipped."""
+    rows = []
+    for contacts in (False, True):
+        check = f"CUDA and CPU, {AGREEMENT_SUBSTEPS} substeps{', contacts' if contacts else ''}, difference / size"
+        most = MOST_APART_CONTACTS if contacts else MOST_APART
+        result = {"check": check, "reference": 0.0, "measured": None, "tolerance": most, "pass": None}
+        if ti.cfg.arch == ti.cuda:
+            difference = (
+                np.abs(agreement_positions(contacts) - positions_of_another_process(contacts)).max() / BENT_BAR_LENGTH
+            )
+            rows.append({**result, "measured": float(difference), "pass": bool(difference <= most)})
+        else:
+            rows.append({**result, "note": "runs on a CUDA GPU only"})
+    return rows
+
+
+def agreement_positions(contacts: bool) -> np.ndarray:
+    """Positions [m] after AGREEMENT_SUBSTEPS substeps: a bent spinning bar, a sliding block and one on top of it."""
+    jelly = Material(1e5, 0.4, 1000.0, friction=0.3, damping=0.0)  # damping acts every few substeps, by device
+    bar, cube = box((BENT_BAR_LENGTH, 0.1, 0.1), (6, 2, 2)), box((0.1, 0.1, 0.1), (2, 2, 2))
+    bodies = [
+        SoftBody("bar", *bar, jelly, position=(0, 1, 0)),
+        SoftBody("lower", *cube, jelly, position=(1, 0.0005, 0), velocity=(0.5, 0, 0)),
+        SoftBody("upper", *cube, jelly, position=(1.03, 0.1005, 0.02), velocity=(0, -0.2, 0)),
+    ]
+    floor, frame = Plane((0, 0, 0), (0, 1, 0), friction=0.3), AGREEMENT_SUBSTEPS * 1e-4
+    solver = Solver(bodies, [floor], substep=1e-4, frame_dt=frame, contacts=contacts)
+    start = solver.snapshot()
+    x, v = start["x"].astype(np.float64), start["v"].astype(np.float64)
+    n = len(bar[0])
+    v[:n] += np.cross([0.0, 0.0, 8.0], x[:n] - x[:n].mean(0))
+    x[:n, 1] += 0.3 * (x[:n, 0] - BENT_BAR_LENGTH / 2) ** 2
+    solver.restore({"x": x, "v": v})
+    solver.step(frame)
+    end = solver.snapshot()
+    return end["x"].astype(np.float64) + end["carry"]
+
+
+def positions_of_another_process(contacts: bool) -> np.ndarray:
+    """The result of `agreement_positions` on the CPU. Taichi runs on one kind of device per process."""
+    program = (
+        "import sys; import numpy as np; from core.runtime import start_taichi; from bench import physics;"
+        f"start_taichi('cpu'); np.save(sys.argv[1], physics.agreement_positions({contacts}))"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder, "x.npy")
+        subprocess.run([sys.executable, "-c", program, str(out)], cwd=Path(__file__).resolve().parents[1], check=True)
+        return np.load(out)
 
 
 ALL = (free_fall, statics, vibration, spin, recovery)

@@ -1,24 +1,42 @@
-"""The rows of the physics table for rigid bodies in contact, in the form of bench/physics.py.
+"""Rows of the physics table for bodies in contact, in the form of bench/physics.py.
 
-Each function takes the solver and the places of bench/playground.py, or makes them; Taichi must be initialised.
+Functions of rigid bodies take a `playground()`, or make one. Taichi must be initialised.
 """
 
 import numpy as np
 
 from bench.physics import row
-from bench.playground import DROP, RESTITUTIONS, playground
+from bench.setups import DROP, FRAME, RESTITUTIONS, SIDE, G, linked_throws, playground, resting_pile
 
-FRAME, G = 1 / 60, 9.81
-STAND = 0.07  # [m] of an octahedron's centre over its tip
+TIP_HEIGHT = 0.07  # [m] of an octahedron's centre over its lowest vertex
+MOST_GAINED = 1e-5  # [J]; it lifts a cube of the pile by 2 um
+
+
+def rigid_bodies() -> list[dict]:
+    """Rebounds, stacks and a slope, all in one solver."""
+    place = playground()
+    return [*rigid_bounce(place), *rigid_stack(place), *slope(place)]
+
+
+def ring_throws(count: int = 100, **options) -> list[dict]:
+    """Rings thrown on their pegs at up to 5 m/s, none of which may get loose."""
+    return [row(f"rings that stay on their peg, of {count}", count, linked_throws(count, 5.0, **options), 0.0)]
+
+
+def pile_at_rest(seconds: float = 60.0) -> list[dict]:
+    """A pile at rest gains no energy."""
+    gained = resting_pile(seconds)["gained"]
+    return [row(f"pile at rest, energy gained in {seconds:g} s [J]", 0.0, gained, MOST_GAINED, error=gained)]
 
 
 def run(solver, seconds: float) -> None:
+    """Step a solver for some seconds, hands idle."""
     for _ in range(round(seconds / FRAME)):
         solver.step(FRAME)
 
 
 def started(place):
-    """The playground at its start."""
+    """The playground, reset to its start."""
     solver, where = place or playground()
     solver.gravity = (0.0, -G, 0.0)
     solver.reset()
@@ -26,7 +44,7 @@ def started(place):
 
 
 def rigid_bounce(place=None) -> list[dict]:
-    """The height of the first rebound, from place and speed in the frame after the impact: h1 = e^2 h0."""
+    """Height of the first rebound, from position and velocity in the frame after the impact: h1 = e^2 h0."""
     solver, where = started(place)
     y, v = [], []
     for _ in range(30):
@@ -36,16 +54,16 @@ def rigid_bounce(place=None) -> list[dict]:
         v.append([s.velocity[1] for s in states])
     y, v, rows = np.array(y), np.array(v), []
     for k, e in enumerate(RESTITUTIONS):
-        for j, name, stand in ((2 * k, "box", 0.05), (2 * k + 1, "octahedron", STAND)):
+        for j, name, resting in ((2 * k, "box", SIDE / 2), (2 * k + 1, "octahedron", TIP_HEIGHT)):
             fallen = np.flatnonzero(v[:, j] < -1.0)[-1] + 1
-            height = y[fallen, j] - stand + max(v[fallen, j], 0.0) ** 2 / (2 * G)
+            height = y[fallen, j] - resting + max(v[fallen, j], 0.0) ** 2 / (2 * G)
             error = abs(height / DROP - e**2) / max(e**2, 0.25)
             rows.append(row(f"{name} bounces, e = {e}, h1/h0", e**2, height / DROP, 0.03, error=error))
     return rows
 
 
 def rigid_stack(place=None, seconds: float = 10.0) -> list[dict]:
-    """A stack of five boxes and a brick wall stay where they are."""
+    """Drift and speed of a stack of five boxes and of a brick wall at rest."""
     solver, where = started(place)
     run(solver, 0.5)
     before = np.array([s.centroid for s in solver.bodies()])
@@ -62,7 +80,7 @@ def rigid_stack(place=None, seconds: float = 10.0) -> list[dict]:
 
 
 def slope(place=None) -> list[dict]:
-    """A box lies still one degree below the friction angle, and slides one above at g (sin a - mu cos a)."""
+    """Acceleration of a box on a slope: 0 below the friction angle, g (sin a - mu cos a) above it."""
     solver, where = started(place)
     box, mu, rows = where["sliding"].start, np.sqrt(0.5 * 0.6), []
     for away in (-1.0, 1.0):

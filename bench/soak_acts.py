@@ -12,8 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from assets.asset import DistanceGrid
-from bench.sample_meshes import box
-from bench.torus import torus
+from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Hand
 from sim.body_model import scaled_grid

@@ -18,7 +18,7 @@ from time import perf_counter
 
 import numpy as np
 
-from bench import fem, physics
+from bench import physics
 from bench.sample_meshes import boundary
 from core.material import Material
 from core.runtime import start_taichi
@@ -81,9 +81,9 @@ def lame(m: Material) -> tuple[float, float]:
 
 def by_elements(c: Case) -> np.ndarray:
     """Positions [m] that linear elasticity gives."""
-    K = fem.stiffness(c.vertices, c.tets, c.material.young, c.material.poisson)
+    K = physics.fem_stiffness(c.vertices, c.tets, c.material.young, c.material.poisson)
     mass = SoftBody(c.name, c.vertices, c.tets, np.zeros((1, 3), int), c.material).masses()
-    return c.vertices + fem.solve(K, mass[:, None] * [0.0, -c.gravity, 0.0], c.pinned)
+    return c.vertices + physics.fem_solve(K, mass[:, None] * [0.0, -c.gravity, 0.0], c.pinned)
 
 
 def by_newton(c: Case, python: Path) -> dict:

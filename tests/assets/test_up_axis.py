@@ -7,10 +7,10 @@ from scipy.spatial import ConvexHull
 from assets.gaussians import Gaussians
 from assets.level_planes import hollow_columns, normals_and_areas, plane_votes, scene_votes
 from assets.up_axis import AXES, extent, first_hits, guess, hull, rotation_to_up, surest, told
-from bench.cage_cases import case
-from bench.sample_scenes import brick, garden, room, table_and_jug
-from bench.shells import ball, toy
 from prepare.cleaning import clean
+from tests.support.cage_cases import case
+from tests.support.sample_scenes import brick, garden, room, table_and_jug
+from tests.support.shells import ball, toy
 
 SCENES = {"room": room, "open room": lambda: room(ceiling=False), "garden": garden, "table": table_and_jug}
 

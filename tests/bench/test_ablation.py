@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset, Cage
-from bench.bars import random_gaussians, tet_bar
-from bench.sample_meshes import boundary
+from bench.sample_meshes import boundary, random_gaussians, tet_bar
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -8,7 +8,6 @@ from numpy.testing import assert_array_equal
 
 import vrgs
 from bench import check, physics
-from bench import device_agreement as devices
 
 HERE = [m for m in check.MEASUREMENTS if m.tested == "test_physics"]
 
@@ -27,9 +26,9 @@ def test_another_process_finds_the_same_positions_on_the_cpu(ti_cpu):
     """So that what differs between CUDA and CPU comes from CUDA."""
     if ti_cpu.cfg.arch == ti_cpu.cuda:
         pytest.skip("this is the CPU's half")
-    x = devices.moved(contacts=False)
+    x = physics.agreement_positions(contacts=False)
     assert np.isfinite(x).all()
-    assert_array_equal(devices.moved_in_another_process(contacts=False), x)
+    assert_array_equal(physics.positions_of_another_process(contacts=False), x)
 
 
 def rows_of(*verdicts) -> tuple[check.Measurement, ...]:

@@ -8,11 +8,11 @@ import time
 import numpy as np
 import pytest
 
-from bench.remote_headset import monado, surroundings
-from bench.xvfb import NEEDS_XVFB, XServer
 from display.xr.hand_tracking import HANDOVER
 from scenes import ring_toss
 from tests.display.test_headset_play import WHY, YELLOW, Play
+from tests.support.remote_headset import monado, surroundings
+from tests.support.xvfb import NEEDS_XVFB, XServer
 
 pytestmark = [*NEEDS_XVFB, pytest.mark.skipif(monado() is None, reason=WHY)]
 OPEN, PINCH = (0.0,) * 5, (0.0, 0.0, 0.0, 1.0, 1.0)  # the driver's order: the little finger first

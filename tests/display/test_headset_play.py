@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.remote_headset import PORT, Player, monado, surroundings
-from bench.xvfb import NEEDS_XVFB, XServer
 from core.rotation import quaternion_from_matrix
 from display.record.replay import Replay
 from display.xr.poses import Standpoint
 from display.xr.wrist_panel import BUTTONS, PIXELS, WIDTH, pose_of
 from scenes import ring_toss
+from tests.support.remote_headset import PORT, Player, monado, surroundings
 from tests.support.watched import Watched
+from tests.support.xvfb import NEEDS_XVFB, XServer
 
 TESTS = Path(__file__).resolve().parents[1]
 WHY = "no OpenXR runtime to play in: build it with `sh tests/support/monado.sh`"

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.xvfb import NEEDS_XVFB, XServer
 from core.camera import look_at, perspective
 from display.window.window import project
 from scenes import ring_toss
 from tests.support.watched import Watched
+from tests.support.xvfb import NEEDS_XVFB, XServer
 
 pytestmark = NEEDS_XVFB
 TESTS = Path(__file__).resolve().parents[1]

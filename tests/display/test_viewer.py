@@ -11,8 +11,8 @@ import pytest
 
 from assets.gaussians import Gaussians
 from assets.splat_files import write_gaussians
-from bench.xvfb import NEEDS_XVFB, XServer
 from display.viewer import camera_around, middle_and_radius, upright
+from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
 RED, WHITE = (0.9, 0.1, 0.1), (0.9, 0.9, 0.9)

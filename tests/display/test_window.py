@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.xvfb import NEEDS_XVFB, XServer
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.window.gl_window import has_display
 from display.window.window import Window, project
 from tests.support.fake_world import RADIUS, fake_scene
+from tests.support.xvfb import NEEDS_XVFB, XServer
 
 pytestmark = NEEDS_XVFB
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,14 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.splat_files import read_gaussians
-from bench.bending import measure
-from bench.cage_cases import CASES, DISTANCES, case
-from bench.cage_table import faults, measured
 from core.errors import BadInput
 from prepare.cage.cage import cage_of, fault, share_inside, widened
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import euler_characteristic, volumes
 from prepare.cage.sizing_field import Shape, levels_of
+from tests.support.cage_cases import CASES, DISTANCES, case
+from tests.support.cage_measures import bending, faults, measured
 
 SPACING = 0.05
 
@@ -39,21 +38,21 @@ def test_each_case_has_its_points_on_its_surface_and_damage(name):
 
 @pytest.mark.parametrize("name", ["ring", "capsule"])
 def test_a_small_cage_keeps_all_promises(ti_cpu, name):
-    row, _ = measured(case(name, 5000), 1000, up="+y")
+    row = measured(case(name, 5000), 1000, up="+y")
     assert faults(row, 1000) == []
 
 
 @pytest.mark.shared
 def test_a_body_that_is_thin_all_over_is_served(ti_cpu, shared):
     """Wings, horns and claws: at 3,000 vertices no cell can be halved, and points of the rims are lifted in last."""
-    row, _ = measured(read_gaussians(shared / "data" / "splats" / "plush_dragon.ply"), 3000, up="+y")
+    row = measured(read_gaussians(shared / "data" / "splats" / "plush_dragon.ply"), 3000, up="+y")
     assert faults(row, 3000) == []
 
 
 def test_the_volume_is_kept_where_that_is_promised(ti_cpu, monkeypatch):
     """As from 10,000 vertices on, here with fewer."""
     monkeypatch.setattr("prepare.cage.cage.EXACT", 1000)
-    row, _ = measured(case("bunny", 5000), 2000, up="+y")
+    row = measured(case("bunny", 5000), 2000, up="+y")
     assert faults(row, 2000) == []
     assert abs(row["volume"]) < 3
 
@@ -112,7 +111,7 @@ def test_what_cannot_be_held_is_refused_with_a_reason(ti_cpu):
 
 def test_an_adaptive_cage_bends_where_a_uniform_one_is_stiff(ti_cpu):
     """Ball and ear, some 1,000 vertices each; an ear of 8 mm bends 0.19 against 0.04 of what a fine cage's does."""
-    uniform, adaptive = (measure(1000, adaptive=a, spacing=0.0025, thick=0.01) for a in (False, True))
+    uniform, adaptive = (bending(1000, adaptive=a, spacing=0.0025, thick=0.01) for a in (False, True))
     assert adaptive["vertices"] < 1.15 / 0.85 * uniform["vertices"]
     assert adaptive["bent"] > 2 * uniform["bent"]
     assert adaptive["angle"] >= 12

@@ -12,11 +12,11 @@ import commands.prepare as command
 from assets.asset import Asset
 from assets.splat_files import write_gaussians
 from assets.thumbnail import SIDE, check_thumbnail, thumbnail_of
-from bench.shells import ball
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STAGES
 from prepare.progress import ProgressBar, ProgressLines, progress_on
+from tests.support.shells import ball
 
 
 @pytest.fixture

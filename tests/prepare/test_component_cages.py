@@ -13,7 +13,6 @@ from assets.components import piece_of_vertices, pieces_of
 from assets.file_access import replacing_all
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import write_gaussians
-from bench.shells import ball, ring
 from core.errors import BadInput
 from core.material import Material
 from core.point_location import Locator
@@ -25,6 +24,7 @@ from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices, pi
 from prepare.cleaning import clean, clean_pieces
 from prepare.pipeline import prepare
 from scenes.scene import Body, Light, Scene
+from tests.support.shells import ball, ring
 
 
 def moved(g: Gaussians, *to: float, scale: float = 1.0) -> Gaussians:

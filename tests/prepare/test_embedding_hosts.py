@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.bars import random_gaussians, tet_bar
+from bench.sample_meshes import random_gaussians, tet_bar
 from core.point_location import Locator
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts_reference import CORNERS, FURTHEST, embed

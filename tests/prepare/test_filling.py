@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.gaussians import Gaussians
-from bench.shells import ball, ring
 from core.rotation import matrices_from_quaternions
 from prepare.cage.filling import BLUR, REACH, density_of, interior, solid_cells
+from tests.support.shells import ball, ring
 
 
 def random_gaussians(n: int, low: float, high: float, seed=0) -> Gaussians:

@@ -11,7 +11,6 @@ from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
 from assets.up_axis import AXES, guess_up, metres, rotation_to_up
-from bench.shells import ball, ring, shell, toy
 from commands.prepare import prepare_file, run
 from core.errors import BadInput
 from core.material import MATERIALS
@@ -19,6 +18,7 @@ from core.point_location import Locator
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
 from prepare.cleaning import clean
 from prepare.pipeline import STAGES, prepare
+from tests.support.shells import ball, ring, shell, toy
 
 SPLATS = {"toy_cat.ply": "-y", "plush_dragon.ply": "+y"}  # and which way is up in them, as pictures show
 

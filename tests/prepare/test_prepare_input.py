@@ -10,10 +10,10 @@ from assets.asset import Asset
 from assets.gaussians import concatenate
 from assets.splat_files import write_gaussians
 from assets.up_axis import extent
-from bench.sample_scenes import table_and_jug
-from bench.shells import ball
 from core.errors import BadInput
 from tests.prepare.test_pipeline import BAD, PLANE, some
+from tests.support.sample_scenes import table_and_jug
+from tests.support.shells import ball
 
 COLUMNS = [
     *"xyz",

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.shells import ball
 from prepare.mesh_drawing import PAPER
 from prepare.pipeline import prepare
 from prepare.report import examine, histogram, html_of, length, report_names, report_texts
 from prepare.report_pictures import HEIGHT, WIDTH
+from tests.support.shells import ball
 
 
 @pytest.fixture(scope="module")

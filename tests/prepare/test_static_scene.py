@@ -12,7 +12,12 @@ from assets.asset import Asset
 from assets.environment import Stage
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from bench.sample_scenes import (
+from core.errors import BadInput
+from prepare.room.support_planes import gravity
+from prepare.room.surfels import OPAQUE, Surfels, normals_and_areas, surfels
+from prepare.room.winding_number import planes_nearby, signed_distance, winding
+from scenes import registry
+from tests.support.sample_scenes import (
     GARDEN_TABLE,
     LEANING,
     ROOM,
@@ -24,12 +29,7 @@ from bench.sample_scenes import (
     room_distance,
     table_and_jug,
 )
-from bench.shells import ball, fibonacci_sphere
-from core.errors import BadInput
-from prepare.room.support_planes import gravity
-from prepare.room.surfels import OPAQUE, Surfels, normals_and_areas, surfels
-from prepare.room.winding_number import planes_nearby, signed_distance, winding
-from scenes import registry
+from tests.support.shells import ball, fibonacci_sphere
 
 RIGHT = 0.99  # of all places must have the right sign
 SHELL = 4  # voxels under the surface beyond which a grid says nothing (sim/contact/static_shapes.py)

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 import prepare.cage.tetgen_mesher as tetgen
 import vrgs
 from assets.splat_files import write_gaussians
-from bench.shells import ball
 from core.errors import BadInput
 from prepare.cage.cage import cage_of, fault, share_inside
 from prepare.cage.isosurface import areas, marching_cubes, volume_within
@@ -18,6 +17,7 @@ from prepare.cage.mesh_quality import non_manifold_vertices
 from prepare.cage.meshers import mesh
 from prepare.cage.tetgen_mesher import NoMesh, decimated, first_edge, run_tetgen, sound
 from prepare.pipeline import prepare
+from tests.support.shells import ball
 
 N, R = 40, 14.0
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)

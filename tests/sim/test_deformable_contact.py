@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.sample_meshes import box
-from bench.torus import torus
+from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Capsule, Plane
 from sim.contact.tet_planes import neighbors

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from assets.asset import Embedded
 from assets.gaussians import Gaussians
-from bench.bars import random_gaussians, tet_bar, twist
+from bench.sample_meshes import random_gaussians, tet_bar
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts_reference import embed
@@ -252,6 +252,19 @@ def probes_of(gaussians) -> Gaussians:
     scales = np.tile(np.log(np.sqrt(np.diag(PROBE))), (len(gaussians), 1))
     n = len(gaussians)
     return Gaussians.of(gaussians.means, np.tile([1, 0, 0, 0], (n, 1)), scales, np.zeros(n), np.zeros((n, 1, 3)))
+
+
+def twist(x, *, turn=np.pi, stretch=0.3, centre=0.1):
+    """Turn a bar of 1 m along x about its axis by `turn` [rad] and stretch it ever more: positions and gradients F."""
+    angle = turn * x[:, 0]
+    c, s = np.cos(angle), np.sin(angle)
+    y, z = x[:, 1] - centre, x[:, 2] - centre
+    moved = np.stack([x[:, 0] * (1 + stretch * x[:, 0]), c * y - s * z, s * y + c * z], 1)
+    F = np.zeros((len(x), 3, 3))
+    F[:, 0, 0] = 1 + 2 * stretch * x[:, 0]
+    F[:, 1, 0], F[:, 2, 0] = turn * (-s * y - c * z), turn * (c * y - s * z)
+    F[:, 1, 1], F[:, 1, 2], F[:, 2, 1], F[:, 2, 2] = c, -s, s, c
+    return moved, F
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import fem
+from bench.physics import fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
 from sim.body_model import BodyModel, RestShape
@@ -229,7 +229,7 @@ def test_kappa_bounds_the_stiffness_of_every_tet():
     w = rng.uniform(10.0, 100.0, len(x))
     kappa = stiffness_bounds(x, tets, w, MATERIAL)
     for t in range(len(tets)):
-        K = fem.stiffness(x[tets[t]], np.array([[0, 1, 2, 3]]), MATERIAL.young, MATERIAL.poisson).toarray()
+        K = fem_stiffness(x[tets[t]], np.array([[0, 1, 2, 3]]), MATERIAL.young, MATERIAL.poisson).toarray()
         root = np.sqrt(np.repeat(w[tets[t]], 3))
         largest = np.linalg.eigvalsh(root[:, None] * K * root).max()
         assert 0.3 * kappa[t] < largest <= kappa[t] * (1 + 1e-9)
@@ -247,7 +247,7 @@ def test_the_rule_keeps_the_jacobi_sum_stable():
         material = Material(1e5, nu, 1000.0)
         w = 1 / SoftBody("bar", x, tets, surface, material).masses()
         root = sp.diags(np.sqrt(np.repeat(w, 3)))
-        A = root @ fem.stiffness(x, tets, material.young, nu) @ root
+        A = root @ fem_stiffness(x, tets, material.young, nu) @ root
         largest = spla.eigsh(A, k=1, return_eigenvectors=False)[0]
         dt = largest_substep(stiffness_bounds(x, tets, w, material).max())
         assert dt * np.sqrt(stiffness_bounds(x, tets, w, material).max()) == pytest.approx(LIMIT)

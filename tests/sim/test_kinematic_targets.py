@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.sample_meshes import box
-from bench.torus import torus
+from bench.sample_meshes import box, torus
 from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Hand, Plane

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.torus import torus
+from bench.sample_meshes import torus
 from core.material import Material
 from sim.soft_body import SoftBody
 from sim.solver import Solver

@@ -1,6 +1,6 @@
 """A pile at rest gains no energy from contact."""
 
-from bench.piles import resting_pile
+from bench.setups import resting_pile
 
 
 def test_a_pile_gains_no_energy_and_calms_down(ti_cpu):

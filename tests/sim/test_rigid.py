@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import physics_contact
-from bench.playground import SIDE, playground
+from bench.setups import SIDE, playground
 from core.errors import BadInput
 from scenes.scene import Hand
 from sim.rigid.rigid_body import RigidBody

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.sample_meshes import box
-from bench.torus import torus
+from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Hand
 from sim.soft_body import SoftBody, rest_volumes

@@ -6,8 +6,7 @@ import taichi as ti
 from numpy.testing import assert_allclose
 
 from assets.asset import DistanceGrid
-from bench.sample_meshes import box
-from bench.torus import torus
+from bench.sample_meshes import box, torus
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.contact.contact_samples import skin, surface_points

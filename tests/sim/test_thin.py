@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from assets.asset import DistanceGrid
-from bench.sample_meshes import box
-from bench.throws import linked_throws, rotation
-from bench.torus import torus
+from bench.sample_meshes import box, torus
+from bench.setups import linked_throws
 from core.material import Material
 from scenes.scene import Box, Hand
 from sim.contact.static_shapes import StaticGrid
@@ -17,6 +17,11 @@ RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.4)
 THICK, SPEED, APART = 0.005, 10.0, 2.0
 RING = torus(0.08, 0.016, 16, 2)
 CUBE = box((0.08,) * 3, (2, 2, 2))
+
+
+def turned(axis, angle) -> np.ndarray:
+    """Rotation matrix about an axis of any length."""
+    return Rotation.from_rotvec(angle * np.asarray(axis) / np.linalg.norm(axis)).as_matrix()
 
 
 def plate_grid(spacing=0.002) -> DistanceGrid:
@@ -64,7 +69,7 @@ def test_a_plate_stops_what_comes_at_10_metres_a_second(plates, frame):
     for _ in range(3):
         xs, vs = [], []
         for k, b in enumerate(plates._bodies):
-            x = np.asarray(b.vertices) @ rotation(rng.normal(size=3), rng.uniform(0, np.pi)).T
+            x = np.asarray(b.vertices) @ turned(rng.normal(size=3), rng.uniform(0, np.pi)).T
             way = np.array([0.0, -1.0, 0.0]) + rng.uniform(0, 0.9) * np.array([1.0, 0, 0])
             way *= SPEED / np.linalg.norm(way)
             xs.append(x + (APART * k, 0.05 - x[:, 1].min() + rng.uniform(0, 0.1), 0))
@@ -93,7 +98,7 @@ def test_bodies_thrown_at_each_other_do_not_pass(plates):
     for a, b in ((2, 3), (0, 1)):
         xs = [x + (APART * k, 5.0, 0) for k, x in enumerate(rest)]
         vs = [np.zeros_like(x) for x in rest]
-        tilt = rotation((1, 0, 0), 0.2)
+        tilt = turned((1, 0, 0), 0.2)
         xs[a], xs[b] = rest[a] @ tilt + (-3, 0.1, 0), rest[b] + (-3 + 0.01 * a, -0.1, 0)
         vs[a][:, 1] = -SPEED
         plates.restore({"x": np.concatenate(xs), "v": np.concatenate(vs)})

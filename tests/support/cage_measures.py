@@ -1,29 +1,60 @@
-"""How much a thin part bends in cages of cells of one size and of several, with as many vertices.
-
-`python -m bench.bending`: a ball of 16 cm with an ear of 8 mm, pushed sideways at its tip; linear elasticity
-(bench/fem.py), as a share of what ever finer uniform lattices come to. Printed as Markdown.
-"""
-
-from __future__ import annotations
-
-import argparse
-import time
+"""Measured properties of cages: what the mesher promises, and the bending of a thin part."""
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
 from assets.asset import Cage
-from bench.fem import stiffness
-from core.errors import BadInput
+from assets.gaussians import Gaussians
+from bench.physics import fem_stiffness
+from core.point_location import Locator
 from prepare.cage.cage import cage_of
-from prepare.cage.mesh_quality import dihedral_angles
-from prepare.cage.stuffing import stuff
+from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices, pieces, volumes
+from prepare.pipeline import prepare
 
+SOUND = {"angle": 12.0, "volume": 3.0, "inside": 99.5, "count": 15.0}  # degrees, per cent
 RADIUS, LENGTH, WIDTH, THICK = 0.08, 0.11, 0.06, 0.008  # [m]
 YOUNG, POISSON, FORCE = 3e4, 0.3, 0.01  # [Pa], [-], [N]
 TIP = RADIUS + LENGTH - 0.015  # [m] what lies above is pushed
 CHUNK = 100_000  # tets whose matrices are made at once
+
+
+def figures(cage: Cage, filled: float, points: np.ndarray, wanted: int) -> dict:
+    """What is promised of a cage, measured. filled: volume [m^3] of the filled shape; points (N, 3) to be inside."""
+    volume = volumes(cage.vertices, cage.tets)
+    return {
+        "vertices": len(cage.vertices),
+        "tets": len(cage.tets),
+        "angle": float(dihedral_angles(cage.vertices, cage.tets).min()),
+        "positive": bool((volume > 0).all()),
+        "pinched": len(non_manifold_vertices(cage.surface)),
+        "pieces": int(pieces(cage.tets).max()) + 1,
+        "volume": 100 * (float(volume.sum()) / filled - 1),
+        "inside": 100 * float((Locator(cage.vertices, cage.tets).find(points) >= 0).mean()),
+        "count": 100 * (len(cage.vertices) / wanted - 1),
+    }
+
+
+def faults(row: dict, wanted: int) -> list[str]:
+    """The promises that a row of `figures` breaks."""
+    broken = {
+        "angle": row["angle"] < SOUND["angle"],
+        "inverted": not row["positive"],
+        "manifold": row["pinched"] > 0,
+        "pieces": row["pieces"] > 1,
+        "volume": wanted >= 10_000 and abs(row["volume"]) > SOUND["volume"],
+        "inside": row["inside"] < SOUND["inside"],
+        "count": abs(row["count"]) > SOUND["count"],
+    }
+    return [name for name, is_broken in broken.items() if is_broken]
+
+
+def measured(gaussians: Gaussians, vertices: int, **options) -> dict:
+    """Prepare a splat and return the `figures` of its cage. Raises BadInput."""
+    asset = prepare(gaussians, vertices=vertices, **options)
+    g = asset.gaussians
+    points = g.means[g.opacities > 0.5].astype(np.float64)
+    return figures(asset.cage, asset.provenance["figures"]["filled"], points, vertices)
 
 
 def ball_with_ear(spacing: float, thick: float = THICK) -> np.ndarray:
@@ -49,7 +80,7 @@ def bent_by(cage: Cage, spacing: float) -> float:
     force[:, 2] = FORCE * weight / weight.sum()
     moves = x[:, 1] > 0
     tets = cage.tets[moves[cage.tets].any(1)]  # the others hold nothing that moves
-    parts = [stiffness(x, tets[k : k + CHUNK], YOUNG, POISSON) for k in range(0, len(tets), CHUNK)]
+    parts = [fem_stiffness(x, tets[k : k + CHUNK], YOUNG, POISSON) for k in range(0, len(tets), CHUNK)]
     free = np.flatnonzero(np.repeat(moves, 3))
     A = sum(K[free][:, free] for K in parts).tocsr()
     b = force.ravel()[free]
@@ -83,21 +114,7 @@ def two_level(A: sp.csr_matrix, x: np.ndarray) -> spla.LinearOperator:
     return spla.LinearOperator(A.shape, lambda v: v / diagonal + P @ solve(P.T @ v))
 
 
-def reference(cells: list[float], spacing: float = 0.001) -> tuple[list[tuple[int, float]], float]:
-    """Uniform lattices of these cells [m], from wide to narrow: vertices and how far [m] the tip goes, of each; and the
-    limit by Richardson's extrapolation of the last two. Linear tets are too stiff by the square of a cell, so that it
-    is the inverse, the stiffness, that is extrapolated.
-    """
-    rows = []
-    for cell in cells:
-        cage = stuff(ball_with_ear(spacing) * np.float32(spacing), np.zeros(3), spacing, cell=cell)
-        rows.append((len(cage.vertices), bent_by(cage, 1.0)))
-        print(f"cells of {1e3 * cell:.2f} mm, {rows[-1][0]} vertices: {1e3 * rows[-1][1]:.3f} mm", flush=True)
-    ratio = (cells[-2] / cells[-1]) ** 2
-    return rows, (ratio - 1) / (ratio / rows[-1][1] - 1 / rows[-2][1])
-
-
-def measure(vertices: int, *, adaptive: bool, spacing: float = 0.00125, thick: float = THICK) -> dict:
+def bending(vertices: int, *, adaptive: bool, spacing: float = 0.00125, thick: float = THICK) -> dict:
     """A cage of the ball with the ear and how far it bends. Taichi must be running. Raises BadInput."""
     phi = ball_with_ear(spacing, thick)
     cage = cage_of(phi, np.zeros((0, 3)), vertices, lambda done: None, adaptive=adaptive)
@@ -108,36 +125,3 @@ def measure(vertices: int, *, adaptive: bool, spacing: float = 0.00125, thick: f
         "in the ear": float((cage.vertices[:, 1] * spacing - RADIUS - 0.02 > RADIUS).mean()),
         "bent": bent_by(cage, spacing),
     }
-
-
-def main() -> None:
-    import taichi as ti
-
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sizes", nargs="+", type=int, default=[1000, 2000, 5000, 10_000])
-    mm = "uniform cells of the reference [m]: the last two are extrapolated (default 8, 4, 2.7 and 2 mm)"
-    parser.add_argument("--reference", nargs="+", type=float, default=[0.008, 0.004, 0.008 / 3, 0.002], help=mm)
-    args = parser.parse_args()
-    ti.init(arch=ti.cpu, offline_cache=True, log_level=ti.WARN)
-    begin = time.perf_counter()
-    _, fine = reference(args.reference)
-    print(f"the limit: {1e3 * fine:.3f} mm ({time.perf_counter() - begin:.0f} s)\n")
-    print("| asked | cells | vertices | tets | smallest angle | of vertices in the ear | bends, of the limit |")
-    print("| --- " * 7 + "|", flush=True)
-    for size in args.sizes:
-        for adaptive in (False, True):
-            name = "graded" if adaptive else "of one size"
-            try:
-                row = measure(size, adaptive=adaptive)
-            except BadInput as e:
-                print(f"| {size} | {name} | refused: {e} |", flush=True)
-                continue
-            print(
-                f"| {size} | {name} | {row['vertices']} | {row['tets']} | {row['angle']:.1f} | "
-                f"{row['in the ear']:.0%} | {row['bent'] / fine:.2f} |",
-                flush=True,
-            )
-
-
-if __name__ == "__main__":
-    main()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from bench.shells import shell
+from tests.support.shells import shell
 
 CASES = ("ball", "mug", "ring", "bunny", "capsule")
 

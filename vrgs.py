@@ -77,7 +77,7 @@ def play(args) -> None:
             inputs.begin(args, how)
         frames = 0
         limit = None if args.headless else args.frames  # a headless display counts for itself
-        given = replay.frames(display, world, paced=not args.headless) if replay else display.frames()
+        given = replay.frames(display, world, paced=not args.headless) if replay else display.frames(world)
         for frame in itertools.islice(given, limit):
             world.step(inputs.note(frame) if inputs else frame)
             display.present(world)

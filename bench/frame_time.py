@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera, look_at
-from display.protocol import Frame
+from display.protocol import Frame, Reset
 from display.run_stats import write_stats
 from display.timing import Timings
 from display.world import World
@@ -92,9 +92,9 @@ def measure(exact: bool) -> dict:
         parts = shown.hidden()
         for h, c in enumerate(controllers(k)):
             shown.side_of(parts, h, c, np.eye(4), False)
-        commands = {"reset": True} if world.time > scene.game.duration else {}
+        commands = [Reset()] if world.time > scene.game.duration else []
         hands = world.scripted_hands(world.time)
-        world.step(Frame(1 / RATE, k / RATE, cameras, hands, commands, parts=parts))
+        world.step(Frame(1 / RATE, k / RATE, cameras, hands, commands, prop_poses=parts))
         with world.timings.stage("present"):
             picture.upload(world.picture)
             picture.texture.use(0)

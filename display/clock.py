@@ -39,7 +39,7 @@ class Tick:
     frames were missed before this one."""
 
     dt: float
-    step: float
+    max_step: float
     period: float
     missed: int
 
@@ -77,7 +77,7 @@ def most(cost: float | None) -> float:
     return SLOWEST if cost is None else max(SLOWEST, LONGEST * (1.0 - cost))
 
 
-class Cost:
+class SimulationCost:
     """Seconds that it takes to simulate one: the median of the last frames, so that one hitch changes nothing."""
 
     def __init__(self, count: int = 9):

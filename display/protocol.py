@@ -1,34 +1,271 @@
-"""What a display asks of the world for one frame."""
+"""The border between a world and the displays that show it: frames, commands, and what a display may see of a world.
+
+The loop of every display:
+
+    for frame in display.frames(world):
+        world.step(frame)
+        display.present(world)
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
 from core.camera import Camera
-from scenes.scene import Hand
+from core.material import Material
+from display.timing import Timings
+from scenes.scene import BodyState, Hand, Light, Scene
+
+# Commands: what the user asks for between two frames. A body is named by its index; None is the selected body, the one
+# last held or pointed at.
+
+
+@dataclass(frozen=True)
+class PlayDemo:
+    """Let the scene's scripted hand play from the start, or stop it."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class Reset:
+    """Put the scene's own bodies back to their start and begin the game anew."""
+
+
+@dataclass(frozen=True)
+class SetLight:
+    """Replace the light."""
+
+    light: Light
+
+
+@dataclass(frozen=True)
+class SetInteraction:
+    """Choose what a grip does: deform and throw bodies, or move them rigidly while time stands still."""
+
+    mode: Literal["physics", "transform"]
+
+
+@dataclass(frozen=True)
+class Select:
+    """Select a body, or none."""
+
+    body: int | None
+
+
+@dataclass(frozen=True)
+class Remove:
+    """Remove a body."""
+
+    body: int | None = None
+
+
+@dataclass(frozen=True)
+class Duplicate:
+    """Put a copy of a body above it, or beside it if it is animated."""
+
+    body: int | None = None
+
+
+@dataclass(frozen=True)
+class Rescale:
+    """Scale a body by a factor."""
+
+    body: int | None
+    factor: float
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Rotate a body about its centre by a quaternion (wxyz)."""
+
+    body: int | None
+    rotation: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class SetMaterial:
+    """Make a body of another material, given or named (core/material.py)."""
+
+    body: int | None
+    material: Material | str
+
+
+@dataclass(frozen=True)
+class Undo:
+    """Take back the last edit, grasp or change of light."""
+
+
+@dataclass(frozen=True)
+class Redo:
+    """Repeat what was taken back last."""
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Stop the simulation, or let it run."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class SingleStep:
+    """Simulate this one frame although the world is paused."""
+
+
+Command = (
+    PlayDemo
+    | Reset
+    | SetLight
+    | SetInteraction
+    | Select
+    | Remove
+    | Duplicate
+    | Rescale
+    | Rotate
+    | SetMaterial
+    | Undo
+    | Redo
+    | Pause
+    | SingleStep
+)
+ORDER = Command.__args__  # in which the commands of one frame are carried out
+C = TypeVar("C", bound=Command)
+
+
+def in_order(commands: Iterable[Command]) -> list[Command]:
+    """The commands of one frame in the order in which they are carried out; of several of a kind the last one."""
+    return sorted({type(c): c for c in commands}.values(), key=lambda c: ORDER.index(type(c)))
+
+
+def last_of(kind: type[C], commands: Iterable[Command]) -> C | None:
+    """The last command of a kind, or None."""
+    return next((c for c in reversed(list(commands)) if isinstance(c, kind)), None)
 
 
 @dataclass
 class Frame:
-    """Advance the world by `dt` [s] with these `hands`, then draw it for `cameras` (one an eye).
-
-    `cameras` may be what gives them: it is called once the world has moved, and gives none where nothing is drawn.
-    `time` [s] is the sum of all dt so far. `step` [s] is the longest that the world may go at once; without it dt is
-    one step. `commands` are the user's wishes between two frames, see `World.apply`: {"reset": True}, {"light": Light},
-    {"interaction": "physics"|"transform"}, {"pause": bool}, {"step": True}, {"demo": bool}; and of bodies, by index, or
-    None for the one last held (display/edit/editor.py): {"undo": True}, {"redo": True}, {"select": index},
-    {"duplicate": index}, {"remove": index}, {"rescale": (index, factor)}, {"rotate": (index, wxyz)},
-    {"material": (index, name or Material)}. `parts` (P, 3, 4) are where the world's props are, see render/skinned_props.py;
-    None: where they were.
-    """
+    """One frame: the world applies `commands`, advances by `dt`, and is drawn for `cameras`, one an eye."""
 
     dt: float
+    """Time to simulate [s]."""
+
     time: float
-    cameras: list[Camera] | Callable[[], list[Camera]]
+    """Sum of all dt so far [s]."""
+
+    cameras: Sequence[Camera] | Callable[[], Sequence[Camera]]
+    """Cameras, or a function that gives them, called after the world has moved. Nothing is drawn without a camera."""
+
     hands: list[Hand] = field(default_factory=list)
-    commands: dict = field(default_factory=dict)
-    step: float | None = None
-    parts: np.ndarray | None = None
+    """Poses of the hands at the end of the frame."""
+
+    commands: list[Command] = field(default_factory=list)
+    """Commands, carried out before the step as `in_order` sorts them."""
+
+    max_step: float | None = None
+    """Longest step of the simulation [s]; None: one step of dt."""
+
+    prop_poses: np.ndarray | None = None
+    """world_from_part of the world's skinned props, (P, 3, 4), see render/skinned_props.py; None: unchanged."""
+
+
+class WorldView(Protocol):
+    """A world as a display sees it. All attributes are read-only.
+
+    A class that inherits gets the defaults of a world without bodies, light and game.
+    """
+
+    scene: Scene
+    timings: Timings
+    """Durations of the frame's stages; the display adds its own and marks the end of each frame."""
+
+    picture_size: tuple[int, int]
+    """(width, height) of one view's picture [px]."""
+
+    light: Light | None = None
+    """The light now; None if the scene has none, and then it cannot get one."""
+
+    paused: bool = False
+    demo: bool = False
+    """Does the scene's scripted hand play?"""
+
+    moving: bool = False
+    """Did anything move in the last frame?"""
+
+    interaction: str = "physics"
+    """"physics" or "transform"."""
+
+    editable: bool = False
+    """Are there bodies that commands could change?"""
+
+    selected: int | None = None
+    """Index of the body that was last held or pointed at."""
+
+    recently_selected: bool = False
+    """Was it selected or changed within the last seconds?"""
+
+    notice: str = ""
+    """Message about the last command, for some seconds."""
+
+    score: int = 0
+    message: str = ""
+    """Score and message of the scene's game."""
+
+    simulation_cost: float | None = None
+    """Seconds of computing for a second of simulation; None before it is known."""
+
+    picture: Any
+    """The finished picture, ti.ndarray u32 (views * H, W): R | G<<8 | B<<16 | A<<24, row 0 on top."""
+
+    def resize(self, width: int, height: int) -> None:
+        """Draw pictures of another size [px] from now on."""
+        ...
+
+    def bodies(self) -> list[BodyState]:
+        """The simulated bodies after the last frame."""
+        return []
+
+    def pick(self, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int] | None:
+        """Distance [m] along a ray to the nearest simulated body, and its index."""
+        return None
+
+    def hand_forces(self) -> list[np.ndarray]:
+        """Force of each hand of the last frame on the body that it holds [N], (3,)."""
+        return []
+
+    def touch_forces(self) -> list[np.ndarray]:
+        """Contact force of each hand's finger capsules on bodies that it does not hold [N], (3,); [] without fingers."""
+        return []
+
+    def stats(self) -> dict:
+        """Counts and state for panels and `--stats`."""
+        ...
+
+
+class Display(Protocol):
+    """A window, a headset, or files: asks a world for frames and shows them. Used in a `with`, which closes it."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of one view's picture [px] that suits the display now."""
+        ...
+
+    def frames(self, world: WorldView) -> Iterator[Frame]:
+        """Frames until the user quits or the planned number is reached."""
+        ...
+
+    def present(self, world: WorldView) -> None:
+        """Show the world's picture after its step."""
+        ...
+
+    def close(self) -> None:
+        """Give the screen or files back. Further calls do nothing."""
+        ...
+
+    def __enter__(self) -> Display: ...
+
+    def __exit__(self, *error) -> None: ...

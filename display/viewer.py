@@ -18,7 +18,7 @@ from core.errors import BadInput
 from core.morton import morton_order
 from core.runtime import start_taichi
 from display.headless.headless import Headless
-from display.protocol import Frame
+from display.protocol import Frame, WorldView
 from display.timing import Timings
 from render.sort_modes import MOVING_SORT
 from scenes.scene import Scene
@@ -78,26 +78,23 @@ def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
     return Scene(bodies=[], light=None, eye=tuple(eye), target=tuple(middle), fov_y=FOV_Y, background=BACKDROP)
 
 
-class Viewer:
+class Viewer(WorldView):
     """What a display needs of a world. Draws only when the camera or the picture's size has changed."""
 
     def __init__(self, gaussians: Gaussians, scene: Scene, *, width: int, height: int, sort: str = MOVING_SORT):
         from render.renderer import Renderer
         from render.splats import Splats
 
-        self.scene, self.light, self.timings = scene, scene.light, Timings()
-        self.paused = self.demo = self.moving = False
-        self.interaction, self.score, self.message = "physics", 0, ""
-        self.selected, self.chosen = None, False
+        self.scene, self.timings = scene, Timings()
         self.splats = Splats(gaussians)
         self.renderer = Renderer(self.splats, width, height, background=scene.background, sort=sort)
-        self.renderer_size = (width, height)
+        self.picture_size = (width, height)
         self._shown: tuple | None = None
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
         self.renderer.resize(width, height)
-        self.renderer_size, self._shown = (width, height), None
+        self.picture_size, self._shown = (width, height), None
 
     def step(self, frame: Frame) -> None:
         """Draw what the frame's camera sees."""
@@ -112,13 +109,6 @@ class Viewer:
     def picture(self):
         """As `World.picture`."""
         return self.renderer.picture
-
-    def bodies(self) -> list:
-        """Nothing to take hold of."""
-        return []
-
-    def pick(self, origin, direction) -> None:
-        """Nothing to take hold of."""
 
     def stats(self) -> dict:
         """Counts for the panel."""
@@ -144,6 +134,6 @@ def run(args) -> None:
     with display:
         start_taichi(args.arch)
         world = Viewer(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)
-        for frame in itertools.islice(display.frames(), args.frames):
+        for frame in itertools.islice(display.frames(world), args.frames):
             world.step(frame)
             display.present(world)

@@ -7,6 +7,7 @@ writes the splats' fields, shadow and renderer read them. Nothing passes through
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -16,9 +17,21 @@ from assets.gaussians import Gaussians, concatenate
 from core.morton import morton_order
 from display.animation_targets import AnimationTargets
 from display.body_registry import MORE, ROOM, BodyRegistry
-from display.clock import Cost, moves
+from display.clock import SimulationCost, moves
 from display.edit.editor import Editor
-from display.protocol import Frame
+from display.protocol import (
+    Command,
+    Frame,
+    Pause,
+    PlayDemo,
+    Rescale,
+    Reset,
+    SetInteraction,
+    SetLight,
+    SingleStep,
+    WorldView,
+    last_of,
+)
 from display.scene_bodies import load_bodies
 from display.timing import Timings
 from render.renderer import Renderer
@@ -35,13 +48,13 @@ SCRIPT_DT = 1 / 60  # [s]
 NOTHING = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.zeros((0, 1, 3)))
 
 
-class World:
+class World(WorldView):
     """All state of a running scene. Sizes in pixels; `views` is 1 (mono) or 2 (stereo). With `depth` the picture has
     it in place of alpha.
 
     With `room` there is room for copies of bodies; else it is made for the first one, which takes seconds
     (display/body_registry.py). With `fingers`, what hands touch with (`Hand.touch`) pushes the bodies. `props` are drawn where
-    frames put their parts (`Frame.parts`), those that cast no shadow first; with them there is always room.
+    frames put their parts (`Frame.prop_poses`), those that cast no shadow first; with them there is always room.
     """
 
     def __init__(
@@ -61,11 +74,12 @@ class World:
     ):
         self.scene, self.light, self.paused = scene, scene.light, False
         self.demo = False  # the scene's scripted hand plays
+        self.editable = True
         self.moving = False  # did anything move in the last frame
         self._drawn: tuple | None = None  # cameras of the picture; None if it is no longer what is there
         self.timings = Timings()
         self.time = 0.0  # [s], of the simulation since the last reset
-        self.cost = Cost()  # of simulating
+        self._cost = SimulationCost()
         self._hands: list[Hand] = []  # as of the last frame
         self.owed = 0.0  # [s] of a demonstration that has passed but is not simulated yet
         static, moving, animated = load_bodies(scene)
@@ -120,7 +134,7 @@ class World:
     def make_renderer(self, splats: Splats) -> Renderer:
         """What draws pictures of the size that is wanted now."""
         how = {"views": self.views, "background": self.scene.background, "sort": self.sort}
-        return Renderer(splats, *self.renderer_size, outputs=self.outputs, **how)
+        return Renderer(splats, *self.picture_size, outputs=self.outputs, **how)
 
     def warm_up(self) -> None:
         """Compile what is first needed in the midst of play, where the user would wait for it; nothing is changed."""
@@ -132,7 +146,7 @@ class World:
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
-        self.renderer_size, self._drawn = (width, height), None
+        self.picture_size, self._drawn = (width, height), None
         if self.renderer is None:
             self.renderer = self.make_renderer(self.splats)
         else:
@@ -141,19 +155,19 @@ class World:
     def step(self, frame: Frame) -> None:
         """One frame: simulate, deform, shade, draw."""
         self.editor.begin()
-        self.apply({**self._stretched(), **frame.commands})
+        self.apply([*self._stretched(), *frame.commands])
         placed = False
-        if self.props is not None and frame.parts is not None:
+        if self.props is not None and frame.prop_poses is not None:
             with self.timings.stage("hands"):
-                placed = self.props.place(frame.parts, self.light)
-        advance = (not self.paused or frame.commands.get("step", False)) and not self.editor.waits
+                placed = self.props.place(frame.prop_poses, self.light)
+        advance = (not self.paused or last_of(SingleStep, frame.commands)) and not self.editor.waits
         if advance:
             before = None if self.demo else self.editor.before_step(frame.hands)
             begin = perf_counter()
             with self.timings.stage("simulate"):
                 self._simulate(frame)
                 self.moving, now = self.solver.observe()  # waits for the device
-            self.cost.note(perf_counter() - begin, frame.dt)
+            self._cost.note(perf_counter() - begin, frame.dt)
             if self.moving:
                 self._deform()
                 placed = False  # its shadow is cast, too
@@ -178,15 +192,15 @@ class World:
                     self.renderer.render(cameras)
             self._drawn = seen
 
-    def _stretched(self) -> dict:
+    def _stretched(self) -> list[Command]:
         """The command to keep the size that two hands have given a body (sim/hands/two_hand_scaling.py), if they have let go of it."""
         done = self.solver.stretched()
-        return {} if done is None else {"rescale": done}
+        return [] if done is None else [Rescale(*done)]
 
     def _simulate(self, frame: Frame) -> None:
         """The user's hands move at the display's pace, a demonstration's at the one it was written for."""
         if not self.demo:
-            for dt, hands in moves(frame.dt, frame.step, self._hands, frame.hands):
+            for dt, hands in moves(frame.dt, frame.max_step, self._hands, frame.hands):
                 self._advance(dt, hands)
             self.time += frame.dt
             return
@@ -210,22 +224,24 @@ class World:
         with self.timings.stage("shadow"):
             self.shadow.cast()
 
-    def apply(self, commands: dict) -> None:
-        """Carry out what the user asked for between two frames."""
-        if "demo" in commands:
-            self.demo = bool(commands["demo"])
-        if commands.get("reset") or commands.get("demo"):  # a script begins at the beginning
+    def apply(self, commands: Sequence[Command]) -> None:
+        """Carry out the commands of a frame in their order (display/protocol.py)."""
+        demo, light = last_of(PlayDemo, commands), last_of(SetLight, commands)
+        interaction, pause = last_of(SetInteraction, commands), last_of(Pause, commands)
+        if demo is not None:
+            self.demo = demo.on
+        if last_of(Reset, commands) or (demo is not None and demo.on):  # a script begins at the beginning
             self.editor.record("reset")
             self.editor.reset()
-        if isinstance(commands.get("light"), Light):
+        if light is not None:
             self.editor.record("light")
-            self.set_light(commands["light"])
-        if "interaction" in commands:
+            self.set_light(light.light)
+        if interaction is not None:
             self.settle()
-            self.solver.interaction = commands["interaction"]
+            self.solver.interaction = interaction.mode
         self.editor.apply(commands)
-        if "pause" in commands:
-            self.paused = bool(commands["pause"])
+        if pause is not None:
+            self.paused = pause.on
 
     def refresh(self) -> None:
         """Bodies are where they were not: take note, and draw them there."""
@@ -273,9 +289,14 @@ class World:
         return self.editor.selected
 
     @property
-    def chosen(self) -> bool:
-        """Whether the user has just pointed it out or changed it."""
-        return self.editor.chosen
+    def recently_selected(self) -> bool:
+        """Was the selected body pointed at or changed within the last seconds?"""
+        return self.editor.recently_selected
+
+    @property
+    def simulation_cost(self) -> float | None:
+        """Seconds of computing for a second of simulation; None before it is known."""
+        return self._cost.value
 
     @property
     def notice(self) -> str:

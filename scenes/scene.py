@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -70,7 +70,7 @@ class Light:
 
     position: Vec3
     target: Vec3 = (0.0, 0.0, 0.0)
-    kind: str = "point"
+    kind: Literal["point", "directional"] = "point"
     strength: float = 0.55
     softness: float = 0.02
 

@@ -25,16 +25,13 @@ class Changes:
     selected: int | None
 
     def _index(self, k) -> int:
-        """The body that is meant; None or True: the selected one."""
-        k = self.selected if k is None or k is True else k
+        """The body that is meant; None: the selected one."""
+        k = self.selected if k is None else k
         if k is None:
             raise BadInput("Take hold of something first, or point at it.")
         if not 0 <= int(k) < len(self.cast.members):
             raise BadInput(f"There is no body {k}.")
         return int(k)
-
-    def _select(self, k) -> None:
-        self.selected = None if k is None else self._index(k)
 
     def _remove(self, k) -> None:
         k, w = self._index(k), self.world
@@ -66,8 +63,8 @@ class Changes:
         self.cast.follow(members)
         w.refresh()
 
-    def _rescale(self, asked) -> None:
-        k, factor = asked
+    def _rescale(self, k: int | None, wanted: float) -> None:
+        factor = wanted
         k, w = self._index(k), self.world
         now, body = w.solver.parts[k].shape.factor, w.bodies()[k]
         if abs(factor - 1.0) < SAME:
@@ -78,15 +75,14 @@ class Changes:
         size = 1.0 if abs(size - 1.0) < SAME else size
         factor = size / now
         if abs(factor - 1.0) < SAME:
-            raise BadInput(f"It is as {'large' if asked[1] > 1.0 else 'small'} as it can be.")
+            raise BadInput(f"It is as {'large' if wanted > 1.0 else 'small'} as it can be.")
         foot = body.centroid if body.held else np.array([body.centroid[0], body.low[1], body.centroid[2]])
         self.selected, before = k, self._before("rescale")
         self.cast.with_room(lambda: w.solver.rescale(k, factor, about=foot))
         self._keep("rescale", before)
         self._move(k, scaling(factor, foot))
 
-    def _rotate(self, asked) -> None:
-        k, quaternion = asked
+    def _rotate(self, k: int | None, quaternion) -> None:
         k, w, q = self._index(k), self.world, np.asarray(quaternion, np.float64)
         if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
             raise BadInput(f"A body cannot be turned by {quaternion}.")
@@ -101,8 +97,7 @@ class Changes:
         self._keep("rotate", before)
         self._move(k, by)
 
-    def _material(self, asked) -> None:
-        k, material = asked
+    def _set_material(self, k: int | None, material: Material | str) -> None:
         k, w = self._index(k), self.world
         self.selected, before = k, self._before("material")
         material = material if isinstance(material, Material) else Material.named(str(material))

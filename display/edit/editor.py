@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import monotonic
 
 from core.errors import BadInput
@@ -10,14 +11,15 @@ from display.edit.edit_commands import Changes
 from display.edit.selection_marker import SHOWN
 from display.edit.undo_stack import Step, UndoStack
 from display.edit.world_snapshot import WorldSnapshot, bring_back, moment_of, step_of
+from display.protocol import Command, Duplicate, Redo, Remove, Rescale, Rotate, Select, SetMaterial, Undo, in_order
 from scenes.scene import BodyState, Hand
 
 TOGETHER = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
 NOTICE = 6.0  # [s] that a notice is shown
 COMPILING = "This takes another solver, which is made once: some seconds."
-CHOSEN = {"select", "duplicate", "rescale", "rotate", "material"}  # after these it should be seen which body it was
-SIMULATED = {"rescale", "material", "undo", "redo"}  # what may change how bodies are simulated
-COMMANDS = ("select", "remove", "duplicate", "rescale", "rotate", "material", "undo", "redo")
+EDITS = (Select, Remove, Duplicate, Rescale, Rotate, SetMaterial, Undo, Redo)
+SELECTING = (Select, Duplicate, Rescale, Rotate, SetMaterial)  # after these the selected body is marked
+SIMULATED = (Rescale, SetMaterial, Undo, Redo)  # may change how bodies are simulated
 
 
 class Editor(Changes):
@@ -29,16 +31,16 @@ class Editor(Changes):
         self._motions = tuple(world.motions)  # as the scene has them
         self._last: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
-        self._pending: dict = {}  # for the next frame
+        self._pending: list[Command] = []  # for the next frame
         self._gripped: list[bool] = []
         self._notice: tuple[str, float] = ("", 0.0)
         self._waits = False
-        self._chosen = 0.0  # until when [s] it is
+        self._selected_until = 0.0  # [s], of `recently_selected`
 
     @property
-    def chosen(self) -> bool:
-        """Whether the user has just chosen or changed the selected body."""
-        return monotonic() < self._chosen
+    def recently_selected(self) -> bool:
+        """Was the selected body pointed at or changed within the last seconds?"""
+        return monotonic() < self._selected_until
 
     @property
     def notice(self) -> str:
@@ -60,23 +62,43 @@ class Editor(Changes):
         """Whether time must stand still in this frame, so that its picture says why the next one takes long."""
         return self._waits
 
-    def apply(self, commands: dict) -> None:
-        """Carry out what is asked for; what cannot be is said, and changes nothing."""
-        commands, self._pending = {**self._pending, **commands}, {}
-        for name in COMMANDS:
-            if name in commands and commands[name] is not False:
+    def apply(self, commands: Sequence[Command]) -> None:
+        """Carry out the commands that change bodies. One that cannot be carried out changes nothing; `notice` says why."""
+        commands, self._pending = in_order([*self._pending, *commands]), []
+        for command in commands:
+            if isinstance(command, EDITS):
                 try:
                     self._notice = ("", 0.0)
-                    getattr(self, f"_{name}")(commands[name])
-                    self._chosen = monotonic() + SHOWN if name in CHOSEN else self._chosen
+                    self._carry_out(command)
+                    if isinstance(command, SELECTING):
+                        self._selected_until = monotonic() + SHOWN
                 except BadInput as e:
                     self.say(str(e))
                 except NotYet:
                     self.say(MAKING)
-                    self._pending[name] = commands[name]
-        if commands.keys() & SIMULATED and self.world.solver.fresh and self._frame > 1:
+                    self._pending.append(command)
+        if any(isinstance(c, SIMULATED) for c in commands) and self.world.solver.fresh and self._frame > 1:
             self._waits = True
             self.say(COMPILING)
+
+    def _carry_out(self, command: Command) -> None:
+        match command:
+            case Select(body):
+                self.selected = None if body is None else self._index(body)
+            case Remove(body):
+                self._remove(body)
+            case Duplicate(body):
+                self._duplicate(body)
+            case Rescale(body, factor):
+                self._rescale(body, factor)
+            case Rotate(body, rotation):
+                self._rotate(body, rotation)
+            case SetMaterial(body, material):
+                self._set_material(body, material)
+            case Undo():
+                self._return(self.history.back(self._now), "Nothing to undo.")
+            case Redo():
+                self._return(self.history.forth(self._now), "Nothing to redo.")
 
     # history
 
@@ -105,12 +127,6 @@ class Editor(Changes):
 
     def _now(self, step: Step) -> Step:
         return self._light_step() if step.action == "light" else step_of(step.action, self._moment())
-
-    def _undo(self, wanted) -> None:
-        self._return(self.history.back(self._now), "Nothing to undo.")
-
-    def _redo(self, wanted) -> None:
-        self._return(self.history.forth(self._now), "Nothing to redo.")
 
     def _return(self, step: Step | None, nothing: str) -> None:
         self._last = ("", 0)

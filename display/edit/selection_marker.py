@@ -37,7 +37,7 @@ def strokes(body: BodyState) -> np.ndarray:
 def marked(world, *, near: bool) -> BodyState | None:
     """The body to be marked now; `near`: an edit may come. None while a hand has it, or if there is none."""
     index, bodies = world.selected, world.bodies()
-    if index is None or not index < len(bodies) or bodies[index].held or not (near or world.chosen):
+    if index is None or not index < len(bodies) or bodies[index].held or not (near or world.recently_selected):
         return None
     body = bodies[index]
     return body if np.isfinite([body.low, body.high]).all() else None

@@ -21,7 +21,7 @@ class FilmWriter:
         """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over."""
         if self._video.count >= time * FPS:
             return
-        pixels = pixels_of(world.picture)[: world.renderer_size[1]]  # of a headset's eyes the left one
+        pixels = pixels_of(world.picture)[: world.picture_size[1]]  # of a headset's eyes the left one
         if (pixels.shape[1], pixels.shape[0]) != self.size:
             import cv2
 

@@ -12,7 +12,7 @@ from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from display.headless.video import Video, claim
 from display.picture import pixels_of, save_png, side_by_side
-from display.protocol import Frame
+from display.protocol import Frame, WorldView
 from scenes.scene import Hand, Scene
 
 FRAME_DT = 1 / 60  # [s]
@@ -21,7 +21,7 @@ LONG_RUN = 120  # frames; shorter runs show no progress
 
 
 class Headless:
-    """A display: `for frame in headless.frames(): world.step(frame); headless.present(world)`.
+    """A display: `for frame in headless.frames(world): world.step(frame); headless.present(world)`.
 
     Yields `frames` frames of 1/60 s from the scene's camera; `hands(time)`, if set, plays. `record` is
     an MP4 with every `every`-th frame, in real time; `snapshot` a PNG of frame `snapshot_frame` (from 0,
@@ -70,7 +70,7 @@ class Headless:
         if self._video is not None:
             self._video.discard()
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames, then finish the video. A loop that breaks off leaves none."""
         progress = Progress(self.count)
         try:
@@ -85,7 +85,7 @@ class Headless:
             progress.end()
             self.close()
 
-    def present(self, world) -> None:
+    def present(self, world: WorldView) -> None:
         """Write the world's picture where it is wanted."""
         filmed = self._video is not None and self._index % self._every == 0
         kept = self.snapshot is not None and self._index == self.snapshot_frame

@@ -1,113 +1,117 @@
-"""What a user may ask of a world between two frames, as text and back: nothing else is taken from a recording."""
+"""Commands as lines of JSON and back. A recording may come from anywhere: only known commands with valid values are read."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
+from types import UnionType
+from typing import Literal, Union, get_args, get_origin, get_type_hints
 
 from core.errors import BadInput
 from core.material import Material
+from display import protocol
+from display.protocol import Command
 from scenes.scene import Light
 
 TEXT = 200  # characters of a name
-INTERACTIONS = ("physics", "transform")
-
-
-def flag(value) -> bool:
-    return isinstance(value, bool)
-
-
-def index(value) -> bool:
-    """Of a body, or None for the one last held."""
-    return value is None or (type(value) is int and 0 <= value < 1_000_000)
-
-
-def number(value) -> bool:
-    return type(value) in (int, float) and math.isfinite(value)
-
-
-def name(value) -> bool:
-    return isinstance(value, str) and len(value) <= TEXT
-
-
-def vector(count: int) -> Callable:
-    return lambda value: isinstance(value, tuple) and len(value) == count and all(map(number, value))
-
-
-def both(*checks: Callable) -> Callable:
-    return lambda v: (
-        isinstance(v, tuple) and len(v) == len(checks) and all(c(x) for c, x in zip(checks, v, strict=True))
-    )
-
-
-def light(value) -> bool:
-    good = isinstance(value, Light) and vector(3)(value.position) and vector(3)(value.target)
-    return good and value.kind in ("point", "directional") and number(value.strength) and number(value.softness)
-
-
-def material(value) -> bool:
-    if isinstance(value, Material):
-        numbers = [getattr(value, f.name) for f in dataclasses.fields(value)]
-        return all(v is None or number(v) for v in numbers)
-    return name(value)
-
-
-COMMANDS: dict[str, Callable] = {
-    "reset": flag,
-    "pause": flag,
-    "step": flag,
-    "demo": flag,
-    "interaction": lambda value: value in INTERACTIONS,
-    "light": light,
-    "undo": flag,
-    "redo": flag,
-    "select": index,
-    "remove": index,
-    "duplicate": index,
-    "rescale": both(index, number),
-    "rotate": both(index, vector(4)),
-    "material": both(index, material),
+MAX_INDEX = 1_000_000  # of a body
+KEYS = {
+    "demo": protocol.PlayDemo,
+    "reset": protocol.Reset,
+    "light": protocol.SetLight,
+    "interaction": protocol.SetInteraction,
+    "select": protocol.Select,
+    "remove": protocol.Remove,
+    "duplicate": protocol.Duplicate,
+    "rescale": protocol.Rescale,
+    "rotate": protocol.Rotate,
+    "material": protocol.SetMaterial,
+    "undo": protocol.Undo,
+    "redo": protocol.Redo,
+    "pause": protocol.Pause,
+    "step": protocol.SingleStep,
 }
-CLASSES = {"Light": Light, "Material": Material}
+NAMES = {kind: key for key, kind in KEYS.items()}
 
 
-def to_text(frame: int, commands: dict) -> str:
-    """One line of JSON with the frame's number; data classes as {"Light": {field: value}}."""
-    return json.dumps({"frame": frame, **commands}, default=_plain)
+def to_text(frame: int, commands: Sequence[Command]) -> str:
+    """One line of JSON: {"frame": 12, "pause": true, "rescale": [3, 1.25]}.
+
+    A command without fields is true, one with one field is its value, one with more a list; Light and Material are
+    {"Light": {field: value}}.
+    """
+    values = {}
+    for command in commands:
+        fields = [getattr(command, f.name) for f in dataclasses.fields(command)]
+        values[NAMES[type(command)]] = True if not fields else fields[0] if len(fields) == 1 else fields
+    return json.dumps({"frame": frame, **values}, default=_plain)
 
 
 def _plain(value):
-    if type(value).__name__ in CLASSES:
+    if isinstance(value, (Light, Material)):
         return {type(value).__name__: {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}}
     return value.tolist()  # of NumPy
 
 
-def from_text(text: str) -> tuple[int, dict]:
-    """The frame and its commands again, checked. BadInput."""
+def from_text(text: str) -> tuple[int, list[Command]]:
+    """The frame's index and its commands. Raises BadInput."""
     try:
-        given = json.loads(text, object_hook=_object)
-    except (ValueError, TypeError, RecursionError) as e:
-        raise BadInput("a command is no JSON that makes sense") from e
+        given = json.loads(text)
+    except (ValueError, RecursionError) as e:
+        raise BadInput("a line of commands is not valid JSON") from e
     if not isinstance(given, dict) or type(given.get("frame")) is not int:
-        raise BadInput("commands name no frame")
-    commands = {key: _tuples(value) for key, value in given.items() if key != "frame"}
-    for key, value in commands.items():
-        if key not in COMMANDS:
-            raise BadInput(f"the command {key[:60]!r} is not known")
-        if not COMMANDS[key](value):
-            raise BadInput(f"the command {key!r} cannot be {str(value)[:60]!r}")
+        raise BadInput("a line of commands names no frame")
+    commands = []
+    for key, value in given.items():
+        if key != "frame":
+            if key not in KEYS:
+                raise BadInput(f"the command {key[:60]!r} is unknown")
+            try:
+                commands += _command(KEYS[key], value)
+            except (LookupError, TypeError, ValueError) as e:
+                raise BadInput(f"the command {key!r} cannot be {str(value)[:60]!r}") from e
     return given["frame"], commands
 
 
-def _object(pairs: dict):
-    if len(pairs) == 1:
-        ((key, value),) = pairs.items()
-        if key in CLASSES and isinstance(value, dict):
-            return CLASSES[key](**{k: _tuples(v) for k, v in value.items()})  # TypeError for fields that it lacks
-    return pairs
+def _command(kind: type, value) -> list[Command]:
+    """The command, in a list; [] if a command without fields is false."""
+    types = _types(kind)
+    if not types:
+        return [kind()] if _checked(value, bool) else []
+    values = [value] if len(types) == 1 else value
+    return [kind(*(_checked(v, t) for v, t in zip(values, types.values(), strict=True)))]
 
 
-def _tuples(value):
-    return tuple(_tuples(v) for v in value) if isinstance(value, list) else value
+def _types(kind: type) -> dict[str, type]:
+    hints = get_type_hints(kind)
+    return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
+
+
+def _checked(value, kind):
+    """The value of JSON as this type. Raises LookupError, TypeError or ValueError if it is not one."""
+    origin = get_origin(kind)
+    if origin in (Union, UnionType):
+        for one in get_args(kind):
+            try:
+                return _checked(value, one)
+            except (LookupError, TypeError, ValueError):
+                pass
+    elif origin is Literal:
+        if value in get_args(kind):
+            return value
+    elif origin is tuple:
+        return tuple(_checked(v, t) for v, t in zip(value, get_args(kind), strict=True))
+    elif dataclasses.is_dataclass(kind):
+        types = _types(kind)
+        return kind(**{name: _checked(v, types[name]) for name, v in dict(value[kind.__name__]).items()})
+    elif kind is float and type(value) in (int, float) and math.isfinite(value):
+        return value
+    elif kind is int and type(value) is int and 0 <= value < MAX_INDEX:
+        return value
+    elif kind is str and isinstance(value, str) and len(value) <= TEXT:
+        return value
+    elif kind in (bool, type(None)) and isinstance(value, kind):
+        return value
+    raise ValueError

@@ -24,6 +24,7 @@ import dataclasses
 import json
 import os
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -33,7 +34,7 @@ import numpy as np
 from core.camera import Camera
 from core.errors import BadInput
 from display.headless.video import claim
-from display.protocol import Frame
+from display.protocol import Command, Frame
 from display.record.command_text import from_text, to_text
 from display.record.packing import pack
 
@@ -106,7 +107,7 @@ class Recording:
         new, self._dt = self._new, frame.dt
         new["frames/dt"].append(frame.dt)
         new["frames/time"].append(frame.time)
-        new["frames/step"].append(frame.step or 0.0)
+        new["frames/step"].append(frame.max_step or 0.0)
         new["frames/hands"].append(len(frame.hands))
         for hand in frame.hands:
             layout, numbers = pack(hand)
@@ -123,7 +124,7 @@ class Recording:
             return frame
         return dataclasses.replace(frame, cameras=lambda: self._look(frame.cameras()))
 
-    def _take_down(self, commands: dict) -> None:
+    def _take_down(self, commands: Sequence[Command]) -> None:
         line = to_text(self.frames, commands)
         try:
             from_text(line)

@@ -9,7 +9,7 @@ import numpy as np
 from assets.hdf5 import Reader
 from core.camera import Camera
 from core.errors import BadInput
-from display.protocol import Frame
+from display.protocol import Command, Frame
 from display.record.command_text import from_text
 from display.record.packing import size_of, unpack
 from display.record.recording import CAMERA, OPTIONS
@@ -81,7 +81,7 @@ def read_frames(file: Reader) -> list[Frame]:
     cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS, count))
     commands = read_commands(file, count)
     return [
-        Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, {}), step=float(step[k]) or None)
+        Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, []), max_step=float(step[k]) or None)
         for k in range(count)
     ]
 
@@ -122,7 +122,7 @@ def read_cameras(file: Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     return [cameras[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
 
 
-def read_commands(file: Reader, count: int) -> dict[int, dict]:
+def read_commands(file: Reader, count: int) -> dict[int, list[Command]]:
     """The commands of the frames that have some."""
     commands = {}
     text = file.array("commands/text", "iu", (None,)).astype(np.uint8).tobytes()

@@ -12,7 +12,7 @@ import numpy as np
 from assets.hdf5 import open_hdf5
 from core.camera import Camera
 from core.errors import BadInput
-from display.protocol import Frame
+from display.protocol import Frame, Pause, last_of
 from display.record.recording import FORMAT, OPTIONS, VERSION
 from display.record.recording_reader import checked_about, read_frames, read_states
 
@@ -67,10 +67,10 @@ class Replay:
         paced  at the pace of the display's time, and held by its pause; else one for each of the display's frames
         """
         due, held = 0.0, False
-        for shown in display.frames():
+        for shown in display.frames(world):
             if self.done == len(self):
                 return
-            held ^= paced and "pause" in shown.commands
+            held ^= paced and last_of(Pause, shown.commands) is not None
             due += 0.0 if held else shown.dt
             now = self._frames[self.done]
             while paced and self.done + 1 < len(self) and due >= now.dt + self._frames[self.done + 1].dt:

@@ -7,6 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from core.camera import Camera
+from display.protocol import (
+    Command,
+    Duplicate,
+    Pause,
+    PlayDemo,
+    Redo,
+    Remove,
+    Rescale,
+    Reset,
+    Rotate,
+    SetInteraction,
+    SetLight,
+    SingleStep,
+    Undo,
+)
 from display.window.mouse_hand import NEAREST, MouseHand
 from display.window.orbit_camera import OrbitCamera
 from scenes.scene import Hand
@@ -110,7 +125,7 @@ class Controls:
         else:
             self.orbit.zoom(notches)
 
-    def key(self, name: str, down: bool, world, at: tuple[float, float, Camera] | None = None) -> dict:
+    def key(self, name: str, down: bool, world, at: tuple[float, float, Camera] | None = None) -> list[Command]:
         """A key goes down or up, with the cursor over (u, v) [px] of a camera's picture. Returns commands for the
         world."""
         if name == "shift":
@@ -125,27 +140,27 @@ class Controls:
             self.orbit.reset()
         elif down and name == "r":
             self.let_go()
-            return {"reset": True}
+            return [Reset()]
         elif down and name == "n":
-            return {"pause": True, "step": True}
+            return [Pause(True), SingleStep()]
         elif down and name == "space" and world is not None:
-            return {"pause": not world.paused}
+            return [Pause(not world.paused)]
         elif down and name == "p" and world is not None:
             self.let_go()
-            return {"demo": not world.demo}
+            return [PlayDemo(not world.demo)]
         elif down and name == "t" and world is not None:
-            return {"interaction": "transform" if world.interaction == "physics" else "physics"}
+            return [SetInteraction("transform" if world.interaction == "physics" else "physics")]
         elif name == "l":
             self._lit = () if down else None
-        elif down and world is not None and world.light is not None:
+        elif down and world is not None and world.editable:
             return self._edit(name, world, at)
-        return {}
+        return []
 
-    def _edit(self, name: str, world, at) -> dict:
+    def _edit(self, name: str, world, at) -> list[Command]:
         """Commands that change bodies: what is held, else what is under the cursor, else what was held last."""
         if name in ("ctrl+z", "ctrl+y", "u"):
             self._drop()
-            return {"redo": True} if name == "ctrl+y" or self._shift else {"undo": True}
+            return [Redo() if name == "ctrl+y" or self._shift else Undo()]
         hit = world.pick(*at[2].ray(*at[:2])) if at is not None and self.drag != "grab" else None
         body = None if hit is None else hit[1]
         if name == "delete":
@@ -154,10 +169,10 @@ class Controls:
             return editing(name, body, at[2].world_to_camera[0, :3])
         return editing(name, body)
 
-    def lighting(self, world, u: float, v: float, camera: Camera) -> dict:
+    def lighting(self, world, u: float, v: float, camera: Camera) -> list[Command]:
         """While its key is down, the light follows the cursor, as far from the camera's plane as it is."""
         if self._lit is None or self._lit == (u, v) or world is None or world.light is None:
-            return {}
+            return []
         self._lit = (u, v)
         origin, direction = camera.ray(u, v)
         forward = camera.world_to_camera[2, :3]
@@ -165,7 +180,7 @@ class Controls:
         if depth < NEAREST:  # it is behind the camera: then it is put where one looks to
             depth = self.orbit.distance
         place = origin + direction * depth / float(direction @ forward)
-        return {"light": replace(world.light, position=tuple(map(float, place)))}
+        return [SetLight(replace(world.light, position=tuple(map(float, place))))]
 
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""
@@ -186,15 +201,15 @@ class Controls:
         return self.hand.hands(camera, dt if running else 0.0)
 
 
-def editing(name: str, body: int | None, axis=(0.0, 1.0, 0.0)) -> dict:
+def editing(name: str, body: int | None, axis=(0.0, 1.0, 0.0)) -> list[Command]:
     """The command of a key or button for a body; None: for the one held last. `axis` (3,): it is turned about."""
     half = TURNED / 2
     turn = (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
     return {
-        "c": {"duplicate": body},
-        "delete": {"remove": body},
-        "plus": {"rescale": (body, LARGER)},
-        "minus": {"rescale": (body, 1 / LARGER)},
-        "comma": {"rotate": (body, turn)},
-        "period": {"rotate": (body, (turn[0], *(-t for t in turn[1:])))},
-    }.get(name, {})
+        "c": [Duplicate(body)],
+        "delete": [Remove(body)],
+        "plus": [Rescale(body, LARGER)],
+        "minus": [Rescale(body, 1 / LARGER)],
+        "comma": [Rotate(body, turn)],
+        "period": [Rotate(body, (turn[0], *(-t for t in turn[1:])))],
+    }.get(name, [])

@@ -8,6 +8,18 @@ from time import perf_counter
 import numpy as np
 
 from core.material import MATERIALS
+from display.protocol import (
+    Command,
+    Pause,
+    Redo,
+    Reset,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    SingleStep,
+    Undo,
+    WorldView,
+)
 from display.window import theme
 from display.window.controls import CAMERA_HELP, HELP, editing
 from scenes.scene import Light, Scene
@@ -22,8 +34,8 @@ INTERACTIONS = {
     "Transform": "A body that you hold moves as it is; nothing deforms.",
 }
 EDITS = {
-    "Undo": ({"undo": True}, "Take back what was done last (Ctrl+Z)."),
-    "Redo": ({"redo": True}, "Do it again (Ctrl+Y)."),
+    "Undo": ([Undo()], "Take back what was done last (Ctrl+Z)."),
+    "Redo": ([Redo()], "Do it again (Ctrl+Y)."),
     "Copy": (editing("c", None), "Another one like the body that was held last (C)."),
     "Remove": (editing("delete", None), "Take it away (Del)."),
     "Smaller": (editing("minus", None), "(-)"),
@@ -45,16 +57,16 @@ class Panel:
         self._fps, self._stages, self._stats = 0.0, [], {}
         self._pace: list[str] = []
 
-    def draw(self, world, *, visible: bool) -> dict:
-        """One frame of the panel and of the score; commands as `World.apply` takes them."""
+    def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
+        """One frame of the panel and of the score; the commands that the user gives."""
         from imgui_bundle import imgui
 
-        if world.light is not None and (self.scene.game is not None or world.notice):
+        if world.editable and (self.scene.game is not None or world.notice):
             self._score(imgui, world, visible)
         self.edits = False
         if not visible:
             self.details = False
-            return {}
+            return []
         now = perf_counter()
         if now - self._read >= REFRESH:
             self._read = now
@@ -68,14 +80,14 @@ class Panel:
         fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
         imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
         self._title(imgui)
-        commands = self._buttons(imgui, world) if world.light is not None else {}
-        if world.light is not None and imgui.collapsing_header("Edit", imgui.TreeNodeFlags_.default_open):
+        commands = self._buttons(imgui, world) if world.editable else []
+        if world.editable and imgui.collapsing_header("Edit", imgui.TreeNodeFlags_.default_open):
             imgui.begin_group()
-            commands |= self._edit(imgui, world)
+            commands += self._edit(imgui, world)
             imgui.end_group()
             self.edits = imgui.is_mouse_hovering_rect(imgui.get_item_rect_min(), imgui.get_item_rect_max())
         if world.light is not None and imgui.collapsing_header("Light", imgui.TreeNodeFlags_.default_open):
-            commands |= self._light(imgui, world.light)
+            commands += self._light(imgui, world.light)
         self.details = imgui.collapsing_header("Performance", imgui.TreeNodeFlags_.default_open)
         if self.details:
             self._performance(imgui)
@@ -96,32 +108,32 @@ class Panel:
         imgui.text_colored(theme.ACCENT, rate)
         imgui.dummy((width, 2 * self.scale))
 
-    def _buttons(self, imgui, world) -> dict:
-        commands = {}
+    def _buttons(self, imgui, world: WorldView) -> list[Command]:
+        commands = []
         gap = imgui.get_style().item_spacing.x
         third = ((WIDTH * self.scale - 2 * gap) / 3, 0)
         if imgui.button("Resume" if world.paused else "Pause", third):
-            commands["pause"] = not world.paused
+            commands.append(Pause(not world.paused))
         imgui.same_line()
         if imgui.button("Step", third):
-            commands |= {"pause": True, "step": True}
+            commands += [Pause(True), SingleStep()]
         imgui.same_line()
         if imgui.button("Reset", third):
-            commands["reset"] = True
+            commands.append(Reset())
         chosen = self._choice(imgui, list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS)
         if chosen.lower() != world.interaction:
-            commands["interaction"] = chosen.lower()
+            commands.append(SetInteraction(chosen.lower()))
         return commands
 
-    def _edit(self, imgui, world) -> dict:
+    def _edit(self, imgui, world: WorldView) -> list[Command]:
         """Undo, redo, and what can be done to the body that was held last."""
-        commands, gap = {}, imgui.get_style().item_spacing.x
+        commands, gap = [], imgui.get_style().item_spacing.x
         quarter = ((WIDTH * self.scale - 3 * gap) / 4, 0)
         for k, (name, (command, tip)) in enumerate(EDITS.items()):
             if k % 4:
                 imgui.same_line()
             if imgui.button(name, quarter):
-                commands |= command
+                commands += command
             imgui.set_item_tooltip(tip)
         bodies, selected = world.bodies(), world.selected
         known = selected is not None and selected < len(bodies)
@@ -132,7 +144,7 @@ class Panel:
             if imgui.begin_combo("##material", "Material"):
                 for name in MATERIALS:
                     if imgui.selectable(name, False)[0]:
-                        commands["material"] = (selected, name)
+                        commands.append(SetMaterial(selected, name))
                 imgui.end_combo()
         return commands
 
@@ -157,7 +169,7 @@ class Panel:
                 imgui.set_item_tooltip(tips[name])
         return current
 
-    def _light(self, imgui, light: Light) -> dict:
+    def _light(self, imgui, light: Light) -> list[Command]:
         kind = self._choice(imgui, ["Point", "Directional"], light.kind.capitalize()).lower()
         low, high = np.array(self.scene.target) - LIGHT_RANGE, np.array(self.scene.target) + LIGHT_RANGE
         gap = imgui.get_style().item_inner_spacing.x
@@ -176,9 +188,9 @@ class Panel:
         imgui.pop_item_width()
         before = [*light.position, light.strength, 100 * light.softness]
         if kind == light.kind and np.allclose([*position, strength, softness], before):
-            return {}
+            return []
         position = tuple(map(float, position))
-        return {"light": replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)}
+        return [SetLight(replace(light, kind=kind, position=position, strength=strength, softness=softness / 100))]
 
     def _performance(self, imgui) -> None:
         current = next(name for name, share in RESOLUTIONS.items() if share == self.resolution)
@@ -223,7 +235,7 @@ class Panel:
                 imgui.text_colored(theme.QUIET, meaning)
             imgui.end_table()
 
-    def _score(self, imgui, world, beside_panel: bool) -> None:
+    def _score(self, imgui, world: WorldView, beside_panel: bool) -> None:
         """Score and message at the top: in the middle, or right of the panel in a small window."""
         score, message = ("", "") if self.scene.game is None else (str(world.score or ""), world.message)
         if score in message.split():  # the game says it itself

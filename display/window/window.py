@@ -10,7 +10,7 @@ import numpy as np
 from core.camera import Camera
 from display.edit.selection_marker import COLOUR, marked, strokes
 from display.picture import PictureTexture, fit
-from display.protocol import Frame
+from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
 from display.window import theme
 from display.window.adaptive_resolution import AdaptiveResolution
 from display.window.controls import Controls
@@ -26,7 +26,7 @@ SMALLEST = 16  # [px] a side, of a picture
 
 
 class Window:
-    """A display: `for frame in window.frames(): world.step(frame); window.present(world)`.
+    """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
     `width` and `height` are in screen coordinates; `size` is the picture's. Raises BadInput without
     a display or OpenGL 3.3. Close it (or use it in a `with`), so that the screen is given back.
@@ -41,7 +41,7 @@ class Window:
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._seen = None  # where the camera was in the last frame
         self._cursor = (0.0, 0.0)
-        self._commands: dict = {}  # from the panel, for the next frame
+        self._commands: list[Command] = []  # from the panel, for the next frame
         self._world = None  # as of the last `present`
         self._settling: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)
         self.loading(f"Loading {title}")
@@ -77,8 +77,9 @@ class Window:
         self._surface.end()
         self._surface.swap()
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits."""
+        self._world = world
         time, last = 0.0, perf_counter()
         while not (self._controls.quit or self._surface.closing):
             if self._surface.asleep():
@@ -92,15 +93,17 @@ class Window:
             self._quality.note(now, seconds, moving=self._moving())
             self._resize(now)
             commands = self._handle(events)
-            running = commands.get("step") or not commands.get("pause", self._world is not None and self._world.paused)
+            pause = last_of(Pause, commands)
+            paused = self._world.paused if pause is None else pause.on
+            running = not paused or last_of(SingleStep, commands) is not None
             hands = self._controls.advance(self._camera, dt, running=running)
             time += dt
             orbit = self._controls.orbit
             self._camera = orbit.camera(self._camera.width, self._camera.height)
-            size = self.size if self._world is None else self._world.renderer_size
+            size = self.size if self._world is None else self._world.picture_size
             yield Frame(dt, time, [orbit.camera(*size)], hands, commands)
 
-    def present(self, world) -> None:
+    def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""
         self._world = world
         with world.timings.stage("present"):
@@ -134,18 +137,18 @@ class Window:
         window = self._surface.frame_size
         if self._settling[0] != window:
             self._settling = (window, now)
-        elif now - self._settling[1] > SETTLE and self._world.renderer_size != self.size:
+        elif now - self._settling[1] > SETTLE and self._world.picture_size != self.size:
             self._world.resize(*self.size)
-        _, _, width, height = fit(self._world.renderer_size, window)
+        _, _, width, height = fit(self._world.picture_size, window)
         self._camera = self._controls.orbit.camera(max(SMALLEST, round(width)), max(SMALLEST, round(height)))
 
-    def _handle(self, events: list[tuple]) -> dict:
+    def _handle(self, events: list[tuple]) -> list[Command]:
         """Hand the events to the controls, but not those that belong to the panel."""
         from imgui_bundle import imgui
 
         io, controls = imgui.get_io(), self._controls
-        commands, self._commands = self._commands, {}
-        if commands.get("reset"):
+        commands, self._commands = self._commands, []
+        if last_of(Reset, commands):
             controls.let_go()
         for kind, *what in events:
             if kind == "move":
@@ -162,10 +165,10 @@ class Window:
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
             elif kind == "key" and not (what[1] and io.want_text_input):
-                commands |= controls.key(*what, self._world, (*self._cursor, self._camera))
+                commands += controls.key(*what, self._world, (*self._cursor, self._camera))
             elif kind == "blur":
                 controls.let_go()
-        return commands | controls.lighting(self._world, *self._cursor, self._camera)
+        return commands + controls.lighting(self._world, *self._cursor, self._camera)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""

@@ -12,7 +12,7 @@ import numpy as np
 from core.errors import BadInput
 from display.clock import Clock
 from display.edit.selection_marker import marked
-from display.protocol import Frame
+from display.protocol import Command, Frame, WorldView
 from display.window.gl_window import has_display
 from display.xr import avatar as shown_parts
 from display.xr import graphics_binding as graphics
@@ -34,7 +34,7 @@ SMALLEST, LARGEST = 16, 8192  # [px] a side, of an eye's picture
 
 
 class Headset:
-    """A display: `for frame in headset.frames(): world.step(frame); headset.present(world)`.
+    """A display: `for frame in headset.frames(world): world.step(frame); headset.present(world)`.
 
     `size` is that of one eye's picture [px]: the runtime's wish times `scale`; where the rate does not hold, smaller
     ones are drawn (display/xr/dynamic_resolution.py). Raises BadInput, with one clear line,
@@ -62,7 +62,7 @@ class Headset:
             raise
         self._player, self._eye_height = Player(scene), float(scene.eye[1])
         self._clock, self._steady, self._news, self._wrist = Clock(), PoseFilter(), StatusLog(), WristPanel()
-        self._commands: dict = {}
+        self._commands: list[Command] = []
         self._world, self._frame, self._rendered = None, None, False
         print(f"{self._runtime.name}: {self.size[0]}x{self.size[1]} an eye", file=sys.stderr, flush=True)
 
@@ -119,8 +119,9 @@ class Headset:
                 else:
                     time.sleep(0.01)
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames at the headset's pace until the user quits here or there."""
+        self._world = world
         while not self._mirror.closing:
             session = self._session
             try:
@@ -148,7 +149,7 @@ class Headset:
         state = session.wait()
         self._begun = time.perf_counter()
         shown, world = state.predicted_display_time, self._world
-        cost = None if world is None else world.cost.value
+        cost = None if world is None else world.simulation_cost
         tick = self._tick = self._clock.advance(shown, state.predicted_display_period, cost)
         controllers = session.inputs(shown)
         self._steady.lead(controllers, tick.dt)
@@ -156,14 +157,14 @@ class Headset:
         asked = self._wrist.advance(controllers, head, self._player.standpoint.matrix, world)
         hands, commands = self._player.advance(controllers, head, world)
         self._frame, self._rendered = state, bool(state.should_render)
-        commands, self._commands = {**self._commands, **commands, **asked}, {}
+        commands, self._commands = [*self._commands, *commands, *asked], []
         self._news.frame(session)
         cameras = self._cameras if self._rendered else []
         parts = self._player.parts(controllers)
         body = marked(world, near=self._wrist.pose is not None) if world is not None and self.marks else None
         if body is not None:
             shown_parts.corners(parts, body)
-        return Frame(tick.dt, self._clock.time, cameras, hands, commands, step=tick.step, parts=parts)
+        return Frame(tick.dt, self._clock.time, cameras, hands, commands, max_step=tick.max_step, prop_poses=parts)
 
     def _cameras(self):
         """The eyes' cameras, asked for when the world has moved: the later, the truer to where the head will be."""
@@ -177,10 +178,10 @@ class Headset:
         if now is not None and self._world is not None:
             self._world.timings.photon.append((shown - now) * 1e-9)
         stage = self._player.standpoint.matrix
-        size = self.size if self._world is None else self._world.renderer_size
+        size = self.size if self._world is None else self._world.picture_size
         return [eye_camera(*size, fov, stage @ eye) for eye, fov in located]
 
-    def present(self, world) -> None:
+    def present(self, world: WorldView) -> None:
         """Show the world's picture in the headset and on the desktop, and let the hands feel what they hold."""
         self._world = world
         frame, self._frame = self._frame, None
@@ -189,14 +190,14 @@ class Headset:
                 layers = []
                 if self._rendered:
                     self._mirror.texture.upload(world.picture)
-                    layers = self._session.show(self._mirror.texture.texture, world.renderer_size)
+                    layers = self._session.show(self._mirror.texture.texture, world.picture_size)
                     layers += self._session.show_panel(self._wrist, world)
                 self._session.end(frame.predicted_display_time, layers)
                 self._session.guarded(lambda: self._feel(world))
             except Lost:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
-            self._commands |= self._mirror.show(world)
+            self._commands += self._mirror.show(world)
         timings = world.timings
         timings.budget, timings.dropped = self._tick.period, self._clock.dropped
         timings.frame(self._tick.missed)
@@ -216,7 +217,7 @@ class Headset:
             self._resolution.note(time.perf_counter() - self._begun, self._tick.period, drawing)
         else:
             self._resolution.hold(share)
-        if world.renderer_size != self._resolution.size:
+        if world.picture_size != self._resolution.size:
             world.resize(*self._resolution.size)
 
     def _rest(self) -> None:
@@ -228,7 +229,7 @@ class Headset:
     def _idle(self) -> None:
         if self._world is not None:
             self._world.timings.rest()
-        self._commands |= self._mirror.show(self._world)
+        self._commands += self._mirror.show(self._world)
         time.sleep(0.05)
 
     def _return(self, why: str) -> bool:

@@ -6,6 +6,7 @@ import ctypes
 
 from core.errors import BadInput
 from display.picture import PictureTexture
+from display.protocol import Command, WorldView
 from display.window.gl_context import context_of
 from display.window.gl_window import INSTEAD, GLWindow, has_display
 from display.window.panel import Panel
@@ -39,11 +40,11 @@ class Mirror:
         """Of a side of the headset's pictures, as the user has chosen; None: as many pixels as hold the rate."""
         return self._panel.resolution
 
-    def show(self, world) -> dict:
+    def show(self, world: WorldView | None) -> list[Command]:
         """Draw the picture that was last uploaded; the panel's commands. `world` may be None yet."""
         self._surface.begin()
         self.texture.draw(self._surface.frame_size)
-        commands = self._panel.draw(world, visible=True) if world is not None else {}
+        commands = self._panel.draw(world, visible=True) if world is not None else []
         self._surface.end()
         self._surface.swap()
         return commands
@@ -66,9 +67,9 @@ class NoMirror:
         self.gl = self.egl.gl
         self.texture = PictureTexture(self.gl, views=views)
 
-    def show(self, world) -> dict:
+    def show(self, world: WorldView | None) -> list[Command]:
         """There is nothing to show it on."""
-        return {}
+        return []
 
     def close(self) -> None:
         """Give the context back. Further calls do nothing."""

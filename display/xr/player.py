@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from display.protocol import Command, Redo, SetInteraction, Undo
 from display.xr import avatar as shown
 from display.xr import finger_poke as poking
 from display.xr.actions import LET_GO, PRESS, Controller
@@ -39,7 +40,7 @@ class Player:
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None  # a ray in the world from (3,) to a spot (3,) [m]
         self._took, self._felt = [False, False], [0.0, 0.0]
 
-    def advance(self, controllers: list[Controller], head: np.ndarray, world) -> tuple[list[Hand], dict]:
+    def advance(self, controllers: list[Controller], head: np.ndarray, world) -> tuple[list[Hand], list[Command]]:
         """Hands in the world, and commands for it (which may be None yet). `head` (4, 4) is in the play space. A
         controller that is not tracked leaves its hand where it was, holding what it holds."""
         stage, hands = self.standpoint.matrix, []
@@ -57,7 +58,7 @@ class Player:
             else:
                 hands.append(Hand())
         self._walk(controllers, head)
-        return hands, self._buttons(*controllers, world) if world is not None else {}
+        return hands, self._buttons(*controllers, world) if world is not None else []
 
     def parts(self, controllers: list[Controller]) -> np.ndarray:
         """Where what the player sees of himself is in the world (display/xr/avatar.py). A side that is lost, but
@@ -71,14 +72,14 @@ class Player:
             shown.pointing(result, *self.pointing, floor=True)
         return result
 
-    def _buttons(self, left: Controller, right: Controller, world) -> dict:
-        commands = {}
+    def _buttons(self, left: Controller, right: Controller, world) -> list[Command]:
+        commands = []
         if "upper" in left.pressed:
-            commands["interaction"] = "transform" if world.interaction == "physics" else "physics"
+            commands.append(SetInteraction("transform" if world.interaction == "physics" else "physics"))
         if "upper" in right.pressed:
-            commands["undo"] = True
+            commands.append(Undo())
         if "lower" in right.pressed:
-            commands["redo"] = True
+            commands.append(Redo())
         return commands
 
     def _grip(self, h: int, c: Controller) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from display.protocol import Command, Pause, PlayDemo, Redo, Reset, Select, SetInteraction, SetLight, Undo
 from display.window.controls import editing
 from display.xr.actions import LET_GO, PRESS, Controller
 
@@ -118,13 +119,13 @@ class WristPanel:
         self._facing = self._down = self._taken = False
         self._before: float | None = None  # [m] of the fingertip before the panel; None until it is clear of it
 
-    def advance(self, controllers: list[Controller], head: np.ndarray, stage: np.ndarray, world) -> dict:
+    def advance(self, controllers: list[Controller], head: np.ndarray, stage: np.ndarray, world) -> list[Command]:
         """Commands for the world, which may be None yet. Poses are in the play space, which stands in the world by
         `stage`; `head` (4, 4). While the right hand is at the panel, its controller is changed to one that holds
         nothing."""
         self.clicked = False
         if world is None:
-            return {}
+            return []
         left, right = controllers
         if "lower" in left.pressed:
             self.pinned = not (self.pinned or self.pose is not None)
@@ -134,13 +135,13 @@ class WristPanel:
         pulls = level > (LET_GO if self._down else PRESS)
         began, self._down = pulls and not self._down, pulls
         button = self._pressed(right, began)
-        commands = {} if button is None else self._command(button, world, by_ray=began)
-        if began and not self._taken and right.aim is not None and world.light is not None:
+        commands = [] if button is None else self._command(button, world, by_ray=began)
+        if began and not self._taken and right.aim is not None and world.editable:
             aim = stage @ right.aim
             hit = world.pick(aim[:3, 3], -aim[:3, 2])
             if hit is not None:
-                commands["select"] = hit[1]
-        commands |= self._place_light(right, stage, world)
+                commands.append(Select(hit[1]))
+        commands += self._place_light(right, stage, world)
         if self._taken or self.placing:
             controllers[1] = replace(right, grab=0.0, pinch=0.0)
         self._taken = self._taken and pulls
@@ -182,33 +183,33 @@ class WristPanel:
         through, self._before = self._before is not None and depth <= 0.0, self._before if depth > 0.0 else None
         return self.over if through else None
 
-    def _command(self, button: Button, world, *, by_ray: bool) -> dict:
+    def _command(self, button: Button, world, *, by_ray: bool) -> list[Command]:
         self.clicked = True
         name = button.name
         if name in ("physics", "transform"):
-            return {"interaction": name}
+            return [SetInteraction(name)]
         if name in ("undo", "redo", "reset"):
-            return {name: True}
+            return [{"undo": Undo, "redo": Redo, "reset": Reset}[name]()]
         if name == "pause":
-            return {"pause": not world.paused}
+            return [Pause(not world.paused)]
         if name == "demo":
-            return {"demo": not world.demo}
+            return [PlayDemo(not world.demo)]
         if name == "light":
             self.placing = "pulled" if by_ray else "free"
-            return {}
+            return []
         return editing(name, None)
 
-    def _place_light(self, right: Controller, stage: np.ndarray, world) -> dict:
+    def _place_light(self, right: Controller, stage: np.ndarray, world) -> list[Command]:
         """The light is where the hand is, until the trigger is let go."""
         if self.placing is None or world.light is None:
             self.placing = None
-            return {}
+            return []
         if self.placing == "free" and self._down:
             self.placing = "pulled"
         elif self.placing == "pulled" and not self._down:
             self.placing = None
-            return {}
+            return []
         if right.grip is None:
-            return {}
+            return []
         place = (stage @ right.grip)[:3, 3]
-        return {"light": replace(world.light, position=tuple(place.tolist()))}
+        return [SetLight(replace(world.light, position=tuple(place.tolist())))]

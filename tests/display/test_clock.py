@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display.clock import LONGEST, SHORTEST, SLOWEST, STEP, Clock, Cost, between, most, moves
+from display.clock import LONGEST, SHORTEST, SLOWEST, STEP, Clock, SimulationCost, between, most, moves
 from scenes.scene import Hand
 from sim.solver import LONGEST_FRAME
 
@@ -39,9 +39,9 @@ def test_steps_are_equal_end_with_the_frame_and_are_never_longer_than_the_period
         assert sum(steps) == pytest.approx(dt) and len(set(steps)) == 1
         assert steps[0] <= 1.26 * PERIOD * 1e-9 and len(steps) == max(1, np.ceil(gap - 0.25))
     assert [d for d, _ in moves(0.4, None, [], [])] == [0.4]
-    assert run([1])[1][1].step == pytest.approx(PERIOD * 1e-9)
+    assert run([1])[1][1].max_step == pytest.approx(PERIOD * 1e-9)
     strange = (Clock().advance(5, period, None) for period in (0, 10**12, -3))
-    assert [t.step for t in strange] == [SHORTEST, STEP, SHORTEST]
+    assert [t.max_step for t in strange] == [SHORTEST, STEP, SHORTEST]
 
 
 def test_a_pause_is_not_made_up_for():
@@ -90,7 +90,7 @@ def test_a_machine_that_cannot_keep_up_draws_on_at_a_slower_pace(cost):
 
 
 def test_what_simulating_costs_is_told_by_the_usual_frame_not_by_the_first_nor_by_a_hitch():
-    cost = Cost()
+    cost = SimulationCost()
     assert cost.value is None and most(cost.value) == SLOWEST
     cost.note(0.0, 0.0)
     cost.note(30.0, 0.01)
@@ -169,7 +169,7 @@ def test_a_missed_frame_does_not_slow_the_world(frames):
     went, hands = [], []
     world = N(demo=False, time=0.0, _hands=[], _advance=lambda dt, now: (went.append(dt), hands.append(now[0])))
     for k, dt in enumerate(frames):
-        frame = Frame(dt, 0.0, [], [Hand((0.01 * k, 0.0, 0.0))], step=1 / 90)
+        frame = Frame(dt, 0.0, [], [Hand((0.01 * k, 0.0, 0.0))], max_step=1 / 90)
         World._simulate(world, frame)
         world._hands = frame.hands
     assert sum(went) == pytest.approx(0.3) == world.time and max(went) <= LONGEST_FRAME

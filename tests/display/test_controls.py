@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.camera import look_at, perspective
+from display.protocol import Duplicate, Pause, PlayDemo, Redo, Remove, Rescale, Reset, SetInteraction, SingleStep, Undo
 from display.window.controls import HELP, LARGER, WALKING, Controls
 from display.window.mouse_hand import FASTEST, MouseHand
 from display.window.orbit_camera import STEEPEST, OrbitCamera
@@ -30,7 +31,7 @@ class Target:
     """A world for the controls: a ball of 0.3 m at the origin."""
 
     pick, bodies = FakeWorld.pick, FakeWorld.bodies
-    paused, demo, interaction, light = False, False, "physics", Light((0.0, 2.0, 0.0))
+    paused, demo, interaction, light, editable = False, False, "physics", Light((0.0, 2.0, 0.0)), True
 
     def __init__(self):
         self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
@@ -245,18 +246,18 @@ def test_walking_goes_on_while_a_key_is_held(controls):
 
 def test_keys_become_commands(controls):
     world = Target()
-    assert controls.key("space", True, world) == {"pause": True}
+    assert controls.key("space", True, world) == [Pause(True)]
     world.paused = True
-    assert controls.key("space", True, world) == {"pause": False}
-    assert controls.key("n", True, world) == {"pause": True, "step": True}
-    assert controls.key("t", True, world) == {"interaction": "transform"}
+    assert controls.key("space", True, world) == [Pause(False)]
+    assert controls.key("n", True, world) == [Pause(True), SingleStep()]
+    assert controls.key("t", True, world) == [SetInteraction("transform")]
     world.interaction = "transform"
-    assert controls.key("t", True, world) == {"interaction": "physics"}
-    assert controls.key("p", True, world) == {"demo": True}
-    assert controls.key("r", True, world) == {"reset": True}
-    assert controls.key("r", False, world) == {}
+    assert controls.key("t", True, world) == [SetInteraction("physics")]
+    assert controls.key("p", True, world) == [PlayDemo(True)]
+    assert controls.key("r", True, world) == [Reset()]
+    assert controls.key("r", False, world) == []
     controls.orbit.turn(1.0, 0.3)
-    assert controls.key("home", True, world) == {} and np.allclose(controls.orbit.eye, (0, 0, 3))
+    assert controls.key("home", True, world) == [] and np.allclose(controls.orbit.eye, (0, 0, 3))
     controls.key("f1", True, world)
     assert not controls.panel and not controls.quit
     controls.key("escape", True, world)
@@ -280,32 +281,31 @@ def test_the_help_names_every_walking_key():
 @pytest.mark.parametrize(
     ("key", "command"),
     [
-        ("c", {"duplicate": 0}),
-        ("delete", {"remove": 0}),
-        ("plus", {"rescale": (0, LARGER)}),
-        ("minus", {"rescale": (0, 1 / LARGER)}),
+        ("c", [Duplicate(0)]),
+        ("delete", [Remove(0)]),
+        ("plus", [Rescale(0, LARGER)]),
+        ("minus", [Rescale(0, 1 / LARGER)]),
     ],
 )
 def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, key, command):
-    (name, wanted), *_ = command.items()
     world = Target()
     assert controls.key(key, True, world, (*CENTRE, CAMERA)) == command
-    last = None if wanted == 0 else (None, wanted[1])
-    assert controls.key(key, True, world, (5.0, 5.0, CAMERA)) == {name: last}  # the sky
-    assert controls.key(key, True, world) == {name: last}
-    assert controls.key(key, False, world, (*CENTRE, CAMERA)) == {}
-    assert controls.key(key, True, None, (*CENTRE, CAMERA)) == {}
+    last = [replace(command[0], body=None)]
+    assert controls.key(key, True, world, (5.0, 5.0, CAMERA)) == last  # the sky
+    assert controls.key(key, True, world) == last
+    assert controls.key(key, False, world, (*CENTRE, CAMERA)) == []
+    assert controls.key(key, True, None, (*CENTRE, CAMERA)) == []
     controls.press("left", *CENTRE, CAMERA, world)
-    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == {name: last}  # the one that is held
+    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == last  # the one that is held
 
 
 def test_turning_keys_turn_both_ways_about_the_vertical(controls):
-    (_, one), (_, other) = (controls.key(k, True, Target())["rotate"] for k in ("comma", "period"))
+    one, other = (controls.key(k, True, Target())[0].rotation for k in ("comma", "period"))
     assert_allclose(np.linalg.norm(one), 1.0)
     assert_allclose(one, np.multiply(other, [1, 1, -1, 1]))
     assert one[1] == one[3] == 0.0 and 2 * np.arcsin(one[2]) == pytest.approx(np.pi / 12)
     controls.key("shift", True, Target())
-    _, over = controls.key("comma", True, Target(), (5.0, 5.0, CAMERA))["rotate"]
+    over = controls.key("comma", True, Target(), (5.0, 5.0, CAMERA))[0].rotation
     assert_allclose(over[1:], np.sin(np.pi / 24) * CAMERA.world_to_camera[0, :3])
 
 
@@ -313,30 +313,30 @@ def test_undo_and_redo_let_go_of_what_is_dragged(controls):
     world = Target()
     controls.press("left", *CENTRE, CAMERA, world)
     assert controls.drag == "grab"
-    assert controls.key("ctrl+z", True, world) == {"undo": True}
+    assert controls.key("ctrl+z", True, world) == [Undo()]
     assert controls.drag is None and not controls.hand.gripping
-    assert controls.key("ctrl+y", True, world) == {"redo": True}
-    assert controls.key("u", True, world) == {"undo": True}
+    assert controls.key("ctrl+y", True, world) == [Redo()]
+    assert controls.key("u", True, world) == [Undo()]
     controls.key("shift", True, world)
-    assert controls.key("u", True, world) == {"redo": True}
-    assert controls.key("ctrl+z", True, world) == {"redo": True}
+    assert controls.key("u", True, world) == [Redo()]
+    assert controls.key("ctrl+z", True, world) == [Redo()]
 
 
 def test_the_light_follows_the_cursor_while_its_key_is_down(controls):
     world = Target()
     world.light = Light((0.5, 1.0, 1.0), target=(0.0, 0.0, 0.0), strength=0.4)
-    assert controls.lighting(world, 40.0, 30.0, CAMERA) == {}
+    assert controls.lighting(world, 40.0, 30.0, CAMERA) == []
     controls.key("l", True, world)
-    light = controls.lighting(world, 40.0, 30.0, CAMERA)["light"]
+    light = controls.lighting(world, 40.0, 30.0, CAMERA)[0].light
     assert_allclose(project(CAMERA, np.array(light.position)), (40.0, 30.0))
     assert light.position[2] == pytest.approx(1.0)  # as far from the camera as it was
     assert (light.strength, light.target) == (0.4, (0.0, 0.0, 0.0))
-    assert controls.lighting(world, 40.0, 30.0, CAMERA) == {}  # nothing new
-    assert "light" in controls.lighting(world, 50.0, 30.0, CAMERA)
+    assert controls.lighting(world, 40.0, 30.0, CAMERA) == []  # nothing new
+    assert len(controls.lighting(world, 50.0, 30.0, CAMERA)) == 1
     controls.key("l", False, world)
-    assert controls.lighting(world, 60.0, 30.0, CAMERA) == {}
+    assert controls.lighting(world, 60.0, 30.0, CAMERA) == []
     world.light = replace(world.light, position=(0.0, 0.0, 7.0))  # behind the camera
     controls.key("l", True, world)
-    light = controls.lighting(world, 60.0, 30.0, CAMERA)["light"]
+    light = controls.lighting(world, 60.0, 30.0, CAMERA)[0].light
     assert_allclose(project(CAMERA, np.array(light.position)), (60.0, 30.0))
     assert light.position[2] == pytest.approx(0.0)  # in the plane of what one looks at

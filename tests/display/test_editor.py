@@ -7,7 +7,20 @@ from numpy.testing import assert_allclose, assert_array_equal
 from core.camera import look_at, perspective
 from display.body_registry import FULL
 from display.picture import pixels_of
-from display.protocol import Frame
+from display.protocol import (
+    Duplicate,
+    Frame,
+    Redo,
+    Remove,
+    Rescale,
+    Reset,
+    Rotate,
+    Select,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    Undo,
+)
 from scenes.ring_toss import RUBBER
 from scenes.scene import Body, Hand, Light, Plane, Scene
 
@@ -47,16 +60,18 @@ class Play:
         self.camera = perspective(*SIZE, scene.fov_y, look_at(scene.eye, scene.target))
         self.world, self.time = World(scene, width=SIZE[0], height=SIZE[1]), 0.0
 
-    def step(self, frames=1, *hands, **commands):
+    def step(self, frames=1, *given):
+        """Frames with these hands; commands among them come in the first."""
+        hands, commands = ([g for g in given if isinstance(g, Hand) == k] for k in (True, False))
         for k in range(frames):
             self.time += DT
-            self.world.step(Frame(DT, self.time, [self.camera], list(hands), commands if k == 0 else {}))
+            self.world.step(Frame(DT, self.time, [self.camera], hands, commands if k == 0 else []))
 
-    def do(self, **commands):
+    def do(self, *commands):
         """Only these commands; no time passes."""
         self.world.editor.begin()
         self.world.apply(commands)
-        self.world.apply({})  # what had to wait for room
+        self.world.apply([])  # what had to wait for room
         self.world.paused = True
         self.world.step(Frame(0.0, self.time, [self.camera], []))
         self.world.paused = False
@@ -82,7 +97,7 @@ def shared(ti_cpu) -> Play:
 
 @pytest.fixture
 def play(shared) -> Play:
-    shared.do(reset=True, interaction="physics", light=shared.world.scene.light)
+    shared.do(Reset(), SetInteraction("physics"), SetLight(shared.world.scene.light))
     shared.world.editor.history.done.clear()
     shared.world.editor.history.undone.clear()
     shared.world.editor.selected = None
@@ -106,15 +121,15 @@ def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
     play.step(2)
     thrown = play.motion()
     assert (play.picture() != picture).any()
-    play.do(undo=True)
+    play.do(Undo())
     equal(motion, play.motion())
     assert_array_equal(play.picture(), picture)
     assert (play.world.score, play.world.time) == (score, time)
-    play.do(redo=True)
+    play.do(Redo())
     equal(thrown, play.motion())
-    play.do(undo=True)
+    play.do(Undo())
     equal(motion, play.motion())
-    play.do(undo=True)
+    play.do(Undo())
     equal(motion, play.motion())
     assert play.world.notice == "Nothing to undo."
 
@@ -129,7 +144,7 @@ def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play):
     world = play.world
     solver, tree = world.solver, world.splats.tree
     motion = play.motion()
-    world.apply({"duplicate": RED})
+    world.apply([Duplicate(RED)])
     assert world.notice.startswith("Making room") and world.solver is solver and len(world.bodies()) == 2
     world.apply({})
     assert len(world.bodies()) == 3 and world.solver is not solver
@@ -140,7 +155,7 @@ def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play):
 def test_a_copy_looks_like_its_original_and_stands_above_it(play):
     before, gaussians = play.picture(), play.world.splats.count
     own = play.world.editor.cast._counts[BLUE]
-    play.do(duplicate=BLUE)
+    play.do(Duplicate(BLUE))
     world = play.world
     assert world.splats.count == gaussians + own and len(world.bodies()) == 3 and world.selected == 2
     original, copy = world.bodies()[BLUE], world.bodies()[2]
@@ -158,8 +173,8 @@ def test_a_copy_looks_like_its_original_and_stands_above_it(play):
 
 
 def test_the_game_sees_the_scenes_own_bodies_only(play):
-    play.do(duplicate=RED)
-    play.do(remove=RED)
+    play.do(Duplicate(RED))
+    play.do(Remove(RED))
     play.step()
     names, places = zip(*play.world.scene.game.seen, strict=True)
     assert names == ("ring_red", "ring_blue") and places[RED][0] > 100.0
@@ -169,15 +184,15 @@ def test_the_game_sees_the_scenes_own_bodies_only(play):
 
 def test_what_is_taken_away_is_not_drawn_and_comes_back(play):
     before, motion = play.picture(), play.motion()
-    play.do(remove=BLUE)
+    play.do(Remove(BLUE))
     assert len(play.world.bodies()) == 1
     picture = play.picture()
     assert ((picture[..., 2].astype(int) - picture[..., 0]) > 60).sum() == 0
-    play.do(remove=0)
+    play.do(Remove(0))
     assert play.world.bodies() == [] and (play.picture()[..., :3] == 0).all()
     play.step(2)
-    play.do(undo=True)
-    play.do(undo=True)
+    play.do(Undo())
+    play.do(Undo())
     equal(motion, play.motion())
     assert_array_equal(play.picture(), before)
 
@@ -188,18 +203,18 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     first, count = play.world.embedding.runs[BLUE].gaussian, play.world.editor.cast._counts[BLUE]
     about = np.array([foot.centroid[0], foot.low[1], foot.centroid[2]])
     for factor, size in ((1.5, 1.5), (1.4, 2.1)):
-        play.do(rescale=(BLUE, factor))
+        play.do(Rescale(BLUE, factor))
         assert_allclose(play.shown(BLUE), about + size * (before - about), atol=2e-5)
         now = play.world.splats.cov.to_numpy()[first : first + count]
         assert_allclose(now, size**2 * cov[first : first + count], rtol=1e-3, atol=1e-8)
         assert_allclose(play.world.bodies()[BLUE].low[1], foot.low[1], atol=1e-5)
-    play.do(rescale=(BLUE, 4.0))
+    play.do(Rescale(BLUE, 4.0))
     assert play.world.notice == FULL
     play.step()
-    play.do(undo=True)
+    play.do(Undo())
     assert_allclose(play.shown(BLUE), before, atol=2e-6)
-    play.do(rescale=(BLUE, 0.05))
-    play.do(rescale=(BLUE, 0.05))
+    play.do(Rescale(BLUE, 0.05))
+    play.do(Rescale(BLUE, 0.05))
     assert_allclose(play.world.solver.parts[BLUE].shape.factor, 0.2)
     assert play.world.notice == "It is as small as it can be."
 
@@ -207,7 +222,7 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
 def test_a_body_is_turned_and_stays_on_the_floor(play):
     play.step(20)
     before = play.world.bodies()[BLUE]
-    play.do(rotate=(BLUE, (np.cos(0.5), np.sin(0.5), 0.0, 0.0)))
+    play.do(Rotate(BLUE, (np.cos(0.5), np.sin(0.5), 0.0, 0.0)))
     after = play.world.bodies()[BLUE]
     assert_allclose(np.abs(before.axis @ after.axis), np.cos(1.0), atol=0.02)
     assert_allclose(after.low[1], before.low[1], atol=1e-5)
@@ -216,35 +231,35 @@ def test_a_body_is_turned_and_stays_on_the_floor(play):
 
 def test_a_drag_is_one_action_two_keys_are_two(play):
     for _ in range(4):
-        play.do(rescale=(RED, 1.02))
+        play.do(Rescale(RED, 1.02))
     for _ in range(3):
         play.step()
-    play.do(rescale=(RED, 1.1))
+    play.do(Rescale(RED, 1.1))
     light = play.world.light
     for k in range(5):
-        play.do(light=Light((0.1 * k, 2.0, 0.0)))
+        play.do(SetLight(Light((0.1 * k, 2.0, 0.0))))
     assert [s.action for s in play.world.editor.history.done] == ["rescale", "rescale", "light"]
     motion = play.motion()
-    play.do(undo=True)
+    play.do(Undo())
     assert play.world.light == light
     equal(motion, play.motion())  # the light alone went back
-    play.do(undo=True)
+    play.do(Undo())
     assert_allclose(play.world.solver.parts[RED].shape.factor, 1.02**4)
 
 
 def test_reset_gives_the_scene_and_can_be_taken_back(play):
     start = play.motion()
-    play.do(duplicate=RED)
-    play.do(rescale=(BLUE, 1.5))
-    play.do(material=(RED, "jelly"))
-    play.do(remove=RED)
+    play.do(Duplicate(RED))
+    play.do(Rescale(BLUE, 1.5))
+    play.do(SetMaterial(RED, "jelly"))
+    play.do(Remove(RED))
     play.step(3)
     changed = play.motion()
-    play.do(reset=True)
+    play.do(Reset())
     play.step()
     equal(start, play.motion())
     assert not play.world.editor.cast.changed
-    play.do(undo=True)
+    play.do(Undo())
     equal(changed, play.motion())
     assert [p.body.name for p in play.world.solver.parts] == ["ring_blue", "ring_red"]
     assert play.world.solver.parts[0].shape.factor == 1.5
@@ -252,17 +267,17 @@ def test_reset_gives_the_scene_and_can_be_taken_back(play):
 
 def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
     hand = Hand((0.15, 0.02, 0.08), grip=True)
-    play.do(duplicate=RED)  # room is made
-    play.do(reset=True, interaction="transform")
+    play.do(Duplicate(RED))  # room is made
+    play.do(Reset(), SetInteraction("transform"))
     play.step(1, hand)
     play.step(1, Hand((0.15, 0.3, 0.08), grip=True))
     high = play.world.bodies()[BLUE]
     assert high.held and high.low[1] > 0.25
-    play.step(1, Hand((0.15, 0.3, 0.08), grip=True), rescale=(BLUE, 1.5))
+    play.step(1, Hand((0.15, 0.3, 0.08), grip=True), Rescale(BLUE, 1.5))
     larger = play.world.bodies()[BLUE]
     assert larger.held
     assert_allclose(larger.centroid, high.centroid, atol=1e-5)
-    play.step(1, Hand((0.25, 0.3, 0.08), grip=True), duplicate=None)
+    play.step(1, Hand((0.25, 0.3, 0.08), grip=True), Duplicate(None))
     assert_allclose(play.world.bodies()[BLUE].centroid - larger.centroid, [0.1, 0.0, 0.0], atol=1e-5)
     copy = play.world.bodies()[2]
     assert not copy.held and copy.low[1] > larger.high[1] - 1e-4
@@ -272,25 +287,25 @@ def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
 
 def test_a_held_body_follows_the_hand_through_changes_of_its_size(play):
     """A change in each frame of a drag: none of the hand's way is lost, and all of it is one action."""
-    play.do(duplicate=RED)  # room is made
-    play.do(reset=True, interaction="transform")
+    play.do(Duplicate(RED))  # room is made
+    play.do(Reset(), SetInteraction("transform"))
     play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
     motion, count = play.motion(), len(play.world.editor.history.done)
     start = play.world.bodies()[BLUE]
     for k in range(1, 6):
-        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), rescale=(BLUE, 1.1))
+        play.step(1, Hand((0.15 + 0.02 * k, 0.02 + 0.05 * k, 0.08), grip=True), Rescale(BLUE, 1.1))
         body = play.world.bodies()[BLUE]
         assert body.held
         grown, before = body.high - body.low, start.high - start.low
         assert_allclose(grown, 1.1**k * before, rtol=1e-3)
         assert_allclose(body.centroid - start.centroid, [0.02 * k, 0.05 * k, 0.0], atol=1e-5)
     assert len(play.world.editor.history.done) == count + 1
-    play.do(interaction="physics")
+    play.do(SetInteraction("physics"))
     play.step(75)  # it bounces thrice
     rest = play.world.bodies()[BLUE]
     assert_allclose((rest.high - rest.low)[[0, 2]], grown[[0, 2]], rtol=0.05)  # it is that large, and lies on the floor
     assert 0.0 < rest.low[1] + 5e-3 < 0.03 and np.abs(rest.velocity).max() < 0.2
-    play.do(undo=True)
+    play.do(Undo())
     equal(motion, play.motion())
 
 
@@ -299,7 +314,7 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
 
     trees = None
     for _ in range(40):
-        play.do(duplicate=RED)
+        play.do(Duplicate(RED))
         if play.world.notice == FULL:
             break
         trees = trees or impl.get_runtime().prog.get_snode_tree_size()
@@ -307,31 +322,31 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
     assert 6 <= len(play.world.bodies()) < 40
     assert impl.get_runtime().prog.get_snode_tree_size() == trees
     motion, picture, steps = play.motion(), play.picture(), len(play.world.editor.history.done)
-    play.do(duplicate=RED)
+    play.do(Duplicate(RED))
     equal(motion, play.motion())
     assert_array_equal(picture, play.picture())
     assert len(play.world.editor.history.done) == steps
-    play.do(remove=RED)
-    play.do(duplicate=0)
+    play.do(Remove(RED))
+    play.do(Duplicate(0))
     assert len(play.world.bodies()) == len(motion[0]) // len(play.world.solver.parts[0].shape.vertices)
 
 
 @pytest.mark.parametrize(
     "command",
     [
-        {"duplicate": 7},
-        {"remove": -1},
-        {"rescale": (0, 0.0)},
-        {"rescale": (0, float("nan"))},
-        {"rotate": (0, (0.0, 0.0, 0.0, 0.0))},
-        {"material": (0, "unobtainium")},
-        {"duplicate": None},
-        {"select": 9},
+        [Duplicate(7)],
+        [Remove(-1)],
+        [Rescale(0, 0.0)],
+        [Rescale(0, float("nan"))],
+        [Rotate(0, (0.0, 0.0, 0.0, 0.0))],
+        [SetMaterial(0, "unobtainium")],
+        [Duplicate(None)],
+        [Select(9)],
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(play, command):
     motion, steps = play.motion(), len(play.world.editor.history.done)
-    play.do(**command)
+    play.do(*command)
     assert play.world.notice and "\n" not in play.world.notice
     equal(motion, play.motion())
     assert len(play.world.editor.history.done) == steps

@@ -26,7 +26,7 @@ def play(frames: int, *, stop_after: int | None = None, width: int = WIDTH, heig
     display = Headless(fake_scene(), width=width, height=height, frames=frames, **options)
     world = FakeWorld(fake_scene(), width=width, height=height, views=display.views)
     seen, pictures = [], []
-    for frame in display.frames():
+    for frame in display.frames(world):
         world.step(frame)
         pictures.append(pixels_of(world.picture)[..., :3].copy())
         display.present(world)
@@ -131,7 +131,7 @@ def test_an_older_video_survives_a_run_that_fails(ti_cpu, tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"precious")
     with Headless(fake_scene(), width=WIDTH, height=HEIGHT, frames=5, record=path) as display:
-        next(display.frames())
+        next(display.frames(FakeWorld(fake_scene(), width=WIDTH, height=HEIGHT)))
     assert path.read_bytes() == b"precious" and len(list(tmp_path.iterdir())) == 1
 
 

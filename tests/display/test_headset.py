@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from display.protocol import Redo, SetInteraction, Undo
 from display.xr.actions import ANALOG, KINDS, POSES, PROFILES, Controller
 from display.xr.player import GRAB_REACH, PINCH_REACH, TURN, Player
 from display.xr.poses import ARM, STEP, Standpoint, eye_camera, matrix_of, position_rotation
@@ -157,11 +158,11 @@ def test_pointing_at_the_horizon_does_not_go_far():
 
 def test_buttons_are_commands(player):
     _, commands = player.advance(both(Controller(pressed={"upper"}), Controller(pressed={"lower"})), np.eye(4), WORLD)
-    assert commands == {"interaction": "transform", "redo": True}
+    assert commands == [SetInteraction("transform"), Redo()]
     _, commands = player.advance(both(Controller(pressed={"lower"}), Controller(pressed={"upper"})), np.eye(4), WORLD)
-    assert commands == {"undo": True}  # the left one shows the panel: display/xr/wrist_panel.py
+    assert commands == [Undo()]  # the left one shows the panel: display/xr/wrist_panel.py
     _, commands = player.advance(both(Controller(pressed={"upper"})), np.eye(4), None)
-    assert commands == {}
+    assert commands == []
 
 
 def test_hands_feel_taking_hold_and_what_pulls(player):

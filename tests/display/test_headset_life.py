@@ -44,10 +44,10 @@ def test_without_the_extensions_nothing_of_them_is_asked_for(wear):
 
 def test_missed_frames_are_the_runtimes_and_the_world_does_not_slow_down(wear):
     fake = Fake(missed={4: 2, 8: 1})
-    _, world = wear(fake, 10, lambda k, headset, world: (world.cost.note(0.0, 1.0), world.cost.note(0.1, 1.0)))
+    _, world = wear(fake, 10, lambda k, headset, world: setattr(world, "simulation_cost", 0.1))
     assert world.timings.missed == 3 and world.timings.budget == pytest.approx(PERIOD * 1e-9)
     assert world.frames[-1].time == pytest.approx(13 * PERIOD * 1e-9) and world.timings.dropped == 0.0
-    assert [round(f.dt / f.step) for f in world.frames] == [1, 1, 1, 3, 1, 1, 1, 2, 1, 1]
+    assert [round(f.dt / f.max_step) for f in world.frames] == [1, 1, 1, 3, 1, 1, 1, 2, 1, 1]
 
 
 def test_where_the_rate_does_not_hold_a_part_of_the_textures_is_drawn(wear):
@@ -70,7 +70,7 @@ def test_where_the_rate_does_not_hold_a_part_of_the_textures_is_drawn(wear):
 
     fake.size = (640, 480)
     _, world = wear(fake, 5 + SETTLE + 20, choose)
-    assert world.renderer_size == (480, 360) and world.sizes == [(480, 360)]  # the user's choice
+    assert world.picture_size == (480, 360) and world.sizes == [(480, 360)]  # the user's choice
 
 
 def test_off_and_on_again(wear, capsys):
@@ -116,7 +116,7 @@ def test_while_something_else_has_the_input_the_world_goes_on_and_hands_hold_on(
     _, world = wear(fake, 70, each)
     hands = [f.hands[1] for f in world.frames]
     assert [h.grip for h in hands] == [True] * 70
-    assert all(f.dt > 0 for f in world.frames) and all(f.commands == {} for f in world.frames)
+    assert all(f.dt > 0 for f in world.frames) and all(f.commands == [] for f in world.frames)
     assert hands[5].position == hands[3].position == hands[7].position
     ways = np.linalg.norm(np.diff([h.position for h in hands], axis=0), axis=1)
     assert ways.max() < 2.1 * PERIOD * 1e-9 and ways.sum() == pytest.approx(0.1)  # led there, not flung

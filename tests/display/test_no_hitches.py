@@ -7,7 +7,22 @@ import pytest
 
 from core.camera import look_at, perspective
 from display.edit.editor import COMPILING, Editor
-from display.protocol import Frame
+from display.protocol import (
+    Duplicate,
+    Frame,
+    Pause,
+    PlayDemo,
+    Redo,
+    Remove,
+    Rescale,
+    Reset,
+    Rotate,
+    Select,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    Undo,
+)
 from scenes import ring_toss
 from scenes.scene import Hand, Touch
 from tests.support.compiling import compiled
@@ -28,14 +43,15 @@ class Play:
         self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
         self.parts = shown.hidden() if headset else None
 
-    def frame(self, *hands, **commands):
+    def frame(self, *given):
+        hands, commands = ([g for g in given if isinstance(g, Hand) == k] for k in (True, False))
         self.frames += 1
         view = look_at(np.add(self.scene.eye, [0.001 * self.frames, 0, 0]), self.scene.target)
         cameras = [perspective(*self.size, 0.9, view)] * self.views
         if self.parts is not None:
             self.parts[:] = np.nan
             self.parts[52] = np.column_stack([np.eye(3), hands[0].position if hands else np.zeros(3)])
-        self.world.step(Frame(1 / 60, self.frames / 60, cameras, list(hands), commands, parts=self.parts))
+        self.world.step(Frame(1 / 60, self.frames / 60, cameras, hands, commands, prop_poses=self.parts))
         self.world.hand_forces(), self.world.touch_forces(), self.world.stats()
 
     def rim(self):
@@ -59,13 +75,13 @@ class Play:
 
     def stretch(self):
         """Two hands draw it out in transform mode, and let go."""
-        self.frame(interaction="transform")
+        self.frame(SetInteraction("transform"))
         at = self.rim()
         for k in range(4):
             other = at + [0.03 * k, 0.0, -2 * ring_toss.RING_RADIUS - 0.02 * k]
             self.frame(*(Hand(tuple(p), grip=k > 0, reach=0.05) for p in (at, other)))
         self.frame(Hand(tuple(at)), Hand())
-        self.frame(interaction="physics")
+        self.frame(SetInteraction("physics"))
 
     def resize(self, width: int, height: int):
         self.size = width, height
@@ -92,23 +108,23 @@ def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
     with compiled() as names:
         play.throw()
         play.touch()
-        for commands in ({"undo": True}, {"redo": True}, {"select": YELLOW}, {"rotate": (None, TURN)}):
-            play.frame(**commands)
+        for commands in ([Undo()], [Redo()], [Select(YELLOW)], [Rotate(None, TURN)]):
+            play.frame(*commands)
         if headset:  # in a window the first copy, or a body of another size, makes room, which is said
-            play.frame(duplicate=None)
+            play.frame(Duplicate(None))
             assert len(play.world.bodies()) == 4
-            play.frame(rescale=(None, 0.8))
-        for commands in ({"material": (0, "plush")}, {"undo": True}, {"remove": 0}):
-            play.frame(**commands)
-        play.frame(light=play.scene.light)
-        play.frame(pause=True)
-        play.frame(pause=False, reset=True)
+            play.frame(Rescale(None, 0.8))
+        for commands in ([SetMaterial(0, "plush")], [Undo()], [Remove(0)]):
+            play.frame(*commands)
+        play.frame(SetLight(play.scene.light))
+        play.frame(Pause(True))
+        play.frame(Pause(False), Reset())
         if headset:
             play.stretch()
         play.world.pick(play.scene.eye, np.subtract(play.scene.target, play.scene.eye))
         play.resize(48, 32)
         play.resize(96, 64)
-        play.frame(demo=True)
+        play.frame(PlayDemo(True))
         play.frame()
     assert names == []
 
@@ -117,17 +133,16 @@ def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
     """A made-up world: one frame stands still, with a notice."""
     world = N(solver=N(fresh=False), motions=[])
     editor = Editor(world, cast=None)
-    for name in ("material", "undo", "select"):
-        setattr(editor, f"_{name}", lambda asked: setattr(world.solver, "fresh", asked == "wood"))
+    editor._carry_out = lambda command: setattr(world.solver, "fresh", command == SetMaterial(0, "wood"))
 
-    def frame(**commands):
+    def frame(*commands):
         editor.begin()
         editor.apply(commands)
         return editor.waits, editor.notice == COMPILING
 
     assert frame() == (False, False)
-    assert frame(material="plush") == (False, False)
-    assert frame(material="wood") == (True, True)
+    assert frame(SetMaterial(0, "plush")) == (False, False)
+    assert frame(SetMaterial(0, "wood")) == (True, True)
     assert frame() == (False, True)
     world.solver.fresh = False
-    assert frame(undo=True) == (False, False)
+    assert frame(Undo()) == (False, False)

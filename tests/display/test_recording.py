@@ -15,7 +15,21 @@ import vrgs
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
-from display.protocol import Frame
+from display.protocol import (
+    Duplicate,
+    Frame,
+    Pause,
+    PlayDemo,
+    Rescale,
+    Reset,
+    Rotate,
+    Select,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    SingleStep,
+    Undo,
+)
 from display.record import packing
 from display.record.command_text import from_text, to_text
 from display.record.packing import pack, size_of, unpack
@@ -49,11 +63,9 @@ def some_frames(count=200, dt=1 / 90):
         q = rng.normal(size=4)
         hands = [Hand(tuple(rng.normal(size=3).tolist()), tuple((q / np.linalg.norm(q)).tolist()), k % 7 > 3, 0.05)]
         hands += [Hand()] if k % 3 else []
-        commands = {5: {"pause": True}, 6: {"step": True}, 9: {"light": Light((1.0, 2.0, 3.0)), "reset": True}}.get(
-            k, {}
-        )
+        commands = {5: [Pause(True)], 6: [SingleStep()], 9: [SetLight(Light((1.0, 2.0, 3.0))), Reset()]}.get(k, [])
         cameras = [dataclasses.replace(CAMERA, cx=30.0 + 0.01 * k)] * (k % 3)
-        frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, step=None if k % 2 else 1 / 90))
+        frames.append(Frame(dt, dt * (k + 1), cameras, hands, commands, max_step=None if k % 2 else 1 / 90))
     return frames
 
 
@@ -165,11 +177,11 @@ def test_numbers_that_do_not_fit_their_layout_are_refused():
 
 
 def test_commands_come_back_as_they_were_and_others_are_refused():
-    commands = {"reset": True, "interaction": "transform", "light": Light((0.0, 1.0, 2.0), kind="directional")}
-    commands |= {"duplicate": None, "select": 3, "rescale": (None, 1.5), "rotate": (2, (1.0, 0.0, 0.0, 0.0))}
-    commands |= {"material": (0, Material(1e4, 0.3, 900.0)), "undo": True, "demo": False}
+    commands = [Reset(), SetInteraction("transform"), SetLight(Light((0.0, 1.0, 2.0), kind="directional"))]
+    commands += [Duplicate(None), Select(3), Rescale(None, 1.5), Rotate(2, (1.0, 0.0, 0.0, 0.0))]
+    commands += [SetMaterial(0, Material(1e4, 0.3, 900.0)), Undo(), PlayDemo(False)]
     assert from_text(to_text(7, commands)) == (7, commands)
-    assert from_text(to_text(7, {"rescale": (np.int64(2), np.float64(1.5))})) == (7, {"rescale": (2, 1.5)})
+    assert from_text(to_text(7, [Rescale(np.int64(2), np.float64(1.5))])) == (7, [Rescale(2, 1.5)])
     for text in (
         "", "3", "{}", "[" * 100_000, '{"frame": 1.5}', '{"frame": 1, "select": -1}',
         '{"frame": true}', '{"frame": 1, "eval": "x"}', '{"frame": 1, "pause": 1}',
@@ -182,16 +194,18 @@ def test_commands_come_back_as_they_were_and_others_are_refused():
             from_text(text)
 
 
-def test_a_command_that_nobody_knows_is_left_out_with_a_line(tmp_path, capsys):
-    record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], {"sing": True}), Frame(0.1, 0.2, [], [], {"reset": True})])
-    assert [f.commands for f in Replay.load(tmp_path / "play.h5")._frames] == [{}, {"reset": True}]
-    assert capsys.readouterr().err == f"{tmp_path / 'play.h5'}: not recorded: the command 'sing' is not known\n"
+def test_a_command_that_cannot_be_replayed_is_left_out_with_a_line(tmp_path, capsys):
+    record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], [Rescale(0, np.nan)]), Frame(0.1, 0.2, [], [], [Reset()])])
+    assert [f.commands for f in Replay.load(tmp_path / "play.h5")._frames] == [[], [Reset()]]
+    assert (
+        capsys.readouterr().err == f"{tmp_path / 'play.h5'}: not recorded: the command 'rescale' cannot be '[0, nan]'\n"
+    )
 
 
 def play_again(replay, shown, *, paced, world=None):
     """(world, how often it was presented) after a replay on a display whose frames are these."""
     world, presented = world or Ball(), []
-    display = N(frames=lambda: iter(shown), present=lambda world: presented.append(len(world.frames)))
+    display = N(frames=lambda world: iter(shown), present=lambda world: presented.append(len(world.frames)))
     for frame in replay.frames(display, world, paced=paced):
         world.step(frame)
         display.present(world)
@@ -223,7 +237,7 @@ def test_a_replay_does_the_same_and_says_so(tmp_path):
 
 def test_a_replay_in_a_window_is_held_by_its_pause(tmp_path):
     record(tmp_path / "play.h5", some_frames(20))
-    shown = [Frame(1 / 90, 0.0, [CAMERA], [], {"pause": True} if k in (5, 50) else {}) for k in range(80)]
+    shown = [Frame(1 / 90, 0.0, [CAMERA], [], [Pause(True)] if k in (5, 50) else []) for k in range(80)]
     world, presented = play_again(Replay.load(tmp_path / "play.h5"), shown, paced=True)
     assert len(world.frames) == 20 and len(set(presented[5:50])) == 1
 

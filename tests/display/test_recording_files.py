@@ -147,7 +147,7 @@ SPOILED = {
     "cameras/values has shape": longer("cameras/values"),
     "frames/time has shape": longer("frames/dt"),
     "commands/text is no text": put("commands/text", 255),
-    "a command is no JSON": put("commands/text", ord("x")),
+    "not valid JSON": put("commands/text", ord("x")),
     "states/count holds": put("states/count", 10**7),
     "states/centroids has shape": longer("states/centroids"),
     "states/frame holds": put("states/frame", 10**9),

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from display.edit import selection_marker as marking
 from display.edit.editor import Editor
 from display.edit.selection_marker import marked, strokes
+from display.protocol import Select, Undo
 from display.xr import avatar as shown
 
 
@@ -16,7 +17,7 @@ def body(held=False, high=(0.2, 0.1, 0.3)):
 
 
 def world(selected=0, chosen=False, **how):
-    return N(selected=selected, chosen=chosen, bodies=lambda: [body(**how)])
+    return N(selected=selected, recently_selected=chosen, bodies=lambda: [body(**how)])
 
 
 def test_it_is_marked_when_it_was_chosen_or_an_edit_is_near():
@@ -49,11 +50,10 @@ def test_the_headset_shows_the_same_strokes():
 def test_commands_choose_for_a_moment(monkeypatch):
     now = [10.0]
     monkeypatch.setattr("display.edit.editor.monotonic", lambda: now[0])
-    editor = Editor(N(solver=N(fresh=False), motions=[]), cast=None)
-    editor._select = editor._undo = lambda asked: None
-    editor.apply({"undo": True})
-    assert not editor.chosen
-    editor.apply({"select": 1})
-    assert editor.chosen
+    editor = Editor(N(solver=N(fresh=False), motions=[]), cast=N(members=(None, None)))
+    editor.apply([Undo()])
+    assert not editor.recently_selected
+    editor.apply([Select(1)])
+    assert editor.recently_selected
     now[0] += marking.SHOWN + 0.1
-    assert not editor.chosen
+    assert not editor.recently_selected

@@ -7,6 +7,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from display.protocol import (
+    Duplicate,
+    Pause,
+    PlayDemo,
+    Redo,
+    Remove,
+    Rescale,
+    Reset,
+    Select,
+    SetInteraction,
+    SetLight,
+    Undo,
+    last_of,
+)
 from display.xr.actions import Controller
 from display.xr.panel_paint import BACK, Content, content_of, paint
 from display.xr.wrist_panel import (
@@ -42,7 +56,7 @@ class World:
     """What the panel asks of a world."""
 
     interaction, paused, demo, selected, notice = "physics", False, False, None, ""
-    score, message, light = 2, "Score: see there.", Light((0.0, 2.0, 0.0))
+    score, message, light, editable = 2, "Score: see there.", Light((0.0, 2.0, 0.0)), True
     timings = N(recent_fps=lambda: 71.6)
     hit = None
 
@@ -142,29 +156,29 @@ def test_a_ray_from_behind_beside_or_afar_misses(panel):
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("undo", {"undo": True}),
-        ("redo", {"redo": True}),
-        ("c", {"duplicate": None}),
-        ("delete", {"remove": None}),
-        ("plus", {"rescale": (None, 1.25)}),
-        ("minus", {"rescale": (None, 0.8)}),
-        ("physics", {"interaction": "physics"}),
-        ("transform", {"interaction": "transform"}),
-        ("pause", {"pause": True}),
-        ("reset", {"reset": True}),
-        ("demo", {"demo": True}),
+        ("undo", [Undo()]),
+        ("redo", [Redo()]),
+        ("c", [Duplicate(None)]),
+        ("delete", [Remove(None)]),
+        ("plus", [Rescale(None, 1.25)]),
+        ("minus", [Rescale(None, 0.8)]),
+        ("physics", [SetInteraction("physics")]),
+        ("transform", [SetInteraction("transform")]),
+        ("pause", [Pause(True)]),
+        ("reset", [Reset()]),
+        ("demo", [PlayDemo(True)]),
     ],
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):
     commands, right = advance(panel, world, pointing(panel, name))
-    assert commands == {} and panel.over.name == name and not panel.clicked
+    assert commands == [] and panel.over.name == name and not panel.clicked
     commands, right = advance(panel, world, pointing(panel, name, pinch=0.9))
     assert commands == command and right.pinch == 0.0 and panel.clicked
     for level in (0.9, 0.5):
         commands, right = advance(panel, world, pointing(panel, name, pinch=level))
-        assert commands == {} and right.pinch == 0.0 and not panel.clicked
+        assert commands == [] and right.pinch == 0.0 and not panel.clicked
     commands, right = advance(panel, world, pointing(panel, name))
-    assert commands == {}
+    assert commands == []
     commands, _ = advance(panel, world, pointing(panel, name, pinch=0.9))
     assert commands == command
 
@@ -174,7 +188,7 @@ def test_a_trigger_pulled_elsewhere_presses_nothing_here_and_holds_on(panel, wor
     _, right = advance(panel, world, elsewhere)
     assert right.pinch == 1.0
     commands, right = advance(panel, world, pointing(panel, "reset", pinch=1.0))
-    assert commands == {} and right.pinch == 1.0 and panel.over is None
+    assert commands == [] and right.pinch == 1.0 and panel.over is None
 
 
 def test_a_finger_presses_by_going_through_from_the_front(panel, world):
@@ -182,13 +196,13 @@ def test_a_finger_presses_by_going_through_from_the_front(panel, world):
         return pointing(panel, "c", depth + FINGER)  # it points with the hand
 
     pressed = [advance(panel, world, finger(d))[0] for d in (0.1, 0.02, 0.005, -0.002, -0.02, 0.005, -0.01)]
-    assert pressed == [{}, {}, {}, {"duplicate": None}, {}, {}, {}]
+    assert pressed == [[], [], [], [Duplicate(None)], [], [], []]
     again = [advance(panel, world, finger(d))[0] for d in (0.02, -0.002)]
-    assert again == [{}, {"duplicate": None}]
+    assert again == [[], [Duplicate(None)]]
     from_behind = [advance(panel, world, finger(d))[0] for d in (-0.1, -0.03, -0.005, 0.005, 0.03)]
-    assert from_behind == [{}] * 5
+    assert from_behind == [[]] * 5
     fast = [advance(panel, world, finger(d))[0] for d in (0.2, -0.04)]
-    assert fast == [{}, {"duplicate": None}]
+    assert fast == [[], [Duplicate(None)]]
 
 
 def test_a_tracked_finger_presses(panel, world):
@@ -198,7 +212,7 @@ def test_a_tracked_finger_presses(panel, world):
         c.joints, c.aim = joints, None
         return c
 
-    assert [advance(panel, world, hand(d))[0] for d in (0.03, -0.001)] == [{}, {"redo": True}]
+    assert [advance(panel, world, hand(d))[0] for d in (0.03, -0.001)] == [[], [Redo()]]
 
 
 def test_the_light_follows_the_hand_until_the_trigger_is_let_go(panel, world):
@@ -206,10 +220,10 @@ def test_the_light_follows_the_hand_until_the_trigger_is_let_go(panel, world):
     assert right.pinch == 0.0 and panel.placing
     away = at(0.4, 1.3, -0.5)
     commands, right = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert_allclose(commands["light"].position, (STAGE @ away)[:3, 3])
+    assert_allclose(last_of(SetLight, commands).light.position, (STAGE @ away)[:3, 3])
     assert right.pinch == 0.0
     commands, _ = advance(panel, world, Controller(grip=away, aim=away))
-    assert "light" not in commands and panel.placing is None
+    assert last_of(SetLight, commands) is None and panel.placing is None
 
 
 def test_a_light_taken_with_a_finger_waits_for_the_trigger(panel, world):
@@ -219,18 +233,18 @@ def test_a_light_taken_with_a_finger_waits_for_the_trigger(panel, world):
     away = at(0.4, 1.3, -0.5)
     for pinch, follows in ((0.0, True), (0.0, True), (1.0, True), (1.0, True), (0.0, False), (0.0, False)):
         commands, _ = advance(panel, world, Controller(grip=away, aim=away, pinch=pinch))
-        assert ("light" in commands) == follows
+        assert (last_of(SetLight, commands) is not None) == follows
 
 
 def test_pointing_at_a_body_chooses_it(panel, world):
     world.hit = (0.8, 1)
     away = at(0.4, 1.3, -0.5)
     commands, right = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert commands == {"select": 1} and right.pinch == 1.0
+    assert commands == [Select(1)] and right.pinch == 1.0
     assert_allclose(world.asked[0], (STAGE @ away)[:3, 3])
     assert_allclose(world.asked[1], STAGE[:3, :3] @ [0, 0, -1])
     commands, _ = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert commands == {}
+    assert commands == []
 
 
 def test_it_comes_when_the_palm_turns_to_the_face_and_goes(world):
@@ -263,7 +277,7 @@ def test_the_button_keeps_it_and_takes_it_away(panel, world):
     assert panel.pose is not None
     advance(panel, world, Controller(), replace(LEFT, pressed={"lower"}))
     assert panel.pose is None
-    assert advance(panel, None, Controller(pinch=1.0))[0] == {}
+    assert advance(panel, None, Controller(pinch=1.0))[0] == []
 
 
 def test_what_it_shows(panel, world):

@@ -13,6 +13,7 @@ from assets.asset import Asset
 from assets.gltf_skin import Rig
 from core.errors import BadInput
 from core.material import MOVING
+from display.protocol import Reset
 from prepare.rig.joint_names import ARM, LEG, TREE, named_joints, words
 from prepare.rig.landmark_file import read_landmarks
 from prepare.rig.landmarks import NAMES, Landmarks
@@ -219,7 +220,7 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
         most = max(most, (edges[1] / edges[0]).max())
     assert least > 0.05 and most < 2.5
     assert world.stats()["finite"] and world.bodies()[0].driven
-    world.apply({"reset": True})
+    world.apply([Reset()])
     assert_allclose(world.solver.x.to_numpy()[: len(rest)], 4 * rest + place, atol=1e-5)
     world.step(Frame(1 / 60, 0, [], []))
     moved = np.abs(world.solver.x.to_numpy()[a.vertices[a.driven]] - (4 * rest[a.vertices[a.driven]] + place)).max()

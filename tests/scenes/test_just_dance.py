@@ -8,6 +8,7 @@ from assets.asset import Asset
 from assets.library import find_asset, moves_by_itself
 from core.errors import BadInput
 from core.material import STATURE, material_named, moving_named
+from display.protocol import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
 from scenes.scene import Hand
@@ -36,7 +37,7 @@ def test_a_ring_bounces_off_the_dancer(stage):
     from display.protocol import Frame
 
     world, asset = stage
-    world.apply({"reset": True})
+    world.apply([Reset()])
     game, speeds, least = world.scene.game, [], 1.0
     for k in range(round(3.2 / DT)):
         world.step(Frame(DT, (k + 1) * DT, [], world.scripted_hands((k + 1) * DT)))
@@ -57,7 +58,7 @@ def test_a_hand_does_not_stop_the_dance(stage):
     from display.protocol import Frame
 
     world, asset = stage
-    world.apply({"reset": True})
+    world.apply([Reset()])
     a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
     place = np.array(world.scene.bodies[2].position)
     led = a.vertices[a.driven]
@@ -89,11 +90,11 @@ def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage
     from display.protocol import Frame
 
     world, asset = stage
-    world.apply({"reset": True})
+    world.apply([Reset()])
     for k in range(12):
         world.step(Frame(DT, (k + 1) * DT, []))
     grip = 0.5 * (world.bodies()[0].low + world.bodies()[0].high)
-    world.apply({"interaction": "transform"})
+    world.apply([SetInteraction("transform")])
     half = (np.cos(0.25), 0.0, np.sin(0.25), 0.0)
     for k in range(5):
         hand = Hand(tuple(grip + [0.05 * k, 0.0, 0.02 * k]), half if k else (1.0, 0.0, 0.0, 0.0), True, 0.2)
@@ -102,12 +103,12 @@ def test_a_dancer_that_is_put_elsewhere_dances_on_there_until_it_is_undone(stage
     R = np.array([[np.cos(0.5), 0.0, np.sin(0.5)], [0.0, 1.0, 0.0], [-np.sin(0.5), 0.0, np.cos(0.5)]])
     move = np.eye(4)
     move[:3, :3], move[:3, 3] = R, grip + [0.2, 0.0, 0.08] - R @ grip
-    world.apply({"interaction": "physics"})
+    world.apply([SetInteraction("physics")])
     for k in range(6):
         world.step(Frame(DT, 0.0, []))
         assert_allclose(*led_and_wanted(world, asset, 0, (13 + k) * DT, move), atol=1e-4)
     assert world.stats()["finite"] and np.abs(world.bodies()[0].velocity).max() < 2.0  # nothing snapped
-    world.apply({"undo": True})
+    world.apply([Undo()])
     world.step(Frame(DT, 0.0, []))
     assert_allclose(*led_and_wanted(world, asset, 0, 13 * DT, np.eye(4)), atol=1e-4)
     assert world.interaction == "physics"
@@ -118,10 +119,10 @@ def test_a_copy_dances_along_at_its_size_and_goes(stage):
     from display.protocol import Frame
 
     world, asset = stage
-    world.apply({"reset": True})
+    world.apply([Reset()])
     for k in range(6):
         world.step(Frame(DT, (k + 1) * DT, []))
-    world.apply({"duplicate": 0})
+    world.apply([Duplicate(0)])
     world.apply({})  # room is made
     world.shadow.cast = lambda: None
     aside = world.bodies()[2].centroid - world.bodies()[0].centroid
@@ -135,20 +136,20 @@ def test_a_copy_dances_along_at_its_size_and_goes(stage):
         assert_allclose(*led_and_wanted(world, asset, 2, (7 + k) * DT, move), atol=1e-4)
     body = world.bodies()[2]
     foot = np.array([body.centroid[0], body.low[1], body.centroid[2]])
-    world.apply({"rescale": (2, 0.8)})
+    world.apply([Rescale(2, 0.8)])
     assert not world.notice
     scale = np.diag([0.8, 0.8, 0.8, 1.0])
     scale[:3, 3] = 0.2 * foot
-    world.apply({"remove": 1})  # the ring: the copy is body 1 now
+    world.apply([Remove(1)])  # the ring: the copy is body 1 now
     for k in range(4):
         world.step(Frame(DT, 0.0, []))
         assert_allclose(*led_and_wanted(world, asset, 1, (11 + k) * DT, scale @ move), atol=1e-4)
         assert_allclose(*led_and_wanted(world, asset, 0, (11 + k) * DT, np.eye(4)), atol=1e-4)
-    world.apply({"remove": 0})
+    world.apply([Remove(0)])
     world.step(Frame(DT, 0.0, []))
     assert_allclose(*led_and_wanted(world, asset, 0, 15 * DT, scale @ move), atol=1e-4)
     assert world.stats()["finite"] and len(world.motions) == 1
-    world.apply({"reset": True})
+    world.apply([Reset()])
     world.step(Frame(DT, 0.0, []))
     assert len(world.bodies()) == 2
     assert_allclose(*led_and_wanted(world, asset, 0, DT, np.eye(4)), atol=1e-4)

@@ -14,6 +14,8 @@ import taichi as ti
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from display.protocol import Pause, Reset, SetInteraction, SetLight, SingleStep, WorldView, in_order, last_of
+from display.record.command_text import NAMES
 from display.timing import Timings
 from scenes.scene import BodyState, Light, Scene
 
@@ -78,13 +80,12 @@ def paint(
         picture[view * height + i, j] = r | (g << ti.u32(8)) | (a << ti.u32(16)) | ti.u32(4278190080)
 
 
-class FakeWorld:
+class FakeWorld(WorldView):
     """What a display needs of `World`: the ball hangs still, follows a hand, flies on when thrown."""
 
     def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
         self.scene, self.light, self.views = scene, scene.light, views
-        self.timings, self.paused, self.interaction, self.moving = Timings(), False, "physics", False
-        self.steps, self.selected, self.notice = 0, None, ""
+        self.timings, self.editable, self.steps = Timings(), True, 0
         self.resize(width, height)
         self._reset()
 
@@ -94,24 +95,29 @@ class FakeWorld:
 
     def resize(self, width: int, height: int) -> None:
         self.picture = ti.ndarray(ti.u32, (self.views * height, width))
-        self.renderer_size = (width, height)
+        self.picture_size = (width, height)
 
-    def apply(self, commands: dict) -> None:
-        if commands.get("reset"):
-            self._reset()
-        self.light = commands.get("light", self.light)
-        self.interaction = commands.get("interaction", self.interaction)
-        self.paused = commands.get("pause", self.paused)
+    def apply(self, commands) -> None:
+        for command in in_order(commands):
+            match command:
+                case Reset():
+                    self._reset()
+                case SetLight(light):
+                    self.light = light
+                case SetInteraction(mode):
+                    self.interaction = mode
+                case Pause(on):
+                    self.paused = on
 
     def step(self, frame) -> None:
         self.apply(frame.commands)
-        if not self.paused or frame.commands.get("step"):
+        if not self.paused or last_of(SingleStep, frame.commands):
             with self.timings.stage("simulate"):
                 self._move(frame)
-        height = self.renderer_size[1]
+        height = self.picture_size[1]
         with self.timings.stage("render"):
             for view, camera in enumerate(frame.cameras):
-                assert (camera.width, camera.height) == self.renderer_size
+                assert (camera.width, camera.height) == self.picture_size
                 rows = camera.world_to_camera[:3, :3]
                 axes = [vec3(*row) for row in rows]
                 eye, ball, light = vec3(*camera.position), vec3(*self.ball), vec3(*self.light.position)
@@ -172,7 +178,7 @@ def main() -> None:
     with Window(scene, title="Ball", width=args.width, height=args.height, vsync=not args.no_vsync) as window:
         world = FakeWorld(scene, width=window.size[0], height=window.size[1])
         with open(args.log, "w", encoding="utf-8", buffering=1) as log:
-            for frame in window.frames():
+            for frame in window.frames(world):
                 world.step(frame)
                 window.present(world)
                 log.write(json.dumps(record(frame, world)) + "\n")
@@ -188,13 +194,13 @@ def record(frame, world) -> dict:
         "dt": frame.dt,
         "eye": frame.cameras[0].position.tolist(),
         "forward": frame.cameras[0].world_to_camera[2, :3].tolist(),
-        "size": world.renderer_size,
+        "size": world.picture_size,
         "hand": list(hand.position) if hand else None,
         "grip": hand is not None and hand.grip,
         "ball": world.ball.tolist(),
         "speed": float(np.linalg.norm(world.velocity)),
         "held": world._held is not None,
-        "commands": {k: v if isinstance(v, (bool, str)) else str(v) for k, v in frame.commands.items()},
+        "commands": {NAMES[type(c)]: vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
         "paused": world.paused,
         "interaction": world.interaction,
         "steps": world.steps,

@@ -12,6 +12,7 @@ import vrgs  # noqa: E402
 
 def watch(log) -> None:
     """Let every step of a world leave a line."""
+    from display.record.command_text import NAMES
     from display.world import World
 
     step = World.step
@@ -26,7 +27,7 @@ def watch(log) -> None:
         state = {"time": self.time, "score": self.score, "paused": self.paused, "bodies": bodies}
         state["hands"] = [{"position": h.position, "grip": h.grip} for h in frame.hands]
         state["touched"] = [float(abs(f).sum()) for f in self.touch_forces()]
-        state["interaction"], state["commands"] = self.interaction, sorted(frame.commands)
+        state["interaction"], state["commands"] = self.interaction, sorted(NAMES[type(c)] for c in frame.commands)
         state["light"] = self.light.position
         log.write(json.dumps(state) + "\n")
         log.flush()

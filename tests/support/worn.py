@@ -7,7 +7,6 @@ from unittest.mock import MagicMock
 
 import numpy as np
 
-from display.clock import Cost
 from display.timing import Timings
 from display.xr import headset as module
 from scenes import ring_toss
@@ -43,11 +42,11 @@ class Time:
 class World:
     """What a headset needs of a world: it notes its frames."""
 
-    demo, paused, interaction, light, selected = False, False, "physics", None, None
+    demo, paused, interaction, light, selected, editable = False, False, "physics", None, None, False
     score, message, notice = 0, "", ""
 
     def __init__(self, size):
-        self.timings, self.cost, self.renderer_size, self.sizes = Timings(), Cost(), size, []
+        self.timings, self.simulation_cost, self.picture_size, self.sizes = Timings(), None, size, []
         self.frames, self.cameras, self.picture = [], [], None
 
     def step(self, frame):
@@ -55,7 +54,7 @@ class World:
         self.cameras.append(frame.cameras() if callable(frame.cameras) else frame.cameras)
 
     def resize(self, *size):
-        self.renderer_size = size
+        self.picture_size = size
         self.sizes.append(size)
 
     def bodies(self):
@@ -79,7 +78,7 @@ def worn(monkeypatch):
         gl = MagicMock(version_code=450, extra=lambda name: ctypes.cast(ATTACH, ctypes.c_void_p).value)
         texture = MagicMock()
         mirrors.append(N(gl=gl, egl=None, texture=texture, closing=False, share=None, closed=0))
-        mirrors[-1].show = lambda world: {}
+        mirrors[-1].show = lambda world: []
         mirrors[-1].close = lambda m=mirrors[-1]: setattr(m, "closed", m.closed + 1)
         return mirrors[-1]
 
@@ -88,7 +87,7 @@ def worn(monkeypatch):
         headset = module.Headset(ring_toss.build())
         world = World(headset.size)
         with headset:
-            for k, frame in enumerate(itertools.islice(headset.frames(), frames)):
+            for k, frame in enumerate(itertools.islice(headset.frames(world), frames)):
                 world.step(frame)
                 time.now += time.work
                 each(k, headset, world)

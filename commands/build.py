@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.asset import Asset
 from core.errors import BadInput
 
 SHIPPED = Path(__file__).resolve().parents[1] / "assets" / "data"
@@ -36,8 +35,8 @@ def run(args: argparse.Namespace) -> None:
 
 
 def build(names: list[str], report=print):
-    """Yield (name, asset) for each name; each asset has its own random numbers, so that order does not matter."""
-    from studio.bottle import bottle
+    """Yield (name, asset) for each name. Each asset has its own random numbers, so that the order does not matter."""
+    from studio.dining_room.bottle import bottle
     from studio.dining_room.room_model import dining_room, lit_room
     from studio.ring import ring
 
@@ -54,6 +53,4 @@ def build(names: list[str], report=print):
             continue
         if room is None:
             room = lit_room(np.random.default_rng(SEED), report)
-        room.light.rng = rng
-        asset: Asset = dining_room(room, rng, report) if name == "dining_room" else bottle(room.light, rng)
-        yield name, asset
+        yield name, dining_room(room, rng, report) if name == "dining_room" else bottle(room.light, rng)

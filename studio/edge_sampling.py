@@ -1,4 +1,4 @@
-"""Edges of a mesh, and Gaussians that end at them: nothing sticks out over an edge or round a corner."""
+"""Edges of a mesh, surfels along them, and covariances clipped so that no Gaussian extends over an edge or corner."""
 
 from __future__ import annotations
 
@@ -9,18 +9,23 @@ from scipy.spatial import cKDTree
 
 from studio.shapes import Mesh
 
-CREASE = np.cos(np.radians(38))  # faces that meet at a sharper angle form an edge
-INSET = 0.30  # distance of a row of Gaussians from its edge, over the spacing
-REACH = 0.6  # standard deviation towards an edge over the distance to it
-PIECE = 0.12  # [m] long edges are cut: long Gaussians are sorted wrongly against what stands before them
-NEIGHBOURS = 40  # edge points looked at: two sides of some ten spacings of edge
+CREASE_COSINE = np.cos(np.radians(38))  # faces whose normals differ by a larger angle form an edge
+ROW_INSET = 0.30  # distance of a row of Gaussians from its edge, over the spacing
+SIGMA_OVER_EDGE_DISTANCE = 0.6  # standard deviation towards an edge over the distance to it
+MAX_SEGMENT = 0.12  # [m] of an edge: longer Gaussians would be sorted wrongly against objects in front of them
+EDGE_NEIGHBOURS = 40  # edge points examined per Gaussian: about ten spacings of edge to either side
 
 
 @dataclass(frozen=True)
 class HalfEdges:
-    """Edges, each once for every face that ends there: from a to b (E, 3), the face on the left; its normal;
-    length of the whole edge that a piece belongs to (E,), and distance of the piece's two ends from the corners
-    where that edge begins and ends (E, 2), infinite where it goes on smoothly."""
+    """Segments of edges, one for each adjacent face.
+
+    a, b         ends of the segment [m], (E, 3), with the face on its left
+    normals      unit normals of the faces, (E, 3)
+    whole        lengths of the edges that the segments belong to [m], (E,)
+    to_corner    distances of both ends from the corners where the edge begins and ends [m], (E, 2); infinite where
+                 the edge continues smoothly
+    """
 
     a: np.ndarray
     b: np.ndarray
@@ -31,19 +36,23 @@ class HalfEdges:
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Points along edges (N, 3), each for a stretch of `half` [m] (N,) to both sides; the edge's unit direction
-    and the normal of the face that ends there."""
+    """Points along edges [m], (N, 3), with a search tree.
+
+    directions, normals    unit direction of the edge and unit normal of the adjacent face, (N, 3)
+    half                   half length of edge that a point stands for [m], (N,)
+    apart                  distance [m] in the search space between opposite normals, which separates a sheet's sides
+    """
 
     points: np.ndarray
     directions: np.ndarray
     normals: np.ndarray
     half: np.ndarray
-    apart: float  # [m] by which opposite normals count as apart in the search for the edges of the same face
+    apart: float
     tree: cKDTree | None
 
 
 def edges_of(mesh: Mesh) -> HalfEdges:
-    """Creases and open borders of a mesh, in pieces."""
+    """Creases and open borders of a mesh, in segments of at most about MAX_SEGMENT."""
     normal = face_normals(mesh)
     half = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     face = np.tile(np.arange(len(mesh.faces)), 3)
@@ -52,18 +61,18 @@ def edges_of(mesh: Mesh) -> HalfEdges:
     )
     first, last = np.empty(len(count), int), np.empty(len(count), int)
     first[inverse[::-1]], last[inverse] = face[::-1], face
-    use = ((count == 1) | ((normal[first] * normal[last]).sum(1) < CREASE))[inverse]
+    use = ((count == 1) | ((normal[first] * normal[last]).sum(1) < CREASE_COSINE))[inverse]
     a, b, normal = mesh.vertices[half[use, 0]], mesh.vertices[half[use, 1]], normal[face[use]]
     whole = np.linalg.norm(b - a, axis=1)
-    corner = ~_goes_on(half[use], (b - a) / np.maximum(whole, 1e-12)[:, None], normal)
-    e, start, stop = _parts(whole, PIECE)
+    corner = ~_continues_smoothly(half[use], (b - a) / np.maximum(whole, 1e-12)[:, None], normal)
+    e, start, stop = _split_evenly(whole, MAX_SEGMENT)
     at = (b - a)[e]
     to_corner = np.where(corner[e], np.stack([start, 1 - stop], 1) * whole[e, None], np.inf)
     return HalfEdges(a[e] + start[:, None] * at, a[e] + stop[:, None] * at, normal[e], whole[e], to_corner)
 
 
-def _goes_on(half: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Whether each half edge continues smoothly on its face before its begin and after its end, (E, 2)."""
+def _continues_smoothly(half: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Mask (E, 2): the half edge continues smoothly on its face before its start, after its end."""
     result = np.zeros((len(half), 2), bool)
     order = np.argsort(half[:, 0], kind="stable")
     starts = half[order, 0]
@@ -79,9 +88,9 @@ def _goes_on(half: np.ndarray, direction: np.ndarray, normal: np.ndarray) -> np.
 
 
 def points_along(edges: HalfEdges, spacing: np.ndarray) -> EdgePoints:
-    """Points at half the spacing (E,) along the edges."""
+    """Points along the edges at half the spacing (E,) [m]."""
     length, direction = _directions(edges)
-    e, start, stop = _parts(length, 0.5 * spacing)
+    e, start, stop = _split_evenly(length, 0.5 * spacing)
     points = edges.a[e] + 0.5 * (start + stop)[:, None] * (edges.b - edges.a)[e]
     half = 0.5 * (stop - start) * length[e]
     apart = 3 * float(spacing.max()) if len(spacing) else 0.0
@@ -90,53 +99,53 @@ def points_along(edges: HalfEdges, spacing: np.ndarray) -> EdgePoints:
 
 
 def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of points just inside the faces: points, normals, covariances (N, 3, 3) and spacings (N,).
+    """Rows of surfels just inside the faces: points, normals (N, 3), covariances (N, 3, 3) and spacings (N,).
 
-    Long edges are straight, so their points are farther apart; each end has one more, small one.
+    Long edges are straight, so their points are farther apart; each end gets one additional, small surfel.
     """
     length, direction = _directions(edges)
     inward = np.cross(edges.normals, direction)
     step = 0.95 * spacing * np.clip(edges.whole / (8 * spacing), 1, 2)
-    e, start, stop = _parts(length, step)
+    e, start, stop = _split_evenly(length, step)
     t, width = 0.5 * (start + stop), (stop - start) * length[e]
     for side, at in enumerate((0.0, 1.0)):
         k = np.flatnonzero((edges.to_corner[:, side] == 0) & (length > 2 * spacing))
         e, width = np.concatenate([e, k]), np.concatenate([width, 0.6 * spacing[k]])
-        t = np.concatenate([t, np.abs(at - INSET * spacing[k] / length[k])])
+        t = np.concatenate([t, np.abs(at - ROW_INSET * spacing[k] / length[k])])
     to_corner = (edges.to_corner[e] + np.stack([t, 1 - t], 1) * length[e, None]).min(1)
-    width = np.minimum(width, 0.45 * to_corner)  # tighter, as spikes at corners show
-    points = edges.a[e] + t[:, None] * (edges.b - edges.a)[e] + INSET * spacing[e, None] * inward[e]
+    width = np.minimum(width, 0.45 * to_corner)  # tighter than at edges: spikes at corners are conspicuous
+    points = edges.a[e] + t[:, None] * (edges.b - edges.a)[e] + ROW_INSET * spacing[e, None] * inward[e]
     d, i = direction[e], inward[e]
     covariance = width[:, None, None] ** 2 * d[:, :, None] * d[:, None]
-    covariance += (REACH * INSET * spacing[e, None, None]) ** 2 * i[:, :, None] * i[:, None]
+    covariance += (SIGMA_OVER_EDGE_DISTANCE * ROW_INSET * spacing[e, None, None]) ** 2 * i[:, :, None] * i[:, None]
     return points, edges.normals[e], covariance, spacing[e]
 
 
-def clearance(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, reach: float) -> np.ndarray:
-    """Distance (N,) to the nearest edge of the same face within `reach`, else infinite."""
+def distance_to_edges(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, max_distance: float) -> np.ndarray:
+    """Distance (N,) [m] to the nearest edge of the same face; infinite beyond `max_distance`."""
     if edges.tree is None or not len(points):
         return np.full(len(points), np.inf)
-    distance, _ = _nearby(edges, points, normals, 6, np.full(len(points), reach))
+    distance, _ = _nearest_edges(edges, points, normals, 6, np.full(len(points), max_distance))
     return distance.min(1)
 
 
-def confine(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Covariances (N, 3, 3) narrowed so that no Gaussian reaches far over the nearest two edges of its face."""
+def clip_to_edges(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Covariances (N, 3, 3) narrowed so that no Gaussian extends far over the two nearest edges of its face."""
     if edges.tree is None:
         return covariance
     covariance, row = covariance.copy(), np.arange(len(points))
     widest = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
-    distance, towards = _nearby(edges, points, normals, NEIGHBOURS, 2.2 * widest)
+    distance, towards = _nearest_edges(edges, points, normals, EDGE_NEIGHBOURS, 2.2 * widest)
     first = None
     for _ in range(2):
         k = distance.argmin(1)
         near, u = distance[row, k], towards[row, k]
         hit = np.isfinite(near)
-        which, u, limit = row[hit], u[hit], (REACH * near[hit]) ** 2
-        across = np.einsum("nij,nj->ni", covariance[which], u)
+        clipped, u, limit = row[hit], u[hit], (SIGMA_OVER_EDGE_DISTANCE * near[hit]) ** 2
+        across = np.einsum("nij,nj->ni", covariance[clipped], u)
         variance = (u * across).sum(1).clip(1e-16)
         shrink = (1 - limit / variance).clip(0) / variance
-        covariance[which] -= shrink[:, None, None] * across[:, :, None] * across[:, None]
+        covariance[clipped] -= shrink[:, None, None] * across[:, :, None] * across[:, None]
         first = towards[row, k] if first is None else first
         alike = np.abs((towards * first[:, None]).sum(2)) > 0.8
         distance = np.where(alike, np.inf, distance)
@@ -150,9 +159,11 @@ def face_normals(mesh: Mesh) -> np.ndarray:
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
 
 
-def _nearby(edges: EdgePoints, points, normals, count: int, reach: np.ndarray):
-    """Distance (N, count) to edges of the same face (infinite: another face, or out of reach), and the unit
-    direction towards them in the face."""
+def _nearest_edges(edges: EdgePoints, points, normals, count: int, max_distance: np.ndarray):
+    """Distances (N, count) [m] to edges of the same face and unit directions (N, count, 3) to them in the face.
+
+    The distance is infinite for edges of another face or beyond `max_distance` (N,).
+    """
     count = min(count, len(edges.points))
     near = edges.tree.query(np.concatenate([points, edges.apart * normals], 1), k=[*range(1, count + 1)], workers=2)[1]
     offset = edges.points[near] - points[:, None]
@@ -164,18 +175,21 @@ def _nearby(edges: EdgePoints, points, normals, count: int, reach: np.ndarray):
     offset -= height[..., None] * normals[:, None]
     distance = np.linalg.norm(offset, axis=2)
     other = ((edges.normals[near] * normals[:, None]).sum(2) < 0.8) | (np.abs(height) > 0.15 * far + 1e-4)
-    other |= (far > reach[:, None]) | (np.abs(along) > 1.6 * edges.half[near])  # beside the edge, not past its end
+    other |= (far > max_distance[:, None]) | (
+        np.abs(along) > 1.6 * edges.half[near]
+    )  # beside the edge, not past its end
     return np.where(other, np.inf, distance), offset / np.maximum(distance, 1e-12)[..., None]
 
 
 def _directions(edges: HalfEdges) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths (E,) [m] and unit directions (E, 3)."""
     along = edges.b - edges.a
     length = np.linalg.norm(along, axis=1)
     return length, along / np.maximum(length, 1e-12)[:, None]
 
 
-def _parts(length: np.ndarray, step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cut lengths into equal parts of about `step`: index of the whole, and where each part starts and stops (0..1)."""
+def _split_evenly(length: np.ndarray, step) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Divide lengths into equal intervals of about `step`: index of the length, start and stop (0..1) of each."""
     n = np.maximum(np.ceil(length / step - 0.3), 1).astype(int)
     e = np.repeat(np.arange(len(n)), n)
     k = np.arange(len(e)) - np.repeat(np.cumsum(n) - n, n)

@@ -1,100 +1,137 @@
-"""From covered and lit points to Gaussians: colour, tone, sharpness, numbers that compress."""
+"""From lit surfels to Gaussians: albedo, tone mapping, sharpening, view-dependent colour, and compressible numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from assets.gaussians import Gaussians
-from core.spherical_harmonics import C0
-from studio.shapes import Part
-from studio.surface_sampling import Cover
+from assets.gaussians import SH_COUNTS, Gaussians
+from core.spherical_harmonics import C0, sh_basis
+from studio.shapes import Surface
+from studio.surface_sampling import EYES, Surfels
 
-FOOTPRINT = 6  # texture samples under each Gaussian
-EXPOSURE, WHITE = 1.5, 3.2  # radiance times exposure that shows as 1
+TEXTURE_SAMPLES = 6  # under each Gaussian
+EXPOSURE, WHITE_POINT = 1.5, 3.2  # radiance times exposure that maps to 1
 WARMTH = np.array([1.0, 1.0, 1.02])
 CONTRAST, SATURATION = 0.22, 1.0
-SHARPEN = 4  # rounds that undo the blur of overlapping Gaussians
+SHARPENING_ROUNDS = 4  # to undo the blur of overlapping Gaussians
 OPACITY = 0.97
-THIN = 0.12  # thickness over the smaller width
-THICKEST = 0.002  # [m]
-MANTISSA = 11  # bits kept of the floats in a file: errors of 1/4096, which nobody sees
+THICKNESS_RATIO = 0.12  # over the smaller width
+MAX_THICKNESS = 0.002  # [m]
+MANTISSA_BITS = 11  # of the floats in a file: relative errors of 1/4096 are invisible
+SPHERE_VIEWS, PLAYER_VIEWS = 96, 64  # directions that colours are fitted to: all around, and from the player's space
+SOLVE_BATCH = 4096  # Gaussians at a time
 
 
-def tone(radiance: np.ndarray) -> np.ndarray:
-    """Display colour 0..1 of linear radiance: a soft shoulder towards white (Reinhard 2002, eq. 4), then sRGB."""
+def tone_map(radiance: np.ndarray) -> np.ndarray:
+    """Display colour in 0..1 of linear radiance: a soft shoulder towards white (Reinhard 2002, eq. 4), then sRGB."""
     x = EXPOSURE * np.maximum(radiance, 0) * WARMTH
-    x = np.clip(x * (1 + x / WHITE**2) / (1 + x), 0, 1)
+    x = np.clip(x * (1 + x / WHITE_POINT**2) / (1 + x), 0, 1)
     x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     x = x + CONTRAST * x * (1 - x) * (2 * x - 0.9)
     grey = x.mean(-1, keepdims=True)
     return np.clip(grey + SATURATION * (x - grey), 0, 1)
 
 
-def albedo(cover: Cover, parts: list[Part], rng: np.random.Generator) -> np.ndarray:
-    """Albedo (N, 3), averaged over the inner part of each footprint so that textures do not alias."""
-    total = np.zeros((len(cover), 3))
-    across = np.cross(cover.normals, cover.tangents)
-    for _ in range(FOOTPRINT):
-        offset = 0.55 * cover.sigma * rng.normal(size=(len(cover), 2)).clip(-1.5, 1.5)
-        points = cover.points + offset[:, :1] * cover.tangents + offset[:, 1:] * across
-        for k in np.unique(cover.part):
-            own = cover.part == k
-            total[own] += parts[k].albedo(points[own], cover.normals[own])
-    return np.clip(total / FOOTPRINT, 0, 1)
+def sample_albedo(surfels: Surfels, surfaces: list[Surface], rng: np.random.Generator) -> np.ndarray:
+    """Linear albedo (N, 3), averaged over the core of each footprint so that textures do not alias."""
+    total = np.zeros((len(surfels), 3))
+    across = np.cross(surfels.normals, surfels.tangents)
+    for _ in range(TEXTURE_SAMPLES):
+        offset = 0.55 * surfels.sigma * rng.normal(size=(len(surfels), 2)).clip(-1.5, 1.5)
+        points = surfels.points + offset[:, :1] * surfels.tangents + offset[:, 1:] * across
+        for k in np.unique(surfels.surface):
+            own = surfels.surface == k
+            total[own] += surfaces[k].albedo(points[own], surfels.normals[own])
+    return np.clip(total / TEXTURE_SAMPLES, 0, 1)
 
 
-def smoothed(cover: Cover, values: np.ndarray, width: float = 1.0, neighbours: int = 12) -> np.ndarray:
-    """Values (N, C) averaged over neighbours of the same surface, against the noise of the rays."""
-    weight, near = _weights(cover, neighbours, width)
+def smoothed(surfels: Surfels, values: np.ndarray, width: float = 1.0, neighbours: int = 12) -> np.ndarray:
+    """Values (N, C) averaged over neighbours on the same surface, which removes the noise of the rays."""
+    weight, near = _weights(surfels, neighbours, width)
     return (weight[..., None] * values[near]).sum(1) / weight.sum(1)[:, None]
 
 
-def sharpened(cover: Cover, colours: np.ndarray, neighbours: int = 12) -> np.ndarray:
-    """Colours (N, 3) whose blend over overlapping Gaussians gives `colours` back (van Cittert's iteration)."""
-    weight, near = _weights(cover, neighbours, 1.0)
+def sharpened(surfels: Surfels, colours: np.ndarray, neighbours: int = 12) -> np.ndarray:
+    """Colours (N, 3) whose blend over overlapping Gaussians reproduces `colours` (van Cittert's iteration)."""
+    weight, near = _weights(surfels, neighbours, 1.0)
     weight = weight / weight.sum(1, keepdims=True)
     result = colours
-    for _ in range(SHARPEN):
+    for _ in range(SHARPENING_ROUNDS):
         result = result + 0.8 * (colours - (weight[..., None] * result[near]).sum(1))
     return np.clip(result, colours - 0.2, colours + 0.2).clip(0, 1)
 
 
-def gaussians(cover: Cover, sh: np.ndarray, object_id: np.ndarray) -> Gaussians:
-    """Flat Gaussians (N) with spherical harmonics `sh` (N, K, 3), all numbers rounded for the file."""
-    across = np.cross(cover.normals, cover.tangents)
-    rotation = np.stack([cover.tangents, across, cover.normals], 2)
-    thin = np.minimum(THIN * cover.sigma.min(1), THICKEST).clip(3e-4)
-    scales = np.concatenate([cover.sigma, thin[:, None]], 1)
-    logit = np.full(len(cover), np.log(OPACITY / (1 - OPACITY)))
-    rounded = [rounded_to(a, MANTISSA) for a in (quats(rotation), np.log(scales), logit, sh)]
-    return Gaussians(rounded_to(cover.points, MANTISSA + 3), *rounded, object_id.astype(np.uint16))
+def to_gaussians(surfels: Surfels, sh: np.ndarray, object_id: np.ndarray) -> Gaussians:
+    """Flat Gaussians with spherical harmonics `sh` (N, K, 3), all numbers rounded so that the file compresses."""
+    across = np.cross(surfels.normals, surfels.tangents)
+    rotation = np.stack([surfels.tangents, across, surfels.normals], 2)
+    quaternions = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+    thin = np.minimum(THICKNESS_RATIO * surfels.sigma.min(1), MAX_THICKNESS).clip(3e-4)
+    scales = np.concatenate([surfels.sigma, thin[:, None]], 1)
+    logit = np.full(len(surfels), np.log(OPACITY / (1 - OPACITY)))
+    rounded = [rounded_to(a, MANTISSA_BITS) for a in (quaternions, np.log(scales), logit, sh)]
+    return Gaussians(rounded_to(surfels.points, MANTISSA_BITS + 3), *rounded, object_id.astype(np.uint16))
 
 
 def flat_sh(colours: np.ndarray) -> np.ndarray:
-    """Spherical harmonics (N, 1, 3) of colours (N, 3) that look alike from all sides."""
+    """Spherical harmonics (N, 1, 3) of colours (N, 3) that do not depend on the view."""
     return ((colours - 0.5) / C0)[:, None]
 
 
+def view_directions(at) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (M, 3) from cameras to the point `at`, and their weights (M,)."""
+    i = np.arange(SPHERE_VIEWS) + 0.5  # Fibonacci sphere
+    z, a = 1 - 2 * i / SPHERE_VIEWS, np.pi * (1 + 5**0.5) * i
+    sphere = np.stack([np.sqrt(1 - z * z) * np.cos(a), np.sqrt(1 - z * z) * np.sin(a), z], 1)
+    low, high = np.min(EYES, axis=0), np.max(EYES, axis=0)
+    fraction = (np.arange(1, PLAYER_VIEWS + 1)[:, None] * [0.8191725, 0.6710436, 0.5497005]) % 1  # R3 sequence
+    from_player = np.asarray(at) - (low + fraction * (high - low))
+    from_player /= np.linalg.norm(from_player, axis=1, keepdims=True)
+    return np.concatenate([sphere, from_player]), np.concatenate(
+        [np.full(SPHERE_VIEWS, 0.25), np.full(PLAYER_VIEWS, 1.0)]
+    )
+
+
+def fit_view_dependence(normals: np.ndarray, colour: Callable, degree: int, views: tuple) -> np.ndarray:
+    """Spherical harmonics (N, K, 3) fitted to view-dependent colours by weighted, ridge-regularised least squares.
+
+    `colour(cosine)` returns colours (N, M, 3) for cosines (N, M) between the normal and the direction to the camera;
+    `views` holds directions and weights. Only views in front of the surface count, so a low degree suffices.
+    """
+    k = SH_COUNTS[degree]
+    d, view_weight = views
+    basis = sh_basis(d, k)
+    cosine = -(normals @ d.T)
+    weight = view_weight * np.clip(cosine, 0, 1) ** 0.5
+    target = colour(np.clip(cosine, 0, 1)) - 0.5
+    result = np.empty((len(normals), k, 3))
+    ridge = np.diag([0.0] + [1.0] * (k - 1)) * 1e-3 * view_weight.sum()
+    for s in range(0, len(normals), SOLVE_BATCH):
+        w = weight[s : s + SOLVE_BATCH]
+        left = np.einsum("nm,mi,mj->nij", w, basis, basis, optimize=True) + ridge
+        right = np.einsum("nm,mi,nmc->nic", w, basis, target[s : s + SOLVE_BATCH], optimize=True)
+        result[s : s + SOLVE_BATCH] = np.linalg.solve(left, right)
+    return result
+
+
 def rounded_to(values: np.ndarray, bits: int) -> np.ndarray:
-    """float32 with the given number of mantissa bits."""
+    """Values as float32, rounded to the given number of mantissa bits."""
     mantissa, exponent = np.frexp(np.asarray(values, np.float64))
     return np.ldexp(np.round(mantissa * 2.0**bits) / 2.0**bits, exponent).astype(np.float32)
 
 
-def quats(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternions wxyz (N, 4) of rotation matrices (N, 3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_quat(canonical=True)[:, [3, 0, 1, 2]]
-
-
-def _weights(cover: Cover, neighbours: int, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """How much each neighbour's Gaussian covers each point, (N, k), and the neighbours' indices."""
-    _, near = cKDTree(cover.points).query(cover.points, k=min(neighbours, len(cover)), workers=2)
-    offset = cover.points[:, None] - cover.points[near]
-    across = np.cross(cover.normals, cover.tangents)
-    u = (offset * cover.tangents[near]).sum(2) / (width * cover.sigma[near, 0])
-    v = (offset * across[near]).sum(2) / (width * cover.sigma[near, 1])
-    alike = (cover.part[near] == cover.part[:, None]) & ((cover.normals[near] * cover.normals[:, None]).sum(2) > 0.5)
+def _weights(surfels: Surfels, neighbours: int, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weight (N, k) of each neighbour's Gaussian at each point, and the neighbours' indices (N, k)."""
+    _, near = cKDTree(surfels.points).query(surfels.points, k=min(neighbours, len(surfels)), workers=2)
+    offset = surfels.points[:, None] - surfels.points[near]
+    across = np.cross(surfels.normals, surfels.tangents)
+    u = (offset * surfels.tangents[near]).sum(2) / (width * surfels.sigma[near, 0])
+    v = (offset * across[near]).sum(2) / (width * surfels.sigma[near, 1])
+    alike = (surfels.surface[near] == surfels.surface[:, None]) & (
+        (surfels.normals[near] * surfels.normals[:, None]).sum(2) > 0.5
+    )
     return np.exp(-0.5 * (u * u + v * v)) * alike, near

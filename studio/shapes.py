@@ -1,4 +1,4 @@
-"""Triangle meshes of simple shapes, and the parts of a model: mesh, colour and finish."""
+"""Triangle meshes of simple shapes, and the surfaces of a model: mesh, colour and optical properties."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (points, normals) of the part's own frame -> albedo
+Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (points, normals) in the surface's own frame -> albedo
 
 
 @dataclass(frozen=True)
@@ -24,17 +24,18 @@ class Mesh:
 
 
 @dataclass(frozen=True)
-class Part:
-    """One surface of the model with everything that covering and lighting need to know.
+class Surface:
+    """A mesh with the properties that sampling and lighting need.
 
-    colour        linear albedo (N, 3) at points of the part's own frame (before `rotation`, `position`)
-    spacing       distance between neighbouring Gaussians [m] at 1.5 m from the player
-    grain         direction (own frame) along which Gaussians are drawn out by the factor `stretch`
-    gloss         mirror reflectance at normal incidence; `roughness` [rad] is the width of its lobe
-    through       share of light that shines through a thin sheet; a sheet is seen from both sides
-    emission      linear radiance that the part gives off itself, or None
-    width         of the Gaussians over the usual; plain surfaces close better with wide ones
-    fixed         keep `spacing` at any distance
+    colour          linear albedo (N, 3) at points in the surface's own frame (before `rotation` and `position`)
+    spacing         distance between neighbouring Gaussians [m] at 1.5 m from the player
+    grain           direction (own frame) along which Gaussians are elongated by the factor `stretch`
+    gloss           mirror reflectance at normal incidence; `roughness` [rad] is the width of its lobe
+    translucency    fraction of light that a thin sheet transmits; a sheet is seen from both sides. None: opaque
+    emission        emitted linear radiance, or None
+    width           factor on the standard deviations; plain surfaces close better with wide Gaussians
+    uniform         keep `spacing` at any distance from the player
+    blocks_light    casts shadows and reflects light; False for the bulb and the garden
     """
 
     name: str
@@ -45,17 +46,17 @@ class Part:
     stretch: float = 1.0
     gloss: float = 0.0
     roughness: float = 0.3
-    through: float | None = None
+    translucency: float | None = None
     emission: tuple[float, float, float] | None = None
     rotation: np.ndarray | None = None
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     width: float = 1.0
-    fixed: bool = False
-    casts: bool = True  # stands in the way of light
+    uniform: bool = False
+    blocks_light: bool = True
     object_id: int = 0
 
-    def placed(self, rotation=None, position=(0.0, 0.0, 0.0)) -> Part:
-        """The part after a further rigid motion; its texture travels with it."""
+    def placed(self, rotation=None, position=(0.0, 0.0, 0.0)) -> Surface:
+        """The surface after a further rigid motion; its texture moves with it."""
         rotation = np.eye(3) if rotation is None else np.asarray(rotation)
         own = np.eye(3) if self.rotation is None else self.rotation
         return replace(
@@ -64,7 +65,7 @@ class Part:
 
     @property
     def world(self) -> Mesh:
-        """The mesh in the world."""
+        """Mesh in the world frame."""
         return self.mesh.moved(self.rotation, self.position)
 
     def albedo(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -73,7 +74,7 @@ class Part:
         return self.colour((points - np.asarray(self.position)) @ r, normals @ r)
 
 
-def turn(axis: str, degrees: float) -> np.ndarray:
+def rotation_about(axis: str, degrees: float) -> np.ndarray:
     """Rotation matrix (3, 3) about x, y or z."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
@@ -83,7 +84,7 @@ def turn(axis: str, degrees: float) -> np.ndarray:
 
 
 def join(*meshes: Mesh) -> Mesh:
-    """All meshes as one."""
+    """Concatenation of meshes."""
     starts = np.cumsum([0] + [len(m.vertices) for m in meshes[:-1]])
     return Mesh(
         np.concatenate([m.vertices for m in meshes]),
@@ -99,8 +100,8 @@ def box(low, high) -> Mesh:
     return Mesh(low + bits * (high - low), _split(quads))
 
 
-def block(size, bevel: float) -> Mesh:
-    """Box centred on the origin with edges cut off at 45 degrees over `bevel` [m]."""
+def beveled_box(size, bevel: float) -> Mesh:
+    """Box centred on the origin with edges beveled at 45 degrees over `bevel` [m]."""
     import trimesh
 
     h = 0.5 * np.asarray(size, float)
@@ -111,13 +112,13 @@ def block(size, bevel: float) -> Mesh:
 
 
 def quad(corner, along, across) -> Mesh:
-    """Parallelogram with normal along x across."""
+    """Parallelogram with normal `along` x `across`."""
     corner, a, b = np.asarray(corner, float), np.asarray(along, float), np.asarray(across, float)
     return Mesh(np.array([corner, corner + a, corner + a + b, corner + b]), _split([(0, 1, 2, 3)]))
 
 
-def surface(points: np.ndarray, close_u: bool = False, close_v: bool = False) -> Mesh:
-    """Grid of points (U, V, 3) as a surface with normal d/du x d/dv; either direction may be closed."""
+def grid_mesh(points: np.ndarray, close_u: bool = False, close_v: bool = False) -> Mesh:
+    """Mesh of a grid of points (U, V, 3) with normal d/du x d/dv; either direction may be closed."""
     n, m = points.shape[:2]
     ids = np.arange(n * m).reshape(n, m)
     ids = np.concatenate([ids, ids[:1]], 0) if close_u else ids
@@ -127,7 +128,7 @@ def surface(points: np.ndarray, close_u: bool = False, close_v: bool = False) ->
 
 
 def welded(mesh: Mesh) -> Mesh:
-    """The mesh with vertices at the same place joined, without the empty triangles that a pole of a lathe leaves."""
+    """The mesh with coincident vertices merged and degenerate triangles (the poles of a lathe) removed."""
     v, inverse = np.unique(np.round(mesh.vertices, 7), axis=0, return_inverse=True)
     f = inverse.reshape(-1)[mesh.faces]
     return Mesh(v, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])])
@@ -141,11 +142,11 @@ def lathe(profile, segments: int = 48) -> Mesh:
     points = np.stack(
         [r[:, None] * np.cos(angle), np.broadcast_to(y[:, None], (len(r), segments)), -r[:, None] * np.sin(angle)], -1
     )
-    return surface(points.transpose(1, 0, 2), close_u=True)
+    return grid_mesh(points.transpose(1, 0, 2), close_u=True)
 
 
-def smooth(profile, count: int = 60) -> np.ndarray:
-    """Curve through the given points (K, D), `count` points long (centripetal, so that it does not overshoot)."""
+def smooth_curve(profile, count: int = 60) -> np.ndarray:
+    """Monotone cubic curve of `count` points through the given points (K, D), with centripetal parameters."""
     from scipy.interpolate import PchipInterpolator
 
     profile = np.asarray(profile, float)
@@ -154,7 +155,7 @@ def smooth(profile, count: int = 60) -> np.ndarray:
 
 
 def tube(path, radii, segments: int = 14, flat: float = 1.0, up=(0.0, 1.0, 0.0)) -> Mesh:
-    """Tube along `path` (K, 3) with `radii` (K,), closed at both ends; `flat` squeezes it across `up`."""
+    """Tube along `path` (K, 3) with `radii` (K,), closed at both ends; `flat` scales it along `up`."""
     path, radii = np.asarray(path, float), np.broadcast_to(np.asarray(radii, float), (len(path),))
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -167,21 +168,24 @@ def tube(path, radii, segments: int = 14, flat: float = 1.0, up=(0.0, 1.0, 0.0))
     ring = side[:, None] * np.cos(angle)[:, None] + flat * over[:, None] * np.sin(angle)[:, None]
     points = path[:, None] + radii[:, None, None] * ring
     points = np.concatenate([path[:1, None].repeat(segments, 1), points, path[-1:, None].repeat(segments, 1)])
-    return surface(points.transpose(1, 0, 2)[::-1], close_u=True)
+    return grid_mesh(points.transpose(1, 0, 2)[::-1], close_u=True)
 
 
-def pillow(size, power: float = 0.5, count: int = 32) -> Mesh:
-    """Superellipsoid of the given size (3,) centred on the origin: power 1 is an ellipsoid, towards 0 a box."""
+def superellipsoid(size, power: float = 0.5, count: int = 32) -> Mesh:
+    """Superellipsoid of the given size (3,) centred on the origin: power 1 is an ellipsoid, towards 0 a box.
 
-    def bend(t):
+    `count` latitudes, twice as many longitudes.
+    """
+
+    def signed_power(t):
         return np.sign(t) * np.abs(t) ** power
 
     lon = np.linspace(-np.pi, np.pi, 2 * count, endpoint=False)
     lat = np.linspace(-np.pi / 2, np.pi / 2, count)
-    x = bend(np.cos(lat))[None] * bend(np.cos(lon))[:, None]
-    z = -bend(np.cos(lat))[None] * bend(np.sin(lon))[:, None]
-    y = np.broadcast_to(bend(np.sin(lat))[None], x.shape)
-    return surface(np.stack([x, y, z], -1) * (0.5 * np.asarray(size)), close_u=True)
+    x = signed_power(np.cos(lat))[None] * signed_power(np.cos(lon))[:, None]
+    z = -signed_power(np.cos(lat))[None] * signed_power(np.sin(lon))[:, None]
+    y = np.broadcast_to(signed_power(np.sin(lat))[None], x.shape)
+    return grid_mesh(np.stack([x, y, z], -1) * (0.5 * np.asarray(size)), close_u=True)
 
 
 def _split(quads) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Cover meshes with flat Gaussians: blue noise in the faces, fine rows along the edges."""
+"""Sampling of surfaces with surfels (flat Gaussians to be): blue noise in the faces, fine rows along the edges."""
 
 from __future__ import annotations
 
@@ -7,121 +7,137 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import cKDTree
 
-from studio.dining_room.layout import EYE, EYES
-from studio.edge_sampling import CREASE, clearance, confine, edges_of, face_normals, points_along, rows_along
-from studio.shapes import Mesh, Part, welded
+from studio.edge_sampling import (
+    CREASE_COSINE,
+    clip_to_edges,
+    distance_to_edges,
+    edges_of,
+    face_normals,
+    points_along,
+    rows_along,
+)
+from studio.shapes import Mesh, Surface, welded
 
-CANDIDATES, ROUNDS = 4, 3  # random points drawn per square of the spacing, again and again until gaps are rare
-WIDTH = 0.95  # standard deviation over the distance of neighbours: closed where neighbours are farthest
-LEVEL = 1.3  # sampling radii are rounded down to powers of this
-LEAST = 0.55  # of the part's spacing: where a thin tube would ask for still less
+EYE = (0.0, 1.5, 1.3)  # [m] where the player stands; reflections are baked for this point
+# Corners of the space that the player's head moves in [m]; surfaces that face none of them are sampled coarsely.
+EYES = ((-1.1, 1.15, 1.0), (1.1, 1.15, 1.0), (-1.1, 1.9, 1.9), (1.1, 1.9, 1.9), (0.0, 1.6, 0.7))
+CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
+SIGMA_OVER_SPACING = 0.95  # closes the surface even where neighbours are farthest apart
+RADIUS_RATIO = 1.3  # sampling radii are rounded down to powers of this
+MIN_SPACING_RATIO = 0.55  # lower bound of the spacing on thin tubes, over the surface's own
 
 
 @dataclass(frozen=True)
-class Cover:
-    """Surface points to become Gaussians.
+class Surfels:
+    """Surface elements, each of which becomes a Gaussian.
 
     points, normals  [m] and unit, (N, 3)
     tangents         unit, (N, 3): direction of the first standard deviation
     sigma            standard deviations along and across the tangent [m], (N, 2)
-    part             index of the part, (N,)
+    surface          index of the surface, (N,)
     """
 
     points: np.ndarray
     normals: np.ndarray
     tangents: np.ndarray
     sigma: np.ndarray
-    part: np.ndarray
+    surface: np.ndarray
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def select(self, which: np.ndarray) -> Cover:
-        """The points of an index array or mask."""
-        return Cover(*(getattr(self, f.name)[which] for f in fields(self)))
+    def select(self, index: np.ndarray) -> Surfels:
+        """Subset by an index array or mask."""
+        return Surfels(*(getattr(self, f.name)[index] for f in fields(self)))
 
 
-def join_covers(covers: list[Cover]) -> Cover:
-    """All covers as one."""
-    return Cover(*(np.concatenate([getattr(c, f.name) for c in covers]) for f in fields(Cover)))
+def join_surfels(sets: list[Surfels]) -> Surfels:
+    """Concatenation of sets of surfels."""
+    return Surfels(*(np.concatenate([getattr(c, f.name) for c in sets]) for f in fields(Surfels)))
 
 
-def cover(part: Part, index: int, rng: np.random.Generator) -> Cover:
-    """Points for one part; denser near the player and where the player can look.
+def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Surfels:
+    """Surfels of one surface, numbered `index`; denser near the player and where the player can look.
 
-    All is done in a space that is squeezed along the grain, where drawn-out Gaussians are round.
+    Works in a space compressed along the grain, in which elongated Gaussians are round.
     """
     a = np.array([1.0, 0.0, 0.0])
-    if part.grain is not None:
-        a = np.asarray(part.grain, float) if part.rotation is None else part.rotation @ np.asarray(part.grain, float)
-    squeeze = np.eye(3) - (1 - 1 / part.stretch) * np.outer(a, a)
-    unsqueeze = np.eye(3) + (part.stretch - 1) * np.outer(a, a)
-    world = part.world
-    edges = edges_of(Mesh(world.vertices @ squeeze, world.faces))
-    edge_normals = _unit(edges.normals @ squeeze)  # of the world, as normals go with the inverse transpose
-    edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ unsqueeze, edge_normals, part)
+    if surface.grain is not None:
+        a = (
+            np.asarray(surface.grain, float)
+            if surface.rotation is None
+            else surface.rotation @ np.asarray(surface.grain, float)
+        )
+    compress = np.eye(3) - (1 - 1 / surface.stretch) * np.outer(a, a)
+    stretch = np.eye(3) + (surface.stretch - 1) * np.outer(a, a)
+    world = surface.world
+    edges = edges_of(Mesh(world.vertices @ compress, world.faces))
+    edge_normals = _unit(edges.normals @ compress)  # in the world: normals transform by the inverse transpose
+    edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ stretch, edge_normals, surface)
     edge_points = points_along(edges, edge_spacing)
 
-    mesh = _divided(world, 12 * part.spacing)
+    mesh = _subdivided(world, 12 * surface.spacing)
     centre, normal = mesh.vertices[mesh.faces].mean(1), face_normals(mesh)
-    corner_normals = _unit(_corner_normals(mesh, normal) @ unsqueeze)
-    v = (mesh.vertices @ squeeze)[mesh.faces]
+    corner_normals = _unit(_corner_normals(mesh, normal) @ stretch)
+    v = (mesh.vertices @ compress)[mesh.faces]
     spacing = np.minimum(
-        _spacing(centre, normal, part), _bend_limit(v, corner_normals, part.spacing).clip(LEAST * part.spacing)
+        _spacing(centre, normal, surface),
+        _curvature_limit(v, corner_normals, surface.spacing).clip(MIN_SPACING_RATIO * surface.spacing),
     )
     area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
-    level = np.floor(np.log(spacing / spacing.min()) / np.log(LEVEL) + 1e-9)
+    level = np.floor(np.log(spacing / spacing.min()) / np.log(RADIUS_RATIO) + 1e-9)
     points, normals, radii = [], [], []
     for k in np.repeat(np.unique(level), ROUNDS):
-        s = spacing.min() * LEVEL**k
+        s = spacing.min() * RADIUS_RATIO**k
         face = np.flatnonzero(level == k)
         count = rng.poisson(CANDIDATES * area[face].sum() / s**2) + 1
         pick = face[np.searchsorted(np.cumsum(area[face]) / area[face].sum(), rng.random(count)).clip(0, len(face) - 1)]
         b = _barycentric(rng, count)
         p = np.einsum("nk,nkd->nd", b, v[pick])
         n = _unit(np.einsum("nk,nkd->nd", b, corner_normals[pick]))
-        free = clearance(edge_points, p, n, 2 * s) >= 0.62 * s
+        free = distance_to_edges(edge_points, p, n, 2 * s) >= 0.62 * s
         p, n = p[free], n[free]
         keep = _blue_noise(p, n, s, (np.concatenate(points), np.concatenate(normals)) if points else None)
         points.append(p[keep])
         normals.append(n[keep])
         radii.append(np.full(keep.sum(), s))
     p, n, s = (np.concatenate(x) for x in (points, normals, radii))
-    covariance = (part.width * WIDTH * s[:, None, None]) ** 2 * (np.eye(3) - n[:, :, None] * n[:, None])
+    covariance = (surface.width * SIGMA_OVER_SPACING * s[:, None, None]) ** 2 * (np.eye(3) - n[:, :, None] * n[:, None])
     row_p, row_n, row_covariance, _ = rows_along(edges, edge_spacing)
     p, n = np.concatenate([p, row_p]), np.concatenate([n, row_n])
-    covariance = confine(edge_points, p, n, np.concatenate([covariance, row_covariance]))
-    sigma, axes = np.linalg.eigh(unsqueeze @ covariance @ unsqueeze)
-    normals = _unit(n @ squeeze)
+    covariance = clip_to_edges(edge_points, p, n, np.concatenate([covariance, row_covariance]))
+    sigma, axes = np.linalg.eigh(stretch @ covariance @ stretch)
+    normals = _unit(n @ compress)
     tangents = _unit(axes[..., 2] - (axes[..., 2] * normals).sum(1, keepdims=True) * normals)
     sigma = np.sqrt(sigma[:, [2, 1]].clip(1e-8))
-    return Cover(p @ unsqueeze, normals, tangents, sigma, np.full(len(p), index))
+    return Surfels(p @ stretch, normals, tangents, sigma, np.full(len(p), index))
 
 
-def _spacing(points: np.ndarray, normals: np.ndarray, part: Part) -> np.ndarray:
-    """Distance of neighbours [m]: grows with the distance to the player, doubles where no player looks."""
-    if part.fixed:
-        return np.full(len(points), part.spacing)
+def _spacing(points: np.ndarray, normals: np.ndarray, surface: Surface) -> np.ndarray:
+    """Spacing (N,) [m]: grows with the distance to the player, doubles where the player cannot look."""
+    if surface.uniform:
+        return np.full(len(points), surface.spacing)
     distance = np.linalg.norm(points - np.asarray(EYE), axis=1)
     factor = np.clip(distance / 1.5, 0.85, 2.6)
-    if part.through is None:
+    if surface.translucency is None:
         facing = np.max([((np.asarray(e) - points) * normals).sum(1) for e in EYES], axis=0)
         factor = factor * np.where(facing < 0, 2.0, 1.0)
-    return part.spacing * factor
+    return surface.spacing * factor
 
 
-def _bend_limit(vertices: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
-    """Largest spacing (F,) at which flat Gaussians still follow the bent surface: half its radius."""
+def _curvature_limit(vertices: np.ndarray, normals: np.ndarray, spacing: float) -> np.ndarray:
+    """Largest spacing (F,) [m] at which flat Gaussians follow a curved surface: half its radius of curvature."""
     along = np.linalg.norm(vertices - np.roll(vertices, 1, 1), axis=2)
     turning = np.linalg.norm(normals - np.roll(normals, 1, 1), axis=2)
     return 0.5 / np.maximum((turning / np.maximum(along, 0.3 * spacing)).max(1), 1e-6)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
+    """Normalised vectors (..., 3)."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-20)
 
 
-def _divided(mesh: Mesh, longest: float) -> Mesh:
+def _subdivided(mesh: Mesh, longest: float) -> Mesh:
     """Split triangles until no edge exceeds `longest` [m], so that the spacing can vary over them."""
     import trimesh
 
@@ -130,7 +146,7 @@ def _divided(mesh: Mesh, longest: float) -> Mesh:
 
 
 def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    """Normals (F, 3, 3) at the corners, averaged over faces that meet there without a crease."""
+    """Normals (F, 3, 3) at the corners, area-weighted over the faces that meet there without a crease."""
     v = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     corner = mesh.faces.reshape(-1)
@@ -143,17 +159,17 @@ def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
         one, two = order[i], order[i + shift]
         same = corner[one] == corner[two]
         one, two = one[same], two[same]
-        agree = (normal[face[one]] * normal[face[two]]).sum(1) > CREASE
+        agree = (normal[face[one]] * normal[face[two]]).sum(1) > CREASE_COSINE
         total[one[agree]] += (normal * area[:, None])[face[two[agree]]]
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
     return total.reshape(-1, 3, 3)
 
 
 def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: tuple | None) -> np.ndarray:
-    """Mask of points of which no two on the same side of a sheet are nearer than `radius`.
+    """Mask of points such that no two on the same side of a sheet are nearer than `radius` [m].
 
-    Points are in random order; a point stays if it comes first among its undecided neighbours, and if none
-    of the points and normals already `taken` is near.
+    Points come in random order; a point is kept if it precedes its undecided neighbours and if none of the
+    points (with normals) already `taken` is near.
     """
     undecided = np.ones(len(points), bool)
     if taken is not None and len(taken[0]) and len(points):
@@ -161,8 +177,8 @@ def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: t
         there = near < len(taken[0])
         side = (taken[1][np.where(there, near, 0)] * normals[:, None]).sum(2) > 0.2
         undecided &= ~(there & side).any(1)
-    which = np.flatnonzero(undecided)
-    pairs = which[cKDTree(points[which]).query_pairs(radius, output_type="ndarray")]
+    candidates = np.flatnonzero(undecided)
+    pairs = candidates[cKDTree(points[candidates]).query_pairs(radius, output_type="ndarray")]
     pairs = pairs[(normals[pairs[:, 0]] * normals[pairs[:, 1]]).sum(1) > 0.2]
     keep = np.zeros(len(points), bool)
     while undecided.any():
@@ -178,5 +194,6 @@ def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: t
 
 
 def _barycentric(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Uniform random barycentric coordinates (count, 3) in a triangle."""
     r, t = np.sqrt(rng.random(count)), rng.random(count)
     return np.stack([1 - r, r * (1 - t), r * t], 1)

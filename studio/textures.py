@@ -1,4 +1,4 @@
-"""Procedural colour: noise, wood, cloth, paint. All colours are linear RGB albedos in 0..1."""
+"""Procedural colours: noise, wood, cloth, paint. All colours are linear RGB albedos in 0..1."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from studio.shapes import Colour
 
-# Linear light and dark tones of the woods in the room.
+# Light and dark tones of the woods in the room, linear RGB.
 OAK = ((0.56, 0.36, 0.19), (0.30, 0.165, 0.072))
 HONEY = ((0.47, 0.245, 0.098), (0.215, 0.088, 0.031))
 WALNUT = ((0.235, 0.125, 0.062), (0.085, 0.040, 0.020))
@@ -25,7 +25,7 @@ def mix(a, b, t) -> np.ndarray:
     return np.asarray(a) * (1 - t) + np.asarray(b) * t
 
 
-def ramp(low: float, high: float, t) -> np.ndarray:
+def smoothstep(low: float, high: float, t) -> np.ndarray:
     """Smooth step from 0 at `low` to 1 at `high`."""
     t = np.clip((t - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
@@ -47,7 +47,7 @@ def noise(points: np.ndarray, seed: int = 0) -> np.ndarray:
 
 
 def fbm(points: np.ndarray, octaves: int = 4, seed: int = 0) -> np.ndarray:
-    """Sum of noise octaves, each of half the amplitude and twice the frequency."""
+    """Fractional Brownian motion: a sum of noise octaves, each of half the amplitude and twice the frequency."""
     total, amplitude = np.zeros(len(points)), 1.0
     for k in range(octaves):
         total += amplitude * noise(points * 2.0**k, seed + k)
@@ -55,32 +55,32 @@ def fbm(points: np.ndarray, octaves: int = 4, seed: int = 0) -> np.ndarray:
     return total
 
 
-def random_of(index: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Uniform numbers 0..1 that belong to integers."""
+def hash_uniform(index: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Uniform pseudo-random numbers in 0..1, a function of integers (a hash)."""
     return (_hash(np.asarray(index, np.int64), seed) & 0xFFFFFF) / float(0x1000000)
 
 
 def plain(colour, variation: float = 0.03, size: float = 0.25, seed: int = 0) -> Colour:
-    """One colour with faint blotches of `size` [m], as paint and glaze have."""
+    """One colour with faint blotches of `size` [m], like paint or glaze."""
     colour = srgb(colour) if isinstance(colour, str) else np.asarray(colour)
 
-    def of(p, n):
+    def colour_at(p, n):
         return colour * (1 + variation * 2 * fbm(p / size, 3, seed))[:, None]
 
-    return of
+    return colour_at
 
 
 def wood(tones, axis: int = 0, board: float = 0.0, across: int = 2, seed: int = 0, ring: float = 0.011) -> Colour:
     """Sawn timber with the grain along `axis`; boards `board` [m] wide lie side by side along `across`.
 
-    Year rings are the distance from a bent pith, early wood light, late wood dark; pores are fine streaks.
+    Annual rings follow the distance from a bent pith: early wood is light, late wood dark; pores are fine streaks.
     """
     light, dark = (np.asarray(t) for t in tones)
     other = 3 - axis - across
 
-    def of(p, n):
+    def colour_at(p, n):
         index = np.floor(p[:, across] / board).astype(int) if board else np.zeros(len(p), int)
-        shift = [random_of(index, seed + k) for k in range(4)]
+        shift = [hash_uniform(index, seed + k) for k in range(4)]
         along = p[:, axis] + 7 * shift[0]
         y = p[:, across] - (index + 0.5) * board + 0.06 * (shift[1] - 0.5)
         z = p[:, other] + 0.03 + 0.05 * shift[2]
@@ -88,41 +88,41 @@ def wood(tones, axis: int = 0, board: float = 0.0, across: int = 2, seed: int = 
         wobble = 0.020 * fbm(q * (1.1, 5, 5), 3, seed) + 0.004 * noise(q * (4, 40, 40), seed + 9)
         t = np.hypot(y, z) / ring + wobble / ring
         t = t - np.floor(t)
-        late = ramp(0.15, 0.8, t) * (1 - ramp(0.86, 1.0, t))
-        pores = ramp(0.02, 0.45, noise(q * (9, 170, 170), seed + 3))
+        late = smoothstep(0.15, 0.8, t) * (1 - smoothstep(0.86, 1.0, t))
+        pores = smoothstep(0.02, 0.45, noise(q * (9, 170, 170), seed + 3))
         streak = fbm(q * (2.2, 60, 60), 3, seed + 5)
         tone = 0.14 + 0.58 * late + 0.24 * pores + 0.30 * streak + 0.30 * (shift[3] - 0.5)
         hue = 1 + 0.05 * (shift[1] - 0.5)[:, None] * (1, 0, -1)
         c = mix(light, dark, np.clip(tone, 0, 1)) * hue
-        if board:  # dark line where two boards are glued
+        if board:  # dark line along a glued joint
             edge = 0.5 * board - np.abs(p[:, across] - (index + 0.5) * board)
-            c = c * (1 - 0.35 * (1 - ramp(0.0, 0.0022, edge)))[:, None]
+            c = c * (1 - 0.35 * (1 - smoothstep(0.0, 0.0022, edge)))[:, None]
         return c
 
-    return of
+    return colour_at
 
 
 def cloth(colour, thread: float = 0.004, depth: float = 0.22, blotch: float = 0.08, seed: int = 0) -> Colour:
-    """Woven cloth: threads of irregular brightness in two directions, and wide faint unevenness."""
+    """Woven cloth: threads of irregular brightness in two directions, and faint large blotches."""
     colour = srgb(colour) if isinstance(colour, str) else np.asarray(colour)
 
-    def of(p, n):
+    def colour_at(p, n):
         q = p / thread
         weave = 0.5 * (noise(q * (1, 0.15, 0.15), seed) + noise(q * (0.15, 0.15, 1), seed + 1))
         weave += 0.5 * noise(q * (0.15, 1, 0.15), seed + 2)
         return colour * np.clip(1 + depth * 1.6 * weave + blotch * 2 * fbm(p * 5, 3, seed + 3), 0.2, 2)[:, None]
 
-    return of
+    return colour_at
 
 
 def speckled(colour, spots, amount: float = 0.2, size: float = 0.003, seed: int = 0) -> Colour:
-    """Stoneware: a plain glaze with dark spots of `size` [m]."""
+    """Stoneware: a plain glaze with spots of `size` [m]."""
     base, spots = plain(colour, 0.05, 0.05, seed), srgb(spots)
 
-    def of(p, n):
-        return mix(base(p, n), spots, 0.8 * ramp(0.55 - amount, 0.75 - amount, noise(p / size, seed + 1)))
+    def colour_at(p, n):
+        return mix(base(p, n), spots, 0.8 * smoothstep(0.55 - amount, 0.75 - amount, noise(p / size, seed + 1)))
 
-    return of
+    return colour_at
 
 
 def _hash(values: np.ndarray, seed: int) -> np.ndarray:
@@ -136,7 +136,7 @@ def _hash(values: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _gradient(cell: np.ndarray, seed: int) -> np.ndarray:
-    """One of the twelve edge directions of a cube per lattice cell (N, 3)."""
+    """Gradient of each lattice cell (N, 3): one of the twelve edge directions of a cube."""
     h = _hash(cell[:, 0] * 73856093 ^ cell[:, 1] * 19349663 ^ cell[:, 2] * 83492791, seed) & 15
     table = [(1, 1, 0), (-1, 1, 0), (1, -1, 0), (-1, -1, 0), (1, 0, 1), (-1, 0, 1), (1, 0, -1), (-1, 0, -1)]
     table += [(0, 1, 1), (0, -1, 1), (0, 1, -1), (0, -1, -1), (1, 1, 0), (-1, 1, 0), (0, -1, 1), (0, -1, -1)]

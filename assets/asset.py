@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import h5py
@@ -17,11 +17,14 @@ from assets.file_access import replacing
 from assets.gaussians import Gaussians
 from assets.hdf5 import Reader, open_hdf5
 from core.distance_grid import DistanceGrid
+from core.material import Material
+from core.tetmesh import tet_volumes
 
 FORMAT = "vrgs-asset"
 VERSION = 1
-MATERIAL_KEYS = ("young", "poisson", "density", "friction")
-KINETIC = "kinetic_friction"  # may be missing: friction is the same at rest and in motion
+
+# Attributes of `material` that a file may lack, and what that stands for.
+OPTIONAL_MATERIAL = {f.name: f.default for f in fields(Material) if f.name in ("damping", "kinetic_friction")}
 
 
 @dataclass(frozen=True)
@@ -39,8 +42,7 @@ class Cage:
 
     def volumes(self) -> np.ndarray:
         """Signed volume of each tet [m^3], (T,) float64."""
-        x = self.vertices.astype(np.float64)[self.tets]
-        return np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+        return tet_volumes(self.vertices, self.tets)
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,7 @@ class Embedded:
 class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
-    `material` has the keys young [Pa], poisson, density [kg/m^3], friction and perhaps kinetic_friction; `provenance`
-    is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play
+    `provenance` is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play
     in. With an `animation` the body moves by itself.
     """
 
@@ -68,7 +69,7 @@ class Asset:
     cage: Cage | None = None
     embedded: Embedded | None = None
     sdf: DistanceGrid | None = None
-    material: dict | None = None
+    material: Material | None = None
     provenance: dict = field(default_factory=dict)
     stage: Stage | None = None
     animation: Animation | None = None
@@ -84,7 +85,7 @@ class Asset:
                 _read_cage(file) if file.has("cage") else None,
                 _read_embedded(file) if file.has("embedding") else None,
                 _read_sdf(file) if file.has("sdf") else None,
-                _read_material(file) if file.has("material") else None,
+                read_material(file) if file.has("material") else None,
                 _read_provenance(file),
                 read_stage(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
@@ -120,9 +121,7 @@ class Asset:
             if self.thumbnail is not None:
                 _write(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
-                group = file.create_group("material")
-                for key in (*MATERIAL_KEYS, *({KINETIC} & set(self.material))):
-                    group.attrs[key] = float(self.material[key])
+                write_material(self.material, file)
             if self.animation is not None:
                 write_animation(self.animation, file, _write)
 
@@ -186,9 +185,19 @@ def _read_sdf(file: Reader) -> DistanceGrid:
     return DistanceGrid(values, file.vector("sdf/values", "origin"), file.number("sdf/values", "spacing"))
 
 
-def _read_material(file: Reader) -> dict:
-    keys = (*MATERIAL_KEYS, KINETIC) if file.has_attribute("material", KINETIC) else MATERIAL_KEYS
-    return {key: file.number("material", key) for key in keys}
+def write_material(material: Material, file: h5py.File) -> None:
+    """Write the attributes of the group `material`; what is as by default is left out where files may lack it."""
+    group = file.create_group("material")
+    for key, value in asdict(material).items():
+        if key not in OPTIONAL_MATERIAL or value != OPTIONAL_MATERIAL[key]:
+            group.attrs[key] = float(value)
+
+
+def read_material(file: Reader) -> Material:
+    """The group `material`, not checked. Raises BadInput."""
+    keys = [f.name for f in fields(Material)]
+    present = [key for key in keys if key not in OPTIONAL_MATERIAL or file.has_attribute("material", key)]
+    return Material(**{key: file.number("material", key) for key in present})
 
 
 def _read_provenance(file: Reader) -> dict:

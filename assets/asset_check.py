@@ -11,9 +11,10 @@ from assets.file_access import usable
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.thumbnail import check_thumbnail
 from core.errors import BadInput
+from core.tetmesh import enclosed_volume
 
 if TYPE_CHECKING:
-    from assets.asset import Asset, Cage, DistanceGrid, Embedded
+    from assets.asset import Asset, Cage, Embedded
 
 QUAT_TOLERANCE = 1e-3  # a unit quaternion rounded to float16 is off by less
 WEIGHT_TOLERANCE = 1e-3  # of a row's sum, as float32 rounds weights of some hundreds
@@ -30,11 +31,11 @@ def check(asset: Asset, where: str) -> None:
             raise BadInput(f"{where}: has an embedding but no cage")
         check_embedded(asset.embedded, len(asset.gaussians), len(asset.cage.tets), where)
     if asset.sdf is not None:
-        check_grid(asset.sdf, where)
+        asset.sdf.check(where)
     for grid in asset.stage.fine if asset.stage is not None else ():
-        check_grid(grid, where)
+        grid.check(where)
     if asset.material is not None:
-        check_material(asset.material, where)
+        asset.material.check(where)
     if asset.animation is not None:
         if asset.cage is None:
             raise BadInput(f"{where}: has an animation but no cage")
@@ -86,9 +87,7 @@ def check_cage(cage: Cage, where: str) -> None:
         raise BadInput(f"{where}: {int((~(volumes > 0)).sum())} cage tets have no positive volume")
     if len(np.unique(cage.tets)) != v:
         raise BadInput(f"{where}: {v - len(np.unique(cage.tets))} cage vertices belong to no tet")
-    # Divergence theorem: a closed, outward surface encloses just the tets' volume.
-    a, b, c = np.moveaxis((cage.vertices.astype(np.float64) - cage.vertices.mean(0))[cage.surface], 1, 0)
-    enclosed = float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6
+    enclosed = enclosed_volume(cage.vertices, cage.surface)
     if abs(enclosed - volumes.sum()) > VOLUME_TOLERANCE * volumes.sum():
         raise BadInput(f"{where}: the cage's surface encloses {enclosed:.4g} m^3, its tets fill {volumes.sum():.4g}")
 
@@ -104,34 +103,3 @@ def check_embedded(embedded: Embedded, gaussians: int, tets: int, where: str) ->
         raise BadInput(f"{where}: an embedding weight is not finite")
     if np.abs(weights.sum(axis=2, dtype=np.float64) - 1).max() > WEIGHT_TOLERANCE:
         raise BadInput(f"{where}: embedding weights do not sum to 1")
-
-
-def check_grid(grid: DistanceGrid, where: str) -> None:
-    """Raise BadInput unless the grid can be interpolated: two nodes an axis, all finite."""
-    if grid.values.ndim != 3 or min(grid.values.shape) < 2:
-        raise BadInput(f"{where}: the distance grid has shape {grid.values.shape}, expected at least 2 nodes an axis")
-    largest = np.finfo(np.float16).max  # [m]; distances are stored as float16
-    if not (np.abs(grid.values) <= largest).all():
-        raise BadInput(f"{where}: a signed distance is not finite")
-    origin = np.asarray(grid.origin, np.float64)
-    if origin.shape != (3,) or not np.isfinite(origin).all():
-        raise BadInput(f"{where}: the distance grid's origin is not three finite numbers")
-    if not (np.isfinite(grid.spacing) and grid.spacing > 0):
-        raise BadInput(f"{where}: the distance grid's spacing is not positive")
-
-
-def check_material(material: dict, where: str) -> None:
-    """Raise BadInput unless the material is elastic and stable: 0 <= poisson < 0.5, the rest positive."""
-    for key in ("young", "poisson", "density", "friction"):
-        if key not in material:
-            raise BadInput(f"{where}: the material lacks {key!r}")
-        if not np.isfinite(material[key]):
-            raise BadInput(f"{where}: the material's {key} is not finite")
-    if material["young"] <= 0 or material["density"] <= 0:
-        raise BadInput(f"{where}: the material's young and density must be positive")
-    if not 0 <= material["poisson"] < 0.5:
-        raise BadInput(f"{where}: the material's poisson must lie in 0..0.5 (0.5 excluded)")
-    if material["friction"] < 0:
-        raise BadInput(f"{where}: the material's friction must not be negative")
-    if not 0 <= material.get("kinetic_friction", 0) <= material["friction"]:
-        raise BadInput(f"{where}: the material's kinetic_friction must lie between 0 and its friction")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from core.rotation import multiply_quaternions, quaternion_from_matrix
+from core.rotation import multiply_quaternions, quaternions_from_matrices
 from core.spherical_harmonics import rotate_sh
 
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
@@ -78,7 +78,7 @@ class Gaussians:
         """Apply x -> scale * rotation @ x + translation, the view-dependent colour included."""
         rotation = np.asarray(rotation, np.float64)
         means = scale * self.means @ rotation.T + np.asarray(translation)
-        quats = multiply_quaternions(quaternion_from_matrix(rotation)[None], self.quats)
+        quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         return Gaussians.of(means, quats, self.log_scales + np.log(scale), self.logit_opacities, sh, self.object_id)
 

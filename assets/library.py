@@ -9,7 +9,7 @@ from pathlib import Path
 
 from assets.hdf5 import open_hdf5
 from core.errors import BadInput
-from core.material import MOVING
+from core.material import ANIMATED_MATERIAL
 
 SHIPPED = Path(__file__).resolve().parent / "data"
 
@@ -29,7 +29,7 @@ def find_asset(name: str) -> Path:
 def usual_material(asset: str) -> str | None:
     """The name of what this asset is made of if nothing is said: what moves by itself is flesh. Raises BadInput."""
     with open_hdf5(find_asset(asset)) as file:
-        return MOVING if file.has("animation") else None
+        return ANIMATED_MATERIAL if file.has("animation") else None
 
 
 def moves_by_itself(asset: str) -> float | None:

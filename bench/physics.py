@@ -17,8 +17,9 @@ import taichi as ti
 
 from bench.sample_meshes import box
 from core.material import Material
+from core.tetmesh import tet_volumes
 from scenes.scene import Plane
-from sim.soft_body import SoftBody, rest_volumes
+from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 DENSITY, G = 1000.0, 9.81
@@ -106,7 +107,7 @@ def statics() -> list[dict]:
         rows.append(row(name, reference, tip[k], 0.02 if k == 3 else 0.01))
 
     middle = np.abs(BAR[TETS].mean(1)[:, 0] - 0.5) < 0.1  # the stress is rho g (L - x), uniaxial far from the ends
-    before, after = (rest_volumes(p, TETS)[middle].sum() for p in (start[1], x[1]))
+    before, after = (tet_volumes(p, TETS)[middle].sum() for p in (start[1], x[1]))
     rows.append(row("uniaxial stress, dV/V", 0.4 * DENSITY * G * 0.5 / young, after / before - 1, 0.03))
 
     K = fem_stiffness(BAR, TETS, young, 0.3)
@@ -228,9 +229,9 @@ def recovery() -> list[dict]:
     solver.restore({"x": x, "v": np.zeros_like(x)})
     for _ in range(60):
         solver.step(1 / 20)
-    rows, rest = [], rest_volumes(BAR, TETS).sum()
+    rows, rest = [], tet_volumes(BAR, TETS).sum()
     for name, x in zip(names, positions(solver), strict=True):
-        volumes = rest_volumes(x, TETS)
+        volumes = tet_volumes(x, TETS)
         inverted = int((volumes <= 0).sum())
         rows.append(row(f"{name} start, inverted tets", 0, inverted, 0, error=inverted))
         rows.append(row(f"{name} start, volume / rest volume", 1.0, volumes.sum() / rest, 0.005))

@@ -5,6 +5,7 @@ from itertools import permutations
 import numpy as np
 
 from assets.gaussians import Gaussians
+from core.tetmesh import boundary_surface
 
 
 def box(size, cells, *, mirror: bool = True):
@@ -28,20 +29,13 @@ def box(size, cells, *, mirror: bool = True):
     D = x[tets[:, 1:]] - x[tets[:, :1]]
     wrong = np.linalg.det(D) < 0
     tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
-    return x, tets, boundary(tets)
+    return x, tets, boundary_surface(tets)
 
 
 def tet_bar(cells, size):
     """Vertices [m] (V, 3) float32 and tets (T, 4) of the box [0, size], as an asset's cage holds them."""
     x, tets, _ = box(size, cells, mirror=False)
     return x.astype(np.float32), tets
-
-
-def boundary(tets: np.ndarray) -> np.ndarray:
-    """Boundary triangles of a mesh, (S, 3), counter-clockwise seen from outside."""
-    faces = tets[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
 
 
 def torus(radius: float = 0.08, tube: float = 0.015, around: int = 24, across: int = 2):
@@ -64,7 +58,7 @@ def torus(radius: float = 0.08, tube: float = 0.015, around: int = 24, across: i
     corners = x[tets]
     wrong = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
     tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
-    return x, tets, boundary(tets)
+    return x, tets, boundary_surface(tets)
 
 
 def random_gaussians(rng, count, *, low=(0, 0, 0), high=(1, 0.2, 0.2), sigma=0.01, spread=0.5) -> Gaussians:

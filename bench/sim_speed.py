@@ -14,8 +14,8 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
-from assets.asset import DistanceGrid
 from bench.sample_meshes import box
+from core.distance_grid import DistanceGrid
 from core.material import Material
 from display.headless.video import claim
 from display.run_stats import write_stats

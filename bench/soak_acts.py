@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from assets.asset import DistanceGrid
 from bench.sample_meshes import box, torus
+from core.distance_grid import DistanceGrid
 from core.material import Material
 from scenes.scene import Hand
-from sim.body_model import scaled_grid
 from sim.contact.rest_distance import rest_grid
 from sim.soft_body import SoftBody
 
@@ -84,7 +83,7 @@ def body(rng: np.random.Generator, ranges: Ranges, place: np.ndarray) -> SoftBod
         material(rng, ranges),
         rotation=tuple((q / np.linalg.norm(q)).tolist()),
         position=tuple(place.tolist()),
-        sdf=scaled_grid(distances(mesh), size),
+        sdf=distances(mesh).scaled(size),
     )
 
 

@@ -238,7 +238,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--out", type=Path, metavar="STRIP.png", help="(default: ASSET_tune.png)")
     c.add_argument("--json", type=Path, metavar="OUT.json", help="write the table")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)
-    add("materials", command("core.material"), "list the materials by name", "materials")
+    add("materials", command("commands.materials"), "list the materials by name", "materials")
     c = add(
         "check",
         command("bench.check", taichi=True),

@@ -1,4 +1,4 @@
-"""What all packages speak: errors, rotations, cameras, materials, tet meshes, distance grids, harmonics, device fields.
+"""Types and functions shared by all packages: rotations, cameras, materials, tet meshes, distance grids, device fields.
 
-In: nothing of ours. Out: small types and functions that every other package may import.
+In: nothing of this program. Out: small modules that every other package may import.
 """

@@ -1,4 +1,4 @@
-"""Pinhole cameras: +z forward, +y down (COLMAP)."""
+"""Pinhole cameras; in the camera's frame +z points forward and +y down (COLMAP)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics [px] and `world_to_camera`, (4, 4), that maps world points to camera points."""
+    """Size and intrinsics [px], and the rigid transform `world_to_camera` (4, 4) of points [m]."""
 
     width: int
     height: int

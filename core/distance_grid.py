@@ -1,18 +1,21 @@
-"""Signed distances on a grid."""
+"""Signed distances on a regular grid, and their trilinear interpolation on the host."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+
+from core.errors import BadInput
+
+DISTANCE_MAX = float(np.finfo(np.float16).max)  # [m] files store distances as float16
 
 
 @dataclass(frozen=True)
 class DistanceGrid:
     """Signed distances [m] on a regular grid, negative inside; node (i, j, k) lies at origin + spacing * (i, j, k).
 
-    values   (X, Y, Z) float16 or float32
+    values   (X, Y, Z) float16, float32 or float64
     origin   (3,) [m]
     spacing  [m]
     """
@@ -21,12 +24,56 @@ class DistanceGrid:
     origin: np.ndarray
     spacing: float
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes along each axis."""
+        return self.values.shape
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Position of the last node [m], (3,)."""
+        return np.asarray(self.origin) + self.spacing * (np.array(self.shape) - 1)
+
+    def nodes(self) -> np.ndarray:
+        """Positions of all nodes [m], (X, Y, Z, 3) float64."""
+        return np.asarray(self.origin, np.float64) + self.spacing * np.moveaxis(np.indices(self.shape), 0, -1)
+
+    def sample(self, points: np.ndarray) -> np.ndarray:
+        """Trilinear distance [m] at points (..., 3), (...) float64; beyond the grid that of its nearest point."""
+        return sample(self.values, self.origin, self.spacing, points)
+
+    def sample_beyond(self, points: np.ndarray) -> np.ndarray:
+        """As `sample`; beyond the grid the way back to it is added, so that a shape cut by its border is closed."""
+        points = np.asarray(points, np.float64)
+        way_back = np.linalg.norm(points - points.clip(self.origin, self.upper), axis=-1)
+        distance = self.sample(points)
+        return np.where(way_back > 0, np.maximum(distance, 0) + way_back, distance)
+
+    def scaled(self, factor: float) -> DistanceGrid:
+        """The grid of a shape `factor` times as large, values float32."""
+        values = np.asarray(self.values, np.float32) * np.float32(factor)
+        return DistanceGrid(values, np.asarray(self.origin, np.float64) * factor, float(self.spacing) * factor)
+
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, unless the grid can be interpolated: two nodes an axis, all finite."""
+        if self.values.ndim != 3 or min(self.shape) < 2:
+            raise BadInput(f"{where}: the distance grid has shape {self.shape}, expected at least 2 nodes an axis")
+        if not (np.abs(self.values) <= DISTANCE_MAX).all():
+            raise BadInput(f"{where}: a signed distance is not finite")
+        origin = np.asarray(self.origin, np.float64)
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise BadInput(f"{where}: the distance grid's origin is not three finite numbers")
+        if not (np.isfinite(self.spacing) and self.spacing > 0):
+            raise BadInput(f"{where}: the distance grid's spacing is not positive")
+
 
 def sample(values: np.ndarray, origin, spacing: float, points: np.ndarray) -> np.ndarray:
     """Trilinear interpolation of `values` (X, Y, Z) at points [m] (..., 3); beyond the grid the border's value.
 
     Node (i, j, k) lies at origin + spacing (i, j, k) [m]. Returns (...) float64.
     """
+    from scipy.ndimage import map_coordinates
+
+    values = values if values.dtype != np.float16 else values.astype(np.float32)
     cells = (np.asarray(points, np.float64) - origin) / spacing
-    flat = cells.reshape(-1, 3).T
-    return map_coordinates(values, flat, order=1, mode="nearest", output=np.float64).reshape(cells.shape[:-1])
+    return map_coordinates(values, np.moveaxis(cells, -1, 0), order=1, mode="nearest", output=np.float64)

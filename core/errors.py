@@ -1,4 +1,4 @@
-"""The one error that a user's input can cause."""
+"""The error that a user's input can cause."""
 
 
 class BadInput(Exception):

@@ -8,7 +8,7 @@ import taichi as ti
 from taichi._snode.snode_tree import SNodeTree
 from taichi.lang import impl
 
-PACKAGES = ("core", "sim", "render")  # whose objects own fields, see `destroy_fields`
+FIELD_OWNERS = ("core", "sim", "render")  # packages whose objects hold fields, see `destroy_fields`
 
 
 def round_up_capacity(count: int, multiple: int = 64) -> int:
@@ -59,7 +59,7 @@ class FieldGroup:
 
 
 def destroy_fields(owner) -> None:
-    """Free all field trees that an object and the objects it is made of have placed, each once."""
+    """Free all field trees that an object, and the objects it is made of, have placed, each once."""
     found, seen, todo = [], set(), [owner]
     while todo:
         at = todo.pop()
@@ -72,7 +72,7 @@ def destroy_fields(owner) -> None:
             todo += at.values()
         elif isinstance(at, (list, tuple)):
             todo += at
-        elif type(at).__module__.split(".")[0] in PACKAGES:
+        elif type(at).__module__.split(".")[0] in FIELD_OWNERS:
             todo += vars(at).values()
     for tree in found:
         if not tree.destroyed:
@@ -80,15 +80,15 @@ def destroy_fields(owner) -> None:
 
 
 @contextmanager
-def keeping_kernels() -> Iterator[None]:
-    """While active, destroying field trees keeps all compiled kernels: those that used the trees are never called again.
+def keep_compiled_kernels() -> Iterator[None]:
+    """While active, destroying field trees does not discard compiled kernels.
 
-    Taichi 1.7.4 forgets all kernels of a program when one tree goes, lest one of them reach for it: then the next frame
-    compiles everything anew. A kernel that knows the tree is known by the fields or by the object that it was compiled
-    for, and neither comes back, so that the other kernels may stay.
+    Taichi 1.7.4 discards all kernels of a program when one tree is destroyed, since one of them may use it: then the
+    next frame compiles everything anew. A kernel that uses the tree is cached under the fields or the object that it
+    was compiled for, and neither is used again, so that all kernels may stay.
     """
     runtime = impl.get_runtime()
-    runtime.clear_compiled_functions = lambda: None  # hides the method
+    runtime.clear_compiled_functions = lambda: None  # shadows the method
     try:
         yield
     finally:
@@ -107,13 +107,8 @@ def two_sum(a, b):
     return high, ti.cast(s - ti.cast(high, ti.f64), ti.f32)
 
 
-def upload(field, values: np.ndarray) -> None:
-    """Fill the front of a field from host values (n, ...); the rest becomes zero."""
-    Upload([field])([values])
-
-
 class Download:
-    """One kernel that reads the fronts of several vec3 fields of one size, as (fields, n, 3) float32."""
+    """A kernel that reads the first n elements of several vec3 fields of one size, as (fields, n, 3) float32."""
 
     def __init__(self, fields: list):
         self.count = len(fields)
@@ -133,7 +128,7 @@ class Download:
 
 
 class Upload:
-    """One kernel that fills many fields (scalars, or of one dimension): one for each would take seconds to compile."""
+    """A kernel that fills several fields at once (single values, or of one dimension); one each takes long to compile."""
 
     def __init__(self, fields: list):
         self.fields = fields
@@ -162,11 +157,11 @@ class Upload:
         self.fill = fill
 
     def __call__(self, values: list) -> None:
-        """Fill the front of each field from its values (n, ...); the rest becomes zero."""
-        parts = []
+        """Fill the first elements of each field from its values (n, ...); the rest becomes zero."""
+        flat = []
         for field, (shape, n, m), value in zip(self.fields, self.shapes, values, strict=True):
             full = np.zeros((*shape, n * m), np.int32 if field.dtype == ti.i32 else np.float32)
             value = np.asarray(value, full.dtype).reshape(-1, n * m)
             full[: len(value)] = value
-            parts.append(full.view(np.int32).ravel())
-        self.fill(np.concatenate(parts))
+            flat.append(full.view(np.int32).ravel())
+        self.fill(np.concatenate(flat))

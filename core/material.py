@@ -1,41 +1,31 @@
-"""Materials by name, for bodies whose own is not known."""
+"""Elastic materials, and a table of them by name for bodies whose own is not known."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass, replace
 
 from core.errors import BadInput
 
-DEFAULT = "plush"
-MOVING = "flesh"  # of what moves by itself
-STATURE = 1.75  # [m] of the person whose flesh it is
-SOFTEST = 1e3  # [Pa] of anything that moves by itself: it must still bear its weight
+DEFAULT_MATERIAL = "plush"
+ANIMATED_MATERIAL = "flesh"  # of a body with an animation of its own
 
-# young [Pa], poisson, density [kg/m^3], friction that holds and friction that slides on a dry smooth table. The solver
-# takes 1e2 to 1e8 Pa and Poisson's ratios up to 0.49; what is stiffer or less compressible is given the nearest value.
-MATERIALS = {
-    # Flexible polyurethane: Gibson and Ashby, Cellular Solids (1997), E = E_s (rho / rho_s)^2 = 45 MPa (30 / 1200)^2.
-    "foam": {"young": 3e4, "poisson": 0.3, "density": 30.0, "friction": 0.6, "kinetic_friction": 0.5},
-    # Natural rubber: Ashby, Materials Selection in Mechanical Design: 1.5 to 2.5 MPa, 920 to 930 kg/m^3, 0.4999.
-    "rubber": {"young": 2e6, "poisson": 0.48, "density": 930.0, "friction": 1.0, "kinetic_friction": 0.8},
-    # A toy of 0.3 kg in 3 l, fibre fill in cloth; 10 N of a hand on 50 cm^2 press it in by about a fifth (an estimate).
-    "plush": {"young": 1e4, "poisson": 0.2, "density": 100.0, "friction": 0.6, "kinetic_friction": 0.5},
-    # A gelatine dessert of 3 to 5%: shear moduli of 1 to 3 kPa, so E = 3 G of 3 to 9 kPa; it is mostly water, and wet.
-    "jelly": {"young": 5e3, "poisson": 0.48, "density": 1030.0, "friction": 0.2, "kinetic_friction": 0.1},
-    # Pine, Wood Handbook (Forest Products Laboratory, 2010): 510 kg/m^3; 1e10 Pa along the grain, 5e8 to 1e9 Pa across.
-    "wood": {"young": 1e8, "poisson": 0.35, "density": 510.0, "friction": 0.5, "kinetic_friction": 0.3},
-    # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011), many times as much at
-    # work; 1,060 kg/m^3. At 30 kPa a dancing man's own inertia crumples his joints, at 100 kPa they hold their shape.
-    # That it keeps its volume keeps a joint's inner side from turning inside out.
-    "flesh": {"young": 1e5, "poisson": 0.45, "density": 1060.0, "friction": 0.6, "kinetic_friction": 0.5},
-}
+YOUNG_MAX = 1e12  # [Pa] diamond
+PERSON_HEIGHT = 1.75  # [m] of the person whose flesh the table has
+ANIMATED_YOUNG_MIN = 1e3  # [Pa] an animated body must still bear its weight
 
 
 @dataclass(frozen=True)
 class Material:
-    """An isotropic elastic material: Young's modulus [Pa], Poisson's ratio, density [kg/m^3], Coulomb's coefficient of
-    friction that holds, a damping rate [1/s] towards the body's rigid motion, and the coefficient of friction of what
-    slides (None: it is the same)."""
+    """An isotropic elastic material with Coulomb friction.
+
+    young             Young's modulus [Pa]
+    poisson           Poisson's ratio, below 0.5
+    density           [kg/m^3]
+    friction          coefficient of static friction
+    damping           rate [1/s] at which motion relative to the body's rigid motion dies out
+    kinetic_friction  coefficient of friction of what slides; None: the static one
+    """
 
     young: float
     poisson: float
@@ -46,41 +36,65 @@ class Material:
 
     @property
     def sliding_friction(self) -> float:
-        """The coefficient of friction of what slides."""
+        """Coefficient of friction of what slides, given or the static one."""
         return self.friction if self.kinetic_friction is None else self.kinetic_friction
+
+    @property
+    def lame_parameters(self) -> tuple[float, float]:
+        """Lame's mu and lambda [Pa] of linear elasticity."""
+        nu = self.poisson
+        return self.young / (2 * (1 + nu)), self.young * nu / ((1 + nu) * (1 - 2 * nu))
 
     @classmethod
     def named(cls, name: str, **changes: float) -> Material:
-        """A material by its name in core/material.py, with some properties changed. Raises BadInput."""
-        return cls(**{**material_named(name), **changes})
+        """A material of the table, with some properties changed. Raises BadInput that lists the names."""
+        if name not in MATERIALS:
+            raise BadInput(f"material {name!r} is unknown; one of {', '.join(MATERIALS)}")
+        return replace(MATERIALS[name], **changes)
 
     @classmethod
-    def moving(cls, name: str, height: float) -> Material:
-        """The same for a body of this height [m] that moves by itself: a small one is softer. Raises BadInput."""
-        return cls(**moving_named(name, height))
+    def animated(cls, name: str, height: float) -> Material:
+        """A material of the table for an animated body of this height [m]: softer than a person's, if it is smaller.
+
+        Inertial stresses rho a L grow with the square of the size where motions take the same time: a small body holds
+        its shape with less stiffness, and can then be simulated by as few substeps as a large one. Raises BadInput.
+        """
+        material = cls.named(name)
+        ratio = min(height / PERSON_HEIGHT, 1.0) ** 2
+        return replace(material, young=max(ratio * material.young, ANIMATED_YOUNG_MIN))
+
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, for a material that no body can have."""
+        for name, value in asdict(self).items():
+            if value is not None and not math.isfinite(value):
+                raise BadInput(f"{where}: the material's {name} is not finite")
+        if self.young <= 0 or self.density <= 0:
+            raise BadInput(f"{where}: the material's young and density must be positive")
+        if self.young > YOUNG_MAX:
+            raise BadInput(f"{where}: young = {self.young:.3g} Pa is too stiff: at most {YOUNG_MAX:.0e} Pa")
+        if not 0 <= self.poisson < 0.5:
+            raise BadInput(f"{where}: the material's poisson must lie in 0..0.5 (0.5 excluded)")
+        if self.damping < 0 or self.friction < 0:
+            raise BadInput(f"{where}: the material's damping and friction must not be negative")
+        if not 0 <= self.sliding_friction <= self.friction:
+            raise BadInput(f"{where}: the material's kinetic_friction must lie between 0 and its friction")
 
 
-def material_named(name: str) -> dict[str, float]:
-    """A copy of the material's properties. Raises BadInput that lists the names."""
-    if name not in MATERIALS:
-        raise BadInput(f"material {name!r} is unknown; one of {', '.join(MATERIALS)}")
-    return dict(MATERIALS[name])
-
-
-def moving_named(name: str, height: float) -> dict[str, float]:
-    """A material's properties for a body of this height [m] that moves by itself, at the pace of a grown person.
-
-    Stresses of inertia, rho a L, grow with the square of the size: a small one holds its shape with less stiffness, and
-    can then be simulated by as few substeps as a large one. Raises BadInput.
-    """
-    properties = material_named(name)
-    share = min(height / STATURE, 1.0) ** 2
-    return properties | {"young": max(share * properties["young"], SOFTEST)}
-
-
-def run(args) -> None:
-    """vrgs.py materials: print the table."""
-    print(f"{'':8} {'young [Pa]':>10} {'poisson':>8} {'density [kg/m^3]':>17} {'friction':>9} {'sliding':>8}")
-    for name, m in MATERIALS.items():
-        friction = f"{m['friction']:9} {m['kinetic_friction']:8}"
-        print(f"{name:8} {m['young']:10.0e} {m['poisson']:8} {m['density']:17} {friction}")
+# Friction on a dry smooth table. All lie in the range that the solver is tested in, 1e2 to 1e8 Pa and Poisson's ratios
+# up to 0.49: wood is softer than it is, rubber less incompressible.
+MATERIALS = {
+    # Flexible polyurethane: Gibson and Ashby, Cellular Solids (1997), E = E_s (rho / rho_s)^2 = 45 MPa (30 / 1200)^2.
+    "foam": Material(young=3e4, poisson=0.3, density=30.0, friction=0.6, kinetic_friction=0.5),
+    # Natural rubber: Ashby, Materials Selection in Mechanical Design: 1.5 to 2.5 MPa, 920 to 930 kg/m^3, 0.4999.
+    "rubber": Material(young=2e6, poisson=0.48, density=930.0, friction=1.0, kinetic_friction=0.8),
+    # A toy of 0.3 kg in 3 l, fibre fill in cloth; 10 N of a hand on 50 cm^2 press it in by about a fifth (an estimate).
+    "plush": Material(young=1e4, poisson=0.2, density=100.0, friction=0.6, kinetic_friction=0.5),
+    # A gelatine dessert of 3 to 5%: shear moduli of 1 to 3 kPa, so E = 3 G of 3 to 9 kPa; it is mostly water, and wet.
+    "jelly": Material(young=5e3, poisson=0.48, density=1030.0, friction=0.2, kinetic_friction=0.1),
+    # Pine, Wood Handbook (Forest Products Laboratory, 2010): 510 kg/m^3; 1e10 Pa along the grain, 5e8 to 1e9 Pa across.
+    "wood": Material(young=1e8, poisson=0.35, density=510.0, friction=0.5, kinetic_friction=0.3),
+    # Muscle at rest: some 10 kPa pressed, more pulled (McKee et al., Tissue Engineering B, 2011), many times as much at
+    # work; 1,060 kg/m^3. At 30 kPa a dancing man's own inertia crumples his joints, at 100 kPa they hold their shape.
+    # That it keeps its volume keeps a joint's inner side from turning inside out.
+    "flesh": Material(young=1e5, poisson=0.45, density=1060.0, friction=0.6, kinetic_friction=0.5),
+}

@@ -1,12 +1,12 @@
-"""An order in which neighbours in space are neighbours in memory."""
+"""Morton (Z-order) sorting: neighbours in space become neighbours in memory."""
 
 from __future__ import annotations
 
 import numpy as np
 
-BITS = 10  # a cell is a thousandth of the extent: finer than a tile of the picture sees
+BITS = 10  # an axis: a cell is a thousandth of the extent, smaller than what a tile of the picture covers
 
-SPREAD = (  # (shift, mask): halves of 21 bits apart, then quarters, and so on, to every third bit
+SPREAD_STEPS = (  # (shift, mask): move halves of 21 bits apart, then quarters, and so on, to every third bit
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),
     (8, 0x100F00F00F00F00F),
@@ -29,7 +29,7 @@ def morton_order(points: np.ndarray, *, bits: int = BITS) -> np.ndarray:
 
 
 def _spread(v: np.ndarray) -> np.ndarray:
-    """Bit k of a 21-bit number to bit 3 k."""
-    for shift, mask in SPREAD:
+    """Move bit k of 21-bit numbers to bit 3 k."""
+    for shift, mask in SPREAD_STEPS:
         v = (v | v << np.uint64(shift)) & np.uint64(mask)
     return v

@@ -1,4 +1,4 @@
-"""Which tetrahedron of a cage holds a point, and which is nearest to a point outside. NumPy and SciPy only."""
+"""Point location in a tetrahedral mesh: the tet that holds a point, and the boundary nearest to one outside."""
 
 from __future__ import annotations
 
@@ -6,108 +6,139 @@ from functools import cached_property
 
 import numpy as np
 
-from core.tetmesh import alone, cross, faces_of, keys_of
+from core.tetmesh import cross_columns, edge_vectors, indices_of_unique, tet_faces, vertex_set_keys
 
-INSIDE = -1e-7  # a barycentric coordinate this small still counts as inside: float32 rounding of a face
-CHUNK = 1 << 18  # points handled at once: a few tens of MB
-MOST_PAIRS = 20_000_000  # (cell, tet) pairs of the grid: bounds its memory on badly graded meshes
-SPLIT = 4  # a boundary triangle is searched through SPLIT^2 samples: the distance is right to an eighth of its edge
+WEIGHT_MIN = -1e-7  # a barycentric weight this small still counts as inside: float32 rounding of a face
+POINTS_AT_ONCE = 1 << 18  # a few tens of MB
+CELL_TET_PAIRS_MAX = 20_000_000  # bounds the grid's memory on badly graded meshes
+SAMPLES_PER_EDGE = 4  # of a boundary triangle, squared: the nearest distance is right to an eighth of its edge
 
 
-class Locator:
-    """Point location in a tetrahedral mesh through a uniform grid of cells.
+class TetLocator:
+    """Point location in a tetrahedral mesh through a uniform grid of cells, in NumPy and SciPy.
 
-    vertices [m] (V, 3) and tets (T, 4) of positive volume. A cell lists the tets that may touch it,
-    so `find` is exact up to rounding. Cells are half as wide as a tet: about eight candidates each.
+    A cell lists the tets that may touch it, so `find` is exact up to rounding. Cells are half as wide as a tet: about
+    eight candidates each. Cell (i, j, k) has its corner at origin + cell_size (i, j, k) and the flat index c; its
+    tets are candidates[cell_start[c] : cell_start[c + 1]].
 
-    first (T, 3) [m], slopes (T, 3, 3) [1/m]: a tet's first vertex, gradients of its weights 1 to 3. edge (V,) [m]: of
-    the tets at a vertex. Cell (i, j, k) of `shape`, corner at origin + cell (i, j, k) [m], flat index c, holds
-    candidates[start[c] : start[c + 1]].
+    vertices, tets    [m] (V, 3) float64, (T, 4) of positive volume
+    first_vertex      position of each tet's first vertex [m], (T, 3)
+    weight_gradients  gradients of the barycentric weights of its other three [1/m], (T, 3, 3), a row each
+    vertex_edge       mean edge length of the tets at each vertex [m], (V,)
+    origin, cell_size, grid_shape   [m] (3,), [m], cells along each axis
+    box_begin, box_extent   first cell of each tet's bounding box and cells along each axis, (T, 3)
     """
 
     def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
         self.vertices = np.asarray(vertices, np.float64)
         self.tets = np.asarray(tets, np.int64)
-        x = self.vertices.take(self.tets, axis=0)
-        self.first = x[:, 0]
-        a, b, c = np.moveaxis(x[:, 1:] - x[:, :1], 1, 0)
-        normals = np.stack([cross(b, c), cross(c, a), cross(a, b)], 1)
-        six = np.einsum("ni,ni->n", normals[:, 0], a)  # times the volume
-        self.slopes = normals / six[:, None, None]  # rows: gradients of the weights 1 to 3
-        edge = np.cbrt(np.abs(six) * np.sqrt(2))  # of the regular tet of that volume
+        corners = self.vertices.take(self.tets, axis=0)
+        self.first_vertex = corners[:, 0]
+        a, b, c = edge_vectors(self.vertices, self.tets)
+        normals = np.stack([cross_columns(b, c), cross_columns(c, a), cross_columns(a, b)])
+        six_volumes = np.einsum("it,it->t", normals[0], a)
+        self.weight_gradients = np.ascontiguousarray(np.moveaxis(normals / six_volumes, 2, 0))
+        edge = np.cbrt(np.abs(six_volumes) * np.sqrt(2))  # of the regular tet of that volume
         count = np.bincount(self.tets.ravel(), minlength=len(self.vertices))
-        self.edge = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices)) / np.maximum(count, 1)
-        self._lay_grid(x.min(1), x.max(1))
-        self._tree = None
+        total = np.bincount(self.tets.ravel(), np.repeat(edge, 4), len(self.vertices))
+        self.vertex_edge = total / np.maximum(count, 1)
+        self._lay_grid(corners.min(1), corners.max(1))
 
     def weights(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Barycentric weights (M, 4) of points [m] (M, 3) in the tets `host` (M,); outside one they extrapolate."""
-        last = np.einsum("nij,nj->ni", self.slopes[host], points - self.first[host])
+        last = np.einsum("nij,nj->ni", self.weight_gradients[host], points - self.first_vertex[host])
         first = 1 - last[:, 0] - last[:, 1] - last[:, 2]
         return np.concatenate([first[:, None], last], 1)
 
     def gradients(self, host: np.ndarray) -> np.ndarray:
         """Gradients [1/m] of the four barycentric weights of the tets `host`, (M, 4, 3)."""
-        last = self.slopes[host]
+        last = self.weight_gradients[host]
         return np.concatenate([-last.sum(1, keepdims=True), last], 1)
 
-    def size(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def edge_length(self, host: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Edge length [m] (M,) of the tets about points in `host`; continuous, for it is kept at the vertices."""
         weights = self.weights(host, points).clip(0)
-        return (self.edge[self.tets[host]] * weights).sum(1) / weights.sum(1)
+        return (self.vertex_edge[self.tets[host]] * weights).sum(1) / weights.sum(1)
 
     def find(self, points: np.ndarray) -> np.ndarray:
         """Index of a tet that holds each point [m] (M, 3), or -1 where none does."""
         points = np.asarray(points, np.float64)
-        index = np.floor((points - self.origin) / self.cell).astype(np.int64)
-        within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self.shape[i]) for i in range(3)])
-        cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self.shape), 0)
+        index = np.floor((points - self.origin) / self.cell_size).astype(np.int64)
+        within = np.logical_and.reduce([(index[:, i] >= 0) & (index[:, i] < self.grid_shape[i]) for i in range(3)])
+        cell = np.where(within, np.ravel_multi_index(np.where(within[:, None], index, 0).T, self.grid_shape), 0)
         host = np.full(len(points), -1, np.int64)
-        todo = np.flatnonzero(within & (self.start[cell + 1] > self.start[cell]))
+        todo = np.flatnonzero(within & (self.cell_start[cell + 1] > self.cell_start[cell]))
         todo = todo[np.argsort(cell[todo], kind="stable")]  # neighbours share candidates: they stay in the cache
-        for begin in range(0, len(todo), CHUNK):
-            self._find_chunk(todo[begin : begin + CHUNK], cell, points, host)
+        for begin in range(0, len(todo), POINTS_AT_ONCE):
+            self._find_some(todo[begin : begin + POINTS_AT_ONCE], cell, points, host)
         return host
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For points [m] (M, 3) outside: the boundary tet next to each, and the point of its boundary, (M,), (M, 3)."""
-        from scipy.spatial import cKDTree
+        """For points [m] (M, 3) outside: the nearest boundary tet and the nearest boundary sample, (M,), (M, 3)."""
+        tree, tet = self._sample_tree
+        _, nearest = tree.query(points, workers=-1)
+        return tet[nearest], tree.data[nearest]
 
-        if self._tree is None:
-            samples, self._owner = self.boundary_samples()
-            self._tree = cKDTree(samples, balanced_tree=False, compact_nodes=False)  # built in a third of the time
-        _, which = self._tree.query(points, workers=-1)
-        return self._owner[which], self._tree.data[which]
+    def boundary_samples(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points [m] (B, 3) all over the boundary, SAMPLES_PER_EDGE^2 a triangle, and the tet of each (B,)."""
+        faces = tet_faces(self.tets)
+        boundary = indices_of_unique(vertex_set_keys(faces))
+        a, b, c = np.moveaxis(self.vertices[faces[boundary]], 1, 0)
+        samples, n = [], SAMPLES_PER_EDGE
+        for i in range(n):  # centroids of the n^2 small triangles
+            for j in range(n - i):
+                for third in (1 / 3, 2 / 3) if i + j < n - 1 else (1 / 3,):
+                    u, v = (i + third) / n, (j + third) / n
+                    samples.append(a + u * (b - a) + v * (c - a))
+        return np.concatenate(samples), np.tile(boundary // 4, len(samples))
 
-    def _find_chunk(self, left: np.ndarray, cell: np.ndarray, points: np.ndarray, host: np.ndarray) -> None:
+    @property
+    def candidates(self) -> np.ndarray:
+        """Tets that may touch a cell, cell after cell."""
+        return self._cell_lists[0]
+
+    @property
+    def cell_start(self) -> np.ndarray:
+        """Begin of each cell's tets in `candidates`, and their end."""
+        return self._cell_lists[1]
+
+    def _find_some(self, left: np.ndarray, cell: np.ndarray, points: np.ndarray, host: np.ndarray) -> None:
         """Try each cell's first candidate, then the second where that failed, and so on."""
-        at, end, p = self.start[cell[left]], self.start[cell[left] + 1], points[left]
+        at, end, p = self.cell_start[cell[left]], self.cell_start[cell[left] + 1], points[left]
         while len(left):
             tet = self.candidates[at]
-            a, b, c = np.einsum("nij,nj->ni", self.slopes[tet], p - self.first[tet]).T
-            inside = (a >= INSIDE) & (b >= INSIDE) & (c >= INSIDE) & (a + b + c <= 1 - INSIDE)
+            a, b, c = np.einsum("nij,nj->ni", self.weight_gradients[tet], p - self.first_vertex[tet]).T
+            inside = (a >= WEIGHT_MIN) & (b >= WEIGHT_MIN) & (c >= WEIGHT_MIN) & (a + b + c <= 1 - WEIGHT_MIN)
             host[left[inside]] = tet[inside]
             at = at + 1
             keep = ~inside & (at < end)
             left, at, end, p = left[keep], at[keep], end[keep], p[keep]
 
     def _lay_grid(self, low: np.ndarray, high: np.ndarray) -> None:
-        """Cells over the boxes low (T, 3) to high (T, 3) [m] of the tets; begin, extent (T, 3): cells of each box."""
+        """Lay cells over the bounding boxes low (T, 3) to high (T, 3) [m] of the tets."""
         self.origin = low.min(0) - 1e-6
-        cell = 0.5 * (high - low).mean()
+        cell_size = 0.5 * (high - low).mean()
         while True:
-            begin = np.floor((low - self.origin) / cell).astype(np.int64)
-            extent = np.floor((high - self.origin) / cell).astype(np.int64) - begin + 1
-            if extent.prod(1).sum() <= MOST_PAIRS:
+            begin = np.floor((low - self.origin) / cell_size).astype(np.int64)
+            extent = np.floor((high - self.origin) / cell_size).astype(np.int64) - begin + 1
+            if extent.prod(1).sum() <= CELL_TET_PAIRS_MAX:
                 break
-            cell *= 1.5
-        self.cell, self.begin, self.extent = cell, begin, extent
-        self.shape = tuple((begin + extent).max(0))
+            cell_size *= 1.5
+        self.cell_size, self.box_begin, self.box_extent = cell_size, begin, extent
+        self.grid_shape = tuple((begin + extent).max(0))
 
     @cached_property
-    def _lists(self) -> tuple[np.ndarray, np.ndarray]:
-        """candidates and start, made when they are first asked for."""
-        first, extent, cell = self.begin, self.extent, self.cell
+    def _sample_tree(self):
+        """k-d tree of the boundary samples, and the tet of each."""
+        from scipy.spatial import cKDTree
+
+        samples, tet = self.boundary_samples()
+        return cKDTree(samples, balanced_tree=False, compact_nodes=False), tet  # built in a third of the time
+
+    @cached_property
+    def _cell_lists(self) -> tuple[np.ndarray, np.ndarray]:
+        """`candidates` and `cell_start`, made on first use: a device search makes its own."""
+        first, extent, cell_size = self.box_begin, self.box_extent, self.cell_size
         counts = extent.prod(1)
         tet = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         rank = np.arange(counts.sum(), dtype=np.int32) - np.repeat((counts.cumsum() - counts).astype(np.int32), counts)
@@ -117,37 +148,15 @@ class Locator:
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
         every = np.arange(len(counts))
         g = self.gradients(every)
-        corner = self.weights(every, self.origin + cell * (first + 0.5)) + 0.5 * cell * np.abs(g).sum(2)
-        may = np.ones(len(tet), bool)
+        centre = self.origin + cell_size * (first + 0.5)
+        largest = self.weights(every, centre) + 0.5 * cell_size * np.abs(g).sum(2)  # in the box's first cell
+        touches = np.ones(len(tet), bool)
         for k in range(4):
-            most = corner[tet, k]
+            bound = largest[tet, k]
             for axis in range(3):
-                most += (cell * g[:, k, axis])[tet] * step[axis]
-            may &= most >= INSIDE
-        tet = tet[may].astype(np.int64)
-        flat = np.ravel_multi_index((first[tet] + np.stack([a[may] for a in step], 1)).T, self.shape)
+                bound += (cell_size * g[:, k, axis])[tet] * step[axis]
+            touches &= bound >= WEIGHT_MIN
+        tet = tet[touches].astype(np.int64)
+        flat = np.ravel_multi_index((first[tet] + np.stack([a[touches] for a in step], 1)).T, self.grid_shape)
         order = np.argsort(flat, kind="stable")
-        return tet[order], np.searchsorted(flat[order], np.arange(np.prod(self.shape) + 1))
-
-    @property
-    def candidates(self) -> np.ndarray:
-        """Tets that may touch a cell, cell after cell."""
-        return self._lists[0]
-
-    @property
-    def start(self) -> np.ndarray:
-        """Where in `candidates` the tets of each cell begin, and the end."""
-        return self._lists[1]
-
-    def boundary_samples(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points [m] (B, 3) all over the boundary, SPLIT^2 a triangle, and the tet of each (B,)."""
-        faces = faces_of(self.tets)
-        boundary = alone(keys_of(faces))
-        a, b, c = np.moveaxis(self.vertices[faces[boundary]], 1, 0)
-        samples = []
-        for i in range(SPLIT):  # centroids of the SPLIT^2 small triangles
-            for j in range(SPLIT - i):
-                for up in (1 / 3, 2 / 3) if i + j < SPLIT - 1 else (1 / 3,):
-                    u, v = (i + up) / SPLIT, (j + up) / SPLIT
-                    samples.append(a + u * (b - a) + v * (c - a))
-        return np.concatenate(samples), np.tile(boundary // 4, len(samples))
+        return tet[order], np.searchsorted(flat[order], np.arange(np.prod(self.grid_shape) + 1))

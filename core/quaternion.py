@@ -1,13 +1,13 @@
-"""Quaternions wxyz in kernels: products, rotation vectors, fp32-safe increments, and the polar decomposition."""
+"""Device functions of unit quaternions wxyz: products, rotation vectors, float32-safe increments, polar decomposition."""
 
 import taichi as ti
 
-NEWTON_STEPS = 24  # an upper bound: 1 to 3 are taken near a rotation, up to 15 for a collapsed F
+NEWTON_STEPS_MAX = 24  # 1 to 3 are taken near a rotation, up to 15 for a collapsed F
 
 
 @ti.func
 def multiply(a, b):
-    """The rotation b, then a."""
+    """Hamilton product a b: the rotation b, then a."""
     u, v = ti.Vector([a[1], a[2], a[3]]), ti.Vector([b[1], b[2], b[3]])
     w = a[0] * v + b[0] * u + u.cross(v)
     return ti.Vector([a[0] * b[0] - u.dot(v), w[0], w[1], w[2]])
@@ -15,20 +15,21 @@ def multiply(a, b):
 
 @ti.func
 def conjugate(q):
+    """The inverse rotation of a unit quaternion."""
     return ti.Vector([q[0], -q[1], -q[2], -q[3]])
 
 
 @ti.func
-def gain(turn, q):
-    """exp(turn) q - q for a rotation vector turn [rad]: exact however small it is."""
-    angle = turn.norm()
-    less = 2.0 * ti.sin(0.25 * angle) ** 2  # 1 - cos(angle/2)
+def rotation_increment(rotation, q):
+    """exp(rotation) q - q for a rotation vector [rad]: exact however small it is, since 1 - cos is not subtracted."""
+    angle = rotation.norm()
+    one_minus_cos = 2.0 * ti.sin(0.25 * angle) ** 2  # of angle / 2
     s = 0.5 if angle < 1e-4 else ti.sin(0.5 * angle) / angle
-    return multiply(ti.Vector([-less, s * turn[0], s * turn[1], s * turn[2]]), q)
+    return multiply(ti.Vector([-one_minus_cos, s * rotation[0], s * rotation[1], s * rotation[2]]), q)
 
 
 @ti.func
-def turn_between(a, b):
+def rotation_vector_between(a, b):
     """The shorter rotation vector [rad] that takes b to a."""
     d = multiply(a, conjugate(b))
     d *= 1.0 if d[0] >= 0.0 else -1.0
@@ -38,7 +39,7 @@ def turn_between(a, b):
 
 
 @ti.func
-def matrix(q):
+def to_matrix(q):
     """Rotation matrix of a unit quaternion."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return ti.Matrix(
@@ -71,7 +72,7 @@ def polar_quaternion(F):
         c1 = -8.0 * A.determinant()
         c0 = 2.0 * C.norm_sqr() - 9.0
         root = 3.0
-        for _ in range(NEWTON_STEPS):
+        for _ in range(NEWTON_STEPS_MAX):
             value = ((root * root - 6.0) * root + c1) * root + c0
             slope = (4.0 * root * root - 12.0) * root + c1
             step = value / ti.max(slope, 1e-6)  # the slope is positive above the largest root

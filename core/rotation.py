@@ -1,23 +1,47 @@
-"""Rotations on the host: unit quaternions wxyz, matrices and rotation vectors, by way of SciPy."""
+"""Rotations on the host: unit quaternions wxyz and rotation matrices, any number at once.
+
+NumPy only: importing `scipy.spatial.transform` takes longer than all else before the first picture. Rotation vectors,
+means and interpolation are left to SciPy's `Rotation` where they are used.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 def matrices_from_quaternions(quaternions) -> np.ndarray:
     """Rotation matrices (..., 3, 3) of quaternions wxyz (..., 4), which need not be normalised."""
     q = np.asarray(quaternions, np.float64)
-    flat = q.reshape(-1, 4)
-    if not len(flat):
-        return np.zeros((*q.shape[:-1], 3, 3))
-    return Rotation.from_quat(flat, scalar_first=True).as_matrix().reshape(*q.shape[:-1], 3, 3)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
-def quaternion_from_matrix(matrix) -> np.ndarray:
-    """Unit quaternion wxyz (4,) of a rotation matrix (3, 3)."""
-    return Rotation.from_matrix(np.asarray(matrix, np.float64)).as_quat(scalar_first=True)
+def quaternions_from_matrices(matrices) -> np.ndarray:
+    """Unit quaternions wxyz (..., 4) of rotation matrices (..., 3, 3); the largest component is positive.
+
+    The entries of a rotation matrix give 4 q q^T; its row with the largest diagonal entry is the most accurate multiple
+    of q (Shepperd 1978).
+    """
+    m = np.moveaxis(np.asarray(matrices, np.float64), (-2, -1), (0, 1))
+    xx, yy, zz = m[0, 0], m[1, 1], m[2, 2]
+    wx, wy, wz = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    xy, xz, yz = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+    products = np.array(
+        [
+            [1 + xx + yy + zz, wx, wy, wz],
+            [wx, 1 + xx - yy - zz, xy, xz],
+            [wy, xy, 1 - xx + yy - zz, yz],
+            [wz, xz, yz, 1 - xx - yy + zz],
+        ]
+    )
+    largest = np.einsum("ii...->i...", products).argmax(0)
+    q = np.take_along_axis(products, largest[None, None], axis=0)[0]
+    return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
 
 
 def multiply_quaternions(a, b) -> np.ndarray:
@@ -33,3 +57,8 @@ def multiply_quaternions(a, b) -> np.ndarray:
         ],
         -1,
     )
+
+
+def conjugate_quaternions(q) -> np.ndarray:
+    """Conjugates of quaternions wxyz (..., 4): the inverse rotations of unit ones."""
+    return np.asarray(q) * [1.0, -1.0, -1.0, -1.0]

@@ -1,4 +1,4 @@
-"""Where kernels run, and how fast they start."""
+"""Start of the Taichi runtime: choice of the device, and time to the first kernel."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
         ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, offline_cache=True, log_level=ti.ERROR)
     if cuda and ti.cfg.arch != ti.cuda:
         raise BadInput("the CUDA GPU could not be started; --arch cpu runs without it")
-    quicken()
+    shorten_source_locations()
 
 
-def quicken() -> None:
-    """Let Taichi's front end name source places briefly: halves the time to the first picture.
+def shorten_source_locations() -> None:
+    """Make Taichi's front end describe source locations in one line, which halves the time to the first picture.
 
     With a warm cache the start is spent in building kernels' syntax trees. Half of that is the wrapping and
     underlining of the source text of every expression, in case an error message should need it.
     """
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
-    def place(self, node) -> str:
+    def position(self, node) -> str:
         line = node.lineno + self.lineno_offset
         return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
 
-    ASTTransformerContext.get_pos_info = place
+    ASTTransformerContext.get_pos_info = position
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether the host or the GPU had no room; Taichi raises a RuntimeError that says so in words."""
+    """Test for an exhausted host or GPU memory; Taichi raises a RuntimeError that says so in words."""
     words = ("memory allocation", "out of memory", "out_of_memory", "failed to allocate")
     return isinstance(error, MemoryError) or any(word in str(error).lower() for word in words)

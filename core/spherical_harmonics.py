@@ -44,10 +44,10 @@ def sh_basis(directions: np.ndarray, count: int = 16) -> np.ndarray:
 
 
 def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Coefficients (N, K, 3) of the same colours after the object is turned by `rotation` (3, 3).
+    """Rotate coefficients (N, K, 3) with their object by `rotation` (3, 3).
 
-    The turned object shows in direction d what it showed in R^T d. Each band is closed under
-    rotation, so sampling as many directions as there are functions fixes the matrix exactly.
+    The turned object shows in direction d what it showed in R^T d. Each band is closed under rotation, so
+    least squares over a few dozen directions gives the matrix exactly.
     """
     count = sh.shape[1]
     if count == 1:
@@ -56,5 +56,5 @@ def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     polar, azimuth = np.arccos(1 - 2 * k / 64), np.pi * (1 + 5**0.5) * k
     d = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
     matrix = np.linalg.lstsq(sh_basis(d, count), sh_basis(d @ np.asarray(rotation, np.float64), count), rcond=None)[0]
-    by_channel = np.kron(matrix.T, np.eye(3))  # mostly zeros, yet one product of matrices is the fastest way
+    by_channel = np.kron(matrix.T, np.eye(3))  # mostly zeros, yet one matrix product is fastest
     return (sh.reshape(len(sh), -1) @ by_channel).astype(np.float32).reshape(sh.shape)

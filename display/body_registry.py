@@ -14,7 +14,7 @@ import numpy as np
 import taichi as ti
 
 from core.errors import BadInput
-from core.fields import keeping_kernels
+from core.fields import keep_compiled_kernels
 from core.runtime import is_out_of_memory
 from render.shadow_map import ShadowMap
 from scenes.scene import BodyState
@@ -150,7 +150,7 @@ class BodyRegistry:
                 raise
             raise BadInput("There is no memory for more bodies.") from e
         ti.sync()
-        with keeping_kernels():
+        with keep_compiled_kernels():
             for thing in (old, world.renderer, world.shadow, world.embedding, world.splats):
                 thing.destroy()
         self.grown = True

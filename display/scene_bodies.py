@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from assets.animation import Animation
-from assets.asset import Asset, DistanceGrid
+from assets.asset import Asset
 from assets.components import pieces_of
 from assets.gaussians import Gaussians
 from assets.library import find_asset
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.morton import morton_order
 from core.rotation import matrices_from_quaternions
@@ -56,7 +57,7 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]
     """Gaussians in the world, and the colliders."""
     rotation = matrices_from_quaternions(np.array(body.rotation))
     gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
-    friction = (asset.material or {}).get("friction", 0.5)
+    friction = asset.material.friction if asset.material is not None else 0.5
     grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.stage.fine if asset.stage is not None else ())]
     return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
 

@@ -13,7 +13,8 @@ from assets.asset import Asset, Cage, Embedded
 from assets.gaussians import Gaussians
 from assets.up_axis import guess, metres, rotation_to_up
 from core.errors import BadInput
-from core.material import DEFAULT, material_named
+from core.material import DEFAULT_MATERIAL, Material
+from core.tetmesh import tet_volumes
 from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
 from prepare.cage.component_cages import (
     LEAST,
@@ -30,7 +31,7 @@ from prepare.cage.component_cages import (
 )
 from prepare.cage.filling import DENSE, density_of, solid_cells
 from prepare.cage.level_set import contact_grid, level_sets, volume_of
-from prepare.cage.mesh_quality import smallest_angle, volumes
+from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.meshers import check_mesher
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.cleaning import clean, clean_pieces
@@ -74,7 +75,7 @@ def prepare(
     """
     begin = time.perf_counter()
     report = progress or (lambda stage, done: None)
-    properties = material_named(material or DEFAULT)
+    elastic = Material.named(material or DEFAULT_MATERIAL)
     check_count(vertices)
     check_mesher(mesher)
     metres(1.0, scale)
@@ -183,7 +184,7 @@ def prepare(
     for m in made if look else ():
         look(m)
     report("contact", 1.0)
-    return Asset(g, cage, embedded, grid, properties, provenance)
+    return Asset(g, cage, embedded, grid, elastic, provenance)
 
 
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
@@ -191,7 +192,7 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
 
     surface_points  centres of the opaque Gaussians (N, 3) [m]
     """
-    volume = volumes(cage.vertices, cage.tets)
+    volume = tet_volumes(cage.vertices, cage.tets)
     figures = {
         "vertices": len(cage.vertices),
         "tets": len(cage.tets),

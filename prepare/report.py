@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
+from core.tetmesh import face_components, tet_volumes
 from prepare.cage.containing_tet import Points
 from prepare.cage.isosurface import areas, distance_to_surface, marching_cubes, sampled, spread, volume_within
-from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
+from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
 from prepare.mesh_drawing import png_of
 from prepare.report_pictures import (
     Made,
@@ -62,7 +63,7 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
     to_gaussians = cKDTree(points).query(sampled(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)
     level, faces = surfaces_of(made)
-    volume = volumes(cage.vertices, cage.tets)
+    volume = tet_volumes(cage.vertices, cage.tets)
     longest = float(np.ptp(cage.vertices, axis=0).max())
     numbers = {
         "asset": {key: asset.provenance.get(key) for key in ("source", "made_by", "up", "size", "options", "counts")},
@@ -74,7 +75,7 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
             "triangles": len(cage.surface),
             "volume": float(volume.sum()),
             "smallest_tet": float(volume.min()),
-            "pieces": int(pieces(cage.tets).max()) + 1,
+            "pieces": int(face_components(cage.tets).max()) + 1,
             "non_manifold_vertices": len(non_manifold_vertices(cage.surface)),
             "euler_characteristic": euler_characteristic(cage.surface),
         },

@@ -8,7 +8,7 @@ import numpy as np
 
 from assets.asset import Asset
 from core.camera import Camera, look_at, perspective
-from prepare.cage.mesh_quality import boundary, pieces
+from core.tetmesh import boundary_surface, face_components
 from prepare.mesh_drawing import PAPER, Canvas, cubes
 
 WIDTH, HEIGHT = 560, 480  # [px]
@@ -113,12 +113,12 @@ def surface_picture(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> 
 def cage_picture(asset: Asset, camera: Camera) -> np.ndarray:
     """The cage cut open: tets in front of a plane are taken away; the cut in another colour than the surface."""
     x, tets = asset.cage.vertices.astype(np.float64), asset.cage.tets
-    middles, volumes, piece = x[tets].mean(1), asset.cage.volumes(), pieces(tets)
+    middles, volumes, piece = x[tets].mean(1), asset.cage.volumes(), face_components(tets)
     centres = np.stack([np.bincount(piece, volumes * m) for m in middles.T], 1) / np.bincount(piece, volumes)[:, None]
     kept = tets[behind(middles, camera, centres[piece])]
     canvas = Canvas(camera)
     if len(kept):
-        faces = boundary(kept)
+        faces = boundary_surface(kept)
         outer = set(map(tuple, np.sort(asset.cage.surface, axis=1).tolist()))
         skin = np.array([f in outer for f in map(tuple, np.sort(faces, axis=1).tolist())])
         canvas.polygons(x, faces, np.where(skin[:, None], SKIN, FLESH), lines=WIRE)

@@ -5,7 +5,7 @@ import taichi as ti
 
 from core.camera import Camera
 from core.errors import BadInput
-from core.fields import keeping_kernels
+from core.fields import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
 from render.blend import CPU_TILE, GPU_TILE, Blend
 from render.per_pixel_sort import WINDOW, PerPixelSort
@@ -52,7 +52,7 @@ class Rasterizer:
         if pairs > MOST_PAIRS:
             raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
         if self.stage is not None:
-            with keeping_kernels():
+            with keep_compiled_kernels():
                 self.stage.bins.destroy()
         capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         self.stage = TilePass(self.blend(TileBins(self.order, capacity), **self.wants), self.sink)

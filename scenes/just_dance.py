@@ -6,7 +6,7 @@ import numpy as np
 
 from assets.library import moves_by_itself
 from core.errors import BadInput
-from core.material import MOVING, Material
+from core.material import ANIMATED_MATERIAL, Material
 from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
 from scenes.sandbox import Sandbox, rings
 from scenes.scene import Body, BodyState, Light, Scene
@@ -43,7 +43,7 @@ class JustDance(Sandbox):
         assert np.isfinite(bodies[1].centroid).all() and bodies[0].low[1] > TABLE_TOP - 0.05
 
 
-def build(body: str = "dancer", material: str = MOVING) -> Scene:
+def build(body: str = "dancer", material: str = ANIMATED_MATERIAL) -> Scene:
     """`body` is an asset that moves by itself, `material` a name (see core/material.py). Raises BadInput."""
     height = moves_by_itself(body)
     if height is None:
@@ -53,7 +53,7 @@ def build(body: str = "dancer", material: str = MOVING) -> Scene:
         bodies=[
             Body("dining_room"),
             Body("bottle", position=BOTTLE),
-            Body(body, Material.moving(material, height), position=PLACE),
+            Body(body, Material.animated(material, height), position=PLACE),
             *rings(PLACE, height),
         ],
         colliders=room(),

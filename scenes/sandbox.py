@@ -82,7 +82,7 @@ class Sandbox:
 def build(body: str = "ring_red", material: str = "plush", stage: str | None = None) -> Scene:
     """`material` is a name (see core/material.py), `stage` an asset that `prepare --static` made."""
     height = moves_by_itself(body)
-    of = Material.named(material) if height is None else Material.moving(material, height)
+    of = Material.named(material) if height is None else Material.animated(material, height)
     if stage is not None:
         return on_stage(body, of, stage, height)
     start = START if height is None else (START[0], TABLE_TOP, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from core.errors import BadInput
 from core.fields import Download, Upload
 from core.material import Material
-from core.rotation import matrices_from_quaternions, quaternion_from_matrix
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from sim.body_model import BodyModel, motion
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Model
@@ -76,7 +76,7 @@ class Editing:
         if rotation is not None:
             q = np.asarray(rotation, np.float64)
             turn = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0] @ R.T
-        start = tuple(quaternion_from_matrix(turn @ R).tolist()), tuple(np.asarray(position, np.float64).tolist())
+        start = tuple(quaternions_from_matrices(turn @ R).tolist()), tuple(np.asarray(position, np.float64).tolist())
         copy = motion((x - origin) @ turn.T + np.asarray(position, np.float64), v @ turn.T)
         self._change([*self._parts, part.placed(*start)], [*self._motions(), copy], self._grips())
         return len(self._parts) - 1

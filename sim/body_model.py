@@ -8,11 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.material import Material
+from core.tetmesh import tet_volumes
 from sim.elastic.time_step import bearable, stiffness_bounds, wave_speed
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody, rest_volumes
+from sim.soft_body import SoftBody
 
 
 class RestShape:
@@ -66,7 +67,7 @@ class RestShape:
         root, factor = self.root, self.factor * factor
         if abs(factor - 1.0) < 1e-12:
             return root
-        sdf = None if root.sdf is None else scaled_grid(root.sdf, factor)
+        sdf = None if root.sdf is None else root.sdf.scaled(factor)
         kind = {"rigid": root.rigid, "boxed": root.boxed}
         return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
 
@@ -85,12 +86,12 @@ class RestShape:
     @cached_property
     def volumes(self) -> np.ndarray:
         """[m^3], (T,)"""
-        return rest_volumes(self.vertices, self.tets)
+        return tet_volumes(self.vertices, self.tets)
 
     @cached_property
     def share(self) -> np.ndarray:
         """Volume that each vertex stands for [m^3], (V,)."""
-        volumes = rest_volumes(self.vertices, self.solid)
+        volumes = tet_volumes(self.vertices, self.solid)
         return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
 
     @cached_property
@@ -185,11 +186,6 @@ def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
 
-
-def scaled_grid(grid: DistanceGrid, factor: float) -> DistanceGrid:
-    """The distance grid of a thing `factor` times as large."""
-    values = np.asarray(grid.values, np.float32) * np.float32(factor)
-    return DistanceGrid(values, np.asarray(grid.origin, np.float64) * factor, float(grid.spacing) * factor)
 
 
 def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:

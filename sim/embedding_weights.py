@@ -6,7 +6,7 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from core.errors import BadInput
-from core.point_location import Locator
+from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 
 LANES = 32  # Gaussians side by side in a slice: one warp reads 128 contiguous bytes at a time
@@ -44,7 +44,7 @@ def rest_covariances(gaussians: Gaussians) -> np.ndarray:
     return S[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
-def two_level(part: EmbeddedBody, rows: slice, locator: Locator | None):
+def two_level(part: EmbeddedBody, rows: slice, locator: TetLocator | None):
     """Vertices (n, 16), weights m (n, 16) and gradients g [1/m] (n, 16, 3) of the local tetrahedra."""
     vertex = part.tets[part.host[rows]]
     W = np.asarray(part.weights[rows], np.float64)
@@ -66,7 +66,7 @@ def two_level(part: EmbeddedBody, rows: slice, locator: Locator | None):
     return vertex.reshape(len(W), 16), m, g
 
 
-def one_level(part: EmbeddedBody, rows: slice, locator: Locator):
+def one_level(part: EmbeddedBody, rows: slice, locator: TetLocator):
     """The same of the single tet that holds the centre, or the nearest: (n, 4), (n, 4), (n, 4, 3)."""
     means = np.asarray(part.gaussians.means[rows], np.float64)
     host = locator.find(means)
@@ -78,7 +78,7 @@ def one_level(part: EmbeddedBody, rows: slice, locator: Locator):
 
 def merge(part: EmbeddedBody, collect) -> tuple[np.ndarray, ...]:
     """Sum up the entries of equal vertices: row (E,) ascending, vertex (E,), factors (E, 4) = (g, m)."""
-    locator = Locator(part.rest, part.tets) if collect is one_level else None
+    locator = TetLocator(part.rest, part.tets) if collect is one_level else None
     found = []
     for start in range(0, len(part.gaussians), CHUNK):
         vertex, m, g = collect(part, slice(start, start + CHUNK), locator)

@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from core.tetmesh import tet_volumes
 from scenes.scene import IDENTITY, Quat, Vec3
 
-STIFFEST = 1e12  # [Pa] diamond
 FLATTEST = 1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32
 
 
@@ -72,7 +72,7 @@ class SoftBody:
         loose = np.setdiff1d(np.arange(len(x)), tets)
         if len(loose):
             raise BadInput(f"{self.name}: vertex {loose[0]} ({len(loose)} in all) belongs to no tetrahedron")
-        volumes = rest_volumes(x, tets)
+        volumes = tet_volumes(x, tets)
         edges = x[tets][:, [0, 0, 0, 1, 1, 2]] - x[tets][:, [1, 2, 3, 2, 3, 3]]
         longest = np.sqrt((edges**2).sum(-1).max(1))
         flat = np.flatnonzero(volumes < FLATTEST * longest**3)
@@ -85,17 +85,11 @@ class SoftBody:
 
     def check_material(self) -> None:
         """Raise BadInput for a material that no body can have."""
-        m = self.material
-        if not (m.young > 0 and m.density > 0 and 0 <= m.poisson < 0.5 and m.damping >= 0 and m.friction >= 0):
-            raise BadInput(f"{self.name}: material out of range (young, density > 0; 0 <= poisson < 0.5): {m}")
-        if not 0 <= m.sliding_friction <= m.friction:
-            raise BadInput(f"{self.name}: kinetic friction must lie between 0 and the static one, {m.friction}: {m}")
-        if m.young > STIFFEST:
-            raise BadInput(f"{self.name}: young = {m.young:.3g} Pa is too stiff: at most {STIFFEST:.0e} Pa")
+        self.material.check(self.name)
 
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""
-        volumes = rest_volumes(self.vertices, self.tets)
+        volumes = tet_volumes(self.vertices, self.tets)
         share = np.repeat(self.material.density * volumes / 4, 4)
         return np.bincount(np.asarray(self.tets).ravel(), share, minlength=len(self.vertices))
 
@@ -103,9 +97,3 @@ class SoftBody:
         """Median edge length of the tets [m]."""
         x, tets = np.asarray(self.vertices, np.float64), np.asarray(self.tets)
         return float(np.median(np.linalg.norm(x[tets] - x[np.roll(tets, 1, axis=1)], axis=-1)))
-
-
-def rest_volumes(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Signed volumes [m^3], (T,) float64."""
-    corners = np.asarray(x, np.float64)[np.asarray(tets)]
-    return np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from assets.asset import Asset, DistanceGrid
+from assets.asset import Asset
 from assets.gltf_skin import Rig
+from core.distance_grid import DistanceGrid
 from prepare.rig.joint_names import SIDES
 from prepare.rig.landmarks import NAMES, Landmarks
 from prepare.rig.retargeting import BONES, PARENTS

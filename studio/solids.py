@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 
 Solid = Callable[[np.ndarray], np.ndarray]  # points (N, 3) -> signed distances (N,)
 

@@ -19,10 +19,10 @@ from time import perf_counter
 import numpy as np
 
 from bench import physics
-from bench.sample_meshes import boundary
 from core.material import Material
 from core.runtime import start_taichi
-from sim.soft_body import SoftBody, rest_volumes
+from core.tetmesh import boundary_surface, tet_volumes
+from sim.soft_body import SoftBody
 
 ROOT = Path(__file__).resolve().parents[2]
 BUNNY = ROOT.parent / "shared" / "data" / "tets" / "bunny_gaia.npz"
@@ -106,7 +106,7 @@ def by_us(c: Case) -> dict:
     """Positions [m], the fastest vertex's speed [m/s], seconds of running, and the solver's own account."""
     from sim.solver import Solver
 
-    body = SoftBody(c.name, c.vertices, c.tets, boundary(c.tets), c.material, pinned=c.pinned)
+    body = SoftBody(c.name, c.vertices, c.tets, boundary_surface(c.tets), c.material, pinned=c.pinned)
     solver = Solver([body], contacts=False, gravity=(0.0, -c.gravity, 0.0))
     solver.step(FRAME)  # compiles
     solver.reset()
@@ -140,9 +140,9 @@ def compare(c: Case, python: Path) -> None:
         print(f"{name:28}{f'{e:.6g}' if applies else '-':>12}{b:12.6g}{a:12.6g}{a / b - 1:20.3%}")
 
     line("tip displacement [m]", lambda x: np.linalg.norm((x - c.vertices)[c.tip].mean(0)))
-    rest = rest_volumes(c.vertices, c.tets).sum()
-    line("settled / rest volume", lambda x: rest_volumes(x, c.tets).sum() / rest)
-    inverted = [int((rest_volumes(r["positions"], c.tets) <= 0).sum()) for r in (theirs, ours)]
+    rest = tet_volumes(c.vertices, c.tets).sum()
+    line("settled / rest volume", lambda x: tet_volumes(x, c.tets).sum() / rest)
+    inverted = [int((tet_volumes(r["positions"], c.tets) <= 0).sum()) for r in (theirs, ours)]
     print(f"{'inverted tets':28}{'':12}{inverted[0]:12}{inverted[1]:12}")
     print(f"{'fastest vertex [m/s]':28}{'':12}{theirs['speed']:12.2g}{ours['speed']:12.2g}")
     print(f"{'run time [s]':28}{'':12}{theirs['seconds']:12.1f}{ours['seconds']:12.1f}", flush=True)

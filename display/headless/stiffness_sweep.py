@@ -15,7 +15,7 @@ import numpy as np
 from assets.asset import Asset
 from assets.library import find_asset
 from core.errors import BadInput
-from core.material import DEFAULT, Material, material_named
+from core.material import DEFAULT_MATERIAL, Material
 from display.headless.picture_strip import PANEL, strip
 from display.headless.test_floor import framing, studio
 from display.headless.video import claim
@@ -59,13 +59,13 @@ def run(args) -> None:
     out = args.out or Path(f"{path.stem}_tune.png")
     for file in filter(None, (out, args.json)):
         claim(file, file.with_name(f".{file.name}.part"))
-    properties = material_named(args.material) if args.material else asset.material or material_named(DEFAULT)
+    material = Material.named(args.material) if args.material else asset.material or Material.named(DEFAULT_MATERIAL)
     height = np.ptp(asset.cage.vertices[:, 1])
     drop = args.height or float(max(0.1, 0.5 * height))
     drops = []
     print(f"{path.stem}, {100 * height:.1f} cm high, dropped from {drop:.2f} m")
     print(f"{'young [Pa]':>10} {'compression':>12} {'rebound':>10} {'settled':>9} {'substeps':>9} {'dt [s]':>10}  path")
-    for d in drop_each(path, asset.cage.vertices, Material(**properties), youngs, drop):
+    for d in drop_each(path, asset.cage.vertices, material, youngs, drop):
         notes = ["" if d.at_rest else "still moving", "" if d.finite else "not finite"]
         print(
             f"{d.young:10.3g} {d.compression:12.1%} {100 * d.rebound:7.1f} cm {d.settled:9.1%} {d.substeps:9d}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.rotation import matrices_from_quaternions, quaternion_from_matrix
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from display.xr.actions import Controller
 
 SPEED, TURNING = 2.0, 2 * np.pi  # [m/s], [rad/s] of a hand that is led
@@ -46,7 +46,7 @@ def way(a: np.ndarray, b: np.ndarray) -> float:
 
 def towards(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
     """The pose (4, 4) at a share of the way from a to b."""
-    p, q = quaternion_from_matrix(a[:3, :3]), quaternion_from_matrix(b[:3, :3])
+    p, q = quaternions_from_matrices(a[:3, :3]), quaternions_from_matrices(b[:3, :3])
     q = (1 - share) * p + share * (q if p @ q >= 0 else -q)
     m = b.copy()
     m[:3, :3] = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]

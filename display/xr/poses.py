@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.camera import Camera
-from core.rotation import matrices_from_quaternions, quaternion_from_matrix
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 
 ARM, STEP = 0.6, 0.25  # [m] that a hand reaches over a table; to go ahead at most: a table may stand there
 VIEW_TO_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenXR looks along -z with y up, cameras along +z with y down
@@ -78,4 +78,4 @@ class Standpoint:
 
 def position_rotation(m: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Position and wxyz quaternion of a (4, 4) rigid matrix, as `Hand` takes them."""
-    return tuple(m[:3, 3].tolist()), tuple(quaternion_from_matrix(m[:3, :3]).tolist())
+    return tuple(m[:3, 3].tolist()), tuple(quaternions_from_matrices(m[:3, :3]).tolist())

@@ -9,10 +9,11 @@ import numpy as np
 
 from assets.asset import Cage
 from core.errors import BadInput
-from core.point_location import Locator
+from core.point_location import TetLocator
+from core.tetmesh import tet_volumes
 from prepare.cage.containing_tet import Points
 from prepare.cage.level_set import volume_of
-from prepare.cage.mesh_quality import smallest_angle, volumes
+from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.quality_descent import Descent
 from prepare.cage.relaxation import STEPS, relax
 from prepare.cage.sizing_field import FINENESS, Shape, lattice_of, levels_of
@@ -179,7 +180,7 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
     """The cage relaxed and made large enough to hold the points, and what is wrong with it ("": nothing)."""
     whole = filled if exact else volume_of(found.phi)
     cage, steps = found.cage, STEPS
-    if not (volumes(cage.vertices, cage.tets) > 0).all():
+    if not (tet_volumes(cage.vertices, cage.tets) > 0).all():
         return cage, fault(cage, filled, 0.0, vertices, exact)
     lift, held, place = None, Points(points), (found.phi, np.zeros(3), 1.0)
     descent = Descent(cage.tets, len(cage.vertices), *place)
@@ -196,12 +197,12 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
 
 def lifted(cage: Cage, outside: np.ndarray) -> np.ndarray:
     """How far out each vertex (V,) should go to take in the points (N, 3) that lie outside."""
-    locator = Locator(cage.vertices, cage.tets)
+    locator = TetLocator(cage.vertices, cage.tets)
     host, foot = locator.nearest(outside)
-    depth = np.linalg.norm(outside - foot, axis=1) + locator.size(host, foot) * BESIDE
+    depth = np.linalg.norm(outside - foot, axis=1) + locator.edge_length(host, foot) * BESIDE
     lift = np.zeros(len(cage.vertices))
     np.maximum.at(lift, cage.tets[host].ravel(), np.repeat(depth, 4))
-    return np.minimum(lift, 0.2 * locator.size(host, foot).max(initial=0.0))
+    return np.minimum(lift, 0.2 * locator.edge_length(host, foot).max(initial=0.0))
 
 
 def fault(cage: Cage, filled: float, share: float, vertices: int, exact: bool | None = None) -> str:
@@ -209,7 +210,7 @@ def fault(cage: Cage, filled: float, share: float, vertices: int, exact: bool | 
     exact = vertices >= EXACT if exact is None else exact
     if abs(len(cage.vertices) - vertices) > TOLERANCE * vertices:
         return f"the cage has {len(cage.vertices)} vertices, {vertices} were asked for"
-    volume = volumes(cage.vertices, cage.tets)
+    volume = tet_volumes(cage.vertices, cage.tets)
     if not (volume > 0).all():
         return f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume"
     angle = smallest_angle(cage.vertices, cage.tets)

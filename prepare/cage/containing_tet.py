@@ -6,7 +6,7 @@ The points are sorted into a grid once; then tets look for their points, which n
 import numpy as np
 import taichi as ti
 
-from core.point_location import INSIDE
+from core.point_location import WEIGHT_MIN
 
 CELLS = 64  # of the grid on the longest side: a few points in each cell of a surface
 NOWHERE = 2**31 - 1
@@ -36,7 +36,7 @@ class Points:
         self.begin.from_numpy(begin.astype(np.int32))
 
     def hosts(self, vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-        """Index (N,) of the first tet that holds each point, or -1 where none does: as Locator.find."""
+        """Index (N,) of the first tet that holds each point, or -1 where none does: as TetLocator.find."""
         found = np.full(self.count, -1, np.int32)
         if self.count:
             x, t = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(tets, np.int32)
@@ -82,5 +82,5 @@ def _hold(
                     for p in range(begin[row + first[2]], begin[row + last[2] + 1]):
                         d = vec3(points[p, 0], points[p, 1], points[p, 2]) - corner[0]
                         u, v, w = ga.dot(d) / six, gb.dot(d) / six, gc.dot(d) / six
-                        if ti.min(ti.min(u, v), ti.min(w, 1.0 - u - v - w)) >= INSIDE:
+                        if ti.min(ti.min(u, v), ti.min(w, 1.0 - u - v - w)) >= WEIGHT_MIN:
                             ti.atomic_min(host[p], t)

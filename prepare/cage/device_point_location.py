@@ -3,36 +3,36 @@
 import numpy as np
 import taichi as ti
 
-from core.point_location import INSIDE, Locator
+from core.point_location import WEIGHT_MIN, TetLocator
 
 vec3, vec4 = ti.types.vector(3, ti.f64), ti.types.vector(4, ti.f64)
 reals, indices = ti.types.ndarray(ti.f64), ti.types.ndarray(ti.i32)
 
 
 class Search:
-    """The tables of a Locator on the device.
+    """The tables of a TetLocator on the device.
 
     tet (T, 4) i32; first (T, 3) [m] and gradient (T, 9) [1/m] of its weights 1 to 3; edge (V,) [m]; cells of `cell` [m]
     from `origin`: tet_of[tet_begin[c] : tet_begin[c + 1]], and of the boundary samples (B, 3) [m] the same.
     """
 
-    def __init__(self, cage: Locator):
+    def __init__(self, cage: TetLocator):
         sample, owner = cage.boundary_samples()
-        index = np.floor((sample - cage.origin) / cage.cell).astype(np.int64).clip(0, np.array(cage.shape) - 1)
-        flat = np.ravel_multi_index(index.T, cage.shape)
+        index = np.floor((sample - cage.origin) / cage.cell_size).astype(np.int64).clip(0, np.array(cage.grid_shape) - 1)
+        flat = np.ravel_multi_index(index.T, cage.grid_shape)
         order = np.sort(flat * len(flat) + np.arange(len(flat))) % len(
             flat
         )  # a stable argsort takes four times as long
-        cells = int(np.prod(cage.shape))
+        cells = int(np.prod(cage.grid_shape))
         begin = np.concatenate([[0], np.bincount(flat, minlength=cells).cumsum()])
         # all as arguments: what a kernel captures is compiled in, and Python's floats as float32
-        self.grid = vec3(*map(float, cage.origin)), float(cage.cell), ti.Vector(list(map(int, cage.shape)))
-        first, gradient = real(cage.first), real(cage.slopes.reshape(-1, 9))
+        self.grid = vec3(*map(float, cage.origin)), float(cage.cell_size), ti.Vector(list(map(int, cage.grid_shape)))
+        first, gradient = real(cage.first_vertex), real(cage.weight_gradients.reshape(-1, 9))
         self.tables = (
             whole(cage.tets),
             first,
             gradient,
-            real(cage.edge),
+            real(cage.vertex_edge),
             *lists(cage, first, gradient, self.grid),
             real(sample[order]),
             whole(owner[order]),
@@ -40,10 +40,10 @@ class Search:
         )
 
 
-def lists(cage: Locator, first: ti.Ndarray, gradient: ti.Ndarray, grid: tuple) -> tuple[ti.Ndarray, ti.Ndarray]:
-    """`start` and `candidates` of a Locator, made on the device."""
-    boxes = whole(cage.begin), whole(cage.extent)
-    used, begin, of = whole(np.zeros(int(np.prod(cage.shape)))), whole(np.zeros(1)), whole(np.zeros(1))
+def lists(cage: TetLocator, first: ti.Ndarray, gradient: ti.Ndarray, grid: tuple) -> tuple[ti.Ndarray, ti.Ndarray]:
+    """`cell_start` and `candidates` of a TetLocator, made on the device."""
+    boxes = whole(cage.box_begin), whole(cage.box_extent)
+    used, begin, of = whole(np.zeros(int(np.prod(cage.grid_shape)))), whole(np.zeros(1)), whole(np.zeros(1))
     _list(first, gradient, *boxes, *grid, 0, begin, used, of)
     ends = used.to_numpy().cumsum()
     begin, of = whole(np.concatenate([[0], ends])), ti.ndarray(ti.i32, max(int(ends[-1]), 1))
@@ -75,7 +75,7 @@ def _list(
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
         most = at + (ti.abs(x) + ti.abs(y) + ti.abs(z)) * size / 2
         for i, j, k in ti.ndrange(extent[t, 0], extent[t, 1], extent[t, 2]):
-            if (most + size * (i * x + j * y + k * z)).min() >= INSIDE:
+            if (most + size * (i * x + j * y + k * z)).min() >= WEIGHT_MIN:
                 cell = ((low[0] + i) * shape[1] + low[1] + j) * shape[2] + low[2] + k
                 slot = ti.atomic_add(used[cell], 1)
                 if store:
@@ -125,7 +125,7 @@ def find(
         cell = (i[0] * shape[1] + i[1]) * shape[2] + i[2]
         at, end = begin[cell], begin[cell + 1]
         while at < end:
-            if weights_of(first, gradient, of[at], p).min() >= INSIDE:
+            if weights_of(first, gradient, of[at], p).min() >= WEIGHT_MIN:
                 found = of[at]
                 at = end
             at += 1

@@ -1,7 +1,7 @@
 """Host tets and weights of the local tetrahedra's corners, on the device: what prepare/cage/embedding_hosts_reference.py says, Gaussian by
 Gaussian.
 
-Both use the grid and the boundary samples of `core.point_location.Locator` and compute in float64, so they agree but where
+Both use the grid and the boundary samples of `core.point_location.TetLocator` and compute in float64, so they agree but where
 two tets, or two samples, are equally good.
 """
 
@@ -9,7 +9,7 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import Embedded
-from core.point_location import Locator
+from core.point_location import TetLocator
 from prepare.cage.device_point_location import Search, find, indices, nearest, reals, slopes, vec3, weights_of
 from prepare.cage.embedding_hosts_reference import FURTHEST, LONGEST
 
@@ -31,7 +31,7 @@ def embed_on_device(
     n = len(means)
     host, weights = np.zeros((n, 4), np.int32), np.zeros((n, 4, 4), np.float32)
     if n:
-        search = Search(Locator(vertices, tets))
+        search = Search(TetLocator(vertices, tets))
         for i in range(0, n, CHUNK):
             part = slice(i, min(i + CHUNK, n))
             f64 = (np.ascontiguousarray(a[part], np.float64) for a in (means, quats, scales))

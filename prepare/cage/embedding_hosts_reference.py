@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from assets.asset import Embedded
-from core.point_location import Locator
+from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 
 CORNERS = np.sqrt(3.0) * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])  # round the unit sphere
@@ -43,7 +43,7 @@ def embed(
     proportion to its size. k = 1/3 puts the corners of a large Gaussian at one sigma; k = 1 is 2.5 times rougher.
     The corners of a small Gaussian on the surface leave the cage by at most 0.45 h: less than the usual dilation.
     """
-    cage = Locator(vertices, tets)
+    cage = TetLocator(vertices, tets)
     parts = [
         _embed_chunk(cage, *(np.asarray(a[i : i + CHUNK], np.float64) for a in (means, quats, scales)), k, floor)
         for i in range(0, len(means), CHUNK)
@@ -53,10 +53,10 @@ def embed(
     return Embedded(host.astype(np.int32), weights.astype(np.float32))
 
 
-def _embed_chunk(cage: Locator, means, quats, scales, k: float, floor: float):
+def _embed_chunk(cage: TetLocator, means, quats, scales, k: float, floor: float):
     home, centre, depth = _bring_home(cage, means)
     R = matrices_from_quaternions(quats)
-    h = cage.size(home, centre)[:, None]
+    h = cage.edge_length(home, centre)[:, None]
     half = np.sqrt(np.minimum(k * scales, LONGEST * h) ** 2 + (floor * h) ** 2)
     shape = CORNERS @ ((R * half[:, None]) @ np.moveaxis(R, 1, 2))  # relative to the centre, (n, 4, 3)
     host = np.repeat(home[:, None], 4, 1)
@@ -77,7 +77,7 @@ def _embed_chunk(cage: Locator, means, quats, scales, k: float, floor: float):
     return host, weights
 
 
-def _bring_home(cage: Locator, means: np.ndarray):
+def _bring_home(cage: TetLocator, means: np.ndarray):
     """Tet of each centre (or the nearest), the centre pulled towards the cage as far as FURTHEST asks, and its
     distance [m] from the cage, 0 inside."""
     home = cage.find(means)
@@ -94,7 +94,7 @@ def _bring_home(cage: Locator, means: np.ndarray):
     return home, centre, depth
 
 
-def _host_corners(cage: Locator, home, centre, depth, shape):
+def _host_corners(cage: TetLocator, home, centre, depth, shape):
     """Host (n, 4) and weights (n, 4, 4) of the corners centre + shape."""
     corner = (centre[:, None] + shape).reshape(-1, 3)
     host = cage.find(corner)

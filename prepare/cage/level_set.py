@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, label, map_coordinates
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cage.distance_transform import distance
 from prepare.cage.morphology import within_two

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from assets.asset import Cage
-from prepare.cage.mesh_quality import smallest_angle, volumes
+from core.tetmesh import tet_volumes
+from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.quality_descent import Descent
 from prepare.cage.sliver_removal import polish
 
@@ -42,7 +43,7 @@ class Surface:
 
 def sizes(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Width (V,) of the lattice's cells round each vertex, told from its tets: a BCC tet is a twelfth of a cell."""
-    width = np.cbrt(12 * volumes(x, tets).clip(0))
+    width = np.cbrt(12 * tet_volumes(x, tets).clip(0))
     count = np.bincount(tets.ravel(), minlength=len(x))
     return np.bincount(tets.ravel(), np.repeat(width, 4), len(x)) / np.maximum(count, 1)
 
@@ -81,7 +82,7 @@ def relax(
         x, level = _moved(x, cage, surface, outer, level, lift[outer])
     if volume is not None:
         x, level = _grown(x, cage, surface, outer, level, volume, size)
-    small = 4 * np.quantile(volumes(x, tets), SMALL)  # where cells differ in size, the smallest have the largest kappa
+    small = 4 * np.quantile(tet_volumes(x, tets), SMALL)  # where cells differ in size, the smallest have the largest kappa
     descent = descent or Descent(tets, len(x), surface.values, surface.origin, spacing)
     start, x = x, descent.run(x, outer, level, size[:, 0], small, steps)
     if smallest_angle(x, tets) < min(ANGLE, smallest_angle(start, tets)):
@@ -95,7 +96,7 @@ def relax(
 def _grown(x: np.ndarray, cage: Cage, surface: Surface, outer, level, volume: float, size: np.ndarray):
     """x with its surface moved along the normals so that the volume is right, and the new level (M,)."""
     for _ in range(2):
-        missing = (volume - volumes(x, cage.tets).sum()) / area(x, cage.surface)
+        missing = (volume - tet_volumes(x, cage.tets).sum()) / area(x, cage.surface)
         shift = np.clip(missing, -FURTHEST * size[outer, 0], FURTHEST * size[outer, 0])
         x, level = _moved(x, cage, surface, outer, level, shift)
     return x, level
@@ -106,7 +107,7 @@ def _moved(x: np.ndarray, cage: Cage, surface: Surface, outer, level, shift: np.
     for _ in range(6):
         moved = x.copy()
         moved[outer] = surface.back(moved[outer], level + shift)
-        if volumes(moved, cage.tets).min() > 0:
+        if tet_volumes(moved, cage.tets).min() > 0:
             return moved, level + shift
         shift = shift / 2
     return x, level

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.tetmesh import OUTWARD
+from core.tetmesh import TET_FACES
 
 GOAL = 14.0  # [degrees] tets with smaller angles are worked on
 ROUNDS = 8
@@ -21,7 +21,7 @@ _I, _J = np.triu_indices(4, 1)
 
 def smallest(corners: np.ndarray) -> np.ndarray:
     """Smallest dihedral angle [degrees] (...) of tets with corners (..., 4, 3); -1 where one is inverted."""
-    face = corners[..., OUTWARD, :]
+    face = corners[..., TET_FACES, :]
     normal = np.cross(face[..., 1, :] - face[..., 0, :], face[..., 2, :] - face[..., 0, :])
     volume = -np.einsum("...i,...i", corners[..., 0, :] - corners[..., 1, :], normal[..., 0, :])
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-300)

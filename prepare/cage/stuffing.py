@@ -12,8 +12,9 @@ from scipy.ndimage import map_coordinates
 
 from assets.asset import Cage
 from core.errors import BadInput
+from core.tetmesh import boundary_surface, face_components, tet_volumes
 from prepare.cage.graded_lattice import LATTICE_MAX, Lattice, graded_lattice
-from prepare.cage.mesh_quality import boundary, non_manifold_vertices, pieces, volumes
+from prepare.cage.mesh_quality import non_manifold_vertices
 from prepare.cage.stencils import INSIDE, OUTSIDE, ZERO, cut_tets
 
 # A cut within this share of an edge pulls the edge's end onto the surface (Labelle and Shewchuk, Table 1).
@@ -124,21 +125,21 @@ def stuff_lattice(lattice: Lattice, start, unit: float, values, origin, spacing:
         position = np.where((sign == ZERO)[:, None], warped, at_rest)
         points = np.concatenate([position, position[inside] + share[:, None] * (position[outside] - position[inside])])
         cage = cut_tets(tets, sign, at, rank, cuts, points)
-        unmoved = volumes(np.concatenate([at_rest, middle]), cage)  # so that an inversion stays visible
+        unmoved = tet_volumes(np.concatenate([at_rest, middle]), cage)  # so that an inversion stays visible
         flipped = unmoved < 0
         cage[flipped] = cage[flipped][:, [0, 1, 3, 2]]
         # Beside smaller cells a move may flatten a tet: whoever moved there goes back, too.
-        flat = np.unique(cage[volumes(points, cage) < FLAT * np.abs(unmoved)])
+        flat = np.unique(cage[tet_volumes(points, cage) < FLAT * np.abs(unmoved)])
         flat = flat[flat < len(phi)]
         flat = flat[sign[flat] == ZERO]
         if len(flat):
             sign[flat] = np.where(phi[flat] < 0, INSIDE, OUTSIDE)
             continue
         if whole and len(cage):
-            cage = cage[pieces(cage) == 0]
+            cage = cage[face_components(cage) == 0]
         if not len(cage):
             raise BadInput(f"cage: the shape is thinner than a lattice of {lattice.size.max() * unit:.3g} m")
-        surface = boundary(cage)
+        surface = boundary_surface(cage)
         pinched = non_manifold_vertices(surface)
         if not len(pinched):
             break

@@ -19,10 +19,11 @@ import numpy as np
 
 from assets.asset import Cage
 from core.errors import BadInput
+from core.tetmesh import boundary_surface, face_components, tet_volumes
 from prepare.cage.cage import EXACT, Stuffed, check_count, fault, fitted, share_inside
 from prepare.cage.isosurface import areas, marching_cubes
 from prepare.cage.level_set import volume_of
-from prepare.cage.mesh_quality import boundary, non_manifold_vertices, pieces, volumes
+from prepare.cage.mesh_quality import non_manifold_vertices
 
 WORKER = Path(__file__).with_name("tetgen_worker.py")
 PYTHON = "VRGS_TETGEN_PYTHON"  # names the interpreter that has tetgen
@@ -113,12 +114,12 @@ def sound(vertices: np.ndarray, tets: np.ndarray) -> Cage:
     used, tets = np.unique(tets, return_inverse=True)
     vertices = vertices[used].astype(np.float32)
     tets = tets.reshape(-1, 4).astype(np.int32)
-    turned = volumes(vertices, tets) < 0
+    turned = tet_volumes(vertices, tets) < 0
     tets[turned] = tets[turned][:, [0, 2, 1, 3]]
-    if not (volumes(vertices, tets) > 0).all():
+    if not (tet_volumes(vertices, tets) > 0).all():
         raise NoMesh("TetGen returned tets without volume")
-    surface = boundary(tets)
-    if len(non_manifold_vertices(surface)) or pieces(tets).max() > 0:
+    surface = boundary_surface(tets)
+    if len(non_manifold_vertices(surface)) or face_components(tets).max() > 0:
         raise NoMesh("TetGen's mesh is not one closed manifold")
     return Cage(vertices, tets, surface)
 

@@ -13,22 +13,18 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from assets.asset import Cage
-from core.tetmesh import faces_of, keys_of
+from core.tetmesh import shared_face_pairs, tet_faces
 
 ROUNDS = 20  # in which what was cut off is given to its neighbours; each one ends some pieces
 
 
 def facing(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inner faces: the two tets of each (n, 2) and its vertices (n, 3); and the boundary's triangles, outward."""
-    faces = faces_of(tets)
-    key = keys_of(faces)
-    order = np.argsort(key)
-    same = key[order[1:]] == key[order[:-1]]
-    pair = np.sort([order[:-1][same], order[1:][same]], axis=0)
-    first, second = pair[:, np.argsort(pair[0])]
+    faces = tet_faces(tets)
+    pairs = shared_face_pairs(tets)
     alone = np.ones(len(faces), bool)
-    alone[first] = alone[second] = False
-    return np.stack([first // 4, second // 4], 1), faces[first], faces[alone]
+    alone[pairs] = False
+    return pairs // 4, faces[pairs[:, 0]], faces[alone]
 
 
 def cut(cage: Cage, label: np.ndarray, joined: Callable) -> tuple[Cage, np.ndarray, np.ndarray]:

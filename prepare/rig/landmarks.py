@@ -12,7 +12,8 @@ from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from assets.asset import Asset, DistanceGrid
+from assets.asset import Asset
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
 LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  # hand, foot: their tips

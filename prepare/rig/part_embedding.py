@@ -7,7 +7,7 @@ from scipy.sparse import coo_matrix, eye
 
 from assets.asset import Cage, Embedded
 from assets.gaussians import Gaussians
-from core.point_location import Locator
+from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts_reference import CORNERS, FURTHEST
 from prepare.rig.body_parts import Parts
@@ -25,7 +25,7 @@ def within(embedded: Embedded, means: np.ndarray, cage: Cage, parts: Parts) -> t
     Tets are coarse: a Gaussian may lie in one of another part, or outside of all. Then its local tetrahedron stands
     where its own part is nearest, and carries it from there.
     """
-    where = Locator(cage.vertices, cage.tets)
+    where = TetLocator(cage.vertices, cage.tets)
     home = where.find(means)
     out = np.flatnonzero(home < 0)
     if len(out):
@@ -33,7 +33,7 @@ def within(embedded: Embedded, means: np.ndarray, cage: Cage, parts: Parts) -> t
     label, wanted = parts.tets, parts.gaussians
     astray = (label[home] != wanted) & ~parts.joined(label[home], wanted, means)
     moved = np.flatnonzero(astray | across_cut(embedded, home, cage, label))
-    edge = where.size(home, means)
+    edge = where.edge_length(home, means)
     return hung(embedded, moved, np.ones(len(label), bool), means, edge, cage, parts)
 
 
@@ -56,7 +56,7 @@ def hung(
         mine, own = which[parts.gaussians[which] == j], np.flatnonzero(tets & (parts.tets == j))
         if not len(own):
             continue
-        part = Locator(cage.vertices, cage.tets[own])
+        part = TetLocator(cage.vertices, cage.tets[own])
         foot, tet = means[mine].copy(), part.find(means[mine])
         off = np.flatnonzero(tet < 0)
         if len(off):
@@ -97,7 +97,7 @@ def calmed(embedded: Embedded, g: Gaussians, cage: Cage, parts: Parts, shapes: n
     return hung(embedded, wild, calm, means, edge, cage, parts)
 
 
-def stood(part: Locator, foot: np.ndarray, tet: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stood(part: TetLocator, foot: np.ndarray, tet: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Local tetrahedra of these half axes (n,) [m] about points (n, 3) in or on the tets (n,) of a part: the hosts of
     their corners (n, 4), and the weights there (n, 4, 4)."""
     corner = (foot[:, None] + half[:, None, None] * CORNERS).reshape(-1, 3)

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets.asset import Asset, DistanceGrid
+from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.gltf_skin import read_mesh, read_rig
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.material import MOVING
+from core.material import ANIMATED_MATERIAL
 
 WORST = 5  # landmarks that are named at most
 
@@ -26,7 +27,7 @@ class Mover:
     gaussians: Gaussians | None
     up: str | None
     move: Callable[[Asset, DistanceGrid], Asset]
-    material: str = MOVING
+    material: str = ANIMATED_MATERIAL
 
 
 def mover(path: Path, rig: str | Path | None, landmarks: str | Path | None) -> Mover | None:

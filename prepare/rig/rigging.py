@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from assets.animation import Animation, Local, looped, skin, world_of
-from assets.asset import Asset, Cage, DistanceGrid
+from assets.asset import Asset, Cage
 from assets.gltf_skin import Rig
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cage.embedding_hosts_reference import embed
 from prepare.rig.body_parts import Parts, meets, parted, shortened

@@ -15,7 +15,7 @@ from assets.gaussians import Gaussians
 from assets.gltf_skin import Mesh, Rig, decoded, encoded
 from assets.up_axis import rotation_to_up
 from core.errors import BadInput
-from core.point_location import Locator
+from core.point_location import TetLocator
 from core.spherical_harmonics import C0
 from prepare.rig.body_parts import Parts
 from prepare.rig.cage_cut import cut
@@ -148,7 +148,7 @@ def walk(asset: Asset, mesh: Mesh, rig: Rig, at: Samples) -> Asset:
 
 def carried(cage, points: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Weights (V, J) of cage vertices from those (N, J) of points (N, 3) inside it, spread through the cage alone."""
-    where = Locator(cage.vertices, cage.tets)
+    where = TetLocator(cage.vertices, cage.tets)
     host = where.find(points)
     inside = host >= 0
     if not inside.any():

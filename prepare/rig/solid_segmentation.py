@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from prepare.rig.landmarks import to_segment
 
 EXCESS = 1.6  # radii: a person's flesh, boots and jackets lie within, but for patches

@@ -6,7 +6,7 @@ import numpy as np
 import taichi as ti
 from scipy.spatial import cKDTree
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.fields import Upload, round_up_capacity
 from scenes.scene import Capsule
 from sim.body_model import BodyModel, RestShape

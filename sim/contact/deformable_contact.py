@@ -11,10 +11,10 @@ and the contact acts on the sample with its weights, and on the tet's corners wi
 import numpy as np
 import taichi as ti
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.fields import Upload
 from scenes.scene import Capsule
-from sim.body_model import RestShape, scaled_grid
+from sim.body_model import RestShape
 from sim.contact.broad_phase import BodyBounds
 from sim.contact.capsule_samples import CapsuleSamples
 from sim.contact.constraints import ContactConstraints
@@ -190,7 +190,7 @@ def grid_of(shape: RestShape) -> DistanceGrid:
     if shape.sdf is not None:
         return shape.sdf
     if shape.root is not shape:
-        return scaled_grid(shape.root.once(grid_of), shape.factor)
+        return shape.root.once(grid_of).scaled(shape.factor)
     return rest_grid(shape.vertices, shape.solid, shape.surface)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import taichi as ti
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.fields import Upload, round_up_capacity
 from sim.body_model import same_grid
 from sim.model import Capacity, fit

@@ -4,7 +4,7 @@ import numpy as np
 import taichi as ti
 from scipy.ndimage import distance_transform_edt
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 
 PADDING = 4  # nodes around the cage's box: contact begins outside
 BAND = 3.5  # [nodes] around the surface with exact distances; further away only the sign and the trend matter

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from assets.asset import DistanceGrid
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3

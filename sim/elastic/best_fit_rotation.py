@@ -2,7 +2,7 @@
 
 import taichi as ti
 
-from core.quaternion import matrix, polar_quaternion
+from core.quaternion import polar_quaternion, to_matrix
 from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES
 from sim.state import State
@@ -55,7 +55,7 @@ class BestFitRotation:
                                 total[k, l] += self.sums[j, 3 * k + l]
                             p[k] += self.sums[j, 9 + k]
                             q[k] += self.sums[j, 12 + k]
-                    self.turn[b] = matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
+                    self.turn[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
 
         return rotations
 

@@ -16,7 +16,7 @@ import taichi as ti
 from core import quaternion
 from core.errors import BadInput
 from core.fields import Upload
-from core.rotation import matrices_from_quaternions, quaternion_from_matrix
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from sim.body_model import BodyModel
 from sim.contact.constraints import LENGTH, SHARE
 from sim.hands.grasp_state import Grips
@@ -104,7 +104,7 @@ class RigidBodies:
             R = best_rotation((m * r).T @ (np.asarray(body.vertices, np.float64) - center))
             lumped = (m * (r**2)).sum() * np.eye(3) - (m * r).T @ r
             omega = np.linalg.lstsq(lumped, (m * np.cross(r, v[mine] - speed)).sum(0), rcond=1e-9)[0]
-            for value, precise in ((values[0], at), (values[2], speed), (values[4], quaternion_from_matrix(R))):
+            for value, precise in ((values[0], at), (values[2], speed), (values[4], quaternions_from_matrices(R))):
                 value[b] = precise
             values[6][b] = 0.0 if body.kinematic else R @ inertia @ R.T @ omega
         for k in (0, 2, 4):
@@ -177,7 +177,7 @@ class RigidBodies:
                     if table[b, 0] != 0.0:
                         self.way[b] = ti.Vector([table[b, 1], table[b, 2], table[b, 3]]) - self.origin[b]
                         target = ti.Vector([table[b, 4], table[b, 5], table[b, 6], table[b, 7]])
-                        self.swing[b] = quaternion.turn_between(target, self.q[b])
+                        self.swing[b] = quaternion.rotation_vector_between(target, self.q[b])
                     whole = s.dt[None] * ti.cast(s.substeps[None], ti.f32)
                     self.v[b], self.omega[b] = self.way[b] / whole, self.swing[b] / whole
                     self.v_carry[b], self.carry[b] = 0.0, 0.0

@@ -59,7 +59,7 @@ class RigidGrasp:
         self.body[h], self.force[h] = b, 0.0
         if b >= 0:
             back = quaternion.conjugate(self.hands.rotation[h, 0])
-            self.place[h] = quaternion.matrix(back) @ (m.x[b] - self.hands.position[h, 0])
+            self.place[h] = quaternion.to_matrix(back) @ (m.x[b] - self.hands.position[h, 0])
             self.attitude[h] = quaternion.multiply(back, m.q[b])
 
     @ti.func
@@ -68,7 +68,7 @@ class RigidGrasp:
         a, b = self.hands.rotation[h, 0], self.hands.rotation[h, 1]
         q = ti.math.mix(a, b if a.dot(b) >= 0.0 else -b, f).normalized()
         p = ti.math.mix(self.hands.position[h, 0], self.hands.position[h, 1], f)
-        return p + quaternion.matrix(q) @ self.place[h], quaternion.multiply(q, self.attitude[h])
+        return p + quaternion.to_matrix(q) @ self.place[h], quaternion.multiply(q, self.attitude[h])
 
     @ti.func
     def pull(self, b):
@@ -93,8 +93,8 @@ class RigidGrasp:
         d, t = m.dx[b], m.turn[b]
         a = soft * (kappa * (p - m.x[b] - d) + gamma * (p - p_before + m.carry[b] - d))
         a *= ti.min(1.0, FORCE * m.w[b] * dt * dt / ti.max(a.norm(), 1e-20))
-        twist = quaternion.turn_between(q, m.q[b]) - t
-        alpha = soft * (kappa * twist + gamma * (quaternion.turn_between(q, q_before) - t))
+        twist = quaternion.rotation_vector_between(q, m.q[b]) - t
+        alpha = soft * (kappa * twist + gamma * (quaternion.rotation_vector_between(q, q_before) - t))
         R = m.R[b]
         torque = R @ (m.inertia[b] @ (R.transpose() @ alpha)) / (dt * dt)
         alpha *= ti.min(1.0, TORQUE / ti.max(torque.norm(), 1e-20))

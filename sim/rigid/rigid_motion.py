@@ -12,7 +12,7 @@ FASTEST = 0.5  # [rad] a substep; beyond, the attitude's increments mean nothing
 @ti.func
 def refresh(m: ti.template(), b):
     """What follows from attitude and momentum."""
-    R = quaternion.matrix(m.q[b].normalized())
+    R = quaternion.to_matrix(m.q[b].normalized())
     m.R[b] = R
     m.world[b] = R @ m.inverse_inertia[b] @ R.transpose()
     if m.kind[b] == FREE:
@@ -26,8 +26,8 @@ def predict(m: ti.template(), b):
     dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
     if m.kind[b] == FREE:
         d = dt * (m.v[b] + (m.v_carry[b] + dt * s.gravity[None])) + m.carry[b]
-        half = (m.q[b] + quaternion.gain(0.5 * dt * m.omega[b], m.q[b])).normalized()
-        R = quaternion.matrix(half)
+        half = (m.q[b] + quaternion.rotation_increment(0.5 * dt * m.omega[b], m.q[b])).normalized()
+        R = quaternion.to_matrix(half)
         turn = dt * (R @ (m.inverse_inertia[b] @ (R.transpose() @ m.spin[b])))
         m.predicted[b], m.turned[b] = d, turn
         m.dx[b], m.turn[b] = d, turn
@@ -62,7 +62,7 @@ def move(m: ti.template(), b, d, t):
     m.spin[b] += R @ (m.inertia[b] @ (R.transpose() @ ((t - m.turned[b]) / dt)))
     q = ti.cast(m.q[b], ti.f64)
     stretch = ti.cast(q.norm_sqr() - 1.0, ti.f32)
-    turned = quaternion.gain(t, m.q[b]) - 0.5 * stretch * m.q[b]
+    turned = quaternion.rotation_increment(t, m.q[b]) - 0.5 * stretch * m.q[b]
     m.q[b], m.q_carry[b] = two_sum(m.q[b], turned + m.q_carry[b])
     refresh(m, b)
     spinning = m.omega[b].norm() * dt
@@ -77,5 +77,5 @@ def follow(m: ti.template(), b):
     s = m.state
     f = ti.cast(s.tick[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
     m.x[b], m.carry[b] = two_sum(m.origin[b], f * m.way[b])
-    m.q[b] = (m.origin_q[b] + quaternion.gain(f * m.swing[b], m.origin_q[b])).normalized()
+    m.q[b] = (m.origin_q[b] + quaternion.rotation_increment(f * m.swing[b], m.origin_q[b])).normalized()
     refresh(m, b)

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset, Cage
-from bench.sample_meshes import boundary, random_gaussians, tet_bar
+from bench.sample_meshes import random_gaussians, tet_bar
+from core.tetmesh import boundary_surface
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -35,7 +36,7 @@ def test_two_levels_are_smoother_and_the_page_is_drawn(ti_cpu):
     low, high = (-0.05, 0, -0.05), (0.05, 0.4, 0.05)
     g = random_gaussians(np.random.default_rng(0), 4000, low=low, high=high, sigma=0.002)
     embedded = embed_on_device(g.means, g.quats, np.exp(g.log_scales), x, tets)
-    bar, rows, pictures = Asset(g, Cage(x, tets, boundary(tets)), embedded), {}, {}
+    bar, rows, pictures = Asset(g, Cage(x, tets, boundary_surface(tets)), embedded), {}, {}
     for scheme in SCHEMES:
         title = "180 degrees"
         rows[scheme], pictures[title, scheme] = ablation("bar", bar, title, DEFORMATIONS[title], scheme, draw=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.rotation import quaternion_from_matrix
+from core.rotation import quaternions_from_matrices
 from display.record.replay import Replay
 from display.xr.poses import Standpoint
 from display.xr.wrist_panel import BUTTONS, PIXELS, WIDTH, pose_of
@@ -216,7 +216,7 @@ def point(play, name: str) -> None:
     scale = WIDTH / PIXELS[0]
     at = [(x + w / 2 - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - y - h / 2) * scale, 0.15]
     right.position = tuple((panel[:3, 3] + panel[:3, :3] @ at).tolist())
-    w, x, y, z = quaternion_from_matrix(panel[:3, :3])
+    w, x, y, z = quaternions_from_matrices(panel[:3, :3])
     right.rotation = (x, y, z, w)
     play.player.send()
     play.rest()

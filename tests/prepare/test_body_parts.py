@@ -3,10 +3,12 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from assets.asset import Cage, DistanceGrid
+from assets.asset import Cage
 from assets.asset_check import check_cage
 from assets.gaussians import Gaussians
-from bench.sample_meshes import boundary, box
+from bench.sample_meshes import box
+from core.distance_grid import DistanceGrid
+from core.tetmesh import boundary_surface
 from prepare.cage.embedding_hosts_reference import embed
 from prepare.rig.body_parts import Parts
 from prepare.rig.cage_cut import cut, split
@@ -106,7 +108,7 @@ def test_a_gaussian_that_would_be_a_spike_follows_what_is_calm():
     """A bar is drawn out to four times its length over a tenth of it: nothing that follows it grows as much, and what
     is far from there stays as it was."""
     x, tets, _ = box((1.0, 0.1, 0.1), (20, 2, 2))
-    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary(tets).astype(np.int32))
+    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary_surface(tets).astype(np.int32))
     n = 400
     rng = np.random.default_rng(0)
     means = rng.uniform((0.02, 0.02, 0.02), (0.98, 0.08, 0.08), (n, 3))
@@ -132,7 +134,7 @@ def test_a_gaussian_that_would_be_a_spike_follows_what_is_calm():
 def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
     """Legs that touch all along part up to the waist, where they hold; not a bit of volume is lost."""
     x, tets = trousers(gap=False)
-    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary(tets).astype(np.int32))
+    cage = Cage(x.astype(np.float32), tets.astype(np.int32), boundary_surface(tets).astype(np.int32))
     label = (x[tets].mean(1)[:, 0] > 0.15).astype(int)
     label[7] = 1  # a tet of the left leg that is told to be the right one's hangs on nothing
     new, label, source = cut(cage, label, lambda a, b, c: c[:, 1] > 0.8)

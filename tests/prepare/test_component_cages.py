@@ -15,12 +15,13 @@ from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import write_gaussians
 from core.errors import BadInput
 from core.material import Material
-from core.point_location import Locator
+from core.point_location import TetLocator
+from core.tetmesh import face_components
 from display.scene_bodies import load_bodies
 from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN
 from prepare.cage.component_cages import shared_out
 from prepare.cage.level_set import contact_grid
-from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices, pieces
+from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.cleaning import clean, clean_pieces
 from prepare.pipeline import prepare
 from scenes.scene import Body, Light, Scene
@@ -74,7 +75,7 @@ def test_each_piece_keeps_the_promises(pair):
     cage, figures = pair.cage, pair.provenance["figures"]
     check(pair, "pair")
     check_cage(cage, "pair")
-    own = pieces(cage.tets)
+    own = face_components(cage.tets)
     assert own.max() == 1 and figures["pieces"] == 2 and pair.provenance["counts"]["specks"] == 0
     assert abs(len(cage.vertices) - 800) <= 0.15 * 800
     assert dihedral_angles(cage.vertices, cage.tets).min() >= ANGLE_MIN
@@ -86,7 +87,7 @@ def test_each_piece_keeps_the_promises(pair):
     for k in range(2):
         mine = of_tet[:, 0] == k
         tets = cage.tets[own == k]
-        inside = Locator(cage.vertices, tets).find(g.means[mine & (g.opacities > 0.5)].astype(np.float64)) >= 0
+        inside = TetLocator(cage.vertices, tets).find(g.means[mine & (g.opacities > 0.5)].astype(np.float64)) >= 0
         assert inside.mean() >= INSIDE_MIN
     assert_allclose(np.ptp(g.means[:, 0]), 0.4, rtol=0.05)
 
@@ -182,7 +183,7 @@ def test_pieces_are_those_of_the_faces(seed):
     order = rng.permutation(first)
     tets = order[np.concatenate(tets)]
     found = piece_of_vertices(Cage(np.zeros((first, 3), np.float32), tets, None))
-    reference = pieces(tets)
+    reference = face_components(tets)
     for k in range(7):
         assert len(np.unique(found[tets[reference == k]])) == 1
     assert len(np.unique(found)) == 7 and (found[tets[:, 0]] == 0).sum() == np.bincount(reference).max()

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from assets.animation import RAMP, skin
 from assets.asset import Asset
 from assets.gltf_skin import read_rig
-from core.material import MOVING
+from core.material import ANIMATED_MATERIAL
 from prepare.rig.skin_weights import least_volumes
 
 
@@ -74,7 +74,7 @@ def test_a_man_dances_without_tearing(dancer, shared):
     a, cage = dancer.animation, dancer.cage
     rig, _, _ = read_rig(shared / "data/rigs/win-dance.glb")
     assert_allclose(a.duration, (len(rig.frames[0]) - 1) / rig.fps, rtol=1e-9)
-    material = Material.named(MOVING)
+    material = Material.named(ANIMATED_MATERIAL)
     led = a.vertices[a.driven]
     body = SoftBody("dancer", cage.vertices, cage.tets, cage.surface, material, pinned=led, loose=True)
     solver = Solver([body], contacts=False)

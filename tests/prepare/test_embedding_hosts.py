@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.sample_meshes import random_gaussians, tet_bar
-from core.point_location import Locator
+from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 from prepare.cage.embedding_hosts_reference import CORNERS, FURTHEST, embed
 
@@ -22,7 +22,7 @@ def brute_weights(vertices, tets, points):
 def check_location(vertices, tets, rng):
     low, high = vertices.min(0), vertices.max(0)
     points = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (400, 3))
-    locator = Locator(vertices, tets)
+    locator = TetLocator(vertices, tets)
     host = locator.find(points)
     weights = brute_weights(vertices, tets, points)
     best = weights.min(2).max(1)
@@ -49,7 +49,7 @@ def test_the_grid_finds_hosts_in_unstructured_cages(shared, name):
 
 def test_the_nearest_boundary_is_found():
     """The distance to a box is known; a face has a sample of the boundary within 2 cm."""
-    locator = Locator(*BAR)
+    locator = TetLocator(*BAR)
     points = np.random.default_rng(2).uniform([-0.3, -0.3, -0.3], [1.3, 0.5, 0.5], (500, 3))
     points = points[locator.find(points) < 0]
     host, foot = locator.nearest(points)

@@ -8,15 +8,15 @@ from numpy.testing import assert_allclose
 
 from assets.asset_check import check_cage
 from core.errors import BadInput
-from core.tetmesh import OUTWARD
+from core.tetmesh import TET_FACES, boundary_surface, tet_volumes
 from prepare.cage.graded_lattice import graded_lattice, refined
-from prepare.cage.mesh_quality import boundary, dihedral_angles, non_manifold_vertices, volumes
+from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.cage.stuffing import stuff_lattice
 from tests.prepare.test_stuffing import bumpy, sampled, sphere
 
 
 def upright(at, tets):
-    flipped = volumes(at, tets) < 0
+    flipped = tet_volumes(at, tets) < 0
     return np.where(flipped[:, None], tets[:, [0, 1, 3, 2]], tets)
 
 
@@ -30,9 +30,9 @@ def test_cells_of_all_sizes_fit_together(seed):
     tets = upright(lattice.at, lattice.tets)
     angles = dihedral_angles(lattice.at, tets)
     assert angles.min() > 44.99 and angles.max() < 120.01
-    _, times = np.unique(np.sort(tets[:, OUTWARD].reshape(-1, 3), axis=1), axis=0, return_counts=True)
+    _, times = np.unique(np.sort(tets[:, TET_FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
     assert times.max() == 2
-    surface = boundary(tets)
+    surface = boundary_surface(tets)
     assert len(non_manifold_vertices(surface)) == 0
     middle = lattice.at[surface].mean(1)
     widest = 16  # of a cell
@@ -56,7 +56,7 @@ def test_cells_are_as_fine_as_asked_and_neighbours_alike():
 def test_equal_cells_are_the_usual_lattice():
     """Two vertices a cell, 12 tets, each a twelfth of it."""
     lattice = graded_lattice(np.zeros((6, 6, 6), np.int8), 0)
-    assert_allclose(np.abs(volumes(lattice.at, lattice.tets)), 8 / 12)
+    assert_allclose(np.abs(tet_volumes(lattice.at, lattice.tets)), 8 / 12)
     assert len(lattice.tets) == 3 * 4 * 5 * 6 * 6
     assert (lattice.size == 2).all()
 

@@ -14,8 +14,9 @@ from assets.up_axis import AXES, guess_up, metres, rotation_to_up
 from commands.prepare import prepare_file, run
 from core.errors import BadInput
 from core.material import MATERIALS
-from core.point_location import Locator
-from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices, pieces, volumes
+from core.point_location import TetLocator
+from core.tetmesh import face_components, tet_volumes
+from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
 from prepare.cleaning import clean
 from prepare.pipeline import STAGES, prepare
 from tests.support.shells import ball, ring, shell, toy
@@ -117,12 +118,12 @@ def assert_sound(asset: Asset, vertices: int) -> None:
     """The acceptance figures, measured anew."""
     cage, g = asset.cage, asset.gaussians
     assert abs(len(cage.vertices) - vertices) <= 0.15 * vertices
-    assert (volumes(cage.vertices, cage.tets) > 0).all()
+    assert (tet_volumes(cage.vertices, cage.tets) > 0).all()
     assert dihedral_angles(cage.vertices, cage.tets).min() >= 10
     assert len(non_manifold_vertices(cage.surface)) == 0
-    assert pieces(cage.tets).max() == 0
+    assert face_components(cage.tets).max() == 0
     opaque = g.means[g.opacities > 0.5].astype(np.float64)
-    assert (Locator(cage.vertices, cage.tets).find(opaque) >= 0).mean() >= 0.99
+    assert (TetLocator(cage.vertices, cage.tets).find(opaque) >= 0).mean() >= 0.99
     low, high = cage.vertices.min(0), cage.vertices.max(0)
     assert_allclose([low[0] + high[0], low[1], low[2] + high[2]], 0, atol=1e-6)
     assert len(asset.embedded.host) == len(g)

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset_check import check_cage
-from prepare.cage.mesh_quality import dihedral_angles, volumes
+from core.tetmesh import tet_volumes
+from prepare.cage.mesh_quality import dihedral_angles
 from prepare.cage.quality_energy import Stiffness
 from prepare.cage.relaxation import Surface, relax
 from prepare.cage.sliver_removal import polish, smallest
@@ -18,7 +19,7 @@ def test_the_gradient_of_the_twin_is_right():
     """Central differences on two tets that share a face; 1e-6 steps leave nine digits."""
     rng = np.random.default_rng(0)
     x, tets = rng.normal(size=(5, 3)), np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
-    wrong = volumes(x, tets) < 0
+    wrong = tet_volumes(x, tets) < 0
     tets[wrong] = tets[wrong][:, [0, 1, 3, 2]]
     _, gradient, _ = energy(x, tets, 5.0)
     numeric = np.zeros_like(gradient)
@@ -38,7 +39,7 @@ def test_relaxing_makes_longer_substeps_stable_and_keeps_the_shape(ti_cpu, dista
     longer = np.sqrt(energy(before.vertices, before.tets)[2].max() / energy(after.vertices, after.tets)[2].max())
     assert longer > 1.5  # of the substep; measured 1.9 to 2.6
     assert dihedral_angles(after.vertices, after.tets).min() >= 12
-    before_volume, after_volume = (volumes(c.vertices, c.tets).sum() for c in (before, after))
+    before_volume, after_volume = (tet_volumes(c.vertices, c.tets).sum() for c in (before, after))
     assert_allclose(after_volume, before_volume, rtol=0.02)
 
 
@@ -63,7 +64,7 @@ def test_a_cage_gets_the_volume_asked_for(ti_cpu, growth):
     wanted = (1 + growth) * 4 / 3 * np.pi
     after = relax(cage, values, origin, spacing, volume=wanted)
     check_cage(after, "grown")
-    assert_allclose(volumes(after.vertices, after.tets).sum(), wanted, rtol=0.003)
+    assert_allclose(tet_volumes(after.vertices, after.tets).sum(), wanted, rtol=0.003)
     radius = np.linalg.norm(after.vertices[np.unique(after.surface)], axis=1)
     assert np.ptp(radius) < 0.01  # it grew evenly
 
@@ -77,7 +78,7 @@ def test_polishing_lifts_the_worst_angle_and_stays_on_the_surface():
     inner = np.setdiff1d(cage.tets, outer)[:30]
     bad = x.copy()
     bad[inner] += np.random.default_rng(0).normal(0, 0.05, (len(inner), 3))
-    assert volumes(bad, cage.tets).min() > 0
+    assert tet_volumes(bad, cage.tets).min() > 0
     before = dihedral_angles(bad, cage.tets).min()
     after = polish(bad, cage.tets, surface, outer, level, np.full(len(x), 0.25))
     assert before < 10 and dihedral_angles(after, cage.tets).min() > 12

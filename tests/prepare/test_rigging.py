@@ -12,7 +12,7 @@ from assets.animation import RAMP, skin, world_of
 from assets.asset import Asset
 from assets.gltf_skin import Rig
 from core.errors import BadInput
-from core.material import MOVING
+from core.material import ANIMATED_MATERIAL
 from display.protocol import Reset
 from prepare.rig.joint_names import ARM, LEG, TREE, named_joints, words
 from prepare.rig.landmark_file import read_landmarks
@@ -176,7 +176,7 @@ def test_a_skinned_mesh_becomes_a_body_that_moves(walker):
     path, lines = walker
     asset = Asset.load(path)
     a, rig = asset.animation, asset.provenance["rig"]
-    assert asset.material["poisson"] == 0.45 and MOVING == "flesh"
+    assert asset.material.poisson == 0.45 and ANIMATED_MATERIAL == "flesh"
     assert any("driven" in line for line in lines)
     assert len(asset.gaussians) == 60_000
     red = asset.gaussians.sh[:, 0, 0] > 0  # the texture's right half: x > 0
@@ -199,7 +199,7 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     path, _ = walker
     asset = Asset.load(path)
     a, place = asset.animation, (0.3, 1.0, 0.2)
-    body = Body(str(path), Material.named(MOVING), position=place, scale=4.0)
+    body = Body(str(path), Material.named(ANIMATED_MATERIAL), position=place, scale=4.0)
     world = World(Scene([body], Light((0, 3, 1)), (0, 1, 2), (0, 1, 0)), width=32, height=32)
     least, most = 1.0, 1.0
     rest = asset.cage.vertices.astype(np.float64)

@@ -9,14 +9,8 @@ from scipy.ndimage import gaussian_filter
 
 from assets.asset_check import check_cage
 from core.errors import BadInput
-from prepare.cage.mesh_quality import (
-    boundary,
-    dihedral_angles,
-    euler_characteristic,
-    non_manifold_vertices,
-    pieces,
-    volumes,
-)
+from core.tetmesh import boundary_surface, face_components, tet_volumes
+from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
 from prepare.cage.stuffing import stuff
 
 SPACING = 0.05
@@ -76,8 +70,8 @@ def test_a_shape_gets_a_sound_cage(name):
     assert dihedral_angles(cage.vertices, cage.tets).min() >= 10
     assert len(non_manifold_vertices(cage.surface)) == 0
     assert euler_characteristic(cage.surface) == euler
-    assert pieces(cage.tets).max() == 0
-    assert_allclose(volumes(cage.vertices, cage.tets).sum(), volume, rtol=tolerance)
+    assert face_components(cage.tets).max() == 0
+    assert_allclose(tet_volumes(cage.vertices, cage.tets).sum(), volume, rtol=tolerance)
 
 
 def test_a_ring_of_few_vertices_stays_a_ring():
@@ -101,7 +95,7 @@ def test_noise_gives_positive_tets_and_a_manifold(seed):
     rng = np.random.default_rng(seed)
     noise = gaussian_filter(rng.normal(size=(14, 14, 14)), rng.uniform(0, 1.5))
     cage = stuff(noise, np.zeros(3), 1.0, cell=rng.uniform(0.8, 2.5), whole=False)
-    assert (volumes(cage.vertices, cage.tets) > 0).all()
+    assert (tet_volumes(cage.vertices, cage.tets) > 0).all()
     assert dihedral_angles(cage.vertices, cage.tets).min() >= 9  # measured: 9.6 over 40 seeds
     assert len(non_manifold_vertices(cage.surface)) == 0
 
@@ -113,8 +107,8 @@ def test_bodies_that_touch_in_a_point_do_not_pinch():
 
 def test_all_pieces_are_kept_if_asked():
     cage = stuff(*sampled(two_blobs), cell=0.2, whole=False)
-    assert pieces(cage.tets).max() == 1
-    assert_allclose(volumes(cage.vertices, cage.tets).sum(), 4 / 3 * np.pi * (1 + 0.7**3), rtol=0.03)
+    assert face_components(cage.tets).max() == 1
+    assert_allclose(tet_volumes(cage.vertices, cage.tets).sum(), 4 / 3 * np.pi * (1 + 0.7**3), rtol=0.03)
 
 
 def test_a_shape_cut_by_the_grid_is_closed_there():
@@ -160,8 +154,8 @@ def test_the_quality_measures_see_defects():
     x = np.array([[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1], [-1, -1, 0], [-1, 0, -1], [0, -1, -1]], float)
     tet = np.array([[0, 1, 2, 3]])
     assert_allclose(dihedral_angles(x, tet), np.degrees(np.arccos(1 / 3)))
-    assert_allclose(volumes(x, tet), [1 / 3])
-    assert len(boundary(tet)) == 4 and len(non_manifold_vertices(boundary(tet))) == 0
-    assert (non_manifold_vertices(boundary(np.array([[0, 1, 2, 3], [0, 4, 5, 6]]))) == [0]).all()
-    assert (non_manifold_vertices(boundary(np.array([[0, 1, 2, 3], [0, 1, 5, 6]]))) == [0, 1]).all()
-    assert (pieces(np.array([[0, 1, 2, 3], [0, 4, 5, 6], [1, 2, 3, 4]])) == [0, 1, 0]).all()
+    assert_allclose(tet_volumes(x, tet), [1 / 3])
+    assert len(boundary_surface(tet)) == 4 and len(non_manifold_vertices(boundary_surface(tet))) == 0
+    assert (non_manifold_vertices(boundary_surface(np.array([[0, 1, 2, 3], [0, 4, 5, 6]]))) == [0]).all()
+    assert (non_manifold_vertices(boundary_surface(np.array([[0, 1, 2, 3], [0, 1, 5, 6]]))) == [0, 1]).all()
+    assert (face_components(np.array([[0, 1, 2, 3], [0, 4, 5, 6], [1, 2, 3, 4]])) == [0, 1, 0]).all()

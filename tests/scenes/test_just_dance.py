@@ -1,5 +1,7 @@
 """What moves by itself among other things: rings bounce off the dancer, and hands do not carry it off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,7 +9,7 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from assets.library import find_asset, moves_by_itself
 from core.errors import BadInput
-from core.material import STATURE, material_named, moving_named
+from core.material import PERSON_HEIGHT, Material
 from display.protocol import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
@@ -163,9 +165,9 @@ def test_what_stands_still_cannot_dance():
 
 
 def test_a_small_dancer_is_softer_and_a_giant_is_not_harder():
-    flesh = material_named("flesh")
-    assert moving_named("flesh", STATURE) == moving_named("flesh", 3.0) == flesh
-    half = moving_named("flesh", STATURE / 2)
-    assert_allclose(half["young"], flesh["young"] / 4)
-    assert {k: v for k, v in half.items() if k != "young"} == {k: v for k, v in flesh.items() if k != "young"}
-    assert moving_named("flesh", 0.01)["young"] == 1e3
+    flesh = Material.named("flesh")
+    assert Material.animated("flesh", PERSON_HEIGHT) == Material.animated("flesh", 3.0) == flesh
+    half = Material.animated("flesh", PERSON_HEIGHT / 2)
+    assert_allclose(half.young, flesh.young / 4)
+    assert replace(half, young=flesh.young) == flesh
+    assert Material.animated("flesh", 0.01).young == 1e3

@@ -126,10 +126,9 @@ class OneMesh:
 
     def run(self, y, first: bool = True) -> np.ndarray:
         """Corrections (V, 3) of positions y, half of which are given as increments."""
-        from core.fields import upload
+        from core.fields import Upload
 
-        upload(self.state.x, self.x)
-        upload(self.state.dx, y - self.x)
+        Upload([self.state.x, self.state.dx])([self.x, y - self.x])
         self.sweep(first)
         return self.moved.to_numpy()[: len(self.x)].astype(np.float64)
 

@@ -6,10 +6,11 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
+from core.tetmesh import tet_volumes
 from scenes.scene import Box, Hand, Touch
 from sim.hands.fingers import CAPSULES, SPOTS, THICKEST, capsules_of, place_spots
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody, rest_volumes
+from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
@@ -53,7 +54,7 @@ def along_z(x, y):
 def least_volume(solver):
     """Of the cube's tets, against rest."""
     n = solver.vertex_offset[1]
-    return (rest_volumes(solver.x.to_numpy()[:n], TETS) / rest_volumes(X, TETS)).min()
+    return (tet_volumes(solver.x.to_numpy()[:n], TETS) / tet_volumes(X, TETS)).min()
 
 
 def test_a_finger_pushes_bodies_along_and_ahead_of_it(solver):

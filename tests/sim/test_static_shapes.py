@@ -5,8 +5,8 @@ import pytest
 import taichi as ti
 from numpy.testing import assert_allclose
 
-from assets.asset import DistanceGrid
 from bench.sample_meshes import box, torus
+from core.distance_grid import DistanceGrid
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.contact.contact_samples import skin, surface_points

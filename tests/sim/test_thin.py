@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from assets.asset import DistanceGrid
 from bench.sample_meshes import box, torus
 from bench.setups import linked_throws
+from core.distance_grid import DistanceGrid
 from core.material import Material
 from scenes.scene import Box, Hand
 from sim.contact.static_shapes import StaticGrid

@@ -8,9 +8,10 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
+from core.tetmesh import tet_volumes
 from scenes.scene import Hand
 from sim.hands.grasp import FORCE, PATIENCE
-from sim.soft_body import SoftBody, rest_volumes
+from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60
@@ -71,10 +72,10 @@ def comes_back(solver, seconds=4.0):
     """After letting go: finite, at rest in its own shape, nothing inverted."""
     play(solver, seconds, lambda t: at(-9.0), lambda t: at(9.0), grip=False)
     assert solver.stats["finite"]
-    rest = rest_volumes(X, TETS)
+    rest = tet_volumes(X, TETS)
     edges = TETS[:, [0, 0, 0, 1, 1, 2]], TETS[:, [1, 2, 3, 2, 3, 3]]
     for body, x in zip(solver.bodies(), bars(solver), strict=True):
-        volumes = rest_volumes(x, TETS) / rest
+        volumes = tet_volumes(x, TETS) / rest
         assert volumes.min() > 0.9, f"{body.name}: a tet of {volumes.min():.2f} of its volume"
         assert volumes @ rest == pytest.approx(rest.sum(), rel=0.005), body.name
         lengths, wanted = (np.linalg.norm(y[edges[0]] - y[edges[1]], axis=-1) for y in (x, X))

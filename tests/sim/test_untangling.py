@@ -5,7 +5,8 @@ import pytest
 
 from bench.sample_meshes import box
 from core.material import Material
-from sim.soft_body import SoftBody, rest_volumes
+from core.tetmesh import tet_volumes
+from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 POISSON = (0.0, 0.3, 0.4, 0.45)
@@ -15,7 +16,7 @@ def test_crushed_to_a_tenth_and_to_a_hundredth(ti_cpu):
     """With Psi of MATH 7 alone, F = 0 is a minimum, which draws in all that is smaller than 0.54 (nu = 0) to 0.29
     (nu = 0.3) of its size; and noise may leave kinks."""
     x, tets, surface = box((0.2, 0.1, 0.1), (4, 2, 2))
-    rest, n = rest_volumes(x, tets), len(x)
+    rest, n = tet_volumes(x, tets), len(x)
     sizes = (0.5, 0.1, 0.01)
     kinds = [(nu, size) for nu in POISSON for size in sizes]
     bodies = [
@@ -30,7 +31,7 @@ def test_crushed_to_a_tenth_and_to_a_hundredth(ti_cpu):
         solver.step(1 / 20)
     q = solver.snapshot()["x"].astype(np.float64)
     for k, body in enumerate(bodies):
-        volumes = rest_volumes(q[k * n : (k + 1) * n], tets)
+        volumes = tet_volumes(q[k * n : (k + 1) * n], tets)
         assert volumes.min() / rest.min() > 0.9, body.name
         assert volumes.sum() == pytest.approx(rest.sum(), rel=0.005), body.name
 
@@ -61,7 +62,7 @@ def test_random_starts_leave_no_kinks(tangled):
     assert solver.stats["finite"] and not solver._mending.status.any()
     x = np.split(solver.snapshot()["x"].astype(np.float64), solver.vertex_offset[1:-1])
     for body, at in zip(solver._bodies, x, strict=True):
-        volumes, rest = rest_volumes(at, body.tets), rest_volumes(body.vertices, body.tets)
+        volumes, rest = tet_volumes(at, body.tets), tet_volumes(body.vertices, body.tets)
         quick = body.material.young > 1e5 and body.material.poisson > 0.4  # upright after a frame, which is no tangle
         assert (volumes / rest).min() > (0.5 if quick else 0.9), body.name
         assert volumes.sum() == pytest.approx(rest.sum(), rel=0.1 if quick else 0.01), body.name

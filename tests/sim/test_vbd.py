@@ -10,9 +10,10 @@ from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_s
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
+from core.tetmesh import tet_volumes
 from scenes.scene import Plane
 from sim.elastic.time_step import choose_plan, lame, largest_substep
-from sim.soft_body import SoftBody, rest_volumes
+from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60
@@ -292,9 +293,9 @@ def test_a_mirrored_and_a_random_start_recover(bars):
     bars.restore({"x": x, "v": np.zeros_like(x)})
     run(bars, 2.0)
     for k in (4, 5):
-        volumes = rest_volumes(positions(bars)[k], TETS)
+        volumes = tet_volumes(positions(bars)[k], TETS)
         assert (volumes > 0).all(), NAMES[k]
-        assert volumes.sum() == pytest.approx(rest_volumes(BAR, TETS).sum(), rel=0.005)
+        assert volumes.sum() == pytest.approx(tet_volumes(BAR, TETS).sum(), rel=0.005)
 
 
 def test_runs_on_several_threads_repeat_bit_for_bit(ti_cpu):
@@ -337,7 +338,7 @@ def test_all_stiffnesses_live_in_one_solver(zoo):
     assert zoo.stats["finite"]
     tets, speeds = box((0.1, 0.1, 0.1), (2, 2, 2))[1], zoo.v.to_numpy()
     for k, (body, state, x) in enumerate(zip(zoo._bodies, zoo.bodies(), positions(zoo), strict=True)):
-        assert (rest_volumes(x, tets) > 0).all(), body.name
+        assert (tet_volumes(x, tets) > 0).all(), body.name
         assert state.low[1] > -1e-3, body.name
         v = speeds[zoo.vertex_offset[k] : zoo.vertex_offset[k + 1]]
         limit = 0.05 if body.material.young <= 1e5 else 0.02 if body.material.poisson > 0.45 else 1e-3

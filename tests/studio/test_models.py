@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from commands.build import run
 from core.errors import BadInput
+from core.material import Material
 from core.rotation import matrices_from_quaternions
 from prepare.cage.mesh_quality import dihedral_angles
 from studio import solids
@@ -95,7 +96,7 @@ def test_the_bottle_is_solid(shipped, height):
 def test_rings_are_ready_to_be_simulated(shipped, name):
     asset = shipped[name]
     assert 150 <= len(asset.cage.vertices) <= 300
-    assert asset.material == {"young": 3e4, "poisson": 0.4, "density": 1100.0, "friction": 0.6}
+    assert asset.material == Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
     d = solids.torus(RING_MAJOR, RING_TUBE)(asset.gaussians.means)
     assert np.abs(d).max() < 0.002  # the surface lies where the torus is
     assert at(asset, [(RING_MAJOR, 0.0, 0.0)])[0] < -0.012 and at(asset, [(0.0, 0.0, 0.0)])[0] > 0.06

@@ -7,9 +7,10 @@ import scipy.sparse.linalg as spla
 from assets.asset import Cage
 from assets.gaussians import Gaussians
 from bench.physics import fem_stiffness
-from core.point_location import Locator
+from core.point_location import TetLocator
+from core.tetmesh import face_components, tet_volumes
 from prepare.cage.cage import cage_of
-from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices, pieces, volumes
+from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.pipeline import prepare
 
 SOUND = {"angle": 12.0, "volume": 3.0, "inside": 99.5, "count": 15.0}  # degrees, per cent
@@ -21,16 +22,16 @@ CHUNK = 100_000  # tets whose matrices are made at once
 
 def figures(cage: Cage, filled: float, points: np.ndarray, wanted: int) -> dict:
     """What is promised of a cage, measured. filled: volume [m^3] of the filled shape; points (N, 3) to be inside."""
-    volume = volumes(cage.vertices, cage.tets)
+    volume = tet_volumes(cage.vertices, cage.tets)
     return {
         "vertices": len(cage.vertices),
         "tets": len(cage.tets),
         "angle": float(dihedral_angles(cage.vertices, cage.tets).min()),
         "positive": bool((volume > 0).all()),
         "pinched": len(non_manifold_vertices(cage.surface)),
-        "pieces": int(pieces(cage.tets).max()) + 1,
+        "pieces": int(face_components(cage.tets).max()) + 1,
         "volume": 100 * (float(volume.sum()) / filled - 1),
-        "inside": 100 * float((Locator(cage.vertices, cage.tets).find(points) >= 0).mean()),
+        "inside": 100 * float((TetLocator(cage.vertices, cage.tets).find(points) >= 0).mean()),
         "count": 100 * (len(cage.vertices) / wanted - 1),
     }
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.tetmesh import OUTWARD
+from core.tetmesh import TET_FACES
 from prepare.cage.quality_energy import POWER, REGULAR, SHAPE
 
 
@@ -14,7 +14,7 @@ def energy(x: np.ndarray, tets: np.ndarray, unit: float = 1.0):
     """
     n, flat = len(x), tets.ravel()
     corners = x[tets]
-    face = corners[:, OUTWARD]  # (T, 4, 3, 3): face a is opposite corner a
+    face = corners[:, TET_FACES]  # (T, 4, 3, 3): face a is opposite corner a
     normal = _cross(face[:, :, 1] - face[:, :, 0], face[:, :, 2] - face[:, :, 0])  # twice the area, outward
     volume = np.einsum("ti,ti->t", corners[:, 0] - corners[:, 1], normal[:, 0]) / -6
     if volume.min() <= 0:
@@ -35,7 +35,7 @@ def energy(x: np.ndarray, tets: np.ndarray, unit: float = 1.0):
     at_corner = (12 * POWER * poor / square)[:, None, None] * arm - (by_volume / 6)[:, None, None] * normal
     h = (slope[:, None] * per_area / 2)[..., None] * normal  # dE / dnormal_a
     at_face = _cross(h[:, :, None], np.roll(face, 1, axis=2) - np.roll(face, -1, axis=2))
-    index = np.concatenate([flat, tets[:, OUTWARD].ravel()])
+    index = np.concatenate([flat, tets[:, TET_FACES].ravel()])
     values = np.concatenate([at_corner.reshape(-1, 3), at_face.reshape(-1, 3)])
     gradient = np.stack([np.bincount(index, values[:, d], n) for d in range(3)], 1)
     return float(stiff.sum() + poor.sum()), gradient, kappa

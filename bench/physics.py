@@ -53,7 +53,7 @@ def bar(name: str, young: float, poisson: float, damping: float, **place) -> Sof
 def positions(solver: Solver) -> list[np.ndarray]:
     """Positions [m] of each body in float64, the float32 remainders included."""
     q, o = solver.snapshot(), solver.vertex_offset
-    x = q["x"].astype(np.float64) + q["carry"]
+    x = q["x"].astype(np.float64) + q["x_lo"]
     return [x[a:b] for a, b in pairwise(o)]
 
 
@@ -199,7 +199,7 @@ def spin() -> list[dict]:
 
     def momenta():
         q = solver.snapshot()
-        x, u = positions(solver)[0], q["v"].astype(np.float64) + q["v_carry"]
+        x, u = positions(solver)[0], q["v"].astype(np.float64) + q["v_lo"]
         p = m @ u
         r = x - np.average(x, axis=0, weights=m)
         return p, m @ np.cross(r, u - p / m.sum())[:, 2]
@@ -294,7 +294,7 @@ def agreement_positions(contacts: bool) -> np.ndarray:
     solver.restore({"x": x, "v": v})
     solver.step(frame)
     end = solver.snapshot()
-    return end["x"].astype(np.float64) + end["carry"]
+    return end["x"].astype(np.float64) + end["x_lo"]
 
 
 def positions_of_another_process(contacts: bool) -> np.ndarray:

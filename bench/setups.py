@@ -138,7 +138,7 @@ def resting_pile(seconds: float = 60.0, skipped: float = 1.0) -> dict:
 def energies(solver: Solver) -> dict[str, float]:
     """Kinetic, elastic and potential energy [J] and the weight [N] of all soft bodies."""
     q, g = solver.snapshot(), -solver.gravity[1]
-    x, v = q["x"].astype(np.float64) + q["carry"], q["v"].astype(np.float64)
+    x, v = q["x"].astype(np.float64) + q["x_lo"], q["v"].astype(np.float64)
     result = dict.fromkeys(("kinetic", "elastic", "potential", "weight"), 0.0)
     for body, (begin, end) in zip(q["bodies"], pairwise(solver.vertex_offset), strict=False):
         rows = slice(begin, end)

@@ -93,7 +93,7 @@ def surface(solver, snapshot: dict) -> np.ndarray:
 def energies(solver) -> tuple[float, float, float]:
     """Kinetic and elastic energy [J], energy of position [J], weight [N] of all bodies."""
     q, offset = solver.snapshot(), solver.vertex_offset
-    x, v = q["x"].astype(np.float64) + q["carry"], q["v"].astype(np.float64)
+    x, v = q["x"].astype(np.float64) + q["x_lo"], q["v"].astype(np.float64)
     moving = potential = weight = 0.0
     g = -solver.gravity[1]
     for k, part in enumerate(q["bodies"]):

@@ -40,7 +40,7 @@ class Editing:
 
     def _open(self) -> None:
         s = self.state
-        self._write, self._read = (kind([s.x, s.carry, s.v, s.v_carry]) for kind in (Upload, Download))
+        self._write, self._read = (kind([s.x, s.x_lo, s.v, s.v_lo]) for kind in (Upload, Download))
 
     def add(self, body: SoftBody) -> int:
         """A further body, at its start; its index."""
@@ -126,13 +126,13 @@ class Editing:
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
     def snapshot(self) -> dict:
-        """All that `restore` needs to go on from here: x, v, carry, v_carry (V, 3), bodies, grips, what is mending.
+        """All that `restore` needs to go on from here: x, v, carry, v_lo (V, 3), bodies, grips, what is mending.
 
         Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts find their
         loads anew in the first substeps.
         """
         values = self._read(self.state.sizes.vertices)
-        arrays = dict(zip(("x", "carry", "v", "v_carry"), values, strict=True))
+        arrays = dict(zip(("x", "x_lo", "v", "v_lo"), values, strict=True))
         others = {"bodies": tuple(self._parts), "grips": tuple(self._grips()), "mending": self._mending.kept()}
         return {**arrays, **others}
 
@@ -141,7 +141,7 @@ class Editing:
         are open, and what fp32 cannot hold of float64 values goes to the carries."""
         parts = list(snapshot.get("bodies", self._parts))
         n, values = sum(len(p.shape.vertices) for p in parts), []
-        for name, low in (("x", "carry"), ("v", "v_carry")):
+        for name, low in (("x", "x_lo"), ("v", "v_lo")):
             value = np.asarray(snapshot[name])
             if value.shape != (n, 3) or not np.isfinite(value).all():
                 raise BadInput(f"snapshot: {name} must be finite and of shape {(n, 3)}, not {value.shape}")
@@ -175,14 +175,14 @@ class Editing:
             self._fit()
         for c in self._constraints:
             c.reset()
-        for c, held in zip(self._constraints, grips, strict=False):
-            c.hold(held)
+        for c, held in zip(self._contacts, grips, strict=False):
+            c.restore_grasps(held)
         self._substeps.reset()
 
     def _fit(self) -> None:
         """Let the rigid bodies be where their vertices are."""
-        x, carry, v, v_carry = self._read(self.state.sizes.vertices).astype(np.float64)
-        self._movers.fit(x + carry, v + v_carry)
+        x, x_lo, v, v_lo = self._read(self.state.sizes.vertices).astype(np.float64)
+        self._movers.fit(x + x_lo, v + v_lo)
 
     def _index(self, i: int) -> int:
         if not 0 <= i < len(self._parts):
@@ -190,14 +190,14 @@ class Editing:
         return int(i)
 
     def _motions(self) -> list[np.ndarray]:
-        """x, carry, v, v_carry of each body now, (4, n, 3) float32."""
+        """x, x_lo, v, v_lo of each body now, (4, n, 3) float32."""
         values = self._read(self.state.sizes.vertices)
         return np.split(values, np.asarray(self.vertex_offset)[1:-1], axis=1)
 
     def _grips(self) -> list:
-        return [c.grips() for c in self._constraints]
+        return [c.grasps() for c in self._contacts]
 
     def _change(self, parts: list[BodyModel], motions: list[np.ndarray], grips: list) -> None:
         values = np.concatenate([np.zeros((4, 0, 3), np.float32), *motions], axis=1)
-        state = dict(zip(("x", "carry", "v", "v_carry"), values, strict=True))
+        state = dict(zip(("x", "x_lo", "v", "v_lo"), values, strict=True))
         self.restore({**state, "bodies": tuple(parts), "grips": tuple(grips)}, editing=True)

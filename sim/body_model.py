@@ -137,7 +137,7 @@ class BodyModel:
         return self.body.material.density * self.shape.share
 
     @cached_property
-    def w(self) -> np.ndarray:
+    def inv_mass(self) -> np.ndarray:
         """Inverse mass [1/kg], 0 where pinned, and of a rigid body, whose vertices follow it, (V,)."""
         w = np.zeros_like(self.mass) if self.body.rigid else 1 / self.mass
         if self.body.pinned is not None:
@@ -157,13 +157,13 @@ class BodyModel:
     @cached_property
     def kappa(self) -> np.ndarray:
         """Stiffness bound of each tet [1/s^2], (T,)."""
-        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.w, self.material)
+        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.inv_mass, self.material)
 
     @cached_property
     def start(self) -> np.ndarray:
-        """x, carry, v, v_carry at the beginning, (4, V, 3) float32; pinned vertices stand still."""
+        """x, x_lo, v, v_lo at the beginning, (4, V, 3) float32; pinned vertices stand still."""
         v = self.body.start_velocities()
-        return motion(self.body.start(), v if self.body.rigid else np.where(self.w[:, None] > 0.0, v, 0.0))
+        return motion(self.body.start(), v if self.body.rigid else np.where(self.inv_mass[:, None] > 0.0, v, 0.0))
 
     def with_material(self, material: Material) -> BodyModel:
         return BodyModel(self.body.of_material(material), self.shape)
@@ -182,7 +182,7 @@ class BodyModel:
 
 
 def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """x, carry, v, v_carry (4, V, 3) float32 of float64 positions and velocities."""
+    """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
 

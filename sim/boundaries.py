@@ -33,10 +33,10 @@ class Boundaries:
         """Where pinned vertices of a soft body (n,) are at the end of the next frame [m], (n, 3)."""
         part = self._parts[self._index(body)]
         vertices, x = np.asarray(vertices, np.int64).reshape(-1), np.asarray(positions, np.float64)
-        n = len(part.w)
+        n = len(part.inv_mass)
         if len(vertices) and not 0 <= vertices.min() <= vertices.max() < n:
             raise BadInput(f"{part.body.name}: drives vertices outside 0..{n - 1}")
-        if part.body.rigid or (part.w[vertices] > 0.0).any():
+        if part.body.rigid or (part.inv_mass[vertices] > 0.0).any():
             raise BadInput(f"{part.body.name}: only pinned vertices of a soft body can be driven")
         if x.shape != (len(vertices), 3) or not np.isfinite(x).all():
             raise BadInput(f"{part.body.name}: {len(vertices)} vertices cannot be driven to positions {x.shape}")

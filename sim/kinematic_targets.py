@@ -63,15 +63,15 @@ class KinematicTargets:
     @ti.kernel
     def _mark(self, first: ti.i32, last: ti.i32):
         for i in range(first, last):
-            self.wanted[i] = 1 if self.state.w[i] == 0.0 else 0
+            self.wanted[i] = 1 if self.state.inv_mass[i] == 0.0 else 0
 
     @ti.kernel
     def _start(self, dt: ti.f32):
         s = self.state
         for i in range(s.V):
             if self.wanted[i] != 0:
-                s.v[i] = ((self.target[i] - s.x[i]) - s.carry[i]) / dt
-                s.v_carry[i] = 0.0
+                s.v[i] = ((self.target[i] - s.x[i]) - s.x_lo[i]) / dt
+                s.v_lo[i] = 0.0
 
     @ti.kernel
     def _stop(self):

@@ -11,7 +11,7 @@ from core.errors import BadInput
 from sim.body_model import BodyModel
 from sim.elastic.time_step import lame
 
-REACH = 0.5  # of an edge; a vertex that crosses more in a substep has lost its elements (5e4 Pa: at 30-100 m/s)
+MAX_STEP = 0.5  # of an edge; a vertex that crosses more in a substep has lost its elements (5e4 Pa: at 30-100 m/s)
 MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
 
 
@@ -118,7 +118,7 @@ class Model:
         faces = [s.surface + o for s, o in zip(shapes, self.vertex_begin, strict=False)]
         return {
             "rest": stacked([s.vertices for s in shapes], 3),
-            "w": stacked([p.w for p in parts]),
+            "inv_mass": stacked([p.inv_mass for p in parts]),
             "mass": stacked([p.mass for p in parts]),
             "tets": self.tets,
             "triangles": stacked(faces, 3),
@@ -131,13 +131,13 @@ class Model:
             "mu": [lame(m)[0] for m in material],
             "lam": [lame(m)[1] for m in material],
             "kappa": self.kappas,
-            "reach": [REACH * s.edge for s in shapes],
+            "max_step": [MAX_STEP * s.edge for s in shapes],
             "damping": [m.damping for m in material],
             "friction": [m.friction for m in material],
             "sliding_friction": [m.sliding_friction for m in material],
             "density": [m.density for m in material],
             "body_mass": [p.mass.sum() for p in parts],
-            "led": [p.mass[p.w == 0.0].sum() for p in parts],
+            "prescribed_mass": [p.mass[p.inv_mass == 0.0].sum() for p in parts],
             "vertex_count": sizes.vertices,
             "tet_count": sizes.tets,
             "triangle_count": sizes.triangles,

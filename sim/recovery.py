@@ -44,10 +44,10 @@ class NonFiniteRecovery:
                 b = s.body_of_vertex[i]
                 j = s.vertex_begin[b]
                 for k in ti.static(range(3)):
-                    low = finite(s.carry[i][k]) and finite(s.v_carry[i][k])
+                    low = finite(s.x_lo[i][k]) and finite(s.v_lo[i][k])
                     if not (finite(s.x[i][k]) and finite(s.v[i][k]) and low):
                         ti.atomic_max(self.mark[b], BROKEN)
-                far = SANE**2 * ((s.rest[i] - s.rest[j]).norm_sqr() + s.reach[b] ** 2)
+                far = SANE**2 * ((s.rest[i] - s.rest[j]).norm_sqr() + s.max_step[b] ** 2)
                 if begin == 0 and (s.x[i] - s.x[j]).norm_sqr() > far:
                     ti.atomic_max(self.mark[b], STRANGE)
         ti.loop_config(serialize=s.serial)
@@ -55,7 +55,7 @@ class NonFiniteRecovery:
             if i < s.vertex_count[None]:
                 b, none = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
                 if self.mark[b] == BROKEN:
-                    s.x[i], s.carry[i], s.v[i], s.v_carry[i] = self.good[i], none, none, none
+                    s.x[i], s.x_lo[i], s.v[i], s.v_lo[i] = self.good[i], none, none, none
                     if i == s.vertex_begin[b]:
                         s.inverted[b] |= LOST
                         ti.atomic_add(self.count[None], 1)

@@ -1,14 +1,16 @@
 """What the host may learn of the bodies after a frame: tiny device reductions, one small readback each."""
 
+from itertools import pairwise
+
 import numpy as np
 import taichi as ti
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload, round_up_capacity
 from scenes.scene import BodyState
-from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
 
+BLOCK_SIZE = 64  # vertices
 FAR = 3.0e38  # larger than any distance, finite in float32
 MOVED = 1e-5  # [m] under this nobody sees a difference
 ANYTHING, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
@@ -23,17 +25,55 @@ def finite(a) -> ti.i32:
 
 
 @ti.data_oriented
+class ReductionBlocks:
+    """Blocks of at most BLOCK_SIZE vertices of one body, over which one thread sums: sums so have a fixed order.
+
+    span vec3i[size]: first vertex, end, and body of each block, empty ranges at the end;
+    begin i32[B+1]: first block of each body.
+    """
+
+    def __init__(self, state: State):
+        self.size = round_up_capacity(state.V // BLOCK_SIZE + MAX_BODIES)
+        g = self._group = FieldGroup()
+        self.span = g.vector(self.size, dtype=ti.i32)
+        self.begin = g.scalar(MAX_BODIES + 1, dtype=ti.i32)
+        g.build()
+        self._upload = Upload([self.span, self.begin])
+
+    def load(self, model: Model) -> None:
+        """Divide the vertices of these bodies."""
+        rows = [
+            (begin, min(begin + BLOCK_SIZE, last), b)
+            for b, (first, last) in enumerate(pairwise(model.vertex_begin.tolist()))
+            for begin in range(first, last, BLOCK_SIZE)
+        ]
+        table = np.array(rows, np.int64).reshape(-1, 3)
+        self._upload([table, np.searchsorted(table[:, 2], np.arange(MAX_BODIES + 1))])
+
+    @ti.func
+    def sum(self, partial: ti.template(), b, k):
+        """Sum of column k of the blocks' values `partial` over body b."""
+        total = 0.0
+        for j in range(self.begin[b], self.begin[b + 1]):
+            total += partial[j, k]
+        return total
+
+    def destroy(self) -> None:
+        self._group.destroy()
+
+
+@ti.data_oriented
 class Reductions:
     """`bodies()`, `moved()`, `pick()` of the solver."""
 
-    def __init__(self, state: State, chunks: ReductionBlocks):
-        self.state, self.chunks = state, chunks
+    def __init__(self, state: State, blocks: ReductionBlocks):
+        self.state, self.blocks = state, blocks
         self.builder = ti.FieldsBuilder()
         self.rest_center, self.last = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
         self.builder.dense(ti.i, MAX_BODIES).place(self.rest_center)
         self.builder.dense(ti.i, state.V).place(self.last)
         self.partial, self.total = ti.field(ti.f32), ti.field(ti.f32)
-        self.builder.dense(ti.ij, (chunks.size, VALUES)).place(self.partial)
+        self.builder.dense(ti.ij, (blocks.size, VALUES)).place(self.partial)
         self.builder.dense(ti.ij, (MAX_BODIES, VALUES)).place(self.total)
         self.anything, self.distance, self.hit = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
         self.builder.place(self.anything, self.distance, self.hit)
@@ -90,7 +130,7 @@ class Reductions:
     def _sum_up(self):
         """Outermost level of a kernel."""
         s = self.state
-        c = self.chunks
+        c = self.blocks
         for j in range(c.size):
             span = c.span[j]
             p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
@@ -118,8 +158,8 @@ class Reductions:
         for bk in range(MAX_BODIES * VALUES):
             b, k = bk // VALUES, bk % VALUES
             if b < s.body_count[None] and k < ANYTHING:
-                value = self.partial[c.of_body[b], k]
-                for j in range(c.of_body[b] + 1, c.of_body[b + 1]):
+                value = self.partial[c.begin[b], k]
+                for j in range(c.begin[b] + 1, c.begin[b + 1]):
                     other = self.partial[j, k]
                     if k < 15:
                         value += other

@@ -14,17 +14,17 @@ from sim.body_model import BodyModel
 from sim.boundaries import Boundaries
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
-from sim.elastic.damping import Damping, ReductionBlocks
+from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
 from sim.elastic.time_step import LIMIT, Plan, choose_plan
 from sim.elastic.untangling import Untangling
 from sim.elastic.vbd import VBDSubsteps
-from sim.elastic.xpbd import jacobi
+from sim.elastic.xpbd import XPBDSubsteps
 from sim.hands.transform import Transform
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Capacity, Model
 from sim.recovery import NonFiniteRecovery
-from sim.reductions import Reductions
+from sim.reductions import ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import LONGEST_SUBSTEP, MOST_PASSES, PASS, RigidBodies
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
@@ -80,8 +80,8 @@ class Solver(Editing, Boundaries):
         self._with_rigid = first.rigid or room.rigid
         plan = self._choose(first)
         s = self.state = State(first.sizes, room)
-        self.x, self.v, self.rest, self.w, self.tets, self.body_of_vertex = (
-            s.x, s.v, s.rest, s.w, s.tets, s.body_of_vertex,
+        self.x, self.v, self.rest, self.inv_mass, self.tets, self.body_of_vertex = (
+            s.x, s.v, s.rest, s.inv_mass, s.tets, s.body_of_vertex,
         )  # fmt: skip
         self._elastic, self._chunks = Elasticity(s), ReductionBlocks(s)
         self._damping, self._summary, self._transform = (
@@ -93,8 +93,7 @@ class Solver(Editing, Boundaries):
         self._rescue = NonFiniteRecovery(s)
         if self._with_rigid:
             passes = min(max(math.ceil(plan.substep / PASS), 1), MOST_PASSES)
-            self._movers = RigidBodies(s, hands=hands if contacts else 0, iterations=plan.iterations, passes=passes)
-            s.coupled, s.movers = True, self._movers
+            self._movers = RigidBodies(s, hands=hands if contacts else 0, passes=passes)
         options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
         options["fingers"] = fingers
         contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
@@ -117,23 +116,24 @@ class Solver(Editing, Boundaries):
         """Step by this plan from now on; a path is compiled when it is first taken."""
         self._plan = plan
         if plan.path not in self._paths:
-            parts = self.state, self._elastic, self._constraints
+            parts = self.state, self._elastic, self._constraints, self._movers
             if plan.path == "descent":
                 substeps = VBDSubsteps(*parts, self._chunks, iterations=plan.iterations)
+            elif ti.cfg.arch == ti.cuda and plan.iterations == 1 and self._movers is None:
+                from sim.elastic.xpbd_persistent import PersistentXPBD
+
+                substeps = PersistentXPBD(self.state, self._constraints)
             else:
-                substeps = jacobi(*parts, iterations=plan.iterations)
+                substeps = XPBDSubsteps(*parts, iterations=plan.iterations)
             self._paths[plan.path] = substeps
         self._substeps = self._paths[plan.path]
-        self.state.mobility, self.state.answers = self._substeps.mobility, self._substeps.answers
-        if self._movers is not None:
-            self._movers.iterations = plan.iterations
 
     def _load(self, assembly: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
         plan = self._choose(assembly)
-        self.state.check_room(assembly.sizes)
+        self.state.check_capacity(assembly.sizes)
         for c in self._constraints:
-            c.check_room(assembly)
+            c.check_capacity(assembly)
         self._parts = assembly.parts
         self._kappa = float(assembly.kappas.max(initial=0.0))
         self.vertex_offset = assembly.vertex_begin.tolist()
@@ -153,7 +153,7 @@ class Solver(Editing, Boundaries):
         if dt == 0.0 or not self._parts:
             return
         n = max(self.collision_passes, math.ceil(dt / self._plan.substep - 1e-6))
-        pieces = max(self.collision_passes, -(-n // self._substeps.piece))
+        pieces = max(self.collision_passes, -(-n // self._substeps.max_substeps))
         length = -(-n // pieces)
         n = pieces * length
         self.state.begin_frame(dt / n, dt / self.collision_passes, n, ti.Vector(self.gravity))
@@ -176,10 +176,9 @@ class Solver(Editing, Boundaries):
 
     def _step_transform(self, dt: float, hands: list[Hand]) -> None:
         gripped = []
-        for c in self._constraints:
-            if hasattr(c, "gripped"):
-                c.begin_frame(hands, dt, 0)
-                gripped, hands = c.gripped(), c.seen()
+        for c in self._contacts:
+            c.begin_frame(hands, dt, 0)
+            gripped, hands = c.grasped_bodies(), c.tracked_hands()
         self._transform.step(hands, gripped)
         if any(b >= 0 and self._parts[b].body.rigid for b in gripped):
             self._fit()
@@ -192,7 +191,7 @@ class Solver(Editing, Boundaries):
 
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand on what it holds [N], (3,) each, in the last substep; zero for an open hand."""
-        return [force for c in self._constraints for force in c.hand_forces()]
+        return [force for c in self._contacts for force in c.hand_forces()]
 
     def touch_forces(self) -> list[np.ndarray]:
         """Force of each hand's `touch` on what it does not hold [N], (3,), in the last substep; [] without fingers."""
@@ -216,7 +215,7 @@ class Solver(Editing, Boundaries):
         return total
 
     def _gripped(self) -> set[int]:
-        return {b for c in self._constraints if hasattr(c, "gripped") for b in c.gripped()}
+        return {b for c in self._contacts for b in c.grasped_bodies()}
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""

@@ -4,8 +4,8 @@ import numpy as np
 import taichi as ti
 
 from core.fields import round_up_capacity
-from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES
+from sim.reductions import ReductionBlocks
 from sim.state import State
 
 MARGIN = 0.002  # [m] besides the way that is foreseen: what that estimate may lack
@@ -22,11 +22,11 @@ class BodyBounds:
     pace f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
     """
 
-    def __init__(self, state: State, chunks: ReductionBlocks):
-        self.state, self.chunks = state, chunks
+    def __init__(self, state: State, blocks: ReductionBlocks):
+        self.state, self.blocks = state, blocks
         self.builder = ti.FieldsBuilder()
         self.partial = ti.Vector.field(3, ti.f32)
-        self.builder.dense(ti.ij, (chunks.size, 4)).place(self.partial)
+        self.builder.dense(ti.ij, (blocks.size, 4)).place(self.partial)
         self.low, self.high, self.slow, self.fast = (ti.Vector.field(3, ti.f32) for _ in range(4))
         self.pace, self.speed, self.extra = (ti.field(ti.f32) for _ in range(3))
         self.builder.dense(ti.i, MAX_BODIES).place(self.low, self.high, self.slow, self.fast)
@@ -36,7 +36,7 @@ class BodyBounds:
     @ti.kernel
     def update(self):
         s = self.state
-        c = self.chunks
+        c = self.blocks
         for j in range(c.size):
             span = c.span[j]
             low, high = ti.Vector([HUGE, HUGE, HUGE]), ti.Vector([-HUGE, -HUGE, -HUGE])
@@ -49,7 +49,7 @@ class BodyBounds:
             if b < s.body_count[None]:
                 low, high = ti.Vector([HUGE, HUGE, HUGE]), ti.Vector([-HUGE, -HUGE, -HUGE])
                 slow, fast = low, high
-                for j in range(c.of_body[b], c.of_body[b + 1]):
+                for j in range(c.begin[b], c.begin[b + 1]):
                     low, high = ti.min(low, self.partial[j, 0]), ti.max(high, self.partial[j, 1])
                     slow, fast = ti.min(slow, self.partial[j, 2]), ti.max(fast, self.partial[j, 3])
                 self.low[b], self.high[b], self.slow[b], self.fast[b] = low, high, slow, fast

@@ -93,7 +93,7 @@ class ContactConstraints:
     def rest(self, r, phi, pace):
         """Look at row r again when its distance phi [m] may be used up."""
         s = self.state
-        self.wake[r] = s.tick[None] + 1 + ti.cast(ti.max(phi, 0.0) / (pace * s.dt[None]), ti.i32)
+        self.wake[r] = s.substep_index[None] + 1 + ti.cast(ti.max(phi, 0.0) / (pace * s.dt[None]), ti.i32)
 
     @ti.func
     def set_vertex(self, r, e, i, c):
@@ -114,12 +114,12 @@ class ContactConstraints:
         self.end[r, e], self.side[r, e], self.arm[r, e] = b, side, x - self.movers.x[b]
 
     @ti.func
-    def claim(self, r, usable, first: ti.template()):
+    def claim(self, r, usable, first: ti.template(), integrator: ti.template()):
         """First pass: if the row carries a load or is about to, claim masses and push as in the last substep."""
         self.claimed[r] = 0
         if usable and (
             self.impulse[r].norm_sqr() > 0.0
-            or self.normal[r].dot(self.motion(r, 0)) < least(self.phi[r], self.state.dt[None])
+            or self.normal[r].dot(self.motion(r, 0, integrator)) < least(self.phi[r], self.state.dt[None])
         ):
             self.claimed[r] = 1
             if ti.static(self.unrolled):
@@ -139,17 +139,17 @@ class ContactConstraints:
                 self.rest(r, self.phi[r], self.pace[r])
 
     @ti.func
-    def step(self, r, j: ti.template()):
+    def step(self, r, j: ti.template(), integrator: ti.template()):
         """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `grip`)."""
         if self.claimed[r]:
             mass = 0.0  # inverse
             if ti.static(self.unrolled):
                 for e in ti.static(range(MOST)):
-                    mass += self._split(r, e)
+                    mass += self._split(r, e, integrator)
             else:
                 for e in range(self.size[r]):
-                    mass += self._split(r, e)
-            n, old, y = self.normal[r], self.impulse[r], self.motion(r, j)
+                    mass += self._split(r, e, integrator)
+            n, old, y = self.normal[r], self.impulse[r], self.motion(r, j, integrator)
             old_n, y_n = n.dot(old), n.dot(y)
             y_t, mass_t = y - y_n * n, mass
             if ti.static(self.coupled):
@@ -182,15 +182,15 @@ class ContactConstraints:
         return d
 
     @ti.func
-    def motion(self, r, passed: ti.template()):
+    def motion(self, r, passed: ti.template(), integrator: ti.template()):
         """y [m] in this substep so far, with what the first `passed` passes pushed."""
         y = ti.Vector([0.0, 0.0, 0.0])
         if ti.static(self.unrolled):
             for e in ti.static(range(MOST)):
-                y += self._moved(r, e, passed)
+                y += self._moved(r, e, passed, integrator)
         else:
             for e in range(self.size[r]):
-                y += self._moved(r, e, passed)
+                y += self._moved(r, e, passed, integrator)
         if ti.static(self.coupled):
             for e in range(self.ends[r]):
                 d, t = self.movers.moved(self.end[r, e], passed)
@@ -217,15 +217,15 @@ class ContactConstraints:
         return new
 
     @ti.func
-    def _moved(self, r, e, passed: ti.template()):
+    def _moved(self, r, e, passed: ti.template(), integrator: ti.template()):
         """The share of vertex e in y [m]."""
         i = self.vertex[r, e]
-        y = self.state.dx[i] - self.state.carry[i]
-        answers = ti.static(self.state.answers)
-        for j in ti.static(range(1 if answers else 0, passed)):  # dx has answered already to the first sums
+        y = self.state.dx[i] - self.state.x_lo[i]
+        # warm-started: dx contains the first sums already
+        for j in ti.static(range(1 if integrator.warm_started else 0, passed)):
             moved = ti.cast(self.sums[i, j], ti.f32) * (1.0 / LENGTH)
-            if ti.static(answers):
-                moved *= self.state.mobility[i] / ti.max(self.state.w[i], 1e-20)
+            if ti.static(integrator.warm_started):
+                moved *= integrator.effective_inv_mass[i] / ti.max(self.state.inv_mass[i], 1e-20)
             y += moved
         return self.coefficient[r, e] * y
 
@@ -246,7 +246,7 @@ class ContactConstraints:
     @ti.func
     def _push_one(self, r, e, impulse, j: ti.template()):
         i = self.vertex[r, e]
-        push = self.state.w[i] * self.coefficient[r, e] * LENGTH * impulse
+        push = self.state.inv_mass[i] * self.coefficient[r, e] * LENGTH * impulse
         if push.norm_sqr() > 0.0:
             for axis in ti.static(range(3)):
                 ti.atomic_add(self.sums[i, j][axis], ti.cast(push[axis], ti.i64))
@@ -254,14 +254,16 @@ class ContactConstraints:
     @ti.func
     def _claim(self, r, e):
         i, c = self.vertex[r, e], self.coefficient[r, e]
-        if c != 0.0 and self.state.w[i] > 0.0:
+        if c != 0.0 and self.state.inv_mass[i] > 0.0:
             ti.atomic_add(self.share[i], ti.cast(ti.abs(c) * SHARE, ti.i32))
 
     @ti.func
-    def _split(self, r, e):
+    def _split(self, r, e, integrator: ti.template()):
         """Inverse of the mass [1/kg] that row r may use of its vertex e."""
         i = self.vertex[r, e]
-        return ti.abs(self.coefficient[r, e]) * self.state.mobility[i] * ti.cast(self.share[i], ti.f32) / SHARE
+        return (
+            ti.abs(self.coefficient[r, e]) * integrator.effective_inv_mass[i] * ti.cast(self.share[i], ti.f32) / SHARE
+        )
 
     @ti.kernel
     def clear(self):

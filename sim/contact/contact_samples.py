@@ -157,7 +157,7 @@ class ContactSamples:
     def _points(self, assembly: Model) -> list[SurfacePoints]:
         return [s.once(points_of, self.spacing) for s in assembly.shapes]
 
-    def check_room(self, assembly: Model) -> None:
+    def check_capacity(self, assembly: Model) -> None:
         fit("samples", sum(len(p.ids) for p in self._points(assembly)), self.capacity)
 
     def triangle_points(self, assembly: Model) -> int:

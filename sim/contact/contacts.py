@@ -3,7 +3,7 @@
 Each search (`detect`) lists the samples that can touch something before the next one; each sweep then takes the
 distances anew for these only. On a sample with weights b_i and the motion y = sum_i b_i (dx_i - carry_i),
 
-    phi(x) + n . carry + n . y >= 0
+    phi(x) + n . x_lo + n . y >= 0
 
 is the condition; sim/contact/response.py says what follows. Vertices meet static shapes at once and exactly; points on
 triangles, and samples in other bodies, become rows of a system (sim/contact/constraints.py).
@@ -12,6 +12,7 @@ triangles, and samples in other bodies, become rows of a system (sim/contact/con
 import taichi as ti
 
 from scenes.scene import Hand
+from sim.constraint import Constraint
 from sim.contact.broad_phase import BodyBounds
 from sim.contact.constraints import ContactConstraints
 from sim.contact.contact_forces import ContactForces
@@ -21,10 +22,10 @@ from sim.contact.self_collision import SelfCollision, foldable
 from sim.contact.static_contact import StaticContact
 from sim.contact.static_shapes import Shape, StaticShapes
 from sim.contact.swept_bounds import SweptBounds
-from sim.elastic.damping import ReductionBlocks
 from sim.hands.fingers import Fingers
 from sim.hands.grasp import Grasps, Grips
 from sim.model import Capacity, Model, fit
+from sim.reductions import ReductionBlocks
 from sim.rigid.rigid_bodies import RigidBodies
 from sim.rigid.rigid_broad_phase import GROUPS
 from sim.rigid.rigid_contact import RigidContacts
@@ -33,7 +34,7 @@ from sim.state import State
 
 
 @ti.data_oriented
-class Contacts:
+class Contacts(Constraint):
     """Rows 0..P-1 belong to the samples, the next to pairs, the rest to contact with rigid bodies, if there are any."""
 
     has_vertex = True
@@ -43,7 +44,7 @@ class Contacts:
         state: State,
         first: Model,
         shapes: list[Shape],
-        chunks: ReductionBlocks,
+        blocks: ReductionBlocks,
         *,
         hands: int = 2,
         self_contact: bool = True,
@@ -56,11 +57,11 @@ class Contacts:
         self.samples = ContactSamples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
         self.colliders = StaticShapes(shapes)
         self.hands = Grasps(state, self.samples, hands)
-        self.bounds = BodyBounds(state, chunks)
+        self.bounds = BodyBounds(state, blocks)
         self.foresight = SweptBounds(state, self.hands, self.bounds)
         meets = [foldable(p.shape) for p in first.parts if p.body.rigid or not p.body.loose]
         folds = self_contact and (room.grows or any(meets))
-        self.folding = SelfCollision(state, chunks, self.bounds) if folds else None
+        self.folding = SelfCollision(state, blocks, self.bounds) if folds else None
         self.pairs = DeformableContact(state, first, self.samples, shapes, self.bounds, self.folding, room, fingers)
         self.anything = bool(shapes) or self.pairs.needed
         points = room.grows or self.samples.triangle_points(first) > 0
@@ -85,12 +86,12 @@ class Contacts:
             movers.grip.follow(self.hands)
         self.movers, self.forces = movers, ContactForces(state)
         later += self.rows.capacity if self.soft or fingers else 0  # rows between rigid bodies alone are in groups
-        self.stage_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
+        self.phase_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
         self.nearby = StaticContact(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
 
-    def check_room(self, assembly: Model) -> None:
-        self.pairs.check_room(assembly)
-        self.samples.check_room(assembly)
+    def check_capacity(self, assembly: Model) -> None:
+        self.pairs.check_capacity(assembly)
+        self.samples.check_capacity(assembly)
         if self.anything and not self.has_pairs:
             fit("samples on triangles", self.samples.triangle_points(assembly), 0)
 
@@ -104,10 +105,10 @@ class Contacts:
             self.folding.load(assembly)
         self.reset()
 
-    def grips(self) -> Grips:
+    def grasps(self) -> Grips:
         return self.hands.grips()
 
-    def hold(self, grips: Grips) -> None:
+    def restore_grasps(self, grips: Grips) -> None:
         self.hands.hold(grips)
 
     def begin_frame(self, hands: list[Hand], dt: float, substeps: int) -> None:
@@ -115,10 +116,10 @@ class Contacts:
         if self.fingers is not None:
             self.fingers.begin_frame(hands, self.hands.gripped(), dt)
 
-    def gripped(self) -> list[int]:
+    def grasped_bodies(self) -> list[int]:
         return self.hands.gripped()
 
-    def seen(self) -> list[Hand | None]:
+    def tracked_hands(self) -> list[Hand | None]:
         return list(self.hands.last)
 
     def hand_forces(self) -> list:
@@ -190,16 +191,16 @@ class Contacts:
         return self.nearby.push_out(i, d, first)
 
     @ti.func
-    def push_vertex(self, i, dx):
+    def external_displacement(self, i, dx):
         """What the hands' springs add to the free motion of vertex i [m]."""
         return self.hands.pull(i, dx) - dx
 
     @ti.func
-    def project_vertex_metric(self, i, dx, H, A, prior):
+    def project_vertex_implicit(self, i, dx, H, A, prior):
         return self.nearby.push_out_metric(i, dx, H, A, prior)
 
     @ti.func
-    def project_stage(self, stage: ti.template(), k, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), stage: ti.template(), k, first: ti.template()):
         """What is active of the listed rows claims its share of the masses; then, pass by pass, all take steps.
 
         In later passes the rows of rigid bodies alone: what soft bodies do to one another waits for the next substep.
@@ -212,30 +213,30 @@ class Contacts:
             r = self.rows.listed[k - groups]
             if ti.static(stage == 0):
                 if self.rows.seen[r] != 0:
-                    self._claim(r, self.rows.seen[r] == 2, first)
+                    self._claim(r, self.rows.seen[r] == 2, first, integrator)
             elif ti.static(self.soft or self.fingered):
                 alone = False
                 if ti.static(self.coupled):
                     in_group = self.rows.size[r] == 0 and r < self.begin_fingers
                     alone = in_group or (stage > 1 and self.rows.ends[r] == 0)
                 if not alone:
-                    self.rows.step(r, stage)
+                    self.rows.step(r, stage, integrator)
 
     @ti.func
-    def _claim(self, r, usable, first: ti.template()):
+    def _claim(self, r, usable, first: ti.template(), integrator: ti.template()):
         if self.begin_rigid <= r < self.begin_fingers and self.rows.size[r] == 0:
             if ti.static(self.coupled):
-                self.rigid.claim(r, usable, first)
+                self.rigid.claim(r, usable, first, integrator)
         elif ti.static(self.soft or self.fingered):
-            self.rows.claim(r, usable, first)
+            self.rows.claim(r, usable, first, integrator)
 
     @ti.func
-    def look(self, k):
+    def evaluate(self, k):
         """Take the listed row k anew, unless it is still too far away."""
         if k < self.rows.listed_count[None]:
             r = self.rows.listed[k]
             seen = 0
-            if self.state.tick[None] >= self.rows.wake[r]:
+            if self.state.substep_index[None] >= self.rows.wake[r]:
                 usable = False
                 if r >= self.begin_fingers:
                     if ti.static(self.fingered):
@@ -252,18 +253,18 @@ class Contacts:
             self.rows.seen[r] = seen
 
     @ti.func
-    def busy(self):
+    def any_active(self):
         """Whether any row is listed; it stays so until the next search."""
         return self.rows.listed_count[None] > 0
 
     @ti.func
-    def stage_count(self, stage: ti.template()):
+    def phase_count(self, stage: ti.template()):
         """How many of a stage's elements there are at present."""
         groups = ti.static(GROUPS if self.coupled and stage > 0 else 0)
         return groups + (self.rows.listed_count[None] if ti.static(stage == 0 or self.soft or self.fingered) else 0)
 
     @ti.func
-    def settle_vertex(self, i, dx):
+    def apply_impulses(self, i, dx):
         return dx + self.rows.settle(i)
 
     def destroy(self) -> None:

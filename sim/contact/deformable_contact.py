@@ -70,12 +70,12 @@ class DeformableContact:
     def _grids(self, assembly: Model) -> list[DistanceGrid]:
         return [s.once(grid_of) for s in assembly.shapes] if self.needed or self.rigid else []
 
-    def check_room(self, assembly: Model) -> None:
+    def check_capacity(self, assembly: Model) -> None:
         if assembly.soft:
             fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
         if assembly.rigid:
             fit("rigid bodies", 1, int(self.rigid))
-        self.grids.check_room(self._grids(assembly))
+        self.grids.check_capacity(self._grids(assembly))
 
     def load(self, assembly: Model) -> None:
         """Take the grids and tets of these bodies."""
@@ -150,7 +150,7 @@ class DeformableContact:
         host = s.body_of_tet[t]
         phi, friction, first = distance, s.frictions(host), 0
         if p < self.samples.count[None]:
-            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
+            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.x_lo))
             friction *= s.frictions(self.samples.body[p])
             self.samples.put(p, r, rows)
             first = 3
@@ -164,7 +164,7 @@ class DeformableContact:
             phi -= ti.min(self.hosts.reach(p), self.rim[host])
             friction *= self.spots.friction[p - self.samples.count[None]]
         for j in ti.static(range(4)):
-            phi -= b[j] * normal.dot(s.carry[a[j]])
+            phi -= b[j] * normal.dot(s.x_lo[a[j]])
             rows.set_vertex(r, first + j, a[j], -b[j])
         rows.set_size(r, first + 4)
         rows.set(r, phi, normal, ti.sqrt(friction), pace)

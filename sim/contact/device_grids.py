@@ -39,7 +39,7 @@ class DistanceGrids:
         self._upload = Upload([self.begin, self.spacing, self.dims, self.origin])
         self.stored: list[tuple[int, DistanceGrid]] = []  # where values begin, in order
 
-    def check_room(self, grids: list[DistanceGrid]) -> None:
+    def check_capacity(self, grids: list[DistanceGrid]) -> None:
         fit("grid nodes", sum(g.values.size for g in distinct(grids)), self.size)
 
     def load(self, grids: list[DistanceGrid]) -> None:

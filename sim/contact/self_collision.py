@@ -17,8 +17,8 @@ import taichi as ti
 from core.fields import Upload
 from sim.body_model import RestShape
 from sim.contact.broad_phase import MARGIN, BodyBounds
-from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES, Model
+from sim.reductions import ReductionBlocks
 from sim.state import State
 
 APART = 5.0  # times a body's reach, which is half an edge: what is closer at rest does not meet
@@ -31,19 +31,19 @@ class SelfCollision:
     """folded, loose i32[B]: what may touch itself, what passes through itself
     way f32[B] [m]: how far two points may approach, apart from what the whole body does
 
-    sums f32[chunks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
+    sums f32[blocks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
     center, rest_center, velocity vec3[B]: the means
     strayed, restless f32[B]: the largest distances r [m] and r_v [m/s] from the fits
     """
 
-    def __init__(self, state: State, chunks: ReductionBlocks, bounds: BodyBounds):
-        self.state, self.chunks, self.bounds = state, chunks, bounds
+    def __init__(self, state: State, blocks: ReductionBlocks, bounds: BodyBounds):
+        self.state, self.blocks, self.bounds = state, blocks, bounds
         self.builder = ti.FieldsBuilder()
         self.sums, self.total, self.folded = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
         self.way, self.strayed, self.restless = (ti.field(ti.f32) for _ in range(3))
         self.fit, self.gradient = (ti.Matrix.field(3, 3, ti.f32) for _ in range(2))
         self.center, self.rest_center, self.velocity = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.builder.dense(ti.ij, (chunks.size, SUMS)).place(self.sums)
+        self.builder.dense(ti.ij, (blocks.size, SUMS)).place(self.sums)
         self.builder.dense(ti.ij, (MAX_BODIES, SUMS)).place(self.total)
         bodies = self.builder.dense(ti.i, MAX_BODIES)
         bodies.place(self.folded, self.way, self.strayed, self.restless, self.fit, self.gradient)
@@ -60,7 +60,7 @@ class SelfCollision:
     @ti.func
     def apart(self, b):
         """How far apart two points of body b must be at rest, so that they may meet [m]."""
-        return APART * self.state.reach[b]
+        return APART * self.state.max_step[b]
 
     @ti.func
     def pace(self, b):
@@ -71,7 +71,7 @@ class SelfCollision:
     def update(self):
         """Take `folded` and `way` anew; the bounds must be up to date."""
         s = self.state
-        c = self.chunks
+        c = self.blocks
         for j in range(c.size):
             span = c.span[j]
             if span[1] > span[0]:
@@ -79,7 +79,7 @@ class SelfCollision:
         for bk in range(MAX_BODIES * SUMS):
             b, k = bk // SUMS, bk % SUMS
             value = 0.0
-            for j in range(c.of_body[b], c.of_body[b + 1]):
+            for j in range(c.begin[b], c.begin[b + 1]):
                 value += self.sums[j, k]
             self.total[b, k] = value
         for b in range(MAX_BODIES):
@@ -113,7 +113,7 @@ class SelfCollision:
 
     @ti.func
     def _sum(self, j, span):
-        """The sums of one chunk, about the body's first vertex."""
+        """The sums of one block, about the body's first vertex."""
         s = self.state
         first = s.vertex_begin[span[2]]
         M, p, P, q = 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
@@ -137,7 +137,7 @@ class SelfCollision:
 
     @ti.func
     def _fit(self, b):
-        """The affine maps of body b from the sums of its chunks."""
+        """The affine maps of body b from the sums of its blocks."""
         s = self.state
         total = ti.Vector([self.total[b, k] for k in range(SUMS)])
         M, first = total[0], s.vertex_begin[b]

@@ -73,8 +73,8 @@ class StaticContact:
         s, d = self.state, dx
         p = self.samples.of_vertex[i]
         later = ti.static(0 if first else 1)  # what the first sweep looked at is put off to the next substep at least
-        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + later >= self.rows.wake[p]:
-            y = d - s.carry[i] + self.rows.last[i]
+        if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] + later >= self.rows.wake[p]:
+            y = d - s.x_lo[i] + self.rows.last[i]
             clear, push = FAR, corner(0.0)
             for k in range(self.near_count[p]):
                 shape = self.near[p, k]
@@ -82,7 +82,7 @@ class StaticContact:
                 if phi >= 0.5 * FAR:
                     clear = 0.0  # a grid that says nothing here may say something in a moment
                 else:
-                    phi += self.samples.skin[p] + n.dot(s.carry[i])
+                    phi += self.samples.skin[p] + n.dot(s.x_lo[i])
                     mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
                     c = respond(phi, n, y, mu, s.dt[None])
                     y += c
@@ -102,7 +102,7 @@ class StaticContact:
         s = self.state
         d, reaction, hold = dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
         p = self.samples.of_vertex[i]
-        if p >= 0 and self.near_count[p] > 0 and s.tick[None] + 1 >= self.rows.wake[p]:  # every sweep
+        if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] + 1 >= self.rows.wake[p]:  # every sweep
             clear = FAR
             firm = FIRM * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
             for k in range(self.near_count[p]):
@@ -111,9 +111,9 @@ class StaticContact:
                 if phi >= 0.5 * FAR:
                     clear = 0.0
                 else:
-                    phi += self.samples.skin[p] + n.dot(s.carry[i])
+                    phi += self.samples.skin[p] + n.dot(s.x_lo[i])
                     mu = ti.sqrt(s.frictions(self.samples.body[p]) * self.colliders.friction[shape])
-                    y = d - s.carry[i]
+                    y = d - s.x_lo[i]
                     c, force = respond_metric(phi, n, y, mu, s.dt[None], H, A, prior, firm)
                     if force.norm_sqr() > 0.0:
                         d += c
@@ -138,7 +138,7 @@ class StaticContact:
                 phi, normal, friction = d, n, self.colliders.friction[shape]
         usable = phi < 0.5 * FAR
         if usable:
-            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.carry))
+            phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.x_lo))
             body = self.samples.body[p]
             self.rows.set(p, phi, normal, ti.sqrt(friction * s.frictions(body)), self.paces[body])
         return usable

@@ -3,8 +3,8 @@
 import taichi as ti
 
 from core.quaternion import polar_quaternion, to_matrix
-from sim.elastic.damping import ReductionBlocks
 from sim.model import MAX_BODIES
+from sim.reductions import ReductionBlocks
 from sim.state import State
 
 TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
@@ -14,17 +14,17 @@ TURN = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
 class BestFitRotation:
     """turn mat3[B] = R of each body, which `rotations()` finds, a kernel."""
 
-    def __init__(self, state: State, chunks: ReductionBlocks):
-        self.state, self.chunks = state, chunks
+    def __init__(self, state: State, blocks: ReductionBlocks):
+        self.state, self.blocks = state, blocks
         self.builder = ti.FieldsBuilder()
         self.turn, self.sums = ti.Matrix.field(3, 3, ti.f32), ti.field(ti.f32)
         self.builder.dense(ti.i, MAX_BODIES).place(self.turn)
-        self.builder.dense(ti.ij, (chunks.size, TURN)).place(self.sums)
+        self.builder.dense(ti.ij, (blocks.size, TURN)).place(self.sums)
         self.tree = self.builder.finalize()
 
     def rotations(self):
         """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
-        s, c = self.state, self.chunks
+        s, c = self.state, self.blocks
 
         @ti.kernel
         def rotations():
@@ -49,7 +49,7 @@ class BestFitRotation:
                 if b < s.body_count[None]:
                     total = ti.Matrix.zero(ti.f32, 3, 3)
                     p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-                    for j in range(c.of_body[b], c.of_body[b + 1]):
+                    for j in range(c.begin[b], c.begin[b + 1]):
                         for k in ti.static(range(3)):
                             for l in ti.static(range(3)):
                                 total[k, l] += self.sums[j, 3 * k + l]

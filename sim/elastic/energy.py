@@ -171,14 +171,14 @@ class Elasticity:
             kappa = self.kappa[t]
             bound = kappa * ti.max(1.0, I1 * I1 / 9.0)
             energy = ti.max(2.0 * energy_density(I1, grow, mu, lam), 1e-12 * mu)
-            W = s_.w[a[0]] * h0.norm_sqr() + s_.w[a[1]] * h1.norm_sqr()
-            W += s_.w[a[2]] * h2.norm_sqr() + s_.w[a[3]] * h3.norm_sqr()
+            W = s_.inv_mass[a[0]] * h0.norm_sqr() + s_.inv_mass[a[1]] * h1.norm_sqr()
+            W += s_.inv_mass[a[2]] * h2.norm_sqr() + s_.inv_mass[a[3]] * h3.norm_sqr()
             q = ti.min(V * W / energy, bound)
             if ti.static(single):
                 g1 = ti.Vector([B[0, 0], B[0, 1], B[0, 2]])
                 g2 = ti.Vector([B[1, 0], B[1, 1], B[1, 2]])
                 g3 = ti.Vector([B[2, 0], B[2, 1], B[2, 2]])
-                w = V * ti.Vector([s_.w[a[0]], s_.w[a[1]], s_.w[a[2]], s_.w[a[3]]])
+                w = V * ti.Vector([s_.inv_mass[a[0]], s_.inv_mass[a[1]], s_.inv_mass[a[2]], s_.inv_mass[a[3]]])
                 step, brake = safe_step(F, [-(g1 + g2 + g3), g1, g2, g3], w, q, lam, dt * dt)
                 way = h0.dot(d0) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
                 s = -(V * step + brake * way / ti.max(W, 1e-30))
@@ -202,7 +202,7 @@ class Elasticity:
         total = ti.Vector([0.0, 0.0, 0.0])
         for k in range(self.slot_begin[i], self.slot_begin[i + 1]):
             total += self.correction[k]
-        return self.state.w[i] * total
+        return self.state.inv_mass[i] * total
 
 
 def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:

@@ -18,10 +18,10 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.elastic.best_fit_rotation import BestFitRotation
-from sim.elastic.damping import ReductionBlocks
 from sim.elastic.energy import Elasticity, fine_stress
 from sim.elastic.modes import MODES, modes_of
 from sim.model import MAX_BODIES, Model, stacked
+from sim.reductions import ReductionBlocks
 from sim.state import State
 
 
@@ -34,10 +34,10 @@ class ModalCorrection:
     force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B*MODES] = q
     """
 
-    def __init__(self, state: State, elastic: Elasticity, chunks: ReductionBlocks, target, reaction, hold):
-        self.state, self.elastic, self.chunks = state, elastic, chunks
+    def __init__(self, state: State, elastic: Elasticity, blocks: ReductionBlocks, target, reaction, hold):
+        self.state, self.elastic, self.blocks = state, elastic, blocks
         self.target, self.reaction, self.hold = target, reaction, hold
-        V, C = state.V, chunks.size
+        V, C = state.V, blocks.size
         self.builder = ti.FieldsBuilder()
         self.shape, self.force, self.step = (ti.Vector.field(3, ti.f32) for _ in range(3))
         self.square, self.part, self.partial, self.amplitude, self.slope, self.share, self.trial = (
@@ -51,13 +51,13 @@ class ModalCorrection:
         self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
         self.builder.dense(ti.ij, (C, 2)).place(self.slope)
         self.tree = self.builder.finalize()
-        self.turning = BestFitRotation(state, chunks)
+        self.turning = BestFitRotation(state, blocks)
         self.turn = self.turning.turn
         self._upload = Upload([self.shape, self.square])
 
     def load(self, assembly: Model) -> None:
         """Take the modes of these bodies."""
-        modes = [p.shape.once(modes_of, tuple((p.w == 0.0).tolist()), p.material) for p in assembly.parts]
+        modes = [p.shape.once(modes_of, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in assembly.parts]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
@@ -105,14 +105,14 @@ class ModalCorrection:
             for i in range(s.V):
                 if i < s.vertex_count[None]:
                     f = ti.Vector([0.0, 0.0, 0.0])
-                    if s.w[i] > 0.0:
+                    if s.inv_mass[i] > 0.0:
                         f = self.turn[s.body_of_vertex[i]].transpose() @ self._total(i)
                     self.force[i] = f
 
         return residual
 
     def project(self):
-        s, c = self.state, self.chunks
+        s, c = self.state, self.blocks
 
         @ti.kernel
         def project():
@@ -128,7 +128,7 @@ class ModalCorrection:
                 b, k = bk // MODES, bk % MODES
                 if b < s.body_count[None]:
                     total = 0.0
-                    for j in range(c.of_body[b], c.of_body[b + 1]):
+                    for j in range(c.begin[b], c.begin[b + 1]):
                         total += self.partial[j, k]
                     self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.square[bk])
 
@@ -137,7 +137,7 @@ class ModalCorrection:
     @ti.func
     def _sum_parts(self, j, k):
         """Sum column k of `part` over run j."""
-        span, total = self.chunks.span[j], 0.0
+        span, total = self.blocks.span[j], 0.0
         for i in range(span[0], span[1]):
             total += self.part[i, k]
         self.slope[j, k] = total
@@ -146,12 +146,12 @@ class ModalCorrection:
     def _slope(self, b, k):
         """Sum column k of `part` over body b."""
         total = 0.0
-        for j in range(self.chunks.of_body[b], self.chunks.of_body[b + 1]):
+        for j in range(self.blocks.begin[b], self.blocks.begin[b + 1]):
             total += self.slope[j, k]
         return total
 
     def move(self):
-        s, c = self.state, self.chunks
+        s, c = self.state, self.blocks
 
         @ti.kernel
         def move():
@@ -182,7 +182,7 @@ class ModalCorrection:
         return move
 
     def measure(self):
-        s, c = self.state, self.chunks
+        s, c = self.state, self.blocks
 
         @ti.kernel
         def measure():

@@ -124,12 +124,12 @@ class Untangling:
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.limp[b] and s.w[i] > 0.0:
+                if self.limp[b] and s.inv_mass[i] > 0.0:
                     ti.atomic_max(self.longest[b], self._way(i, b).norm())
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.limp[b] and s.w[i] > 0.0:
+                if self.limp[b] and s.inv_mass[i] > 0.0:
                     center = ti.Vector([total[b, k] for k in range(3)])
                     goal = ti.Vector([total[b, 3 + k] for k in range(3)])
                     goal += self.damping.omega[b].cross(s.x[i] - center)

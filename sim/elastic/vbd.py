@@ -10,10 +10,10 @@ every update lowers the energy. Vertices of one colour (sim/elastic/coloring.py)
 After the sweeps of a substep each body moves along its softest modes (sim/elastic/modal_correction.py): few sweeps bring a push only a
 few rings of tets far. The modes come last because they include the rigid ones, so that momentum is kept.
 
-    begin     dx = dt v + dt^2 a + carry, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
+    begin     dx = dt v + dt^2 a + x_lo, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
               what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes
     sweep     colour by colour; after each vertex its static contacts, in the metric of H (sim/contact/response.py)
-    pairs     rows push the target; their push moves dx itself by mobility/w of that, mobility = tr(H^-1)/(3 dt^2)
+    pairs     rows push the target; their push moves dx itself by effective_inv_mass/w of that, effective_inv_mass = tr(H^-1)/(3 dt^2)
     coarse    the step along the modes
     close     commit, as in sim/elastic/xpbd.py
 """
@@ -23,13 +23,14 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import Upload, round_up_capacity
+from sim.constraint import Constraint
 from sim.contact.response import inverse
 from sim.elastic.coloring import color_ranges, colors_of
-from sim.elastic.damping import ReductionBlocks
 from sim.elastic.energy import Elasticity, corners_of, fine_stress
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.xpbd import blocks, commit, stages
+from sim.elastic.substep import block_size, commit, phase_kernels
 from sim.model import Model, stacked
+from sim.reductions import ReductionBlocks
 from sim.state import State
 
 MOST_COLORS = 64
@@ -44,31 +45,39 @@ class VBDSubsteps:
     order i32[V], color_begin i32[C+1]: vertices by colour;   corner i32[4T]: 4 t + k of each slot (sim/elastic/energy.py)
     target vec3[V] [m];   external vec3[V] [m] what the rows' impulses add to it;   fall f32[V] = |a| / |g|
     reaction vec3[V] [N] of static shapes;   hold f32[V] [N/m] local stiffness where something touches, else 0
-    mobility f32[V] [1/kg]: how a vertex answers to an impulse within the substep
+    effective_inv_mass f32[V] [1/kg]: how a vertex answers to an impulse within the substep
     """
 
-    piece = 16  # substeps behind one call from Python, at most
+    max_substeps = 16  # behind one call
+    warm_started = True
 
     def __init__(
-        self, state: State, elastic: Elasticity, constraints: list, chunks: ReductionBlocks, *, iterations: int
+        self,
+        state: State,
+        elastic: Elasticity,
+        constraints: list[Constraint],
+        rigid,
+        blocks: ReductionBlocks,
+        *,
+        iterations: int,
     ):
-        self.state, self.elastic, self.iterations = state, elastic, iterations
+        self.state, self.elastic, self.rigid, self.iterations = state, elastic, rigid, iterations
+        self.has_rigid = rigid is not None
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
         self.builder = ti.FieldsBuilder()
         self.order, self.corner, self.color_begin = (ti.field(ti.i32) for _ in range(3))
         self.target, self.external, self.reaction = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.fall, self.hold, self.mobility = (ti.field(ti.f32) for _ in range(3))
+        self.fall, self.hold, self.effective_inv_mass = (ti.field(ti.f32) for _ in range(3))
         self.builder.dense(ti.i, state.V).place(self.order)
         self.builder.dense(ti.i, 4 * state.T).place(self.corner)
         self.builder.dense(ti.i, MOST_COLORS + 1).place(self.color_begin)
-        for f in (self.target, self.external, self.reaction, self.fall, self.hold, self.mobility):
+        for f in (self.target, self.external, self.reaction, self.fall, self.hold, self.effective_inv_mass):
             self.builder.dense(ti.i, state.V).place(f)
         self.tree = self.builder.finalize()
-        self.answers = True
-        self.coarse = ModalCorrection(state, elastic, chunks, self.target, self.reaction, self.hold)
+        self.coarse = ModalCorrection(state, elastic, blocks, self.target, self.reaction, self.hold)
         self._upload = Upload([self.order, self.corner, self.color_begin])
-        self._memory = Upload([self.fall, self.reaction, self.hold, self.external, self.mobility])
+        self._memory = Upload([self.fall, self.reaction, self.hold, self.external, self.effective_inv_mass])
         self.colors = 0
         self.kernels: tuple | None = None
         self.graphs: dict[int, ti.graph.Graph] = {}
@@ -76,7 +85,7 @@ class VBDSubsteps:
     def load(self, assembly: Model) -> None:
         """Take the colours and modes of these bodies."""
         parts = assembly.parts
-        colors = [p.shape.root.once(colors_of, tuple((p.w == 0.0).tolist())) for p in parts]
+        colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in parts]
         order, begin = color_ranges(stacked(colors))
         if len(begin) > MOST_COLORS + 1:
             raise BadInput(f"a vertex has too many neighbours: {len(begin) - 1} colours, the limit is {MOST_COLORS}")
@@ -97,8 +106,10 @@ class VBDSubsteps:
     def _record(self, substeps: int):
         if self.kernels is None:
             pairs = [self.pairs()] if self.in_pairs else []
-            if self.state.coupled:  # in pieces, as in sim/elastic/xpbd.py
-                pairs[:0] = [k for c in self.in_pairs for k in stages(self.state, c, first=True, look=False)]
+            if self.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
+                pairs[:0] = [
+                    k for c in self.in_pairs for k in phase_kernels(self.state, self, c, first=True, evaluate=False)
+                ]
             self.kernels = self.begin(), self.sweep(), pairs, self.coarse.kernels(), self.close()
         begin, sweep, pairs, coarse, close = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
@@ -151,13 +162,13 @@ class VBDSubsteps:
         A = inverse(H)
         d, reaction, hold = s.dx[i] + A @ f, ti.Vector([0.0, 0.0, 0.0]), 0.0
         for c in ti.static(self.on_vertex):
-            d, p, h = c.project_vertex_metric(i, d, H, A, self.reaction[i])
+            d, p, h = c.project_vertex_implicit(i, d, H, A, self.reaction[i])
             reaction += p
             hold = ti.max(hold, h)
         s.dx[i] = d
         self.reaction[i] = reaction
         self.hold[i] = hold
-        self.mobility[i] = A.trace() / (3.0 * s.dt[None] ** 2)
+        self.effective_inv_mass[i] = A.trace() / (3.0 * s.dt[None] ** 2)
 
     def begin(self):
         s, on_vertex, in_pairs = self.state, self.on_vertex, self.in_pairs
@@ -167,27 +178,27 @@ class VBDSubsteps:
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if i == 0:
-                    s.tick[None] += 1
+                    s.substep_index[None] += 1
                 if i < s.vertex_count[None]:
-                    target = s.predicted[i]
-                    if s.w[i] > 0.0:
+                    target = s.dx_predicted[i]
+                    if s.inv_mass[i] > 0.0:
                         d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
                         for c in ti.static(on_vertex):
-                            target += c.push_vertex(i, d)
+                            target += c.external_displacement(i, d)
                         s.dx[i] = d
                     self.target[i] = target + self.external[i]
             for c in ti.static(in_pairs):
-                block = ti.static(blocks(s, c.stage_sizes[0]))
+                block = ti.static(block_size(s, c.phase_sizes[0]))
                 ti.loop_config(serialize=s.serial, block_dim=block)
-                for k in range(c.stage_sizes[0]):
-                    c.look(k)
+                for k in range(c.phase_sizes[0]):
+                    c.evaluate(k)
 
         return begin
 
     def sweep(self):
         s = self.state
         width = round_up_capacity(s.V // 6)  # about what one colour has; longer ones take another turn
-        block = blocks(s, width)
+        block = block_size(s, width)
 
         @ti.kernel
         def sweep(color: ti.i32):
@@ -205,24 +216,24 @@ class VBDSubsteps:
 
         @ti.kernel
         def pairs():
-            for c in ti.static([] if s.coupled else in_pairs):
-                for stage in ti.static(range(len(c.stage_sizes))):
-                    block = ti.static(blocks(s, c.stage_sizes[stage]))
+            for c in ti.static([] if self.has_rigid else in_pairs):
+                for phase in ti.static(range(len(c.phase_sizes))):
+                    block = ti.static(block_size(s, c.phase_sizes[phase]))
                     ti.loop_config(serialize=s.serial, block_dim=block)
-                    for k in range(c.stage_sizes[stage]):
-                        c.project_stage(stage, k, True)
+                    for k in range(c.phase_sizes[phase]):
+                        c.solve_phase(self, phase, k, True)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None] and s.w[i] > 0.0:
+                if i < s.vertex_count[None] and s.inv_mass[i] > 0.0:
                     push = ti.Vector([0.0, 0.0, 0.0])
                     for c in ti.static(in_pairs):
-                        push = c.settle_vertex(i, push)
+                        push = c.apply_impulses(i, push)
                     change = push - self.external[i]
-                    if self.mobility[i] > 0.0 and push.norm_sqr() + change.norm_sqr() > 0.0:
+                    if self.effective_inv_mass[i] > 0.0 and push.norm_sqr() + change.norm_sqr() > 0.0:
                         self.target[i] += change
                         self.external[i] = push
-                        s.dx[i] += self.mobility[i] / s.w[i] * change
-                        self.hold[i] = ti.max(self.hold[i], 1.0 / (self.mobility[i] * s.dt[None] ** 2))
+                        s.dx[i] += self.effective_inv_mass[i] / s.inv_mass[i] * change
+                        self.hold[i] = ti.max(self.hold[i], 1.0 / (self.effective_inv_mass[i] * s.dt[None] ** 2))
 
         return pairs
 
@@ -235,9 +246,9 @@ class VBDSubsteps:
             for i in range(s.V):
                 if i < s.vertex_count[None]:
                     dt, g = s.dt[None], s.gravity[None]
-                    a = g + (s.dx[i] - s.predicted[i]) / dt**2
+                    a = g + (s.dx[i] - s.dx_predicted[i]) / dt**2
                     self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
-                    commit(s, i, s.dx[i])
+                    commit(self, i, s.dx[i])
 
         return close
 

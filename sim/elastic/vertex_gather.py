@@ -96,7 +96,7 @@ class VertexGather:
             a = s.tets[t]
             if grow < -1.0:
                 s.inverted[s.body_of_tet[t]] = 1
-            G, w, way, W = ti.static([g0, g1, g2, g3]), ti.Vector([s.w[a[n]] for n in range(4)]), 0.0, 0.0
+            G, w, way, W = ti.static([g0, g1, g2, g3]), ti.Vector([s.inv_mass[a[n]] for n in range(4)]), 0.0, 0.0
             for n in ti.static(range(4)):
                 h = P @ G[n]
                 W += w[n] * h.norm_sqr()

@@ -10,8 +10,8 @@ import sys
 
 import taichi as ti
 
+from sim.constraint import Constraint
 from sim.elastic.vertex_gather import VertexGather
-from sim.elastic.xpbd import commit
 from sim.model import Model
 from sim.state import State
 
@@ -38,13 +38,14 @@ def multiprocessors() -> int:
 class PersistentXPBD:
     """`run(n)` makes n substeps of one sweep each."""
 
-    piece = 128  # substeps behind one call, at most: damping acts between calls
+    max_substeps = 128  # behind one call: damping acts between calls
+    warm_started, iterations = False, 1
 
-    def __init__(self, state: State, constraints: list):
+    def __init__(self, state: State, constraints: list[Constraint]):
         self.state, self.gather = state, VertexGather(state)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
-        self.mobility, self.answers = state.w, False  # see State
+        self.effective_inv_mass = state.inv_mass
         self.blocks = multiprocessors()
         self.threads = self.blocks * BLOCK
         self.builder = ti.FieldsBuilder()
@@ -71,7 +72,7 @@ class PersistentXPBD:
             ti.simt.grid.memfence()
             if ti.atomic_add(self.arrived[0], 1) == round_ * self.blocks - 1:
                 if ti.static(ends):
-                    self.state.tick[None] += 1
+                    self.state.substep_index[None] += 1
                     ti.simt.grid.memfence()
                 ti.atomic_add(self.released[0], 1)
             while ti.atomic_add(self.released[0], 0) < round_:
@@ -103,7 +104,7 @@ class PersistentXPBD:
         s = self.state
         g = self.gather
         self.arrived[0], self.released[0] = 0, 0
-        s.tick[None] += 1
+        s.substep_index[None] += 1
         for i in range(s.V):
             g.publish(i, 0)
         ti.loop_config(block_dim=BLOCK)
@@ -115,24 +116,24 @@ class PersistentXPBD:
                 if paired:
                     for c in ti.static(self.in_pairs):
                         k = self._scattered(thread)
-                        while k < c.stage_count(0):
-                            c.look(k)
+                        while k < c.phase_count(0):
+                            c.evaluate(k)
                             k += self.threads
                 i = begin + thread % BLOCK // LANES
                 while i < end:
                     total = self._gathered(i, lane, parity)
                     if lane == 0 and i < s.vertex_count[None]:
                         d = s.dx[i]
-                        if s.w[i] > 0.0:
-                            d += s.w[i] * total
+                        if s.inv_mass[i] > 0.0:
+                            d += s.inv_mass[i] * total
                             for c in ti.static(self.on_vertex):
                                 d = c.project_vertex(i, d, True)
                         if paired:
                             s.dx[i] = d
                         else:
                             for c in ti.static(self.in_pairs):
-                                d = c.settle_vertex(i, d)  # forgets what the last rows did
-                            commit(s, i, d)
+                                d = c.apply_impulses(i, d)  # forgets what the last rows did
+                            s.commit(i, d)
                             g.publish(i, 1 - parity)
                     i += BLOCK // LANES
                 if paired:
@@ -140,7 +141,7 @@ class PersistentXPBD:
                 parity = 1 - parity
                 rounds += 1
                 self._meet(thread, rounds, True)
-        s.tick[None] -= 1
+        s.substep_index[None] -= 1
 
     @ti.func
     def _scattered(self, thread):
@@ -165,7 +166,7 @@ class PersistentXPBD:
         """Whether any row is listed; that changes only in a search."""
         paired = False
         for c in ti.static(self.in_pairs):
-            if c.busy():
+            if c.any_active():
                 paired = True
         return paired
 
@@ -175,12 +176,12 @@ class PersistentXPBD:
         s = self.state
         passed = rounds
         for c in ti.static(self.in_pairs):
-            for stage in ti.static(range(len(c.stage_sizes))):
+            for phase in ti.static(range(len(c.phase_sizes))):
                 passed += 1
                 self._meet(thread, passed, False)
-                k, end = self._scattered(thread), c.stage_count(stage)
+                k, end = self._scattered(thread), c.phase_count(phase)
                 while k < end:
-                    c.project_stage(stage, k, True)
+                    c.solve_phase(self, phase, k, True)
                     k += self.threads
         passed += 1
         self._meet(thread, passed, False)
@@ -188,10 +189,10 @@ class PersistentXPBD:
         i = begin + thread % BLOCK
         while i < ti.min(end, s.vertex_count[None]):
             d = s.dx[i]
-            if s.w[i] > 0.0:
+            if s.inv_mass[i] > 0.0:
                 for c in ti.static(self.in_pairs):
-                    d = c.settle_vertex(i, d)
-            commit(s, i, d)
+                    d = c.apply_impulses(i, d)
+            s.commit(i, d)
             self.gather.publish(i, 1 - parity)
             i += BLOCK
         return passed

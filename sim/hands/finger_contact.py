@@ -25,7 +25,7 @@ class FingerContact:
     def _now(self):
         """The part of the frame that has passed when the next substep begins."""
         s = self.state
-        return ti.cast(s.tick[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+        return ti.cast(s.substep_index[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
 
     @ti.func
     def _meets(self, c, low, high):
@@ -105,7 +105,7 @@ class FingerContact:
     def _begin(self, p):
         """Where spot p is when the substep in progress begins [m]."""
         s = self.state
-        return self.origin[p] + ti.cast(s.tick[None], ti.f32) / ti.cast(s.substeps[None], ti.f32) * self.way[p]
+        return self.origin[p] + ti.cast(s.substep_index[None], ti.f32) / ti.cast(s.substeps[None], ti.f32) * self.way[p]
 
     @ti.func
     def _find_mover(self, p, rows: ti.template()):
@@ -173,7 +173,7 @@ class FingerContact:
                 b = ti.max(b, 0.0)
                 b /= b.sum()
                 for j in ti.static(range(4)):
-                    phi -= b[j] * normal.dot(s.carry[a[j]])
+                    phi -= b[j] * normal.dot(s.x_lo[a[j]])
                     rows.set_vertex(r, j, a[j], -b[j])
                 rows.set_size(r, 4)
                 if ti.static(rows.coupled):

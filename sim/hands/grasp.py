@@ -7,7 +7,7 @@ together carry the whole body, of mass M, at FREQUENCY (or faster, a body lighte
 
 per mass of vertex, and are integrated implicitly in each substep, with the hand's pose interpolated to the substep:
 
-    dx' = dx + dt^2 (kappa (p - x - dx') + gamma (p_dot - x_dot')),   x_dot' = (dx' - carry) / dt
+    dx' = dx + dt^2 (kappa (p - x - dx') + gamma (p_dot - x_dot')),   x_dot' = (dx' - x_lo) / dt
 """
 
 import math
@@ -130,7 +130,7 @@ class Grasps:
         """Let a body move on as the hand did that has held it."""
         part = self.assembly.parts[body]
         first, last = (int(o) for o in self.offsets[body : body + 2])
-        if (part.w > 0.0).all():
+        if (part.inv_mass > 0.0).all():
             x, v = self._motion(last)[:, first:].astype(np.float64)
             self._add(first, last - first, change(trail, x, v, part.mass, FORCE * AIM).astype(np.float32))
 
@@ -189,11 +189,11 @@ class Grasps:
     def _spring(self, h, i, d):
         """Correction [m] of vertex i's increment d by the spring of hand h."""
         s = self.state
-        dt, tick, n = s.dt[None], s.tick[None], ti.cast(s.substeps[None], ti.f32)
+        dt, tick, n = s.dt[None], s.substep_index[None], ti.cast(s.substeps[None], ti.f32)
         p = self._target(h, i, (tick + 1) / n)
         step = p - self._target(h, i, tick / n)
         kappa, gamma = self.kappa[h] * dt * dt, self.gamma[h] * dt
-        a = (kappa * (p - s.x[i] - d) + gamma * (step + s.carry[i] - d)) / (1.0 + kappa + gamma)
+        a = (kappa * (p - s.x[i] - d) + gamma * (step + s.x_lo[i] - d)) / (1.0 + kappa + gamma)
         most = FORCE / self.mass[h] * dt * dt
         return a * ti.min(1.0, most / ti.max(a.norm(), 1e-20))
 

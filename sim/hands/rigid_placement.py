@@ -35,9 +35,9 @@ class RigidPlacement:
         for i in range(s.V):
             if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
                 s.x[i] = A @ self.start[i] + t
-                s.carry[i].fill(0.0)
+                s.x_lo[i].fill(0.0)
                 s.v[i].fill(0.0)
-                s.v_carry[i].fill(0.0)
+                s.v_lo[i].fill(0.0)
 
     def warm_up(self) -> None:
         """See Solver.warm_up."""

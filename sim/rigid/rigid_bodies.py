@@ -2,7 +2,7 @@
 
 As for vertices (sim/state.py), a substep works on increments, here of the centre of mass and of the attitude:
 
-    predict   dx = dt (v + dt g) + carry,   turn = dt omega,   omega = I^-1 L at half the turn (explicit midpoint)
+    predict   dx = dt (v + dt g) + x_lo,   turn = dt omega,   omega = I^-1 L at half the turn (explicit midpoint)
     rows      dx += sum w lambda,   turn += sum I^-1 (r x lambda)              (lambda: impulses times dt [kg m])
     commit    v += dt g + (dx - predicted)/dt,   L += I (turn - predicted turn)/dt,   q <- exp(turn) q
 
@@ -18,8 +18,8 @@ from core.errors import BadInput
 from core.fields import Upload
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from sim.body_model import BodyModel
+from sim.constraint import Constraint
 from sim.contact.constraints import LENGTH, SHARE
-from sim.hands.grasp_state import Grips
 from sim.model import MAX_BODIES, Model
 from sim.reductions import best_rotation
 from sim.rigid.rigid_body import RigidBody
@@ -30,31 +30,33 @@ from sim.state import State
 PASS = 1.25e-4  # [s] of a substep for each pass over the rows
 MOST_PASSES = 4
 LONGEST_SUBSTEP = 5e-4  # [s] with rigid bodies: the rows of a stack converge over substeps
-MOTION = ("x", "carry", "v", "v_carry", "q", "q_carry", "spin")
+MOTION = ("x", "x_lo", "v", "v_lo", "q", "q_lo", "spin")
 
 
 @ti.data_oriented
-class RigidBodies:
+class RigidBodies(Constraint):
     """All rigid bodies, indexed like all bodies; soft ones have kind SOFT and no place here.
 
-    kind i32[B];   center vec3 centre of mass in the body frame;   w f32 = 1/m;   restitution, reach f32 [m]
-    inertia, inverse_inertia mat3 in the body frame;   x, carry, v, v_carry vec3;   q, q_carry vec4; spin vec3 = L
+    kind i32[B];   center vec3 centre of mass in the body frame;   w f32 = 1/m;   restitution, max_step f32 [m]
+    inertia, inverse_inertia mat3 in the body frame;   x, x_lo, v, v_lo vec3;   q, q_lo vec4; spin vec3 = L
     R mat3, world mat3 = R I^-1 R^T, omega vec3: follow from these;   dx, predicted, turn, turned vec3: of the substep
     origin vec3, origin_q vec4, way vec3, swing vec3: where a driven body starts in this frame, how it moves and turns
     share i32[B] and sums i64[B, 1+passes, 6]: of the rows, as in sim/contact/constraints.py;   swept i32: sweeps of substep swept_at
     """
 
-    has_vertex, has_pairs = False, True
-    stage_sizes = (MAX_BODIES,)
+    has_pairs = True
+    phase_sizes = (MAX_BODIES,)
 
-    def __init__(self, state: State, *, hands: int, iterations: int, passes: int):
-        self.state, self.iterations, self.passes = state, iterations, passes
+    def __init__(self, state: State, *, hands: int, passes: int):
+        self.state, self.passes = state, passes
         vec, mat = (lambda n=3: ti.Vector.field(n, ti.f32)), (lambda: ti.Matrix.field(3, 3, ti.f32))
         self.kind, self.share, self.swept, self.swept_at = (ti.field(ti.i32) for _ in range(4))
-        self.w, self.restitution, self.reach = (ti.field(ti.f32) for _ in range(3))
-        self.center, self.x, self.carry, self.v, self.v_carry, self.spin, self.omega = (vec() for _ in range(7))
-        self.dx, self.predicted, self.turn, self.turned, self.origin, self.way, self.swing = (vec() for _ in range(7))
-        self.q, self.q_carry, self.origin_q = vec(4), vec(4), vec(4)
+        self.w, self.restitution, self.max_step = (ti.field(ti.f32) for _ in range(3))
+        self.center, self.x, self.x_lo, self.v, self.v_lo, self.spin, self.omega = (vec() for _ in range(7))
+        self.dx, self.dx_predicted, self.turn, self.turned, self.origin, self.way, self.swing = (
+            vec() for _ in range(7)
+        )
+        self.q, self.q_lo, self.origin_q = vec(4), vec(4), vec(4)
         self.inertia, self.inverse_inertia, self.R, self.world = (mat() for _ in range(4))
         self.sums = ti.field(ti.i64)
         self.builder = ti.FieldsBuilder()
@@ -65,28 +67,25 @@ class RigidBodies:
         self.tree = self.builder.finalize()
         self.grip = RigidGrasp(self, hands)
         self._constants = Upload(
-            [self.kind, self.center, self.w, self.restitution, self.reach, self.inertia, self.inverse_inertia]
+            [self.kind, self.center, self.w, self.restitution, self.max_step, self.inertia, self.inverse_inertia]
         )
         self._motion = Upload([getattr(self, name) for name in MOTION])
         self.parts: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def check_room(self, assembly: Model) -> None:
-        """There is room for as many rigid bodies as there can be bodies."""
-
     def load(self, assembly: Model) -> None:
         """Take these bodies, of which those that are rigid move here; poses and momenta come by `fit`."""
         self.parts, self.begin = assembly.parts, assembly.vertex_begin
         B = len(self.parts)
-        kind, w, restitution, reach = np.zeros(B), np.zeros(B), np.zeros(B), np.zeros(B)
+        kind, w, restitution, max_step = np.zeros(B), np.zeros(B), np.zeros(B), np.zeros(B)
         center, inertia, inverse = np.zeros((B, 3)), np.zeros((B, 3, 3)), np.zeros((B, 3, 3))
         for b, body in self.rigid():
             m, center[b], inertia[b] = body.inertia
             kind[b], restitution[b] = DRIVEN if body.kinematic else FREE, body.restitution
-            reach[b] = 0.5 * np.ptp(np.asarray(body.vertices, np.float64), axis=0).min()
+            max_step[b] = 0.5 * np.ptp(np.asarray(body.vertices, np.float64), axis=0).min()
             if not body.kinematic:
                 w[b], inverse[b] = 1 / m, np.linalg.inv(inertia[b])
-        self._constants([kind, center, w, restitution, reach, inertia, inverse])
+        self._constants([kind, center, w, restitution, max_step, inertia, inverse])
         self.targets.clear()
 
     def rigid(self) -> list[tuple[int, RigidBody]]:
@@ -139,23 +138,9 @@ class RigidBodies:
     def warm_up(self) -> None:
         self.grip.warm_up()
 
-    def detect(self) -> None:
-        """Nothing to search: sim/rigid/rigid_contact.py does."""
-
     def reset(self) -> None:
         """Let all go."""
         self.grip.reset()
-
-    def grips(self) -> Grips:
-        """What hands hold is known to sim/hands/grasp.py."""
-        return Grips.none(0)
-
-    def hold(self, grips: Grips) -> None:
-        """As `grips`."""
-
-    def hand_forces(self) -> list:
-        """They are in those of sim/contact/contacts.py."""
-        return []
 
     @ti.kernel
     def _clear(self):
@@ -171,7 +156,7 @@ class RigidBodies:
         s = self.state
         for b in range(MAX_BODIES):
             if self.kind[b] != SOFT:
-                self.origin[b], self.origin_q[b] = self.x[b] + self.carry[b], self.q[b]
+                self.origin[b], self.origin_q[b] = self.x[b] + self.x_lo[b], self.q[b]
                 self.way[b], self.swing[b] = 0.0, 0.0
                 if self.kind[b] == DRIVEN:
                     if table[b, 0] != 0.0:
@@ -180,7 +165,7 @@ class RigidBodies:
                         self.swing[b] = quaternion.rotation_vector_between(target, self.q[b])
                     whole = s.dt[None] * ti.cast(s.substeps[None], ti.f32)
                     self.v[b], self.omega[b] = self.way[b] / whole, self.swing[b] / whole
-                    self.v_carry[b], self.carry[b] = 0.0, 0.0
+                    self.v_lo[b], self.x_lo[b] = 0.0, 0.0
                 predict(self, b)
                 self.swept_at[b] = -2
         for i in range(s.V):
@@ -190,7 +175,7 @@ class RigidBodies:
     @ti.func
     def moved(self, b, upto):
         """Increments of centre and attitude in this substep, with what the first `upto` passes of the rows pushed."""
-        d, t = self.dx[b] - self.carry[b], self.turn[b]
+        d, t = self.dx[b] - self.x_lo[b], self.turn[b]
         for j in range(upto):
             for c in ti.static(range(3)):
                 d[c] += ti.cast(self.sums[b, j, c], ti.f32) * (1.0 / LENGTH)
@@ -223,20 +208,20 @@ class RigidBodies:
         return self.w[b] + a.dot(self.world[b] @ a)
 
     @ti.func
-    def project_stage(self, stage: ti.template(), b, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), phase: ti.template(), b, first: ti.template()):
         """Add what all rows pushed; after the last sweep, move."""
         if self.kind[b] != SOFT:
-            if self.swept_at[b] != self.state.tick[None]:
-                self.swept_at[b], self.swept[b] = self.state.tick[None], 0
+            if self.swept_at[b] != self.state.substep_index[None]:
+                self.swept_at[b], self.swept[b] = self.state.substep_index[None], 0
             self.swept[b] += 1
             d, t = self.moved(b, 1 + self.passes)
-            d += self.carry[b]
+            d += self.x_lo[b]
             self.share[b] = 0
             for j in range(1 + self.passes):
                 for c in ti.static(range(6)):
                     self.sums[b, j, c] = 0
-            if self.swept[b] < self.iterations:
-                if ti.static(not self.state.answers):  # else the next sweep pushes all anew
+            if self.swept[b] < integrator.iterations:
+                if ti.static(not integrator.warm_started):  # else the next sweep pushes all anew
                     self.dx[b], self.turn[b] = d, t
             else:
                 if self.kind[b] == FREE:
@@ -246,21 +231,18 @@ class RigidBodies:
                 predict(self, b)
 
     @ti.func
-    def look(self, b):
-        """All is known."""
-
-    @ti.func
-    def busy(self):
-        """There is always something to move."""
+    def any_active(self):
+        """Return True: there is always something to move."""
         return True
 
     @ti.func
-    def stage_count(self, stage: ti.template()):
+    def phase_count(self, phase: ti.template()):
         return MAX_BODIES
 
     @ti.func
-    def settle_vertex(self, i, dx):
-        return dx
+    def place_vertex(self, i):
+        """Put vertex i of a rigid body where the committed pose has it."""
+        place(self, i)
 
     def destroy(self) -> None:
         self.tree.destroy()

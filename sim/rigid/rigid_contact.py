@@ -50,12 +50,12 @@ class RigidContacts(RigidSearch):
             rows.set_end(r, 1 if rigid else 0, m, x, -1.0)
         usable = phi < 0.5 * FAR
         if usable:
-            phi += self.samples.skin[p] + n.dot(self.samples.blend(p, s.carry))
+            phi += self.samples.skin[p] + n.dot(self.samples.blend(p, s.x_lo))
             rows.set(r, phi, n, ti.sqrt(friction), pace)
         return usable
 
     @ti.func
-    def claim(self, r, usable, first: ti.template()):
+    def claim(self, r, usable, first: ti.template(), integrator: ti.template()):
         """As Rows.claim, for a row of a group, of which the first one that carries a load claims for all."""
         rows = self.rows
         q = r - self.begin
@@ -64,7 +64,7 @@ class RigidContacts(RigidSearch):
         rows.claimed[r] = 0
         loaded, fall = False, self.state.gravity[None].norm() * dt * dt
         if usable:
-            way = rows.normal[r].dot(rows.motion(r, 0))
+            way = rows.normal[r].dot(rows.motion(r, 0, integrator))
             loaded = rows.impulse[r].norm_sqr() > 0.0
             if self.bounce[q] > 0.0:
                 self.patience[q] -= 1

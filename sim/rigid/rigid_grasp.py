@@ -1,6 +1,6 @@
 """Hands on rigid bodies: a spring holds the whole body in the hand's frame, as sim/hands/grasp.py holds vertices.
 
-    a = (kappa (p - x - dx) + gamma (step + carry - dx)) / (1 + kappa + gamma),  kappa = (omega dt)^2 max(1, LIGHTEST/M)
+    a = (kappa (p - x - dx) + gamma (step + x_lo - dx)) / (1 + kappa + gamma),  kappa = (omega dt)^2 max(1, LIGHTEST/M)
 
 for the centre of mass, which the hand wants at p and to move by `step` in this substep, and alike for the attitude.
 """
@@ -83,7 +83,7 @@ class RigidGrasp:
         s = self.movers.state
         m = self.movers
         dt, n = s.dt[None], ti.cast(s.substeps[None], ti.f32)
-        f = ti.cast(s.tick[None] + 2, ti.f32) / n  # the tick is still that of the substep before
+        f = ti.cast(s.substep_index[None] + 2, ti.f32) / n  # the tick is still that of the substep before
         p, q = self._goal(h, f)
         p_before, q_before = self._goal(h, f - 1.0 / n)
         more = ti.max(1.0, LIGHTEST * m.w[b])
@@ -91,7 +91,7 @@ class RigidGrasp:
         gamma = 2.0 * OMEGA * dt * ti.sqrt(more)
         soft = 1.0 / (1.0 + kappa + gamma)
         d, t = m.dx[b], m.turn[b]
-        a = soft * (kappa * (p - m.x[b] - d) + gamma * (p - p_before + m.carry[b] - d))
+        a = soft * (kappa * (p - m.x[b] - d) + gamma * (p - p_before + m.x_lo[b] - d))
         a *= ti.min(1.0, FORCE * m.w[b] * dt * dt / ti.max(a.norm(), 1e-20))
         twist = quaternion.rotation_vector_between(q, m.q[b]) - t
         alpha = soft * (kappa * twist + gamma * (quaternion.rotation_vector_between(q, q_before) - t))

@@ -52,7 +52,7 @@ class RigidShapes:
         """Signed distance [m] from x to body b, and the outward unit normal; (FAR, 0) where a grid says nothing."""
         m = self.movers
         R = m.R[b]
-        q = R.transpose() @ ((x - m.x[b]) - m.carry[b]) + m.center[b]
+        q = R.transpose() @ ((x - m.x[b]) - m.x_lo[b]) + m.center[b]
         phi, normal = FAR, corner(0.0)
         if self.boxed[b]:
             phi, normal = bearing_distance(q, self.half[b], R.transpose() @ facing)

@@ -78,7 +78,7 @@ class Play:
 
     def motion(self):
         s = self.world.solver.snapshot()
-        return [s[name] for name in ("x", "carry", "v", "v_carry")]
+        return [s[name] for name in ("x", "x_lo", "v", "v_lo")]
 
     def picture(self):
         return pixels_of(self.world.picture).copy()

@@ -92,7 +92,7 @@ class Play:
 def unchanged(world, before: dict, means: np.ndarray) -> None:
     """Bodies and what is seen of them are as they were."""
     after = world.solver.snapshot()
-    for name in ("x", "carry", "v", "v_carry", "mending"):
+    for name in ("x", "x_lo", "v", "v_lo", "mending"):
         np.testing.assert_array_equal(before[name], after[name])
     world.refresh()
     np.testing.assert_array_equal(world.splats.mean.to_numpy(), means)

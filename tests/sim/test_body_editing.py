@@ -22,7 +22,7 @@ from sim.solver import Solver
 DT = 1 / 60
 JELLY = Material(young=3e4, poisson=0.3, density=1000.0, friction=0.6, damping=8.0)
 TABLE = Box((0, -0.05, 0), (2.0, 0.05, 2.0))
-MOTION = ("x", "v", "carry", "v_carry")
+MOTION = ("x", "v", "x_lo", "v_lo")
 ROOM = Capacity(vertices=1000, tets=3000, triangles=1500, samples=1500, nodes=1_500_000, bodies=12)
 
 
@@ -146,7 +146,7 @@ def test_a_copy_behaves_as_its_original(solver):
     q = solver.snapshot()
     rng = np.random.default_rng(1)
     x = q["x"] + rng.normal(0, 2e-3, q["x"].shape) + [0, 1.0, 0]
-    solver.restore({**q, "x": x, "v": np.cross([1.0, 5.0, 2.0], x - x.mean(0)), "carry": 0 * x, "v_carry": 0 * x})
+    solver.restore({**q, "x": x, "v": np.cross([1.0, 5.0, 2.0], x - x.mean(0)), "x_lo": 0 * x, "v_lo": 0 * x})
     k = solver.duplicate(1)
     q = motions(solver)
     assert_allclose(q[k]["x"] - q[1]["x"], [[np.ptp(q[1]["x"][:, 0]) + 0.01, 0, 0]] * len(q[k]["x"]), atol=1e-6)

@@ -1,0 +1,56 @@
+"""Parts of a substep that all integrators share."""
+
+import taichi as ti
+
+from sim.constraint import Constraint
+from sim.state import State
+
+
+@ti.func
+def commit(integrator: ti.template(), i, d):
+    """Commit the increment d of vertex i; a vertex of a rigid body follows its pose instead."""
+    s = integrator.state
+    follows = False
+    if ti.static(integrator.has_rigid):
+        follows = integrator.rigid.kind[s.body_of_vertex[i]] != 0
+        if follows:
+            integrator.rigid.place_vertex(i)
+    if not follows:
+        s.commit(i, d)
+
+
+def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate: bool) -> list:
+    """The phases of constraint c as kernels of their own, after that of `evaluate` if it is wanted.
+
+    With rigid bodies a single kernel would take minutes to compile.
+    """
+
+    @ti.kernel
+    def evaluation():
+        ti.loop_config(serialize=s.serial)
+        for k in range(c.phase_sizes[0]):
+            c.evaluate(k)
+
+    def kernel(phase: int):
+        @ti.kernel
+        def run():
+            ti.loop_config(serialize=s.serial)
+            for k in range(c.phase_sizes[phase]):
+                c.solve_phase(integrator, phase, k, first)
+
+        return run
+
+    return [evaluation] * evaluate + [kernel(phase) for phase in range(len(c.phase_sizes))]
+
+
+def block_size(s: State, n: int) -> int | None:
+    """Block size of a loop over n, a power of two: warps on the GPU, two to four blocks for each CPU thread.
+
+    None for a loop that runs serially.
+    """
+    if s.serial:
+        return None
+    cfg = ti.lang.impl.current_cfg()
+    if cfg.arch == ti.cuda:
+        return 128
+    return max(64, 1 << (n // (2 * cfg.cpu_max_num_threads)).bit_length() - 1)

@@ -1,8 +1,9 @@
 # make play   set everything up and play the ring toss (without a display: record it)
 # make test   set everything up and run the tests
-# make soak   for the night: the long tests, then 30 simulated minutes of random handling (hours)
-# make build  model the shipped assets anew, from code
+# make soak   run the long tests, then 30 simulated minutes of random handling (hours)
+# make build  rebuild the shipped assets from code
 # make lint   check style
+# make clean  remove the virtual environment and caches
 
 VENV := .venv
 PYTHON := $(VENV)/bin/python
@@ -26,7 +27,7 @@ lint: $(VENV)/.ready-tests
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 
-# The stamp says: the virtual environment holds just what the pinned lists ask for.
+# Stamps: newer than the pinned lists when the virtual environment holds what they ask for.
 $(VENV)/.ready: requirements.txt setup.sh
 	@sh setup.sh $(VENV) requirements.txt
 	@touch $@

@@ -1,16 +1,16 @@
 #!/bin/sh
 # setup.sh VENV REQUIREMENTS [SYSTEM_PACKAGE ...]
-# Makes the virtual environment and installs what is missing: system packages on Debian and its kin
-# (as root or with sudo; otherwise the exact line is printed), then the pinned Python packages.
+# Create the virtual environment and install missing system packages on Debian and its derivatives (as root or with sudo;
+# otherwise print the exact line), then the pinned Python packages.
 set -eu
 venv=$1 requirements=$2
 shift 2
 
 if command -v dpkg-query >/dev/null 2>&1; then
     missing=
-    # For Python; open3d; the window.
+    # For Python, open3d and the window.
     for p in python3-venv libusb-1.0-0 libgomp1 libgl1 libegl1 libx11-6 libxcursor1 libxi6 libxinerama1 libxrandr2 "$@"; do
-        # A Python that brings its own venv module needs no package for it.
+        # A Python with its own venv module needs no package for it.
         [ "$p" = python3-venv ] && python3 -c 'import ensurepip, venv' 2>/dev/null && continue
         dpkg-query -W -f '${Status}' "$p" 2>/dev/null | grep -q 'ok installed' || missing="$missing $p"
     done
@@ -26,14 +26,14 @@ if command -v dpkg-query >/dev/null 2>&1; then
         echo "installing system packages:$missing"
         DEBIAN_FRONTEND=noninteractive $as sh -c "($line) >/tmp/vrgs-apt.$$ 2>&1" || {
             tail -n 5 /tmp/vrgs-apt.$$ >&2
-            echo "This did not work: $line" >&2
+            echo "This failed: $line" >&2
             exit 1
         }
         $as rm -f /tmp/vrgs-apt.$$
     fi
 fi
 
-# Taichi 1.7.4 has wheels for Python 3.9 to 3.13; the newest that also suits the other pins.
+# Taichi 1.7.4 has wheels for Python 3.9 to 3.13; 3.11 suits all other pins.
 python=
 for p in python3.11 python3.12 python3.13 python3.10 python3; do
     if "$p" -c 'import sys, venv, ensurepip; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then

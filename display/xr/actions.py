@@ -1,6 +1,7 @@
-"""Controllers: what the user does with them, whatever make they are, and what they let the user feel.
+"""The session's action set: what the user does with the controllers, of whatever make, and their haptics.
 
-The names of the profiles and of their inputs are those of the OpenXR specification (chapter "Interaction profiles").
+The names of the interaction profiles and of their inputs are those of the OpenXR specification (chapter "Interaction
+profiles").
 """
 
 from __future__ import annotations
@@ -10,26 +11,24 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from display.xr.hand_joints import HandJoints
 from display.xr.poses import matrix_of
 
 SIDES = ("left", "right")
-PRESS, LET_GO = 0.6, 0.4  # of an analog input: two levels, so that a trembling finger does not flicker
-IDLE = 0.15  # of an analog input: less may be a finger's weight
-KINDS = {"grip": "POSE_INPUT", "aim": "POSE_INPUT", "grab": "FLOAT_INPUT", "pinch": "FLOAT_INPUT"}
-KINDS |= {"stick": "VECTOR2F_INPUT", "upper": "BOOLEAN_INPUT", "lower": "BOOLEAN_INPUT", "feel": "VIBRATION_OUTPUT"}
-KINDS |= {"point": "BOOLEAN_INPUT"}
-NAMES = {
-    "grip": "Hand",
-    "aim": "Pointing",
-    "grab": "Grab",
-    "pinch": "Pinch",
-    "stick": "Turn and go",
-    "upper": "Interaction (left), undo (right)",
-    "lower": "Panel (left), redo (right)",
-    "feel": "Touch",
-    "point": "Stretch out a finger",
+PRESS_ABOVE, RELEASE_BELOW = 0.6, 0.4  # of an analog input: two levels, so that a trembling finger does not flicker
+IDLE_BELOW = 0.15  # of an analog input: less may be a finger's weight
+ACTIONS = {  # name: (kind of XrActionType, name that the runtime shows)
+    "grip": ("POSE_INPUT", "Hand"),
+    "aim": ("POSE_INPUT", "Pointing"),
+    "grab": ("FLOAT_INPUT", "Grab"),
+    "pinch": ("FLOAT_INPUT", "Pinch"),
+    "stick": ("VECTOR2F_INPUT", "Turn and go"),
+    "upper": ("BOOLEAN_INPUT", "Interaction (left), undo (right)"),
+    "lower": ("BOOLEAN_INPUT", "Panel (left), redo (right)"),
+    "point": ("BOOLEAN_INPUT", "Stretch out a finger"),
+    "haptic": ("VIBRATION_OUTPUT", "Touch"),
 }
-POSES = {"grip": "input/grip/pose", "aim": "input/aim/pose", "feel": "output/haptic"}
+EVERY_PROFILE = {"grip": "input/grip/pose", "aim": "input/aim/pose", "haptic": "output/haptic"}
 ANALOG = {"grab": "input/squeeze/value", "pinch": "input/trigger/value", "stick": "input/thumbstick"}
 PROFILES = {  # action: input of both hands, or (left, right)
     "oculus/touch_controller": {
@@ -62,10 +61,9 @@ PROFILES = {  # action: input of both hands, or (left, right)
 
 @dataclass
 class Controller:
-    """A hand's controller in a frame. Poses (4, 4) in the play space, None while they are not tracked.
+    """State of a hand's controller in a frame. Poses (4, 4) in the play space, None while they are not tracked.
 
-    A hand without a controller counts as one (display/xr/hand_tracking.py); then `fingers` (n, 7) are its bones,
-    two ends and radius [m], and `tip` (3,) is where finger and thumb meet [m], in the play space.
+    A bare hand counts as a controller as well (display/xr/hand_tracking.py); then it has `joints`.
     """
 
     grip: np.ndarray | None = None
@@ -75,61 +73,58 @@ class Controller:
     stick: tuple[float, float] = (0.0, 0.0)
     pressed: set[str] = field(default_factory=set)  # buttons that went down since the last frame
     point: bool = False  # a finger lies on the trigger
-    fingers: np.ndarray | None = None
-    tip: np.ndarray | None = None
-    joints: object | None = None  # hand_tracking.Joints
+    joints: HandJoints | None = None
 
     @property
     def used(self) -> bool:
         """Whether the user does anything with it but hold it."""
-        return max(self.grab, self.pinch) > IDLE or np.hypot(*self.stick) > IDLE or bool(self.pressed)
+        return max(self.grab, self.pinch) > IDLE_BELOW or np.hypot(*self.stick) > IDLE_BELOW or bool(self.pressed)
+
+    @property
+    def pointer(self) -> np.ndarray:
+        """The aim pose, or the grip pose while that one is not tracked, (4, 4)."""
+        return self.grip if self.aim is None else self.aim
 
 
-class Actions:
+class ActionSet:
     """The action set of a session; attached once, as the specification wants it."""
 
     def __init__(self, runtime, session):
         self.xr = xr = runtime.xr
         self.session = session
-        self.hands = [runtime.path(f"/user/hand/{side}") for side in SIDES]
-        create = xr.ActionSetCreateInfo(action_set_name="play", localized_action_set_name="Play", priority=0)
-        self.set = xr.create_action_set(runtime.instance, create)
-        self.actions = {name: self._action(name, kind) for name, kind in KINDS.items()}
+        self._hands = [runtime.path(f"/user/hand/{side}") for side in SIDES]
+        info = xr.ActionSetCreateInfo(action_set_name="play", localized_action_set_name="Play", priority=0)
+        self._set = xr.create_action_set(runtime.instance, info)
+        self._actions = {name: self._create(name, *about) for name, about in ACTIONS.items()}
         for profile, inputs in PROFILES.items():
-            self._suggest(runtime, profile, {**POSES, **inputs})
-        sets = (xr.ActionSet * 1)(self.set)
+            self._suggest(runtime, profile, {**EVERY_PROFILE, **inputs})
+        sets = (xr.ActionSet * 1)(self._set)
         xr.attach_session_action_sets(session, xr.SessionActionSetsAttachInfo(count_action_sets=1, action_sets=sets))
-        self.spaces = {
-            name: [
-                xr.create_action_space(
-                    session, xr.ActionSpaceCreateInfo(action=self.actions[name], subaction_path=hand)
-                )
-                for hand in self.hands
-            ]
-            for name in ("grip", "aim")
-        }
+        self._grip_spaces, self._aim_spaces = self._spaces("grip"), self._spaces("aim")
 
-    def _action(self, name: str, kind: str):
+    def _create(self, name: str, kind: str, localized_name: str):
         xr = self.xr
-        both = (xr.Path * 2)(*self.hands)
-        return xr.create_action(
-            self.set,
-            xr.ActionCreateInfo(
-                action_type=xr.ActionType[kind],
-                action_name=name,
-                localized_action_name=NAMES[name],
-                count_subaction_paths=2,
-                subaction_paths=both,
-            ),
+        info = xr.ActionCreateInfo(
+            action_type=xr.ActionType[kind],
+            action_name=name,
+            localized_action_name=localized_name,
+            count_subaction_paths=2,
+            subaction_paths=(xr.Path * 2)(*self._hands),
         )
+        return xr.create_action(self._set, info)
+
+    def _spaces(self, name: str) -> list:
+        xr, action = self.xr, self._actions[name]
+        infos = [xr.ActionSpaceCreateInfo(action=action, subaction_path=hand) for hand in self._hands]
+        return [xr.create_action_space(self.session, info) for info in infos]
 
     def _suggest(self, runtime, profile: str, inputs: dict) -> None:
-        """What the actions are on this make of controller; a runtime that does not know it keeps to the others."""
+        """Suggest bindings for one make of controller; a runtime that does not know it keeps to the others."""
         xr, bindings = self.xr, []
-        for name, where in inputs.items():
-            for side, at in zip(SIDES, (where, where) if isinstance(where, str) else where, strict=True):
+        for name, inputs_of in inputs.items():
+            for side, at in zip(SIDES, (inputs_of,) * 2 if isinstance(inputs_of, str) else inputs_of, strict=True):
                 path = runtime.path(f"/user/hand/{side}/{at}")
-                bindings.append(xr.ActionSuggestedBinding(self.actions[name], path))
+                bindings.append(xr.ActionSuggestedBinding(self._actions[name], path))
         suggestion = xr.InteractionProfileSuggestedBinding(
             interaction_profile=runtime.path(f"/interaction_profiles/{profile}"),
             count_suggested_bindings=len(bindings),
@@ -141,7 +136,7 @@ class Actions:
     def read(self, space, time: int) -> list[Controller]:
         """Both controllers at `time` [XrTime], their poses in `space`. At rest while another program has the input."""
         xr = self.xr
-        active = (xr.ActiveActionSet * 1)(xr.ActiveActionSet(self.set, xr.NULL_PATH))
+        active = (xr.ActiveActionSet * 1)(xr.ActiveActionSet(self._set, xr.NULL_PATH))
         try:
             xr.sync_actions(self.session, xr.ActionsSyncInfo(count_active_action_sets=1, active_action_sets=active))
         except xr.SessionNotFocused:
@@ -149,24 +144,22 @@ class Actions:
         return [self._controller(h, space, time) for h in (0, 1)]
 
     def _controller(self, h: int, space, time: int) -> Controller:
-        c = Controller()
-        for name in ("grip", "aim"):
-            setattr(c, name, self._pose(self.spaces[name][h], space, time))
-        for name in ("grab", "pinch"):
-            setattr(c, name, float(self._state("float", name, h).current_state))
-        at = self._state("vector2f", "stick", h).current_state
-        c.stick = (float(at.x), float(at.y))
-        c.point = bool(self._state("boolean", "point", h).current_state)
-        for name in ("upper", "lower"):
-            state = self._state("boolean", name, h)
-            if state.current_state and state.changed_since_last_sync:
-                c.pressed.add(name)
-        return c
+        xr, session = self.xr, self.session
 
-    def _state(self, kind: str, name: str, h: int):
-        xr = self.xr
-        get = getattr(xr, f"get_action_state_{kind}")
-        return get(self.session, xr.ActionStateGetInfo(action=self.actions[name], subaction_path=self.hands[h]))
+        def of(name: str):
+            return xr.ActionStateGetInfo(action=self._actions[name], subaction_path=self._hands[h])
+
+        stick = xr.get_action_state_vector2f(session, of("stick")).current_state
+        buttons = {name: xr.get_action_state_boolean(session, of(name)) for name in ("upper", "lower")}
+        return Controller(
+            grip=self._pose(self._grip_spaces[h], space, time),
+            aim=self._pose(self._aim_spaces[h], space, time),
+            grab=float(xr.get_action_state_float(session, of("grab")).current_state),
+            pinch=float(xr.get_action_state_float(session, of("pinch")).current_state),
+            stick=(float(stick.x), float(stick.y)),
+            pressed={name for name, s in buttons.items() if s.current_state and s.changed_since_last_sync},
+            point=bool(xr.get_action_state_boolean(session, of("point")).current_state),
+        )
 
     def _pose(self, of, space, time: int) -> np.ndarray | None:
         xr, flags = self.xr, self.xr.SpaceLocationFlags
@@ -175,11 +168,11 @@ class Actions:
         return matrix_of(location.pose) if location.location_flags & both == both else None
 
     def pulse(self, h: int, strength: float, seconds: float) -> None:
-        """Let the left (0) or right (1) hand feel something, 0 to 1."""
+        """Let the left (0) or right (1) controller vibrate with a strength of 0 to 1."""
         xr = self.xr
         vibration = xr.HapticVibration(
             duration=int(seconds * 1e9), frequency=xr.FREQUENCY_UNSPECIFIED, amplitude=float(np.clip(strength, 0, 1))
         )
-        where = xr.HapticActionInfo(action=self.actions["feel"], subaction_path=self.hands[h])
-        with contextlib.suppress(xr.SessionNotFocused):  # nothing is felt while another program has the hands
-            xr.apply_haptic_feedback(self.session, where, vibration)
+        info = xr.HapticActionInfo(action=self._actions["haptic"], subaction_path=self._hands[h])
+        with contextlib.suppress(xr.SessionNotFocused):  # nothing is felt while another program has the input
+            xr.apply_haptic_feedback(self.session, info, vibration)

@@ -1,9 +1,4 @@
-"""Hands without controllers: XR_EXT_hand_tracking where the runtime has it, and who plays if both are there.
-
-Each side has a controller, a hand, or both: a runtime may see the hand that holds the controller, or make one up. The
-controller plays while it is used (its trigger, grip, stick or buttons) and HANDOVER seconds longer, and where no hand
-has been seen for PATIENCE seconds; else the hand does. A hand that is lost stays where it was, with what it holds.
-"""
+"""Hands without controllers (XR_EXT_hand_tracking): trackers, gestures, and the choice of what plays on each side."""
 
 from __future__ import annotations
 
@@ -14,88 +9,132 @@ import numpy as np
 
 from core.rotation import matrices_from_quaternions
 from display.xr.actions import SIDES, Controller
-from display.xr.hand_joints import COUNT, HandInput, Joints
+from display.xr.hand_joints import INDEX_TIP, JOINT_COUNT, PALM, THUMB_TIP, HandJoints
+from display.xr.poses import pose_matrix
 
+EXTENSION = "XR_EXT_hand_tracking"
+PINCH_BELOW, PINCH_UNTIL = 0.015, 0.03  # [m] from thumb tip to index tip: a pinch begins, ends
+FIST_ABOVE, FIST_UNTIL = np.radians(150.0), np.radians(105.0)  # a finger's bends; a fist has 220 degrees, rest 60
+HANDOVER = 2.0  # [s] after the last use of a controller until a tracked hand takes over
+LOST_TIMEOUT = 0.5  # [s] for a hand that was lost to come back before a controller takes over
 LOCATION = np.dtype(
     [("flags", "<u8"), ("orientation", "<f4", 4), ("position", "<f4", 3), ("radius", "<f4")]
 )  # XrHandJointLocationEXT
-EXTENSION = "XR_EXT_hand_tracking"
-HANDOVER = 2.0  # [s] after the last use of a controller
-PATIENCE = 0.5  # [s] for a hand that was lost to come back
 
 
-def joints_of(table: np.ndarray) -> Joints | None:
-    """What an array of XrHandJointLocationEXT says; None if it is no pose at all."""
+def joints_of(table: np.ndarray) -> HandJoints | None:
+    """Joints of an array of XrHandJointLocationEXT; None if it holds no poses at all."""
     q, p, radius = (table[name].astype(np.float64) for name in ("orientation", "position", "radius"))
-    length = np.linalg.norm(q, axis=1, keepdims=True)
+    length = np.linalg.norm(q, axis=1)
     if not (np.isfinite(p).all() and np.isfinite(radius).all() and (length > 0.1).all() and np.isfinite(length).all()):
         return None
-    return Joints(p, matrices_from_quaternions(q[:, [3, 0, 1, 2]] / length), radius)
+    return HandJoints(p, matrices_from_quaternions(q[:, [3, 0, 1, 2]]), radius)
 
 
 def supported(xr, instance, system) -> bool:
     """Whether this headset tracks hands; the extension must be enabled."""
-    says = xr.SystemHandTrackingPropertiesEXT()
+    answer = xr.SystemHandTrackingPropertiesEXT()
     properties = xr.SystemProperties()
-    properties.next = ctypes.cast(ctypes.pointer(says), ctypes.c_void_p)
+    properties.next = ctypes.cast(ctypes.pointer(answer), ctypes.c_void_p)
     result = xr.check_result(xr.raw_functions.xrGetSystemProperties(instance, system, ctypes.byref(properties)))
-    return not result.is_exception() and bool(says.supports_hand_tracking)
+    return not result.is_exception() and bool(answer.supports_hand_tracking)
 
 
-class HandTracking:
-    """Both hands' trackers in a session."""
+class HandTrackers:
+    """Both hands' XrHandTrackerEXT in a session."""
 
     def __init__(self, runtime, session):
         self.xr = xr = runtime.xr
-        address = xr.get_instance_proc_addr(runtime.instance, "xrLocateHandJointsEXT")
-        self._locate = ctypes.cast(address, xr.PFN_xrLocateHandJointsEXT)
+        self._locate = runtime.function("xrLocateHandJointsEXT", xr.PFN_xrLocateHandJointsEXT)
         self._trackers = []
         for side in SIDES:
-            how = xr.HandTrackerCreateInfoEXT(hand=xr.HandEXT[side.upper()], hand_joint_set=xr.HandJointSetEXT.DEFAULT)
-            self._trackers.append(xr.create_hand_tracker_ext(session, how))
+            hand = xr.HandEXT[side.upper()]
+            info = xr.HandTrackerCreateInfoEXT(hand=hand, hand_joint_set=xr.HandJointSetEXT.DEFAULT)
+            self._trackers.append(xr.create_hand_tracker_ext(session, info))
 
-    def read(self, space, time: int) -> list[Joints | None]:
-        """Both hands at `time` [XrTime] in `space`, None where one is not seen."""
+    def read(self, space, time: int) -> list[HandJoints | None]:
+        """Both hands at `time` [XrTime] in `space`, None where one is not tracked."""
         return [self._joints(tracker, space, time) for tracker in self._trackers]
 
-    def _joints(self, tracker, space, time: int) -> Joints | None:
+    def _joints(self, tracker, space, time: int) -> HandJoints | None:
         xr = self.xr
-        places = (xr.HandJointLocationEXT * COUNT)()
-        found = xr.HandJointLocationsEXT(joint_count=COUNT, joint_locations=places)
-        when = xr.HandJointsLocateInfoEXT(base_space=space, time=time)
-        result = xr.check_result(self._locate(tracker, ctypes.byref(when), ctypes.byref(found)))
+        locations = (xr.HandJointLocationEXT * JOINT_COUNT)()
+        found = xr.HandJointLocationsEXT(joint_count=JOINT_COUNT, joint_locations=locations)
+        info = xr.HandJointsLocateInfoEXT(base_space=space, time=time)
+        result = xr.check_result(self._locate(tracker, ctypes.byref(info), ctypes.byref(found)))
         if result.is_exception():
             raise result
         both = int(xr.SpaceLocationFlags.ORIENTATION_VALID_BIT | xr.SpaceLocationFlags.POSITION_VALID_BIT)
-        table = np.frombuffer(places, LOCATION)
+        table = np.frombuffer(locations, LOCATION)
         return joints_of(table) if found.is_active and ((table["flags"] & both) == both).all() else None
 
     def close(self) -> None:
-        """Give the trackers back. Further calls do nothing."""
+        """Destroy the trackers. Further calls do nothing."""
         for tracker in self._trackers:
             with contextlib.suppress(self.xr.exception.ResultException):  # they may have gone with their session
                 self.xr.destroy_hand_tracker_ext(tracker)
         self._trackers = []
 
 
-class Sides:
-    """Who plays on each side, a controller or a hand."""
+class HandGestures:
+    """Gestures of one bare hand, frame by frame, as inputs of a controller: a fist grabs, finger and thumb pinch."""
 
     def __init__(self):
-        self._inputs = [HandInput(), HandInput()]
-        self._used, self._seen = [-np.inf, -np.inf], [-np.inf, -np.inf]  # [s] a controller, a hand, last
+        self._gesture: str | None = None  # "grab" or "pinch"
 
-    def choose(self, controllers: list[Controller], hands: list[Joints | None], time: float) -> list[Controller]:
-        """What plays at `time` [s], by the rule above."""
+    def read(self, joints: HandJoints | None) -> Controller:
+        """The controller that the hand amounts to. A hand that is not tracked keeps its gesture."""
+        if joints is None:
+            return Controller()
+        self._gesture = self._recognise(joints)
+        centre = joints.position[PALM] if self._gesture == "grab" else joints.pinch_point()
+        return Controller(
+            grip=pose_matrix(centre, joints.rotation[PALM]),
+            aim=joints.aim(),
+            grab=float(self._gesture == "grab"),
+            pinch=float(self._gesture == "pinch"),
+            joints=joints,
+        )
+
+    def _recognise(self, joints: HandJoints) -> str | None:
+        gap = float(np.linalg.norm(joints.position[THUMB_TIP] - joints.position[INDEX_TIP]))
+        _, index, *others = joints.curls()
+        bend = min(index, float(np.mean(others)))  # a hand that points with its index does not grab
+        if self._gesture == "grab" and bend > FIST_UNTIL:
+            return "grab"
+        if self._gesture == "pinch" and gap < PINCH_UNTIL:
+            return "pinch"
+        if bend > FIST_ABOVE:
+            return "grab"
+        return "pinch" if gap < PINCH_BELOW else None
+
+
+class InputSelector:
+    """Choice between a controller and a bare hand on each side.
+
+    Each side has a controller, a hand, or both: a runtime may see the hand that holds the controller, or make one up.
+    The controller plays while it is used (its trigger, grip, stick or buttons) and HANDOVER seconds longer, and where
+    no hand has been tracked for LOST_TIMEOUT seconds; else the hand does. A hand that is lost stays where it was, with
+    what it holds.
+    """
+
+    def __init__(self):
+        self._gestures = [HandGestures(), HandGestures()]
+        self._controller_used, self._hand_seen = [-np.inf, -np.inf], [-np.inf, -np.inf]  # [s] last
+
+    def choose(
+        self, controllers: list[Controller], hands: list[HandJoints | None], time: float
+    ) -> list[Controller]:
+        """The input of each side at `time` [s]."""
         return [self._choose(h, c, joints, time) for h, (c, joints) in enumerate(zip(controllers, hands, strict=True))]
 
-    def _choose(self, h: int, controller: Controller, joints: Joints | None, time: float) -> Controller:
-        hand = self._inputs[h].read(joints)
+    def _choose(self, h: int, controller: Controller, joints: HandJoints | None, time: float) -> Controller:
+        hand = self._gestures[h].read(joints)
         if controller.used:
-            self._used[h] = time
+            self._controller_used[h] = time
         if joints is not None:
-            self._seen[h] = time
-        if controller.grip is not None and time - self._used[h] < HANDOVER:
+            self._hand_seen[h] = time
+        if controller.grip is not None and time - self._controller_used[h] < HANDOVER:
             return controller
-        lost = joints is None and time - self._seen[h] > PATIENCE
+        lost = joints is None and time - self._hand_seen[h] > LOST_TIMEOUT
         return controller if lost else hand

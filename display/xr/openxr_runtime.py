@@ -1,4 +1,7 @@
-"""An OpenXR runtime: is there one, which extensions has it, is a headset connected. Knows nothing of worlds."""
+"""The OpenXR runtime: instance, extensions, the headset's system and the OpenGL graphics binding.
+
+Everything that must be known before a session begins. Knows nothing of worlds.
+"""
 
 from __future__ import annotations
 
@@ -10,19 +13,18 @@ import time
 
 from core.errors import BadInput
 from display.xr import hand_tracking
+from display.xr.swapchains import DEPTH_EXTENSION
 
 INSTEAD = "leave out --xr to play in a window"
-WISHED = [  # extensions that are used where they are
-    "XR_KHR_convert_timespec_time",
-    "XR_KHR_composition_layer_depth",
-    hand_tracking.EXTENSION,
-]
-WAIT = 30.0  # [s] for a headset that the runtime says is not there yet
+TIMESPEC_EXTENSION = "XR_KHR_convert_timespec_time"
+OPTIONAL_EXTENSIONS = [TIMESPEC_EXTENSION, DEPTH_EXTENSION, hand_tracking.EXTENSION]
+HEADSET_TIMEOUT = 30.0  # [s] to wait for a headset that the runtime reports as not connected yet
+GLX_FBCONFIG_ID, GLX_SCREEN, GLX_VISUAL_ID = 0x8013, 0x800C, 0x800B  # registry of GLX enums
 
 
 def import_xr():
-    """The module xr, or BadInput that says what is missing."""
-    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # what it complains of, we say in one line
+    """Import the module xr; BadInput says what is missing."""
+    os.environ.setdefault("XR_LOADER_DEBUG", "none")  # the loader's complaints are reported here, in one line
     try:
         import xr
     except ImportError as e:
@@ -32,23 +34,29 @@ def import_xr():
     return xr
 
 
-class Runtime:
-    """One instance and the headset's system. `views` are the recommended (width, height) [px] of the eyes.
+def required_extensions(*, window: bool) -> list[str]:
+    """Instance extensions without which no picture can be handed over, with a desktop window or without."""
+    return ["XR_KHR_opengl_enable", *([] if window else ["XR_MNDX_egl_enable"])]
 
-    `graphics` names the extensions without which nothing can be drawn; `enabled` are these and those of WISHED that are
-    there; `has_hands`: hands are tracked. Raises BadInput with one clear line.
+
+class OpenXrRuntime:
+    """One OpenXR instance and the headset's system. Raises BadInput with one clear line.
+
+    `view_sizes` are the recommended (width, height) [px] of the eyes, `enabled` the names of the enabled extensions:
+    the `required` ones and those of OPTIONAL_EXTENSIONS that the runtime has. `tracks_hands`: the system supports
+    XR_EXT_hand_tracking.
     """
 
-    def __init__(self, graphics: list[str], *, wait: float = WAIT):
+    def __init__(self, required: list[str], *, timeout: float = HEADSET_TIMEOUT, without: tuple[str, ...] = ()):
         self.xr = xr = import_xr()
         self.instance = None
         try:
-            there = {e.extension_name.decode() for e in xr.enumerate_instance_extension_properties()}
+            offered = {e.extension_name.decode() for e in xr.enumerate_instance_extension_properties()}
         except xr.exception.ResultException as e:
             raise no_runtime() from e
-        if missing := [name for name in graphics if name not in there]:
+        if missing := [name for name in required if name not in offered]:
             raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
-        self.enabled = [*graphics, *(name for name in WISHED if name in there)]
+        self.enabled = [*required, *(e for e in OPTIONAL_EXTENSIONS if e in offered and e not in without)]
         try:
             self.instance = xr.create_instance(
                 xr.InstanceCreateInfo(
@@ -64,19 +72,21 @@ class Runtime:
         try:
             properties = xr.get_instance_properties(self.instance)
             self.name = f"{properties.runtime_name.decode(errors='replace')} {xr.Version(properties.runtime_version)}"
-            self.system = self._headset(wait)
-            self.views, self.blend = self._views(), self._blend_mode()
-            self.has_hands = self._has_hands()
+            self.system = self._wait_for_system(timeout)
+            self.view_sizes, self.blend_mode = self._view_sizes(), self._blend_mode()
+            self.tracks_hands = hand_tracking.EXTENSION in self.enabled and hand_tracking.supported(
+                xr, self.instance, self.system
+            )
         except xr.exception.ResultException as e:
             self.close()
-            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); start it anew, or {INSTEAD}") from e
+            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); restart it, or {INSTEAD}") from e
         except BaseException:
             self.close()
             raise
 
-    def _headset(self, wait: float):
-        """The system of a headset; one that is not connected may still come."""
-        xr, end, told = self.xr, time.monotonic() + wait, False
+    def _wait_for_system(self, timeout: float):
+        """XrSystemId of the headset; one that is not connected may be within `timeout` [s]."""
+        xr, end, announced = self.xr, time.monotonic() + timeout, False
         while True:
             try:
                 return xr.get_system(self.instance, xr.SystemGetInfo(form_factor=xr.FormFactor.HEAD_MOUNTED_DISPLAY))
@@ -85,69 +95,80 @@ class Runtime:
             except xr.FormFactorUnavailableError as e:
                 if time.monotonic() >= end:
                     raise BadInput(f"--xr: {self.name} finds no headset; connect it and put it on, or {INSTEAD}") from e
-                if not told:
-                    print(f"{self.name}: waiting {wait:.0f} s for a headset", file=sys.stderr, flush=True)
-                    told = True
+                if not announced:
+                    print(f"{self.name}: waiting {timeout:.0f} s for a headset", file=sys.stderr, flush=True)
+                    announced = True
                 time.sleep(0.5)
 
-    def _has_hands(self) -> bool:
-        asked = hand_tracking.EXTENSION in self.enabled
-        return asked and hand_tracking.supported(self.xr, self.instance, self.system)
-
-    def _views(self) -> list[tuple[int, int]]:
+    def _view_sizes(self) -> list[tuple[int, int]]:
         xr = self.xr
         stereo = xr.ViewConfigurationType.PRIMARY_STEREO
-        if stereo not in [
-            xr.ViewConfigurationType(v) for v in xr.enumerate_view_configurations(self.instance, self.system)
-        ]:
+        offered = xr.enumerate_view_configurations(self.instance, self.system)
+        if stereo not in [xr.ViewConfigurationType(v) for v in offered]:
             raise BadInput(f"--xr: {self.name} shows no stereo pictures; {INSTEAD}")
         views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
         return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
 
     def _blend_mode(self):
-        """Opaque where the headset has it; see-through glasses have others."""
+        """XrEnvironmentBlendMode: opaque where the headset offers it; see-through glasses have others."""
         xr = self.xr
         stereo = xr.ViewConfigurationType.PRIMARY_STEREO
-        modes = [
-            xr.EnvironmentBlendMode(m) for m in xr.enumerate_environment_blend_modes(self.instance, self.system, stereo)
-        ]
+        offered = xr.enumerate_environment_blend_modes(self.instance, self.system, stereo)
+        modes = [xr.EnvironmentBlendMode(m) for m in offered]
         return xr.EnvironmentBlendMode.OPAQUE if xr.EnvironmentBlendMode.OPAQUE in modes else modes[0]
+
+    def function(self, name: str, kind):
+        """An extension's function, cast to its type PFN_..."""
+        return ctypes.cast(self.xr.get_instance_proc_addr(self.instance, name), kind)
 
     def now(self) -> int | None:
         """The present as an XrTime [ns]; None where the runtime cannot tell (XR_KHR_convert_timespec_time)."""
-        if "XR_KHR_convert_timespec_time" not in self.enabled:
+        if TIMESPEC_EXTENSION not in self.enabled:
             return None
         xr, answer = self.xr, self.xr.Time()
-        address = xr.get_instance_proc_addr(self.instance, "xrConvertTimespecTimeToTimeKHR")
-        convert = ctypes.cast(address, xr.PFN_xrConvertTimespecTimeToTimeKHR)
+        convert = self.function("xrConvertTimespecTimeToTimeKHR", xr.PFN_xrConvertTimespecTimeToTimeKHR)
         present = xr.timespec(*divmod(time.clock_gettime_ns(time.CLOCK_MONOTONIC), 10**9))
-        result = xr.check_result(convert(self.instance, ctypes.byref(present), ctypes.byref(answer)))
-        if result.is_exception():
-            raise result
+        check_result(xr, convert(self.instance, ctypes.byref(present), ctypes.byref(answer)))
         return answer.value
 
+    def lowest_opengl(self) -> tuple[int, int]:
+        """Lowest OpenGL version (major, minor) that the runtime takes; must be asked for before each session."""
+        xr, answer = self.xr, self.xr.GraphicsRequirementsOpenGLKHR()
+        ask = self.function("xrGetOpenGLGraphicsRequirementsKHR", xr.PFN_xrGetOpenGLGraphicsRequirementsKHR)
+        check_result(xr, ask(self.instance, self.system, ctypes.byref(answer)))
+        version = xr.Version(answer.min_api_version_supported)
+        return version.major, version.minor
+
+    def check_opengl(self, gl) -> None:
+        """Raise BadInput if the current context (moderngl) is older than what the runtime takes."""
+        need, (major, rest) = self.lowest_opengl(), divmod(gl.version_code, 100)
+        if (major, rest // 10) < need:
+            has = f"this machine's driver has {major}.{rest // 10}"
+            raise BadInput(f"--xr: {self.name} needs OpenGL {need[0]}.{need[1]}, {has}")
+
     def path(self, text: str):
+        """XrPath of a semantic path such as "/user/hand/left"."""
         return self.xr.string_to_path(self.instance, text)
 
     def events(self):
-        """What has happened since the last call, as XrEventData structures of their own type."""
+        """Yield the events since the last call, as XrEventData structures of their own type; unknown ones are
+        skipped."""
         xr = self.xr
         kinds = {
             xr.StructureType.EVENT_DATA_SESSION_STATE_CHANGED.value: xr.EventDataSessionStateChanged,
             xr.StructureType.EVENT_DATA_INSTANCE_LOSS_PENDING.value: xr.EventDataInstanceLossPending,
-            xr.StructureType.EVENT_DATA_REFERENCE_SPACE_CHANGE_PENDING.value: xr.EventDataReferenceSpaceChangePending,
         }
         while True:
             try:
                 event = xr.poll_event(self.instance)
             except xr.EventUnavailable:
                 return
-            kind = kinds.get(event._type)  # one that this module does not know is no error
+            kind = kinds.get(event._type)
             if kind is not None:
                 yield kind.from_buffer_copy(event)
 
     def close(self) -> None:
-        """Let the runtime go. Further calls do nothing."""
+        """Destroy the instance. Further calls do nothing."""
         if self.instance is not None:
             instance, self.instance = self.instance, None
             with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
@@ -155,7 +176,64 @@ class Runtime:
 
 
 def no_runtime() -> BadInput:
+    """The error where no OpenXR runtime is active."""
     return BadInput(
         "--xr: no OpenXR runtime answers; start SteamVR, Quest Link, WiVRn or Monado and make it the active one, "
         f"or {INSTEAD}"
     )
+
+
+def check_result(xr, result: int) -> None:
+    """Raise the exception of an XrResult that reports a failure."""
+    checked = xr.check_result(result)
+    if checked.is_exception():
+        raise checked
+
+
+def graphics_binding(xr, egl):
+    """The structure that names the current OpenGL context to the runtime; `egl` (EglContext) is None with a window."""
+    if egl is not None:
+        return egl_binding(xr, egl)
+    return windows_binding(xr) if sys.platform == "win32" else glx_binding(xr)
+
+
+def glx_binding(xr):
+    """Display, FBConfig, visual, drawable and context of GLX, as XR_KHR_opengl_enable wants them."""
+    gl, pointer = ctypes.CDLL("libGL.so.1"), ctypes.c_void_p
+    gl.glXGetCurrentDisplay.restype = gl.glXGetCurrentContext.restype = gl.glXChooseFBConfig.restype = pointer
+    gl.glXGetCurrentDrawable.restype = ctypes.c_ulong
+    display, context = pointer(gl.glXGetCurrentDisplay()), pointer(gl.glXGetCurrentContext())
+    number, screen, count, visual = (ctypes.c_int() for _ in range(4))
+    gl.glXQueryContext(display, context, GLX_FBCONFIG_ID, ctypes.byref(number))
+    gl.glXQueryContext(display, context, GLX_SCREEN, ctypes.byref(screen))
+    wanted = (ctypes.c_int * 3)(GLX_FBCONFIG_ID, number.value, 0)
+    found = gl.glXChooseFBConfig(display, screen, wanted, ctypes.byref(count))
+    config = ctypes.cast(found, ctypes.POINTER(pointer))[0] if found and count.value else None
+    if config:
+        gl.glXGetFBConfigAttrib(display, pointer(config), GLX_VISUAL_ID, ctypes.byref(visual))
+    binding = xr.GraphicsBindingOpenGLXlibKHR()
+    kinds = dict(binding._fields_)
+    binding.x_display = ctypes.cast(display, kinds["x_display"])
+    binding.visualid = visual.value
+    binding.glx_fbconfig = ctypes.cast(pointer(config), kinds["glx_fbconfig"])
+    binding.glx_drawable = gl.glXGetCurrentDrawable()
+    binding.glx_context = ctypes.cast(context, kinds["glx_context"])
+    return binding
+
+
+def egl_binding(xr, egl):
+    """Display, config and context of EGL, as XR_MNDX_egl_enable wants them."""
+    binding = xr.GraphicsBindingEGLMNDX()
+    kinds = dict(binding._fields_)
+    binding.display = ctypes.cast(egl.display, kinds["display"])
+    binding.config = ctypes.cast(egl.config, kinds["config"])
+    binding.context = ctypes.cast(egl.context, kinds["context"])
+    binding.get_proc_address = ctypes.cast(egl.library.eglGetProcAddress, xr.PFN_xrEglGetProcAddressMNDX)
+    return binding
+
+
+def windows_binding(xr):
+    """Device context and rendering context of WGL, as XR_KHR_opengl_enable wants them."""
+    wgl = ctypes.windll.opengl32
+    wgl.wglGetCurrentDC.restype = wgl.wglGetCurrentContext.restype = ctypes.c_void_p
+    return xr.GraphicsBindingOpenGLWin32KHR(h_dc=wgl.wglGetCurrentDC(), h_glrc=wgl.wglGetCurrentContext())

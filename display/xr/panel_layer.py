@@ -1,97 +1,176 @@
-"""The panel as a layer of its own: a quad that the runtime lays into the world, as sharp as the headset can."""
+"""The wrist panel's picture, painted when what it shows changes, and the quad layer that shows it."""
 
 from __future__ import annotations
 
-import contextlib
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from time import monotonic
 
+import cv2
 import numpy as np
 
-from display.xr.eye_swapchains import VERTEX
-from display.xr.panel_paint import Content, paint, prepare
-from display.xr.poses import position_rotation
-from display.xr.swapchain import RGBA8, SRGB8_ALPHA8, format_of, swapchain
-from display.xr.wrist_panel import PIXELS, WIDTH
+from display.window.panel import ACCENT, QUIET, font_file
+from display.xr.swapchains import QuadLayer
+from display.xr.wrist_panel import BUTTONS, PIXELS, WIDTH, Button, WristPanel
 
-REFRESH = 0.5  # [s] between two readings of the rate
-FRAGMENT = """
-#version 330
-uniform sampler2D picture;
-out vec4 colour;
-void main() {
-    ivec2 at = ivec2(gl_FragCoord.xy);
-    vec4 c = texelFetch(picture, ivec2(at.x, textureSize(picture, 0).y - 1 - at.y), 0);
-    colour = c;
-}
-"""
-DECODED = FRAGMENT.replace(  # for a runtime that only has linear textures; see display/xr/eye_swapchains.py
-    "colour = c;",
-    "vec3 s = c.rgb;\n    colour = vec4(mix(s / 12.92, pow((s + 0.055) / 1.055, vec3(2.4)), step(0.04045, s)), c.a);",
-)
+RATE_INTERVAL = 0.5  # [s] between two readings of the frame rate
+BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
+ACCENT_HOVERED = (252, 194, 116)
+LIGHT_TEXT, DARK_TEXT = (237, 240, 245), (20, 20, 20)
+ACCENT_8BIT, QUIET_8BIT = (tuple(round(255 * c) for c in colour[:3]) for colour in (ACCENT, QUIET))
+CORNER_RADIUS = 18  # [px]
+TITLE_SIZE, SMALL_SIZE, LABEL_SIZE = 34, 28, 34  # [px] of letters
+
+
+@dataclass(frozen=True)
+class PanelContent:
+    """What the panel shows; two that are equal look the same."""
+
+    message: str = ""
+    note: str = ""
+    warns: bool = False
+    rate: str = ""
+    lit: frozenset = frozenset()  # names of the buttons that are on
+    hovered: str | None = None
+
+    @classmethod
+    def of(cls, world, panel: WristPanel) -> PanelContent:
+        """The content for a world as it is."""
+        bodies, k = world.bodies(), world.selected
+        lit = {world.interaction} | ({"pause"} if world.paused else set()) | ({"demo"} if world.demo else set())
+        note = bodies[k].name if k is not None and k < len(bodies) else "Hold a body or point at it to select it."
+        says_score = not world.score or str(world.score) in world.message.split()
+        score = f"{world.score}   " if world.message and not says_score else ""
+        return cls(
+            message=f"{score}{world.message}",
+            note="The light follows your hand until you release the trigger." if panel.placing else world.notice or note,
+            warns=bool(world.notice or panel.placing),
+            rate=f"{world.timings.recent_fps():.0f} fps",
+            lit=frozenset(lit | ({"light"} if panel.placing else set())),
+            hovered=panel.hovered.name if panel.hovered else None,
+        )
 
 
 class PanelLayer:
-    """A swapchain of the panel's size; a picture goes into it when what it shows has changed."""
+    """Quad layer of the panel; painted when its content has changed."""
 
     def __init__(self, runtime, session, gl):
-        self.xr, self._gl = runtime.xr, gl
-        xr = self.xr
-        chosen = format_of(xr, session, (SRGB8_ALPHA8,)) or RGBA8
-        self._program = gl.program(VERTEX, FRAGMENT if chosen == SRGB8_ALPHA8 else DECODED)
-        self._triangle = gl.vertex_array(self._program, [])
-        self._texture = gl.texture(PIXELS, 4)
-        self._chain = swapchain(xr, session, PIXELS, chosen)
-        images = xr.enumerate_swapchain_images(self._chain, xr.SwapchainImageOpenGLKHR)
-        self._targets = [
-            gl.framebuffer(color_attachments=[gl.external_texture(image.image, PIXELS, 4, 0, "f1")]) for image in images
-        ]
-        self._shown: Content | None = None
-        self._read = 0.0  # [s] when its rate was read
-        prepare()
+        self._quad = QuadLayer(runtime, session, gl, PIXELS, WIDTH)
+        self._shown: PanelContent | None = None
+        self._rate_read = 0.0  # [s] of monotonic()
+        warm_up()
 
-    def show(self, content: Content) -> None:
-        """Let the panel look like this; its rate is read less often than it changes."""
+    def show(self, content: PanelContent) -> None:
+        """Let the panel look like this; its frame rate is updated less often than it changes."""
         now = monotonic()
-        if self._shown is not None and now - self._read < REFRESH:
+        if self._shown is not None and now - self._rate_read < RATE_INTERVAL:
             content = replace(content, rate=self._shown.rate)
         else:
-            self._read = now
-        if content == self._shown:
-            return
-        xr, gl = self.xr, self._gl
-        self._texture.write(paint(content))
-        index = xr.acquire_swapchain_image(self._chain, xr.SwapchainImageAcquireInfo())
-        xr.wait_swapchain_image(self._chain, xr.SwapchainImageWaitInfo(timeout=xr.INFINITE_DURATION))
-        gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
-        self._targets[index].use()
-        gl.viewport = (0, 0, *PIXELS)
-        self._texture.use(0)
-        self._triangle.render(gl.TRIANGLES, vertices=3)
-        xr.release_swapchain_image(self._chain, xr.SwapchainImageReleaseInfo())
-        self._shown = content
+            self._rate_read = now
+        if content != self._shown:
+            self._quad.draw(paint(content))
+            self._shown = content
 
     def layer(self, space, pose: np.ndarray):
-        """The quad that stands at `pose` (4, 4) in `space`."""
-        xr = self.xr
-        quad = xr.CompositionLayerQuad(
-            layer_flags=xr.CompositionLayerFlags.BLEND_TEXTURE_SOURCE_ALPHA_BIT,
-            space=space,
-            eye_visibility=xr.EyeVisibility.BOTH,
-        )
-        quad.sub_image.swapchain = self._chain
-        quad.sub_image.image_rect.offset[:] = [0, 0]
-        quad.sub_image.image_rect.extent[:] = list(PIXELS)
-        position, (w, x, y, z) = position_rotation(pose)
-        quad.pose.position[:] = list(position)
-        quad.pose.orientation[:] = [x, y, z, w]
-        quad.size.width, quad.size.height = WIDTH, WIDTH * PIXELS[1] / PIXELS[0]
-        return quad
+        """The composition layer, at `pose` (4, 4) in `space`."""
+        return self._quad.layer(space, pose)
 
     def close(self) -> None:
         """Give the textures back."""
-        for thing in (*self._targets, self._texture, self._triangle, self._program):
-            thing.release()
-        self._targets = []
-        with contextlib.suppress(self.xr.exception.ResultException):  # it may have gone with its session
-            self.xr.destroy_swapchain(self._chain)
+        self._quad.close()
+
+
+@cache
+def font():
+    """Roboto, which comes with ImGui."""
+    return cv2.FontFace(str(font_file()))
+
+
+@lru_cache(maxsize=256)
+def text_width(text: str, size: int) -> int:
+    """Width of a line of text [px]."""
+    return cv2.getTextSize((PIXELS[0], PIXELS[1]), text, (0, 0), font(), size)[2]
+
+
+@lru_cache(maxsize=64)
+def shortened(text: str, size: int, max_width: int) -> str:
+    """As much of a text as fits into `max_width` [px], with dots where it was cut."""
+    if text_width(text, size) <= max_width:
+        return text
+    while text and text_width(text + "...", size) > max_width:
+        text = text[:-1]
+    return text.rstrip() + "..."
+
+
+@lru_cache(maxsize=64)  # rates and scores come and go
+def text_mask(text: str, size: int) -> np.ndarray:
+    """Coverage of a line of text, (H, W) float32 in 0..1; its base line is at 3/4 of H."""
+    image = np.zeros((2 * size, text_width(text, size) + 8, 3), np.uint8)
+    cv2.putText(image, text, (4, 3 * size // 2), (255, 255, 255), font(), size)
+    return image[..., 0].astype(np.float32) / 255.0
+
+
+def write(picture: np.ndarray, text: str, left: int, middle: int, size: int, colour) -> None:
+    """Write a line of text on a picture (H, W, 3 or more) uint8, its small letters around the height `middle` [px]."""
+    mask = text_mask(text, size)
+    top = middle - 3 * size // 2 + round(0.36 * size)
+    h, w = mask.shape
+    area = picture[top : top + h, left : left + w, :3]
+    cover = mask[: area.shape[0], : area.shape[1], None]
+    area[:] = (area + cover * (np.float32(colour) - area) + 0.5).astype(np.uint8)
+
+
+@cache
+def rounded_rectangle(width: int, height: int) -> np.ndarray:
+    """Coverage of a rectangle with round corners, (H, W, 1) float32."""
+    big = np.zeros((4 * height, 4 * width), np.uint8)
+    r = 4 * CORNER_RADIUS
+    cv2.rectangle(big, (r, 0), (4 * width - r - 1, 4 * height - 1), 255, -1)
+    cv2.rectangle(big, (0, r), (4 * width - 1, 4 * height - r - 1), 255, -1)
+    for x in (r, 4 * width - r - 1):
+        for y in (r, 4 * height - r - 1):
+            cv2.circle(big, (x, y), r, 255, -1)
+    return cv2.resize(big, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)[..., None] / 255.0
+
+
+@cache
+def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
+    """A button on the panel, (H, W, 3) uint8."""
+    _, _, w, h = button.box
+    colour = np.float32((ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
+    background = np.float32(BACKGROUND)
+    picture = (background + rounded_rectangle(w, h) * (colour - background) + 0.5).astype(np.uint8)
+    left = (w - text_width(button.text, LABEL_SIZE)) // 2 - 4
+    write(picture, button.text, left, h // 2, LABEL_SIZE, DARK_TEXT if lit else LIGHT_TEXT)
+    return picture
+
+
+@cache
+def empty_panel() -> np.ndarray:
+    """The panel without anything on it, (H, W, 4) uint8."""
+    alpha = rounded_rectangle(*PIXELS)
+    return (np.concatenate([alpha * np.float32(BACKGROUND), 255.0 * alpha], axis=2) + 0.5).astype(np.uint8)
+
+
+def warm_up() -> None:
+    """Paint everything once that is kept: the font, the buttons."""
+    for button in BUTTONS:
+        for lit in (False, True):
+            for hovered in (False, True):
+                button_picture(button, lit, hovered)
+    paint(PanelContent())
+
+
+def paint(content: PanelContent) -> np.ndarray:
+    """The panel, (H, W, 4) uint8 RGBA, colours times alpha, row 0 on top."""
+    picture, width = empty_panel().copy(), PIXELS[0]
+    rate = text_width(content.rate, SMALL_SIZE)
+    write(picture, shortened(content.message, TITLE_SIZE, width - rate - 80), 24, 44, TITLE_SIZE, LIGHT_TEXT)
+    write(picture, content.rate, width - rate - 28, 44, SMALL_SIZE, ACCENT_8BIT)
+    colour = ACCENT_8BIT if content.warns else QUIET_8BIT
+    write(picture, shortened(content.note, SMALL_SIZE, width - 60), 24, 86, SMALL_SIZE, colour)
+    for button in BUTTONS:
+        x, y, w, h = button.box
+        lit, hovered = button.name in content.lit, button.name == content.hovered
+        picture[y : y + h, x : x + w, :3] = button_picture(button, lit, hovered)
+    return picture

@@ -1,38 +1,53 @@
-"""Poses: OpenXR's (x, y, z, w quaternions, -z forward) and the world's; cameras of eyes."""
+"""Poses between OpenXR, the play space and the world.
+
+OpenXR's quaternions are (x, y, z, w), its views look along -z with y up; the world's quaternions are wxyz, its cameras
+look along +z with y down. A pose is a (4, 4) matrix that maps points of a space to its base space.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from core.camera import Camera
-from core.rotation import matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import matrices_from_quaternions, quaternion_from_matrix
 
-ARM, STEP = 0.6, 0.25  # [m] that a hand reaches over a table; to go ahead at most: a table may stand there
-VIEW_TO_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenXR looks along -z with y up, cameras along +z with y down
+ARM_LENGTH = 0.6  # [m] that a hand reaches over a table
+MAX_STEP_AHEAD = 0.25  # [m] that a player begins nearer than the scene's eye: a table may stand there
+VIEW_TO_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def pose_matrix(position, rotation) -> np.ndarray:
+    """(4, 4) of a position (3,) and a rotation matrix (3, 3)."""
+    m = np.eye(4)
+    m[:3, :3], m[:3, 3] = rotation, position
+    return m
 
 
 def matrix_of(pose) -> np.ndarray:
     """(4, 4) float64 that maps points of a space located at an XrPosef to the base space."""
     q, p = pose.orientation, pose.position
-    m = np.eye(4)
-    m[:3, :3] = matrices_from_quaternions(np.array([[q.w, q.x, q.y, q.z]], np.float64))[0]
-    m[:3, 3] = p.x, p.y, p.z
-    return m
+    return pose_matrix((p.x, p.y, p.z), matrices_from_quaternions([q.w, q.x, q.y, q.z]))
 
 
-def eye_camera(width: int, height: int, fov, eye_to_world: np.ndarray) -> Camera:
+def position_rotation(m: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position and wxyz quaternion of a (4, 4) rigid matrix, as `Hand` takes them."""
+    return tuple(m[:3, 3].tolist()), tuple(quaternion_from_matrix(m[:3, :3]).tolist())
+
+
+def eye_camera(width: int, height: int, fov, world_from_eye: np.ndarray) -> Camera:
     """Camera of an eye with an XrFovf [rad]: left and down are negative, and the axis need not be in the middle."""
     left, right, up, down = (np.tan(a) for a in (fov.angle_left, fov.angle_right, fov.angle_up, fov.angle_down))
     fx, fy = width / (right - left), height / (up - down)
-    world_to_camera = VIEW_TO_CAMERA @ np.linalg.inv(eye_to_world)
-    return Camera(width, height, float(fx), float(fy), float(-left * fx), float(up * fy), world_to_camera)
+    camera_from_world = VIEW_TO_CAMERA @ np.linalg.inv(world_from_eye)
+    return Camera(width, height, float(fx), float(fy), float(-left * fx), float(up * fy), camera_from_world)
 
 
 @dataclass
-class Standpoint:
-    """Where the play space stands in the world: its origin [m] on the floor, turned by `yaw` [rad] about +y."""
+class PlaySpace:
+    """Pose of the session's reference space in the world: its origin [m], turned by `yaw` [rad] about +y."""
 
     x: float = 0.0
     y: float = 0.0
@@ -40,42 +55,39 @@ class Standpoint:
     yaw: float = 0.0
 
     @classmethod
-    def before(cls, eye, target) -> Standpoint:
+    def facing(cls, eye, target) -> PlaySpace:
         """Under `eye`, so that forward (-z) looks to `target`; the world's floor is at y = 0."""
         d = np.subtract(target, eye)
         return cls(float(eye[0]), 0.0, float(eye[2]), float(np.arctan2(-d[0], -d[2])))
 
     @classmethod
-    def of(cls, scene) -> Standpoint:
-        """Where a scene's player begins: at its eye, or a step ahead if nothing that can be held were in reach."""
-        place = cls.before(scene.eye, scene.target)
-        away = [np.hypot(b.position[0] - place.x, b.position[2] - place.z) for b in scene.bodies if b.material]
-        step = float(np.clip(min(away, default=ARM) - ARM, 0.0, STEP))
-        place.x, place.z = place.x - step * float(np.sin(place.yaw)), place.z - step * float(np.cos(place.yaw))
-        return place
+    def of(cls, scene) -> PlaySpace:
+        """Start of a scene's player: at its eye, or a step ahead if no movable body were within an arm's length."""
+        start = cls.facing(scene.eye, scene.target)
+        distances = [np.hypot(b.position[0] - start.x, b.position[2] - start.z) for b in scene.bodies if b.material]
+        step = float(np.clip(min(distances, default=ARM_LENGTH) - ARM_LENGTH, 0.0, MAX_STEP_AHEAD))
+        start.x, start.z = start.x - step * float(np.sin(start.yaw)), start.z - step * float(np.cos(start.yaw))
+        return start
 
     @property
-    def matrix(self) -> np.ndarray:
-        """(4, 4) float64, stage to world."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        m = np.eye(4)
-        m[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
-        m[:3, 3] = self.x, self.y, self.z
-        return m
+    def world_from_play(self) -> np.ndarray:
+        """(4, 4) float64."""
+        return pose_matrix((self.x, self.y, self.z), Rotation.from_rotvec([0.0, self.yaw, 0.0]).as_matrix())
 
     def turn(self, angle: float, about: np.ndarray) -> None:
-        """Turn the player [rad] on the spot: `about` is where the head is in the world."""
+        """Turn the player by `angle` [rad] on the spot: `about` is the head's position in the world."""
         c, s = np.cos(angle), np.sin(angle)
         dx, dz = self.x - about[0], self.z - about[2]
         self.x, self.z = float(about[0] + c * dx + s * dz), float(about[2] - s * dx + c * dz)
         self.yaw += angle
 
-    def go(self, to: np.ndarray, head: np.ndarray) -> None:
+    def move(self, to: np.ndarray, head: np.ndarray) -> None:
         """Move so that the head [world] comes to stand over `to` [world]."""
         self.x += float(to[0] - head[0])
         self.z += float(to[2] - head[2])
 
 
-def position_rotation(m: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Position and wxyz quaternion of a (4, 4) rigid matrix, as `Hand` takes them."""
-    return tuple(m[:3, 3].tolist()), tuple(quaternions_from_matrices(m[:3, :3]).tolist())
+def interpolate_pose(a: np.ndarray, b: np.ndarray, t: float) -> np.ndarray:
+    """Pose (4, 4) between a (t = 0) and b (t = 1): linear in position, spherical in rotation."""
+    turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()
+    return pose_matrix((1 - t) * a[:3, 3] + t * b[:3, 3], a[:3, :3] @ Rotation.from_rotvec(t * turn).as_matrix())

@@ -1,4 +1,4 @@
-"""A session's life, by the specification: its states, its frames, where head and eyes are.
+"""The XrSession: its states, its frames, head and eye poses, and messages to the user when something about it changes.
 
 IDLE -> READY (begin) -> SYNCHRONIZED -> VISIBLE -> FOCUSED, and back -> STOPPING (end) -> IDLE -> EXITING, LOSS_PENDING
 """
@@ -7,28 +7,35 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import sys
+import time as clock
 
 import numpy as np
 
-from display.xr.actions import Actions
-from display.xr.eye_swapchains import Eyes
-from display.xr.hand_tracking import HandTracking, Sides
-from display.xr.panel_layer import PanelLayer
-from display.xr.panel_paint import content_of
+from core.errors import BadInput
+from display.xr.actions import ActionSet, Controller
+from display.xr.hand_tracking import HandTrackers, InputSelector
+from display.xr.panel_layer import PanelContent, PanelLayer
 from display.xr.poses import matrix_of
+from display.xr.swapchains import EyeSwapchains
 
-HEIGHT = 1.6  # [m] of a head over the floor, until it is seen
+DEFAULT_HEAD_HEIGHT = 1.6  # [m] over the floor, until the head is tracked
+UNWORN_DELAY = 2.0  # [s] before the user is asked to put on a headset that nobody has worn yet
+TAKEN_OFF_DELAY = 0.2  # [s] without a frame until a headset counts as taken off
+MAX_LOSSES, LOSS_WINDOW = 5, 60.0  # losses of the runtime within this time [s] until it is given up
 
 
-class Lost(Exception):
+class SessionLost(Exception):
     """The session or the runtime is gone; another one may come."""
 
 
-class Session:
-    """One session with its play space, eyes and actions.
+class XrSession:
+    """One session with its reference space, eye swapchains, actions, hand trackers and panel layer.
 
-    `running`: frames are wanted. `focused`: the player's input is ours. `tracked`: it is known where the head is.
-    Raises Lost where the runtime goes away, or fails in a frame: then another session may do better.
+    `running`: the runtime wants frames. `focused`: the user's input is ours. `tracked`: the head's pose is known.
+    `has_floor`: y = 0 of the reference space is the floor (STAGE), not where the head was (LOCAL). `over` is "exit"
+    when the user or the system ended the session, "lost" (`why`) when it broke. Raises SessionLost where the runtime
+    goes away, or fails in a frame: another session may do better.
     """
 
     def __init__(self, runtime, gl, binding, size: tuple[int, int]):
@@ -36,46 +43,47 @@ class Session:
         xr = self.xr
         self.running = self.focused = False
         self.tracked = True
-        self.over: str | None = None  # "exit": the user wants it so; "lost"
-        self.why = "it ends the session"  # if it is lost
+        self.over: str | None = None
+        self.why = "it ends the session"
+        self._views = None  # of the frame that is drawn now
         pointer = ctypes.cast(ctypes.pointer(binding), ctypes.c_void_p)
         self.handle = xr.create_session(runtime.instance, xr.SessionCreateInfo(system_id=runtime.system, next=pointer))
         try:
-            self._furnish(gl, size)
+            kinds = [xr.ReferenceSpaceType(k) for k in xr.enumerate_reference_spaces(self.handle)]
+            self.has_floor = xr.ReferenceSpaceType.STAGE in kinds
+            kind = xr.ReferenceSpaceType.STAGE if self.has_floor else xr.ReferenceSpaceType.LOCAL
+            self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
+            self.actions = ActionSet(runtime, self.handle)
+            self._eyes = EyeSwapchains(runtime, self.handle, gl, size, len(runtime.view_sizes))
+            self._trackers, self._selector = self._hand_trackers(), InputSelector()
+            self._panel = PanelLayer(runtime, self.handle, gl)
         except BaseException:
             with contextlib.suppress(xr.exception.ResultException):
                 xr.destroy_session(self.handle)
             raise
-        self._views = None  # of the frame that is drawn now
 
-    def _furnish(self, gl, size: tuple[int, int]) -> None:
-        xr, runtime = self.xr, self.runtime
-        kinds = [xr.ReferenceSpaceType(k) for k in xr.enumerate_reference_spaces(self.handle)]
-        self.standing = xr.ReferenceSpaceType.STAGE in kinds  # else y = 0 is where the head was, not the floor
-        kind = xr.ReferenceSpaceType.STAGE if self.standing else xr.ReferenceSpaceType.LOCAL
-        self.space = xr.create_reference_space(self.handle, xr.ReferenceSpaceCreateInfo(reference_space_type=kind))
-        self.actions = Actions(runtime, self.handle)
-        self.eyes = Eyes(runtime, self.handle, gl, size, len(runtime.views))
-        self.hands, self._sides = self._hands(), Sides()
-        self.panel = PanelLayer(runtime, self.handle, gl)
-
-    def _hands(self) -> HandTracking | None:
-        """The hands' trackers; none where a runtime that promised them does not give them."""
+    def _hand_trackers(self) -> HandTrackers | None:
+        """The hand trackers; None where a runtime that promised them does not give them."""
         try:
-            return HandTracking(self.runtime, self.handle) if self.runtime.has_hands else None
+            return HandTrackers(self.runtime, self.handle) if self.runtime.tracks_hands else None
         except self.xr.exception.ResultException:
             return None
 
-    def inputs(self, time: int) -> list:
-        """What plays on each side at `time` [XrTime], a controller or a hand: display/xr/hand_tracking.py."""
-        return self.guarded(lambda: self._inputs(time))
+    @property
+    def has_depth(self) -> bool:
+        """Whether the runtime takes the pictures' depth."""
+        return self._eyes.has_depth
 
-    def _inputs(self, time: int) -> list:
-        hands = self.hands.read(self.space, time) if self.hands is not None else [None, None]
-        return self._sides.choose(self.actions.read(self.space, time), hands, time * 1e-9)
+    def guarded(self, call):
+        """Result of `call()`; SessionLost if the runtime reports a loss, or cannot do what it must."""
+        try:
+            return call()
+        except self.xr.exception.ResultException as e:
+            self.over, self.running, self.why = "lost", False, type(e).__name__
+            raise SessionLost(self.why) from e
 
     def poll(self) -> None:
-        """Follow what the runtime says has happened."""
+        """Follow the runtime's events."""
         xr = self.xr
         for event in self.guarded(lambda: list(self.runtime.events())):
             if isinstance(event, xr.EventDataInstanceLossPending):
@@ -84,30 +92,21 @@ class Session:
                 self._enter(xr.SessionState(event.state))
 
     def _enter(self, state) -> None:
-        xr = self.xr
-        S = xr.SessionState
-        self.focused = state == S.FOCUSED
-        if state == S.READY:
-            how = xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO)
-            self.guarded(lambda: xr.begin_session(self.handle, how))
+        xr, State = self.xr, self.xr.SessionState
+        self.focused = state == State.FOCUSED
+        if state == State.READY:
+            info = xr.SessionBeginInfo(xr.ViewConfigurationType.PRIMARY_STEREO)
+            self.guarded(lambda: xr.begin_session(self.handle, info))
             self.running = True
-        elif state == S.STOPPING:
+        elif state == State.STOPPING:
             self.running = False
             self.guarded(lambda: xr.end_session(self.handle))
-        elif state == S.EXITING:
+        elif state == State.EXITING:
             self.over = "exit"
-        elif state == S.LOSS_PENDING:
+        elif state == State.LOSS_PENDING:
             self.over, self.running = "lost", False
 
-    def guarded(self, call):
-        """The call's result; Lost if the runtime says that session or instance are, or cannot do what it must."""
-        try:
-            return call()
-        except self.xr.exception.ResultException as e:
-            self.over, self.running, self.why = "lost", False, type(e).__name__
-            raise Lost(self.why) from e
-
-    def wait(self):
+    def wait_frame(self):
         """Wait until the runtime wants the next frame, and begin it; its XrFrameState."""
         xr = self.xr
         state = self.guarded(lambda: xr.wait_frame(self.handle))
@@ -119,65 +118,129 @@ class Session:
         self.guarded(begin)
         return state
 
-    def locate(self, time: int) -> list[tuple[np.ndarray, object]]:
-        """(eye to play space (4, 4), XrFovf) of each eye at `time`, as well as the runtime knows now."""
+    def inputs(self, time: int) -> list[Controller]:
+        """What plays on each side at `time` [XrTime]: a controller or a bare hand."""
+
+        def read():
+            hands = [None, None] if self._trackers is None else self._trackers.read(self.space, time)
+            return self._selector.choose(self.actions.read(self.space, time), hands, time * 1e-9)
+
+        return self.guarded(read)
+
+    def locate_views(self, time: int) -> list[tuple[np.ndarray, object]]:
+        """Pose in the reference space (4, 4) and XrFovf of each eye at `time`, as well as the runtime knows now."""
         xr = self.xr
-        how = xr.ViewLocateInfo(
+        info = xr.ViewLocateInfo(
             view_configuration_type=xr.ViewConfigurationType.PRIMARY_STEREO, display_time=time, space=self.space
         )
-        state, views = self.guarded(lambda: xr.locate_views(self.handle, how))
-        turned, placed = xr.ViewStateFlags.ORIENTATION_VALID_BIT, xr.ViewStateFlags.POSITION_VALID_BIT
-        known = state.view_state_flags & (turned | placed)
-        self.tracked = known == turned | placed
-        if self._views is None and not self.tracked:  # nobody has seen the head yet: it looks ahead
+        state, views = self.guarded(lambda: xr.locate_views(self.handle, info))
+        orientation, position = xr.ViewStateFlags.ORIENTATION_VALID_BIT, xr.ViewStateFlags.POSITION_VALID_BIT
+        valid = state.view_state_flags & (orientation | position)
+        self.tracked = valid == orientation | position
+        if self._views is None and not self.tracked:  # the head has not been tracked yet: it looks ahead
             for view in views:
                 view.pose = xr.Posef()
-                view.pose.position.y = HEIGHT if self.standing else 0.0
+                view.pose.position.y = DEFAULT_HEAD_HEIGHT if self.has_floor else 0.0
             self._views = views
         elif self.tracked:
             self._views = views
-        elif known == turned:  # else the head stays where it was seen last
-            for view, seen in zip(self._views, views, strict=True):
-                view.pose.orientation, view.fov = seen.pose.orientation, seen.fov
+        elif valid == orientation:  # else the head stays where it was tracked last
+            for view, found in zip(self._views, views, strict=True):
+                view.pose.orientation, view.fov = found.pose.orientation, found.fov
         return [(matrix_of(v.pose), v.fov) for v in self._views]
 
-    def show(self, texture, size: tuple[int, int]) -> list:
-        """Draw the picture, in which all eyes, of `size` [px], lie one below the other; the layers to end the frame."""
-        self.guarded(lambda: self.eyes.draw(texture, size))
-        return [self.eyes.layer(self.space, self._views)]
+    def projection_layer(self, texture, size: tuple[int, int]):
+        """The layer of a picture in which the eyes' views, of `size` [px], lie one below the other."""
+        self.guarded(lambda: self._eyes.draw(texture, size))
+        return self._eyes.layer(self.space, self._views)
 
-    def show_panel(self, panel, world) -> list:
-        """The layer of the panel over the left hand (a WristPanel), if it is to be seen."""
-        if panel.pose is None:
-            return []
-        self.guarded(lambda: self.panel.show(content_of(world, panel)))
-        return [self.panel.layer(self.space, panel.pose)]
+    def panel_layer(self, content: PanelContent, pose: np.ndarray):
+        """The layer of the panel over the left hand, at `pose` (4, 4)."""
+        self.guarded(lambda: self._panel.show(content))
+        return self._panel.layer(self.space, pose)
 
-    def end(self, time: int, layers: list) -> None:
-        """End the frame that `wait` began, with or without something to show."""
+    def end_frame(self, time: int, layers: list) -> None:
+        """End the frame that `wait_frame` began, with or without layers to show."""
         xr = self.xr
-        how = xr.FrameEndInfo(
+        info = xr.FrameEndInfo(
             display_time=time,
-            environment_blend_mode=self.runtime.blend,
+            environment_blend_mode=self.runtime.blend_mode,
             layers=[ctypes.byref(layer) for layer in layers],
         )
-        self.guarded(lambda: xr.end_frame(self.handle, how))
+        self.guarded(lambda: xr.end_frame(self.handle, info))
 
-    def leave(self) -> None:
-        """Ask the runtime to end the session; it answers with states."""
+    def leave(self, timeout: float) -> None:
+        """End a running session as the specification wants it: ask, then follow the states, for `timeout` [s]."""
+        end = clock.monotonic() + timeout
+        if not self.running or self.over == "lost":
+            return
         try:
             self.xr.request_exit_session(self.handle)
         except self.xr.exception.ResultException:
-            self.over = self.over or "exit"
+            return
+        with contextlib.suppress(SessionLost):
+            while self.over is None and clock.monotonic() < end:
+                self.poll()
+                if self.running:
+                    self.end_frame(self.wait_frame().predicted_display_time, [])
+                else:
+                    clock.sleep(0.01)
 
     def close(self) -> None:
         """Give everything back. Further calls do nothing."""
         if self.handle is None:
             return
-        self.eyes.close()
-        if self.hands is not None:
-            self.hands.close()
-        self.panel.close()
+        self._eyes.close()
+        if self._trackers is not None:
+            self._trackers.close()
+        self._panel.close()
         handle, self.handle = self.handle, None
         with contextlib.suppress(self.xr.exception.ResultException):  # it may be gone already
             self.xr.destroy_session(handle)
+
+
+class StatusMessages:
+    """Lines on stderr when something about the headset changes: one line each, once."""
+
+    def __init__(self):
+        self._resting_since: float | None = None
+        self._has_played = self._told = False
+        self._focused: bool | None = None
+        self._tracked = True
+        self._losses: list[float] = []
+
+    def tell(self, line: str) -> None:
+        """Print one line."""
+        print(line, file=sys.stderr, flush=True)
+
+    def rest(self) -> None:
+        """Note that the runtime wants no frames."""
+        now = clock.monotonic()
+        if self._resting_since is None:
+            self._resting_since, self._told, self._focused = now, False, None
+        if not self._told and now - self._resting_since > (TAKEN_OFF_DELAY if self._has_played else UNWORN_DELAY):
+            self._told = True
+            self.tell("headset taken off: paused" if self._has_played else "put the headset on to begin")
+
+    def frame(self, session: XrSession) -> None:
+        """Note the beginning of a frame."""
+        if self._told and self._has_played:
+            self.tell("headset put on: playing again")
+        self._resting_since, self._has_played, self._told = None, True, False
+        if session.focused != self._focused and self._focused is not None:
+            waits = "another program has the input: your hands wait"
+            self.tell("the input is back" if session.focused else waits)
+        if session.focused or self._focused is not None:  # at the start it takes a few frames
+            self._focused = session.focused
+        if session.tracked != self._tracked:
+            self._tracked = session.tracked
+            self.tell("head tracking is back" if self._tracked else "head tracking lost: the view stays where it was")
+
+    def lost(self, name: str, why: str) -> None:
+        """Note the loss of the runtime. Raises BadInput if it happens again and again."""
+        now = clock.monotonic()
+        self._losses = [at for at in self._losses if now - at < LOSS_WINDOW] + [now]
+        if len(self._losses) >= MAX_LOSSES:
+            raise BadInput(f"--xr: {name} fails again and again ({why}); restart it, or play without --xr")
+        self._focused = None
+        self.tell(f"lost the headset's runtime ({why}); waiting for it to come back")

@@ -1,6 +1,6 @@
-"""The picture from CUDA to OpenGL without a way through the host: CUDA's driver API, chapter "OpenGL Interoperability".
+"""Copies the picture from CUDA to OpenGL on the device (CUDA driver API, chapter "OpenGL Interoperability").
 
-The driver's own library is called, which is there wherever Taichi runs on CUDA. OpenGL must run on the same GPU as it.
+The driver's own library is called, which is there wherever Taichi runs on CUDA. OpenGL must run on the same GPU.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 import ctypes
 import sys
 
-TEXTURE_2D = 0x0DE1  # OpenGL's name of the kind of texture
+TEXTURE_2D = 0x0DE1  # OpenGL's enum
 WRITE_DISCARD = 0x02  # CU_GRAPHICS_REGISTER_FLAGS_WRITE_DISCARD
 DEVICE, ARRAY = 2, 3  # CUmemorytype
-BYTES = 4  # of a pixel
+BYTES_PER_PIXEL = 4
 
 
 class NoInterop(Exception):
@@ -19,7 +19,7 @@ class NoInterop(Exception):
 
 
 class Copy2D(ctypes.Structure):
-    """CUDA_MEMCPY2D_v2: what `cuMemcpy2DAsync_v2` copies from where to where."""
+    """CUDA_MEMCPY2D_v2: source, destination and extent of `cuMemcpy2DAsync_v2`."""
 
     _fields_ = [
         (side + name, kind)
@@ -41,13 +41,13 @@ class CudaTexture:
 
     def __init__(self, texture):
         self.texture = texture
-        self._cuda = driver()
-        self._context()
+        self._functions = driver_functions()
+        self._make_current()
         self._resource = ctypes.c_void_p()
         self._call("cuGraphicsGLRegisterImage", ctypes.byref(self._resource), texture.glo, TEXTURE_2D, WRITE_DISCARD)
 
-    def _context(self) -> None:
-        """Taichi's context, the device's primary one, must be this thread's."""
+    def _make_current(self) -> None:
+        """Make Taichi's context, the device's primary one, this thread's."""
         current = ctypes.c_void_p()
         self._call("cuCtxGetCurrent", ctypes.byref(current))
         if not current:
@@ -57,12 +57,12 @@ class CudaTexture:
             self._call("cuCtxSetCurrent", primary)
 
     def _call(self, name: str, *arguments) -> None:
-        status = getattr(self._cuda, name)(*arguments)
+        status = self._functions[name](*arguments)
         if status != 0:
-            raise NoInterop(f"{name} says {status}")
+            raise NoInterop(f"{name} returns {status}")
 
     def write(self, address: int) -> None:
-        """Take over the pixels at an address of the device, row after row, when what draws them is done."""
+        """Copy the pixels at an address of the device, row after row, once the kernels that draw them are done."""
         width, height = self.texture.size
         array = ctypes.c_void_p()
         self._call("cuGraphicsMapResources", 1, ctypes.byref(self._resource), None)
@@ -71,10 +71,10 @@ class CudaTexture:
             copy = Copy2D(
                 srcMemoryType=DEVICE,
                 srcDevice=address,
-                srcPitch=width * BYTES,
+                srcPitch=width * BYTES_PER_PIXEL,
                 dstMemoryType=ARRAY,
                 dstArray=array,
-                WidthInBytes=width * BYTES,
+                WidthInBytes=width * BYTES_PER_PIXEL,
                 Height=height,
             )
             self._call("cuMemcpy2DAsync_v2", ctypes.byref(copy), None)
@@ -82,19 +82,20 @@ class CudaTexture:
             self._call("cuGraphicsUnmapResources", 1, ctypes.byref(self._resource), None)
 
     def close(self) -> None:
-        """Let the texture go, before OpenGL does. Further calls do nothing."""
+        """Unregister the texture, before OpenGL deletes it. Further calls do nothing."""
         if self._resource:
-            self._cuda.cuGraphicsUnregisterResource(self._resource)
+            self._functions["cuGraphicsUnregisterResource"](self._resource)
             self._resource = ctypes.c_void_p()
 
 
-def driver():
-    """CUDA's driver. Raises NoInterop."""
+def driver_functions() -> dict:
+    """Functions of CUDA's driver by name. Raises NoInterop."""
     try:
         cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError as e:
         raise NoInterop("there is no CUDA driver") from e
     pointer, handle, number = ctypes.c_void_p, ctypes.POINTER(ctypes.c_void_p), ctypes.c_uint
+    functions = {}
     for name, kinds in {
         "cuCtxGetCurrent": (handle,),
         "cuDeviceGet": (ctypes.POINTER(ctypes.c_int), ctypes.c_int),
@@ -107,5 +108,6 @@ def driver():
         "cuMemcpy2DAsync_v2": (ctypes.POINTER(Copy2D), pointer),
         "cuGraphicsUnregisterResource": (pointer,),
     }.items():
-        getattr(cuda, name).argtypes = kinds
-    return cuda
+        functions[name] = cuda[name]
+        functions[name].argtypes = kinds
+    return functions

@@ -1,4 +1,4 @@
-"""A window with OpenGL 3.3, a queue of its events, and ImGui. Knows nothing of worlds."""
+"""A desktop window (GLFW) with OpenGL 3.3, a queue of its events, and ImGui. Knows nothing of worlds."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import os
 import sys
 
 from core.errors import BadInput
-from display.window import theme
-from display.window.gl_context import context_of
+from display.window.gl_context import INSTEAD, NO_DISPLAY, context_of
 
-INSTEAD = "run with --headless instead"
 KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space", "delete"]
 LABELS = {"u": "u", "c": "c", "l": "l", "+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
-CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on them: it is not everywhere in the same place
+CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on the keys: layouts differ
 
 
 def import_glfw():
@@ -24,7 +22,7 @@ def import_glfw():
 
 
 def has_display() -> bool:
-    """Can this process open a window?"""
+    """Whether this process can open a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
     glfw = import_glfw()
@@ -35,7 +33,7 @@ def has_display() -> bool:
 
 
 class GLWindow:
-    """One open window. Raises BadInput without a display or without OpenGL 3.3.
+    """One open window; `gl` is its context (moderngl). Raises BadInput without a display or without OpenGL 3.3.
 
     Events are ("key", name, down), ("button", "left"|"right"|"middle", down, x, y), ("move", x, y),
     ("wheel", notches) and ("blur",), positions in screen coordinates (not pixels on every platform).
@@ -43,10 +41,10 @@ class GLWindow:
 
     def __init__(self, title: str, width: int, height: int, *, vsync: bool):
         if not has_display():
-            raise BadInput(f"no display to open a window on; {INSTEAD}")
+            raise BadInput(f"{NO_DISPLAY}; {INSTEAD}")
         self.glfw = glfw = import_glfw()
-        complaints: list[str] = []
-        glfw.set_error_callback(lambda code, text: complaints.append(text.decode(errors="replace")))
+        errors: list[str] = []
+        glfw.set_error_callback(lambda code, text: errors.append(text.decode(errors="replace")))
         for hint, value in {
             glfw.CONTEXT_VERSION_MAJOR: 3,
             glfw.CONTEXT_VERSION_MINOR: 3,
@@ -58,7 +56,7 @@ class GLWindow:
         self.handle = glfw.create_window(width, height, title, None, None)
         if not self.handle:
             glfw.terminate()
-            raise BadInput(f"no window with OpenGL 3.3 ({'; '.join(complaints) or 'no reason given'}); {INSTEAD}")
+            raise BadInput(f"no window with OpenGL 3.3 ({'; '.join(errors) or 'no reason given'}); {INSTEAD}")
         glfw.make_context_current(self.handle)
         glfw.swap_interval(1 if vsync else 0)
         glfw.set_window_size_limits(self.handle, 320, 240, glfw.DONT_CARE, glfw.DONT_CARE)
@@ -97,7 +95,7 @@ class GLWindow:
         glfw.set_window_focus_callback(self.handle, focus)
 
     def _start_imgui(self) -> float:
-        """Start ImGui; its callbacks call ours in turn. Returns the size of the user's letters, 1 as usual."""
+        """Start ImGui; its callbacks call ours in turn. Returns the scale of text and widgets, 1 as usual."""
         import ctypes
 
         from imgui_bundle import imgui
@@ -107,9 +105,7 @@ class GLWindow:
         imgui.backends.glfw_init_for_opengl(ctypes.cast(self.handle, ctypes.c_void_p).value, True)
         imgui.backends.opengl3_init("#version 330")
         pixels = self.frame_size[0] / max(self.window_size[0], 1)  # 2 on a Retina screen, else 1
-        scale = self.glfw.get_window_content_scale(self.handle)[0] / pixels
-        theme.apply(scale)
-        return scale
+        return self.glfw.get_window_content_scale(self.handle)[0] / pixels
 
     @property
     def frame_size(self) -> tuple[int, int]:
@@ -123,11 +119,11 @@ class GLWindow:
 
     @property
     def closing(self) -> bool:
-        """Has the user asked to close the window?"""
+        """Whether the user has asked to close the window."""
         return bool(self.glfw.window_should_close(self.handle))
 
     def asleep(self) -> bool:
-        """Is the window minimised? Then wait a little for it to come back."""
+        """Whether the window is minimised; then wait a little for it to come back."""
         if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
             self.glfw.wait_events_timeout(0.1)
             return True

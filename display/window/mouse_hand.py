@@ -1,4 +1,4 @@
-"""A hand made of the mouse: grips what was clicked, follows the cursor, throws on release."""
+"""The mouse's hand: grips what was clicked, follows the cursor, throws on release."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from core.camera import Camera
 from scenes.scene import Hand
 
-FOLLOW = 0.03  # [s], time constant of the hand behind the cursor: evens out the events of slow mice
-FASTEST = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more
-NEAREST, FARTHEST = 0.1, 50.0  # [m] depth of the hand before the camera
-AIM = 0.08  # [s] before the release that decide the throw: fingers slow down as they let go
-SWING = 0.03  # [s] that the grip goes on at the speed of the throw, so that the whole body takes it up
-THROW = 0.2  # [m/s]; slower is putting down
+FOLLOW_TIME = 0.03  # [s], time constant of the hand behind the cursor: evens out the events of slow mice
+MAX_SPEED = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more
+MIN_DEPTH, MAX_DEPTH = 0.1, 50.0  # [m] of the hand before the camera
+THROW_WINDOW = 0.08  # [s] before the release that decide the throw: fingers slow down as they let go
+FOLLOW_THROUGH = 0.03  # [s] that the grip goes on at the speed of the throw, so that the whole body takes it up
+MIN_THROW_SPEED = 0.2  # [m/s]; slower is putting down
 
 
 class MouseHand:
-    """The hand stands at a screen position (u, v) [px] and a depth [m] along the view axis.
+    """A hand at a screen position (u, v) [px] and a depth [m] along the view axis.
 
     Both are kept in the camera's frame, so a camera that moves during a drag carries the hand along.
     """
@@ -27,20 +27,20 @@ class MouseHand:
         self.gripping = False
         self.position = np.zeros(3)
         self._u = self._v = self._depth = 0.0
-        self._reach = Hand.reach
+        self._radius = Hand.reach
         self._fresh = self._given = False  # did the grip just begin; was there a hand in the last frame
-        self._swing: float | None = None  # [s] left of the grip after the release, None before it
+        self._remaining: float | None = None  # [s] of the grip after the release, None before it
         self._velocity = np.zeros(3)  # of the throw
         self._clock = 0.0
-        self._goals: deque[tuple[float, np.ndarray]] = deque()  # where the cursor led, over the last `AIM`
+        self._goals: deque[tuple[float, np.ndarray]] = deque()  # where the cursor led, over the last THROW_WINDOW
 
-    def grab(self, camera: Camera, u: float, v: float, distance: float, reach: float) -> None:
-        """Grip at `distance` [m] along the ray through (u, v); takes what lies within `reach` [m]."""
+    def grab(self, camera: Camera, u: float, v: float, distance: float, radius: float) -> None:
+        """Grip at `distance` [m] along the ray through (u, v); takes what lies within `radius` [m]."""
         origin, direction = camera.ray(u, v)
         self.position = origin + distance * direction
-        self._u, self._v, self._reach = u, v, reach
+        self._u, self._v, self._radius = u, v, radius
         self._depth = distance * float(direction @ camera.world_to_camera[2, :3])
-        self.gripping, self._fresh, self._swing = True, True, None
+        self.gripping, self._fresh, self._remaining = True, True, None
         self._goals.clear()
 
     def drag(self, du: float, dv: float) -> None:
@@ -49,46 +49,46 @@ class MouseHand:
 
     def push(self, amount: float) -> None:
         """Move away (positive) or towards the camera by a factor exp(amount) of the depth."""
-        self._depth = float(np.clip(self._depth * np.exp(amount), NEAREST, FARTHEST))
+        self._depth = float(np.clip(self._depth * np.exp(amount), MIN_DEPTH, MAX_DEPTH))
 
     def release(self) -> None:
         """Let go: what was held flies on with the cursor's mean speed of the last moments."""
         if not self.gripping or len(self._goals) < 2:
             return self.drop()
         (begin, start), (end, goal) = self._goals[0], self._goals[-1]
-        self._velocity = capped((goal - start) / (end - begin), FASTEST)
-        if np.linalg.norm(self._velocity) < THROW:
+        self._velocity = clamp_length((goal - start) / (end - begin), MAX_SPEED)
+        if np.linalg.norm(self._velocity) < MIN_THROW_SPEED:
             return self.drop()
-        self._swing = SWING
+        self._remaining = FOLLOW_THROUGH
 
     def drop(self) -> None:
         """Let go at once."""
-        self.gripping, self._swing = False, None
+        self.gripping, self._remaining = False, None
 
     def hands(self, camera: Camera, dt: float) -> list[Hand]:
-        """The hand after `dt` [s], where it closes in on the cursor or ends its swing; none when it is open.
+        """The hand after `dt` [s], where it closes in on the cursor or follows through; none when it is open.
 
         A grip begins with a hand that was not there before, so it never seems to come from elsewhere.
         """
-        if self._swing is not None and self._swing <= 0.0:
+        if self._remaining is not None and self._remaining <= 0.0:
             self.drop()
         if not self.gripping or (self._fresh and self._given):
             self._given = False
             return []
-        if self._swing is not None:
-            self._swing -= dt
+        if self._remaining is not None:
+            self._remaining -= dt
             self.position = self.position + self._velocity * dt
         elif dt > 0.0:
             self._follow(self._goal(camera), dt)
         self._fresh, self._given = False, True
-        return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._reach)]
+        return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._radius)]
 
     def _follow(self, goal: np.ndarray, dt: float) -> None:
-        step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW))
-        self.position = self.position + capped(step, FASTEST * dt)
+        step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW_TIME))
+        self.position = self.position + clamp_length(step, MAX_SPEED * dt)
         self._clock += dt
         self._goals.append((self._clock, goal))
-        while len(self._goals) > 2 and self._clock - self._goals[0][0] > AIM:
+        while len(self._goals) > 2 and self._clock - self._goals[0][0] > THROW_WINDOW:
             self._goals.popleft()
 
     def _goal(self, camera: Camera) -> np.ndarray:
@@ -96,7 +96,7 @@ class MouseHand:
         return origin + direction * (self._depth / float(direction @ camera.world_to_camera[2, :3]))
 
 
-def capped(vector: np.ndarray, most: float) -> np.ndarray:
-    """The vector, no longer than `most`."""
+def clamp_length(vector: np.ndarray, max_length: float) -> np.ndarray:
+    """The vector, no longer than `max_length`."""
     length = np.linalg.norm(vector)
-    return vector * (most / length) if length > most else vector
+    return vector * (max_length / length) if length > max_length else vector

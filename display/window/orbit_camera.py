@@ -1,4 +1,4 @@
-"""The desktop camera: turns around a target, or walks and looks about."""
+"""The desktop camera: orbits a target, or walks and looks about."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from core.camera import Camera, look_at, perspective
 
-STEEPEST = np.radians(88.0)  # [rad]; nearer to the vertical the horizon would flip
-NEAREST, FARTHEST = 0.05, 200.0  # [m] from eye to target
-ZOOM_STEP = 0.9  # distance after one notch of the wheel
+MAX_PITCH = np.radians(88.0)  # [rad]; nearer to the vertical the horizon would flip
+MIN_DISTANCE, MAX_DISTANCE = 0.05, 200.0  # [m] from eye to target
+ZOOM_STEP = 0.9  # factor on the distance of one notch of the wheel
 
 
 class OrbitCamera:
@@ -33,29 +33,29 @@ class OrbitCamera:
         return perspective(width, height, self.fov_y, look_at(self.eye, self.target))
 
     def turn(self, yaw: float, pitch: float) -> None:
-        """Walk around the target: angles [rad], positive to the right of the target and upwards."""
-        self.eye = self.target + swing(self.eye - self.target, yaw, pitch)
+        """Orbit the target: angles [rad], positive to the right of the target and upwards."""
+        self.eye = self.target + turn_vector(self.eye - self.target, yaw, pitch)
 
     def look(self, yaw: float, pitch: float) -> None:
         """Turn the head: angles [rad], positive to the left and upwards."""
-        self.target = self.eye + swing(self.target - self.eye, yaw, pitch)
+        self.target = self.eye + turn_vector(self.target - self.eye, yaw, pitch)
 
     def move(self, right: float, up: float, forward: float) -> None:
-        """Carry eye and target along the camera's own axes [m]."""
+        """Move eye and target along the camera's own axes [m]."""
         axes = look_at(self.eye, self.target)[:3, :3]  # rows: right, down, forward
         step = right * axes[0] - up * axes[1] + forward * axes[2]
         self.eye, self.target = self.eye + step, self.target + step
 
     def zoom(self, notches: float) -> None:
-        """Approach the target (positive) or back off, by a share of the distance a notch."""
+        """Approach the target (positive) or back off, by a fraction of the distance a notch."""
         offset = self.eye - self.target
-        length = np.clip(self.distance * ZOOM_STEP**notches, NEAREST, FARTHEST)
+        length = np.clip(self.distance * ZOOM_STEP**notches, MIN_DISTANCE, MAX_DISTANCE)
         self.eye = self.target + offset * (length / self.distance)
 
 
-def swing(offset: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
-    """Turn a vector by `yaw` about +y and lift it by `pitch`, short of the vertical."""
+def turn_vector(offset: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
+    """Turn a vector by `yaw` about +y and lift it by `pitch`, up to MAX_PITCH."""
     length = np.linalg.norm(offset)
     yaw += np.arctan2(offset[0], offset[2])
-    pitch = np.clip(pitch + np.arcsin(np.clip(offset[1] / length, -1.0, 1.0)), -STEEPEST, STEEPEST)
+    pitch = np.clip(pitch + np.arcsin(np.clip(offset[1] / length, -1.0, 1.0)), -MAX_PITCH, MAX_PITCH)
     return length * np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])

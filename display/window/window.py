@@ -8,21 +8,20 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera
+from display.adaptive_resolution import AdaptiveResolution
 from display.edit.selection_marker import COLOUR, marked, strokes
 from display.picture import PictureTexture, fit
 from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
-from display.window import theme
-from display.window.adaptive_resolution import AdaptiveResolution
 from display.window.controls import Controls
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
-from display.window.panel import Panel
+from display.window.panel import ACCENT, QUIET, TITLE_SIZE, Panel
 from scenes.scene import BodyState, Scene
 
-LONGEST_STEP = 1 / 20  # [s]; below 20 frames a second the world slows down rather than jumps
-SETTLE = 0.2  # [s] without a change of size before the world draws in the new one
-SMALLEST = 16  # [px] a side, of a picture
+MAX_DT = 1 / 20  # [s]; below 20 frames a second the world slows down rather than jumps
+RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
+MIN_SIDE = 16  # [px] of a picture
 
 
 class Window:
@@ -36,14 +35,13 @@ class Window:
         self._surface = GLWindow(title, width, height, vsync=vsync)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(scene, title, self._surface.scale)
-        self._quality = AdaptiveResolution()
+        self._resolution = AdaptiveResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
-        self._seen = None  # where the camera was in the last frame
+        self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
         self._commands: list[Command] = []  # from the panel, for the next frame
-        self._world = None  # as of the last `present`
-        self._settling: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)
+        self._resized: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)  # the window's size, since when
         self.loading(f"Loading {title}")
 
     def __enter__(self) -> Window:
@@ -59,8 +57,8 @@ class Window:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that fits the window now."""
-        share = self._quality.share if self._panel.resolution is None else self._panel.resolution
-        return tuple(max(SMALLEST, round(side * share)) for side in self._surface.frame_size)
+        scale = self._resolution.scale if self._panel.resolution is None else self._panel.resolution
+        return tuple(max(MIN_SIDE, round(side * scale)) for side in self._surface.frame_size)
 
     def loading(self, text: str) -> None:
         """Show a line of text in an otherwise empty window, while something takes its time."""
@@ -68,10 +66,10 @@ class Window:
 
         self._surface.begin()
         area = imgui.get_io().display_size
-        imgui.push_font(None, theme.TITLE_SIZE)
+        imgui.push_font(None, TITLE_SIZE)
         extent = imgui.calc_text_size(text)
         at = (0.5 * (area.x - extent.x), 0.5 * (area.y - extent.y))
-        imgui.get_foreground_draw_list().add_text(at, imgui.get_color_u32(theme.QUIET), text)
+        imgui.get_foreground_draw_list().add_text(at, imgui.get_color_u32(QUIET), text)
         imgui.pop_font()
         self._texture.draw(self._surface.frame_size)
         self._surface.end()
@@ -79,33 +77,30 @@ class Window:
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits."""
-        self._world = world
         time, last = 0.0, perf_counter()
+        orbit = self._controls.orbit
         while not (self._controls.quit or self._surface.closing):
             if self._surface.asleep():
-                self._rest()
+                world.timings.rest()
                 last = perf_counter()
                 continue
             events = self._surface.begin()
             now = perf_counter()
             seconds, last = now - last, now
-            dt = min(seconds, LONGEST_STEP)
-            self._quality.note(now, seconds, moving=self._moving())
-            self._resize(now)
-            commands = self._handle(events)
+            dt = min(seconds, MAX_DT)
+            self._resolution.note(now, seconds, moving=self._camera_moved() or world.moving)
+            self._resize(now, world)
+            commands = self._handle(events, world)
             pause = last_of(Pause, commands)
-            paused = self._world.paused if pause is None else pause.on
+            paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
             hands = self._controls.advance(self._camera, dt, running=running)
             time += dt
-            orbit = self._controls.orbit
             self._camera = orbit.camera(self._camera.width, self._camera.height)
-            size = self.size if self._world is None else self._world.picture_size
-            yield Frame(dt, time, [orbit.camera(*size)], hands, commands)
+            yield Frame(dt, time, [orbit.camera(*world.picture_size)], hands, commands)
 
     def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""
-        self._world = world
         with world.timings.stage("present"):
             self._texture.upload(world.picture)
             self._texture.draw(self._surface.frame_size)
@@ -113,36 +108,29 @@ class Window:
             if self._controls.drag == "grab":
                 self._draw_hand()
             elif (body := marked(world, near=self._panel.edits)) is not None:
-                self._draw_mark(body)
+                self._draw_marker(body)
             self._surface.end()
         self._surface.swap()
         world.timings.exact = self._panel.details
         world.timings.frame()
 
-    def _rest(self) -> None:
-        if self._world is not None:
-            self._world.timings.rest()
+    def _camera_moved(self) -> bool:
+        """Whether the last frame's camera differed from the one before it."""
+        before, self._last_view = self._last_view, self._camera.world_to_camera.tobytes()
+        return before != self._last_view
 
-    def _moving(self) -> bool:
-        """Whether the last frame's picture differed from the one before it."""
-        matrix = self._camera.world_to_camera.tobytes()
-        turned, self._seen = matrix != self._seen, matrix
-        return turned or (self._world is not None and self._world.moving)
-
-    def _resize(self, now: float) -> None:
+    def _resize(self, now: float, world: WorldView) -> None:
         """Let the world draw in the size that is wanted; a window's new size must have settled, until then pictures
         are stretched."""
-        if self._world is None:
-            return
         window = self._surface.frame_size
-        if self._settling[0] != window:
-            self._settling = (window, now)
-        elif now - self._settling[1] > SETTLE and self._world.picture_size != self.size:
-            self._world.resize(*self.size)
-        _, _, width, height = fit(self._world.picture_size, window)
-        self._camera = self._controls.orbit.camera(max(SMALLEST, round(width)), max(SMALLEST, round(height)))
+        if self._resized[0] != window:
+            self._resized = (window, now)
+        elif now - self._resized[1] > RESIZE_DELAY and world.picture_size != self.size:
+            world.resize(*self.size)
+        _, _, width, height = fit(world.picture_size, window)
+        self._camera = self._controls.orbit.camera(max(MIN_SIDE, round(width)), max(MIN_SIDE, round(height)))
 
-    def _handle(self, events: list[tuple]) -> list[Command]:
+    def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
         """Hand the events to the controls, but not those that belong to the panel."""
         from imgui_bundle import imgui
 
@@ -161,61 +149,61 @@ class Window:
                 if not down:
                     controls.release(name)
                 elif not io.want_capture_mouse:
-                    controls.press(name, *self._cursor, self._camera, self._world)
+                    controls.press(name, *self._cursor, self._camera, world)
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
             elif kind == "key" and not (what[1] and io.want_text_input):
-                commands += controls.key(*what, self._world, (*self._cursor, self._camera))
+                commands += controls.key(*what, world, *self._cursor, self._camera)
             elif kind == "blur":
                 controls.let_go()
-        return commands + controls.lighting(self._world, *self._cursor, self._camera)
+        return commands + controls.place_light(world, *self._cursor, self._camera)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
         return (x - left) / width * self._camera.width, (y - top) / height * self._camera.height
 
-    def _draw_mark(self, body: BodyState) -> None:
-        """Corners around a body; those behind it are fainter."""
+    def _to_screen(self, point: np.ndarray) -> tuple[float, float] | None:
+        """Screen coordinates of a point in the world, None behind the camera."""
+        at = project(self._camera, point)
+        if at is None:
+            return None
+        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
+        return left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
+
+    def _draw_marker(self, body: BodyState) -> None:
+        """Draw corners around a body; those behind it are fainter."""
         from imgui_bundle import imgui
 
-        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
-        paint, scale = imgui.get_background_draw_list(), self._surface.scale
-        far = self._camera.world_to_camera[2, :3] @ np.subtract(body.high, body.low)
-        middle = project_depth(self._camera, 0.5 * (body.low + body.high))
+        draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
+        thickness = abs(self._camera.world_to_camera[2, :3] @ np.subtract(body.high, body.low))
+        middle = view_depth(self._camera, 0.5 * (body.low + body.high))
         for start, end in strokes(body):
-            ends = [project(self._camera, p) for p in (start, end)]
-            if None not in ends:
-                a, b = (
-                    (left + u / self._camera.width * width, top + v / self._camera.height * height) for u, v in ends
-                )
-                behind = project_depth(self._camera, start) > middle + 0.1 * abs(far)
-                for colour, thick in (((0.0, 0.0, 0.0, 0.35), 4.0), ((*COLOUR, 1.0), 2.0)):
-                    shade = (*colour[:3], colour[3] * (0.35 if behind else 1.0))
-                    paint.add_line(a, b, imgui.get_color_u32(shade), thick * scale)
+            a, b = self._to_screen(start), self._to_screen(end)
+            if a is not None and b is not None:
+                opacity = 0.35 if view_depth(self._camera, start) > middle + 0.1 * thickness else 1.0
+                for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
+                    draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
 
     def _draw_hand(self) -> None:
-        """A ring around the gripped point, and the hand for a cursor."""
+        """Draw a ring around the gripped point, and the hand for a cursor."""
         from imgui_bundle import imgui
 
-        at = project(self._camera, self._controls.hand.position)
+        at = self._to_screen(self._controls.hand.position)
         if at is None:
             return
-        left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
-        x, y = left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
-        scale = self._surface.scale
-        paint = imgui.get_background_draw_list()
-        paint.add_circle((x, y), 9 * scale, imgui.get_color_u32((0.0, 0.0, 0.0, 0.5)), 0, 4 * scale)
-        paint.add_circle((x, y), 9 * scale, imgui.get_color_u32(theme.ACCENT), 0, 2 * scale)
+        draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
+        draw_list.add_circle(at, 9 * scale, imgui.get_color_u32((0.0, 0.0, 0.0, 0.5)), 0, 4 * scale)
+        draw_list.add_circle(at, 9 * scale, imgui.get_color_u32(ACCENT), 0, 2 * scale)
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
 
 
-def project_depth(camera: Camera, point) -> float:
-    """How far before the camera a point is [m]."""
+def view_depth(camera: Camera, point: np.ndarray) -> float:
+    """Distance [m] of a point along the camera's axis."""
     return float(camera.world_to_camera[2, :3] @ point + camera.world_to_camera[2, 3])
 
 
-def project(camera: Camera, point) -> tuple[float, float] | None:
+def project(camera: Camera, point: np.ndarray) -> tuple[float, float] | None:
     """Picture pixels of a point in the world, None behind the camera."""
     x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
     return (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z) if z > 1e-6 else None

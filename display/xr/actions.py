@@ -17,6 +17,7 @@ from display.xr.poses import matrix_of
 SIDES = ("left", "right")
 PRESS_ABOVE, RELEASE_BELOW = 0.6, 0.4  # of an analog input: two levels, so that a trembling finger does not flicker
 IDLE_BELOW = 0.15  # of an analog input: less may be a finger's weight
+FINGER_LENGTH, FINGER_RADIUS = 0.09, 0.009  # [m] of the finger that a controller stretches out to poke with
 ACTIONS = {  # name: (kind of XrActionType, name that the runtime shows)
     "grip": ("POSE_INPUT", "Hand"),
     "aim": ("POSE_INPUT", "Pointing"),
@@ -84,6 +85,10 @@ class Controller:
     def pointer(self) -> np.ndarray:
         """The aim pose, or the grip pose while that one is not tracked, (4, 4)."""
         return self.grip if self.aim is None else self.aim
+
+    def finger(self, extension: float = 1.0) -> np.ndarray:
+        """Tip (3,) of the finger that the controller stretches out by `extension`, 0 to 1, in the play space."""
+        return self.grip[:3, 3] - extension * FINGER_LENGTH * self.pointer[:3, 2]
 
 
 class ActionSet:

@@ -122,9 +122,7 @@ class InputSelector:
         self._gestures = [HandGestures(), HandGestures()]
         self._controller_used, self._hand_seen = [-np.inf, -np.inf], [-np.inf, -np.inf]  # [s] last
 
-    def choose(
-        self, controllers: list[Controller], hands: list[HandJoints | None], time: float
-    ) -> list[Controller]:
+    def choose(self, controllers: list[Controller], hands: list[HandJoints | None], time: float) -> list[Controller]:
         """The input of each side at `time` [s]."""
         return [self._choose(h, c, joints, time) for h, (c, joints) in enumerate(zip(controllers, hands, strict=True))]
 

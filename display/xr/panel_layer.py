@@ -43,7 +43,9 @@ class PanelContent:
         score = f"{world.score}   " if world.message and not says_score else ""
         return cls(
             message=f"{score}{world.message}",
-            note="The light follows your hand until you release the trigger." if panel.placing else world.notice or note,
+            note="The light follows your hand until you release the trigger."
+            if panel.placing
+            else world.notice or note,
             warns=bool(world.notice or panel.placing),
             rate=f"{world.timings.recent_fps():.0f} fps",
             lit=frozenset(lit | ({"light"} if panel.placing else set())),

@@ -1,78 +1,96 @@
-"""The player in the play space: hands from controllers, turning, going, and what the hands feel."""
+"""The player in the play space: hands from controllers, finger poke, snap turn, teleport, and haptics."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from display.protocol import Command, Redo, SetInteraction, Undo
-from display.xr import avatar as shown
-from display.xr import finger_poke as poking
-from display.xr.actions import LET_GO, PRESS, Controller
-from display.xr.poses import Standpoint, position_rotation
-from display.xr.teleport import Teleport, on_the_floor
-from scenes.scene import Hand, Scene
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from display.protocol import Command, Redo, SetInteraction, Undo, WorldView
+from display.xr import avatar
+from display.xr.actions import FINGER_RADIUS, PRESS_ABOVE, RELEASE_BELOW, ActionSet, Controller
+from display.xr.poses import PlaySpace, interpolate_pose, pose_matrix, position_rotation
+from scenes.scene import BodyState, Hand, Scene, Touch
 from sim.hands.grasp import FORCE
 
-GRAB_REACH, PINCH_REACH = 0.05, 0.02  # [m] of a fist, of finger and thumb
-TURN = np.pi / 6  # [rad] of a step to the side: smooth turns make many people sick
-PUSHED, CENTERED = 0.7, 0.3  # of the stick's way
-TAP = (0.6, 0.02)  # strength and [s] of the tap with which a hand takes hold
-PULL = (0.8, 0.02)  # strength at the hand's full force, and [s] of each pulse while something pulls at it
-TOUCH = 8.0  # [N] of a finger that feel like FORCE of a fist
-CONTACT = 0.05  # [N] from which on a finger touches, in the mean of some frames
-CALM = 0.5  # share of a frame's force in that mean: contact trembles from substep to substep
-LEAST = 0.03  # strength below which nothing is felt anyway
+GRAB_RADIUS, PINCH_RADIUS = 0.05, 0.02  # [m] within which a fist, and finger and thumb, take hold
+SNAP_TURN = np.pi / 6  # [rad] of a step to the side: smooth turns make many people sick
+STICK_PUSHED, STICK_CENTRED = 0.7, 0.3  # deflection of the stick
+MAX_TELEPORT = 6.0  # [m]
+PINCH_MARGIN = 0.05  # [m] from a body's bounds within which a pinch may be meant for it
+MIN_AIM_DOWN = 0.12  # sine of the angle below the horizon above which a hand points at the floor, and not just ahead
+POKE_ABOVE = 0.1  # of the trigger
+POKE_RATE = 1 / 6  # of its length in a frame: were it there at once, it would be inside what is near
+TAP_STRENGTH, TAP_SECONDS = 0.6, 0.02  # of the tap with which a hand takes hold
+PULL_STRENGTH, PULL_SECONDS = 0.8, 0.02  # at the hand's full force; of each pulse while something pulls at it
+TOUCH_FORCE = 8.0  # [N] of a finger that feel like FORCE of a fist
+CONTACT_FORCE = 0.05  # [N], mean of some frames, above which a finger touches
+TOUCH_SMOOTHING = 0.5  # weight of a frame's force in that mean: contact forces jitter from substep to substep
+MIN_STRENGTH = 0.03  # below which nothing is felt anyway
+LEAD_SPEED, LEAD_TURN_RATE = 2.0, 2 * np.pi  # [m/s], [rad/s] of a hand that is led to where it was found
+MAX_LEAD_TIME = 0.5  # [s]
 
 
 class Player:
-    """Where the player stands, what both hands do. `advance` gives them once a frame, `feel` answers."""
+    """The player's place and hands. `advance` gives the hands once a frame, `feel` the haptics.
+
+    `pointing` is the ray of a teleport in the world, from (3,) to a place on the floor (3,) [m], while it is aimed.
+    """
 
     def __init__(self, scene: Scene):
-        self.standpoint = Standpoint.of(scene)
+        self.play_space = PlaySpace.of(scene)
+        self.pointing: tuple[np.ndarray, np.ndarray] | None = None
         self._grips = [False, False]
-        self._places: list[np.ndarray | None] = [None, None]  # in the play space, as last tracked
-        self._reach = [GRAB_REACH, GRAB_REACH]
-        self._by_tip = [False, False]
-        self._seen = [Controller(), Controller()]
-        self._pokes = [poking.FingerPoke(), poking.FingerPoke()]
-        self._touch: list[tuple] = [(), ()]
-        self._pushed, self._stride = False, Teleport()
-        self.pointing: tuple[np.ndarray, np.ndarray] | None = None  # a ray in the world from (3,) to a spot (3,) [m]
-        self._took, self._felt = [False, False], [0.0, 0.0]
+        self._poses: list[np.ndarray | None] = [None, None]  # of the hands in the play space, as last tracked
+        self._radius = [GRAB_RADIUS, GRAB_RADIUS]
+        self._by_pinch = [False, False]
+        self._shown = [Controller(), Controller()]
+        self._pokes = [FingerPoke(), FingerPoke()]
+        self._stick_pushed, self._teleport = False, PinchTeleport()
+        self._held, self._touch_force = [False, False], [0.0, 0.0]
 
-    def advance(self, controllers: list[Controller], head: np.ndarray, world) -> tuple[list[Hand], list[Command]]:
-        """Hands in the world, and commands for it (which may be None yet). `head` (4, 4) is in the play space. A
-        controller that is not tracked leaves its hand where it was, holding what it holds."""
-        stage, hands = self.standpoint.matrix, []
-        controllers = [self._stride.lead(controllers[0], stage, world), controllers[1]]
+    def advance(
+        self, controllers: list[Controller], head: np.ndarray, world: WorldView
+    ) -> tuple[list[Hand], list[Command]]:
+        """Hands in the world, and commands. `head` (4, 4) is in the play space.
+
+        A controller that is not tracked leaves its hand where it was, holding what it holds.
+        """
+        world_from_play, hands = self.play_space.world_from_play, []
+        controllers = [self._teleport.apply(controllers[0], world_from_play, world), controllers[1]]
         for h, c in enumerate(controllers):
-            self._touch[h] = ()
+            touch = ()
             if c.grip is not None:
-                self._grip(h, c)
-                tip = self._pokes[h].stretch(c, self._grips[h])
-                self._places[h] = poking.moved(c.grip, tip) if self._grips[h] and self._by_tip[h] else c.grip
-                self._touch[h] = poking.touches(stage, self._pokes[h].pieces(c))
-            if self._places[h] is not None:
-                position, rotation = position_rotation(stage @ self._places[h])
-                hands.append(Hand(position, rotation, self._grips[h], self._reach[h], self._touch[h]))
-            else:
+                self._update_grip(h, c)
+                self._pokes[h].advance(c, self._grips[h])
+                self._poses[h] = c.grip
+                if self._grips[h] and self._by_pinch[h]:
+                    self._poses[h] = pose_matrix(pinch_point(c), c.grip[:3, :3])
+                touch = world_touches(world_from_play, self._pokes[h].capsules(c))
+            if self._poses[h] is None:
                 hands.append(Hand())
+            else:
+                pose = position_rotation(world_from_play @ self._poses[h])
+                hands.append(Hand(*pose, self._grips[h], self._radius[h], touch))
         self._walk(controllers, head)
-        return hands, self._buttons(*controllers, world) if world is not None else []
+        return hands, self._buttons(*controllers, world)
 
-    def parts(self, controllers: list[Controller]) -> np.ndarray:
-        """Where what the player sees of himself is in the world (display/xr/avatar.py). A side that is lost, but
-        holds something, stays in view."""
-        result = shown.hidden()
+    def prop_poses(self, controllers: list[Controller]) -> np.ndarray:
+        """World poses of the player's avatar (display/xr/avatar.py).
+
+        A side that is not tracked, but holds something, stays in view.
+        """
+        result = avatar.hidden()
         for h, c in enumerate(controllers):
             if c.grip is not None or not self._grips[h]:
-                self._seen[h] = c
-            shown.side_of(result, h, self._seen[h], self.standpoint.matrix, self._pokes[h].out)
+                self._shown[h] = c
+            avatar.show_hand(result, h, self._shown[h], self.play_space.world_from_play, self._pokes[h].extension)
         if self.pointing is not None:
-            shown.pointing(result, *self.pointing, floor=True)
+            avatar.show_ray(result, *self.pointing)
         return result
 
-    def _buttons(self, left: Controller, right: Controller, world) -> list[Command]:
+    def _buttons(self, left: Controller, right: Controller, world: WorldView) -> list[Command]:
         commands = []
         if "upper" in left.pressed:
             commands.append(SetInteraction("transform" if world.interaction == "physics" else "physics"))
@@ -82,53 +100,175 @@ class Player:
             commands.append(Redo())
         return commands
 
-    def _grip(self, h: int, c: Controller) -> None:
-        level = max(c.grab, c.pinch)
-        gripped = level > (LET_GO if self._grips[h] else PRESS)
+    def _update_grip(self, h: int, c: Controller) -> None:
+        gripped = max(c.grab, c.pinch) > (RELEASE_BELOW if self._grips[h] else PRESS_ABOVE)
         if gripped and not self._grips[h]:
-            self._by_tip[h] = c.pinch > c.grab
-            self._reach[h] = PINCH_REACH if self._by_tip[h] else GRAB_REACH
+            self._by_pinch[h] = c.pinch > c.grab
+            self._radius[h] = PINCH_RADIUS if self._by_pinch[h] else GRAB_RADIUS
         self._grips[h] = gripped
 
     def _walk(self, controllers: list[Controller], head: np.ndarray) -> None:
-        """Sideways on a stick turns by a step. Forward shows where that hand points on the floor, and let go of, goes
-        there; drawn back instead, it does not."""
-        stage = self.standpoint.matrix
-        place = (stage @ head)[:3, 3]
-        pushed = next((c for c in controllers if np.hypot(*c.stick) > (CENTERED if self._pushed else PUSHED)), None)
+        """Snap turn and teleport by the stick.
+
+        Pushed sideways it turns by a step. Pushed forward it shows where that hand points on the floor, and released it
+        goes there; drawn back instead, it does not.
+        """
+        world_from_play = self.play_space.world_from_play
+        head_position = (world_from_play @ head)[:3, 3]
+        threshold = STICK_CENTRED if self._stick_pushed else STICK_PUSHED
+        pushed = next((c for c in controllers if np.hypot(*c.stick) > threshold), None)
         if pushed is None:
             if self.pointing is not None:
-                self.standpoint.go(self.pointing[1], place)
-            self._pushed, self.pointing = False, None
+                self.play_space.move(self.pointing[1], head_position)
+            self._stick_pushed, self.pointing = False, None
             return
         x, y = pushed.stick
-        if not self._pushed and abs(x) > abs(y):
-            self.standpoint.turn(-np.sign(x) * TURN, place)
-        elif (self.pointing is not None or not self._pushed) and y > -CENTERED and pushed.aim is not None:
-            aim = stage @ pushed.aim
-            spot = on_the_floor(aim)
-            self.pointing = None if spot is None else (aim[:3, 3], spot)
+        if not self._stick_pushed and abs(x) > abs(y):
+            self.play_space.turn(-np.sign(x) * SNAP_TURN, head_position)
+        elif (self.pointing is not None or not self._stick_pushed) and y > -STICK_CENTRED and pushed.aim is not None:
+            aim = world_from_play @ pushed.aim
+            target = floor_hit(aim)
+            self.pointing = None if target is None else (aim[:3, 3], target)
         else:
             self.pointing = None
-        self._pushed = True
+        self._stick_pushed = True
 
-    def feel(self, world, actions) -> None:
-        """A tap where a hand has just taken hold or touched, the pull of what it holds, the push of what it touches."""
+    def feel(self, world: WorldView, actions: ActionSet) -> None:
+        """Let the hands feel a tap where they take hold or touch, the pull of what they hold, the push of what they
+        touch."""
         forces, touches = world.hand_forces(), world.touch_forces()
         for h in (0, 1):
-            force, touch = strength_of(forces, h), strength_of(touches, h)
-            holds = self._grips[h] and force > 0.0
-            before = self._felt[h]
-            self._felt[h] += CALM * (touch - before)
-            begins = self._felt[h] > CONTACT >= before
-            level = max(force / FORCE if holds else 0.0, min(self._felt[h] / TOUCH, 1.0)) * PULL[0]
-            if (holds and not self._took[h]) or begins:
-                actions.pulse(h, *TAP)
-            elif level > LEAST:
-                actions.pulse(h, level, PULL[1])
-            self._took[h] = holds
+            force, touch = force_norm(forces, h), force_norm(touches, h)
+            holds, before = self._grips[h] and force > 0.0, self._touch_force[h]
+            self._touch_force[h] += TOUCH_SMOOTHING * (touch - before)
+            touched = self._touch_force[h] > CONTACT_FORCE >= before
+            level = max(force / FORCE if holds else 0.0, min(self._touch_force[h] / TOUCH_FORCE, 1.0)) * PULL_STRENGTH
+            if (holds and not self._held[h]) or touched:
+                actions.pulse(h, TAP_STRENGTH, TAP_SECONDS)
+            elif level > MIN_STRENGTH:
+                actions.pulse(h, level, PULL_SECONDS)
+            self._held[h] = holds
 
 
-def strength_of(forces: list[np.ndarray], h: int) -> float:
-    """Of hand h's force [N], 0 if there is none."""
+def force_norm(forces: list[np.ndarray], h: int) -> float:
+    """Norm of hand h's force [N], 0 if there is none."""
     return float(np.linalg.norm(forces[h])) if h < len(forces) else 0.0
+
+
+class FingerPoke:
+    """The finger that a controller stretches out while its trigger is touched or half pulled, to push with.
+
+    `extension` is its length, 0 to 1.
+    """
+
+    def __init__(self):
+        self.extension = 0.0
+
+    def advance(self, c: Controller, grips: bool) -> None:
+        """Stretch or retract the finger by one frame."""
+        wanted = c.joints is None and (c.point or c.pinch > POKE_ABOVE) and c.grab < PRESS_ABOVE and not grips
+        self.extension = float(np.clip(self.extension + (POKE_RATE if wanted else -POKE_RATE), 0.0, 1.0))
+
+    def capsules(self, c: Controller) -> np.ndarray:
+        """Capsules that this hand touches with, (n, 7): two ends and radius [m] in the play space."""
+        if c.joints is not None:
+            return c.joints.bones()
+        if self.extension == 0.0:
+            return np.zeros((0, 7))
+        return np.concatenate([c.grip[:3, 3], c.finger(self.extension), [FINGER_RADIUS]])[None]
+
+
+def pinch_point(c: Controller) -> np.ndarray:
+    """Point between finger and thumb, (3,) in the play space; of a controller, the end of its stretched finger."""
+    return c.finger() if c.joints is None else c.joints.pinch_point()
+
+
+def forward(pose: np.ndarray) -> np.ndarray:
+    """Unit vector (3,) to which a pose points, its -z."""
+    return -pose[:3, 2]
+
+
+def world_touches(world_from_play: np.ndarray, capsules: np.ndarray) -> tuple[Touch, ...]:
+    """Capsules (n, 7) of the play space as the solver takes them, in the world."""
+    R, t = world_from_play[:3, :3], world_from_play[:3, 3]
+    starts, ends = capsules[:, :3] @ R.T + t, capsules[:, 3:6] @ R.T + t
+    rows = zip(starts.tolist(), ends.tolist(), capsules[:, 6].tolist(), strict=True)
+    return tuple(Touch(tuple(a), tuple(b), r) for a, b, r in rows)
+
+
+class PinchTeleport:
+    """Teleport of a bare left hand: it pinches at nothing, points at the floor, and opens to go there.
+
+    Where a body is between finger and thumb, or within PINCH_MARGIN of them, the pinch is for that. Pointing anywhere
+    but at the floor, or a hand that is lost, changes nothing. To turn, the player turns.
+    """
+
+    def __init__(self):
+        self._pinches = self._aims = False
+
+    def apply(self, c: Controller, world_from_play: np.ndarray, world: WorldView) -> Controller:
+        """The controller that the hand is instead: while it aims, its stick is pushed and it holds nothing."""
+        if c.grip is None and self._aims:  # not tracked: it goes on, but nobody knows where it points
+            return replace(c, stick=(0.0, 1.0))
+        if c.joints is None:
+            self._pinches = self._aims = False
+            return c
+        pinches = c.pinch > (RELEASE_BELOW if self._pinches else PRESS_ABOVE)
+        began, self._pinches = pinches and not self._pinches, pinches
+        if began:
+            aim = world_from_play @ c.aim
+            at_floor = floor_hit(aim) is not None and forward(aim)[1] < -MIN_AIM_DOWN
+            point = (world_from_play @ [*pinch_point(c), 1.0])[:3]
+            self._aims = at_floor and not any(is_near(body, point) for body in world.bodies())
+        self._aims = self._aims and pinches
+        return replace(c, stick=(0.0, 1.0), pinch=0.0) if self._aims else c
+
+
+def is_near(body: BodyState, point: np.ndarray) -> bool:
+    """Whether a point (3,) is at most PINCH_MARGIN from the bounds of a body."""
+    outside = np.maximum(np.maximum(body.low - point, point - body.high), 0.0)
+    return float(np.linalg.norm(outside)) <= PINCH_MARGIN
+
+
+def floor_hit(aim: np.ndarray) -> np.ndarray | None:
+    """Point (3,) [m] where a pointing hand (4, 4) meets y = 0, no farther than MAX_TELEPORT; None if it points up."""
+    start, direction = aim[:3, 3], forward(aim)
+    if direction[1] >= -1e-3 or start[1] <= 0:
+        return None
+    hit = start - direction * (start[1] / direction[1])
+    offset = hit - start
+    length = np.hypot(offset[0], offset[2])
+    return start + offset * min(1.0, MAX_TELEPORT / max(length, 1e-9))
+
+
+class PoseFilter:
+    """Leads hands that are tracked again from where they were lost to where they are.
+
+    While a controller is not tracked, or another program has the input, its hand stays where it was and holds what it
+    holds. Found again somewhere else, it is led there evenly within a moment, so that nothing it
+    holds is flung: at LEAD_SPEED, within MAX_LEAD_TIME, however the hand moves on meanwhile.
+    """
+
+    def __init__(self):
+        self._shown: list[np.ndarray | None] = [None, None]  # grip poses as they were given on
+        self._remaining: list[float | None] = [0.0, 0.0]  # [s] until the hand is there; None while it is lost
+
+    def apply(self, controllers: list[Controller], dt: float) -> None:
+        """Change the grip poses of hands that have just been found. `dt` [s] is the frame's."""
+        for h, c in enumerate(controllers):
+            before = self._shown[h]
+            if c.grip is None:
+                self._remaining[h] = None
+                continue
+            if self._remaining[h] is None:
+                self._remaining[h] = 0.0 if before is None else lead_time(before, c.grip)
+            if before is not None and self._remaining[h] > 0.0:
+                c.grip = interpolate_pose(before, c.grip, min(1.0, dt / self._remaining[h]))
+                self._remaining[h] -= dt
+            self._shown[h] = c.grip
+
+
+def lead_time(a: np.ndarray, b: np.ndarray) -> float:
+    """Time [s] in which a hand is led from one pose (4, 4) to another."""
+    angle = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).magnitude()
+    return min(MAX_LEAD_TIME, max(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / LEAD_SPEED, angle / LEAD_TURN_RATE))

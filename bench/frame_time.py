@@ -17,10 +17,10 @@ from display.protocol import Frame, Reset
 from display.run_stats import write_stats
 from display.timing import Timings
 from display.world import World
-from display.xr import avatar as shown
+from display.xr import avatar
 from display.xr.actions import Controller
-from display.xr.eye_swapchains import FRAGMENT, VERTEX
 from display.xr.mirror import NoMirror
+from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss
 
 SIZE = (1800, 1920)  # [px] of an eye
@@ -71,7 +71,7 @@ def controllers(k: int) -> list[Controller]:
 def measure(exact: bool) -> dict:
     """Times [ms] of FRAMES frames and their stages; with `exact` each stage waits for the device."""
     scene = ring_toss.build()
-    how = {"fingers": True, "room": True, "props": shown.skins()}
+    how = {"fingers": True, "room": True, "props": avatar.skins()}
     world = World(scene, width=SIZE[0], height=SIZE[1], views=2, **how)
     world.warm_up()
     opengl = NoMirror(2)
@@ -89,9 +89,9 @@ def measure(exact: bool) -> dict:
         if k == WARM:
             world.timings = Timings(exact=exact)
         begin = perf_counter()
-        parts = shown.hidden()
+        parts = avatar.hidden()
         for h, c in enumerate(controllers(k)):
-            shown.side_of(parts, h, c, np.eye(4), False)
+            avatar.show_hand(parts, h, c, np.eye(4), 0.0)
         commands = [Reset()] if world.time > scene.game.duration else []
         hands = world.scripted_hands(world.time)
         world.step(Frame(1 / RATE, k / RATE, cameras, hands, commands, prop_poses=parts))

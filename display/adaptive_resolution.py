@@ -26,7 +26,7 @@ class AdaptiveResolution:
         self._now = 0.0
 
     def note(self, now: float, seconds: float, *, moving: bool) -> None:
-        """A frame ended at `now` [s] that took `seconds`; `moving`: the camera or something before it moved."""
+        """Note a frame that ended at `now` [s] and took `seconds`; `moving`: the camera or something before it moved."""
         was_moving, self._now = self._now - self._moved < self.STILL_AFTER, now
         if not moving:
             return
@@ -91,7 +91,7 @@ class DynamicResolution:
         return tuple(min(side, max(grain, round(side * self.scale / grain) * grain)) for side in self.full)
 
     def note(self, seconds: float, budget: float, drawing: float | None = None) -> bool:
-        """A frame took `seconds` of work, of these `drawing` for pixels, and had `budget` [s]. Whether `size` is new."""
+        """Note a frame that took `seconds` of a `budget` [s], of these `drawing` for pixels. Whether `size` is new."""
         if self._skip:
             self._skip -= 1
             return False

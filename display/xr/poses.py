@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from core.camera import Camera
-from core.rotation import matrices_from_quaternions, quaternion_from_matrix
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 
 ARM_LENGTH = 0.6  # [m] that a hand reaches over a table
 MAX_STEP_AHEAD = 0.25  # [m] that a player begins nearer than the scene's eye: a table may stand there
@@ -34,7 +34,7 @@ def matrix_of(pose) -> np.ndarray:
 
 def position_rotation(m: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Position and wxyz quaternion of a (4, 4) rigid matrix, as `Hand` takes them."""
-    return tuple(m[:3, 3].tolist()), tuple(quaternion_from_matrix(m[:3, :3]).tolist())
+    return tuple(m[:3, 3].tolist()), tuple(quaternions_from_matrices(m[:3, :3]).tolist())
 
 
 def eye_camera(width: int, height: int, fov, world_from_eye: np.ndarray) -> Camera:

@@ -1,46 +1,141 @@
-"""How fine pictures are drawn while things move."""
+"""The controllers of the pictures' resolution, in a window and in a headset, on made-up machines."""
 
 import itertools
 
-from display.window.adaptive_resolution import LEVELS, PACE, STILL, AdaptiveResolution
+import numpy as np
+import pytest
+
+from display.adaptive_resolution import AdaptiveResolution
+from display.adaptive_resolution import DynamicResolution as R
+
+BUDGET = 1 / 90
+FULL = (1800, 1920)
 
 
-def run(quality, begin, seconds, *, cost, moving):
-    """Frames of which each takes cost(share) [s]; returns the end and the shares."""
-    now, shares = begin, []
+# in a window
+
+
+def run(resolution, begin, seconds, *, cost, moving):
+    """Frames of which each takes cost(scale) [s]; returns the end and the scales."""
+    now, scales = begin, []
     while now < begin + seconds:
-        shares.append(quality.share)
-        took = cost(quality.share)
+        scales.append(resolution.scale)
+        took = cost(resolution.scale)
         now += took
-        quality.note(now, took, moving=moving)
-    return now, shares
+        resolution.note(now, took, moving=moving)
+    return now, scales
 
 
 def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_still():
-    quality = AdaptiveResolution()
-    now, shares = run(quality, 0.0, 3.0, cost=lambda share: 0.09 * share**2, moving=True)
-    assert shares[0] == 1.0 and shares[-1] == 0.5  # 0.75 would take 50 ms
-    now, shares = run(quality, now, 1.0, cost=lambda share: 0.09 * share**2, moving=False)
-    assert shares[0] == 0.5 and shares[-1] == 1.0
-    assert sum(0.09 * s**2 for s in shares if s < 1.0) <= STILL + 0.09
-    _, shares = run(quality, now, 1.0, cost=lambda share: 0.09 * share**2, moving=True)
-    assert set(shares[1:]) == {0.5}  # it is remembered
+    resolution = AdaptiveResolution()
+    now, scales = run(resolution, 0.0, 3.0, cost=lambda scale: 0.09 * scale**2, moving=True)
+    assert scales[0] == 1.0 and scales[-1] == 0.5  # 0.75 would take 50 ms
+    now, scales = run(resolution, now, 1.0, cost=lambda scale: 0.09 * scale**2, moving=False)
+    assert scales[0] == 0.5 and scales[-1] == 1.0
+    assert sum(0.09 * s**2 for s in scales if s < 1.0) <= AdaptiveResolution.STILL_AFTER + 0.09
+    _, scales = run(resolution, now, 1.0, cost=lambda scale: 0.09 * scale**2, moving=True)
+    assert set(scales[1:]) == {0.5}  # it is remembered
 
 
 def test_a_fast_machine_draws_everything():
-    assert set(run(AdaptiveResolution(), 0.0, 2.0, cost=lambda share: 0.7 * PACE, moving=True)[1]) == {1.0}
+    assert set(
+        run(AdaptiveResolution(), 0.0, 2.0, cost=lambda scale: 0.7 * AdaptiveResolution.MAX_FRAME_TIME, moving=True)[1]
+    ) == {1.0}
 
 
 def test_it_gets_finer_again_when_there_is_time_and_does_not_swing():
-    quality = AdaptiveResolution()
-    now, _ = run(quality, 0.0, 2.0, cost=lambda share: 0.2 * share**2, moving=True)
-    now, shares = run(quality, now, 2.0, cost=lambda share: 0.01 * share**2, moving=True)
-    assert shares[-1] == 1.0
-    _, shares = run(quality, now, 5.0, cost=lambda share: 0.01 + 0.05 * share**2, moving=True)
-    changes = sum(a != b for a, b in itertools.pairwise(shares))
-    assert changes <= 1 and shares[-1] in LEVELS
+    resolution = AdaptiveResolution()
+    now, _ = run(resolution, 0.0, 2.0, cost=lambda scale: 0.2 * scale**2, moving=True)
+    now, scales = run(resolution, now, 2.0, cost=lambda scale: 0.01 * scale**2, moving=True)
+    assert scales[-1] == 1.0
+    _, scales = run(resolution, now, 5.0, cost=lambda scale: 0.01 + 0.05 * scale**2, moving=True)
+    changes = sum(a != b for a, b in itertools.pairwise(scales))
+    assert changes <= 1 and scales[-1] in AdaptiveResolution.LEVELS
 
 
 def test_what_pixels_do_not_change_ends_at_the_coarsest():
-    _, shares = run(AdaptiveResolution(), 0.0, 3.0, cost=lambda share: 0.2, moving=True)
-    assert shares[-1] == LEVELS[-1]
+    _, scales = run(AdaptiveResolution(), 0.0, 3.0, cost=lambda scale: 0.2, moving=True)
+    assert scales[-1] == AdaptiveResolution.LEVELS[-1]
+
+
+# in a headset
+
+
+def worn(machine, frames, resolution=None):
+    """The scales of a side over `frames` frames, each of which takes machine(frame, scale of the pixels) budgets."""
+    resolution = resolution or R(FULL)
+    scales = []
+    for frame in range(frames):
+        width, height = resolution.size
+        resolution.note(BUDGET * machine(frame, width * height / (FULL[0] * FULL[1])), BUDGET)
+        scales.append(resolution.scale)
+    return np.array(scales), resolution
+
+
+@pytest.mark.parametrize("pixels", [0.2, 0.6, 0.89, 1.0, 1.5, 2.5])
+@pytest.mark.parametrize("fixed", [0.0, 0.2, 0.4])
+def test_it_finds_the_most_pixels_that_hold_the_rate_and_stays_there(pixels, fixed):
+    scales, resolution = worn(lambda frame, area: fixed + pixels * area, 2000)
+    settled = scales[1000:]
+    assert np.ptp(settled) == 0.0, "it swings"
+    scale = settled[-1]
+    load = fixed + pixels * resolution.size[0] * resolution.size[1] / (FULL[0] * FULL[1])
+    assert load <= R.HIGH_LOAD or scale == R.MIN_SCALE
+    assert scale == 1.0 or load >= R.LOW_LOAD  # no pixel is left out without need
+    assert resolution.size[0] % R.ROUNDING == 0 and resolution.size <= FULL
+
+
+def test_noise_does_not_make_it_restless():
+    rng = np.random.default_rng(3)
+    scales, _ = worn(lambda frame, area: (0.3 + 0.9 * area) * rng.uniform(0.93, 1.07), 4000)
+    assert len(np.flatnonzero(np.diff(scales[500:]))) <= 4
+    assert 0.55 < scales[-1] < 0.85
+
+
+def test_a_hitch_changes_nothing_but_a_burden_does_and_its_end_is_seen():
+    def machine(frame, area):
+        if frame in (100, 101, 130, 131):
+            return 9.0
+        return (1.6 if 300 <= frame < 600 else 0.6) * area
+
+    scales, resolution = worn(machine, 2000)
+    assert np.all(scales[:300] == 1.0)
+    assert scales[330] < 0.8 and scales[590] >= R.MIN_SCALE  # a third of a second later it holds
+    assert 1.6 * scales[340] ** 2 <= R.HIGH_LOAD
+    assert scales[-1] == 1.0 and np.all(np.diff(scales[600:]) >= 0.0)
+    assert np.diff(scales).max() <= R.MAX_GROWTH and resolution.size == FULL
+    assert np.flatnonzero(scales[600:] == 1.0)[0] < 10 * (R.GROW_AFTER + R.SKIPPED_FRAMES)
+
+
+def test_where_pixels_are_not_the_burden_it_stops_at_the_least():
+    scales, resolution = worn(lambda frame, area: 3.0, 500)
+    assert scales[-1] == R.MIN_SCALE and resolution.size == (896, 960)
+    assert np.all(np.diff(scales) <= 0.0)
+
+
+def test_what_is_slow_for_other_reasons_does_not_cost_pixels():
+    resolution = R(FULL)
+    for _ in range(300):
+        resolution.note(3.0 * BUDGET, BUDGET, 0.5 * BUDGET)
+    assert resolution.scale == 1.0
+    for _ in range(300):
+        resolution.note(3.0 * BUDGET, BUDGET, 1.5 * BUDGET)
+    assert resolution.scale == R.MIN_SCALE
+
+
+def test_a_small_picture_is_never_drawn_larger_than_it_is():
+    resolution = R((17, 9))
+    assert resolution.size == (17, 9)
+    assert resolution.hold(0.99) and resolution.size == (16, 8)
+    assert resolution.hold(0.5) and resolution.size == (8, 8)
+    resolution = R(FULL)
+    assert resolution.hold(0.75) and resolution.size == (1352, 1440) and not resolution.hold(0.75)
+    assert resolution.hold(0.1) and resolution.scale == R.MIN_SCALE
+
+
+def test_growing_never_makes_a_frame_too_slow():
+    assert R.LOW_LOAD * (1 + R.MAX_GROWTH) ** 2 < R.HIGH_LOAD
+    for full, scale in itertools.product((FULL, (633, 712)), np.linspace(R.MIN_SCALE, 1 / (1 + R.MAX_GROWTH), 50)):
+        small, large = R(full), R(full)
+        small.scale, large.scale = scale, scale * (1 + R.MAX_GROWTH)
+        assert R.LOW_LOAD * np.prod(large.size) / np.prod(small.size) < R.HIGH_LOAD  # rounded sides included

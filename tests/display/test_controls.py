@@ -1,4 +1,4 @@
-"""Camera, hand, mouse and keys of a display, without a window."""
+"""Camera, hand, mouse and keys of the window's display, without a window."""
 
 from dataclasses import replace
 
@@ -7,17 +7,29 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.camera import look_at, perspective
-from display.protocol import Duplicate, Pause, PlayDemo, Redo, Remove, Rescale, Reset, SetInteraction, SingleStep, Undo
-from display.window.controls import HELP, LARGER, WALKING, Controls
-from display.window.mouse_hand import FASTEST, MouseHand
-from display.window.orbit_camera import STEEPEST, OrbitCamera
+from display.protocol import (
+    Duplicate,
+    Pause,
+    PlayDemo,
+    Redo,
+    Remove,
+    Rescale,
+    Reset,
+    SetInteraction,
+    SingleStep,
+    Undo,
+)
+from display.window.controls import HELP, SCALE_STEP, TURN_STEP, WALK_KEYS, Controls
+from display.window.mouse_hand import MAX_SPEED, MouseHand
+from display.window.orbit_camera import MAX_PITCH, OrbitCamera
 from display.window.window import project
 from scenes.scene import Hand, Light
-from tests.support.fake_world import RADIUS, FakeWorld
+from tests.support.fake_world import RADIUS, BallWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180
 CAMERA = perspective(WIDTH, HEIGHT, 0.9, look_at((0, 0, 3), (0, 0, 0)))
 CENTRE = (WIDTH / 2, HEIGHT / 2)
+SKY = (5.0, 5.0)
 
 
 def one(hands: list) -> Hand:
@@ -27,14 +39,10 @@ def one(hands: list) -> Hand:
     return hand
 
 
-class Target:
-    """A world for the controls: a ball of 0.3 m at the origin."""
-
-    pick, bodies = FakeWorld.pick, FakeWorld.bodies
-    paused, demo, interaction, light, editable = False, False, "physics", Light((0.0, 2.0, 0.0)), True
-
-    def __init__(self):
-        self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
+@pytest.fixture
+def world() -> BallWorld:
+    """A ball of 0.3 m at the origin."""
+    return BallWorld(fake_scene())
 
 
 @pytest.fixture
@@ -51,7 +59,7 @@ def test_orbit_turns_around_the_target_and_stays_upright():
     orbit.turn(np.pi / 2, 0.0)
     assert orbit.eye[0] > 2.9 and abs(orbit.eye[2]) < 1e-9  # to the right of the target
     orbit.turn(0.0, 9.0)
-    assert_allclose(np.arcsin((orbit.eye[1] - 0.5) / orbit.distance), STEEPEST)
+    assert_allclose(np.arcsin((orbit.eye[1] - 0.5) / orbit.distance), MAX_PITCH)
     assert_allclose(orbit.distance, before)
     right = orbit.camera(WIDTH, HEIGHT).world_to_camera[0, :3]
     assert_allclose(right[1], 0.0, atol=1e-12)  # level horizon
@@ -120,7 +128,7 @@ def test_the_hand_moves_at_a_limited_speed_and_without_jumps():
     hand.drag(1e4, 0.0)
     before = np.array(one(hand.hands(CAMERA, 0.0)).position)
     after = np.array(one(hand.hands(CAMERA, dt)).position)
-    assert_allclose(np.linalg.norm(after - before) / dt, FASTEST)
+    assert_allclose(np.linalg.norm(after - before) / dt, MAX_SPEED)
 
 
 @pytest.mark.parametrize("rest", [0, 2])
@@ -162,8 +170,11 @@ def test_a_new_grip_at_once_after_the_last_leaves_a_frame_without_a_hand():
 # mouse and keys
 
 
-def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls):
-    world = Target()
+def key(controls, name, world, at=SKY, down=True):
+    return controls.key(name, down, world, *at, CAMERA)
+
+
+def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     (hand,) = controls.advance(CAMERA, 0.01)
     assert controls.drag == "grab" and hand.grip
@@ -173,28 +184,25 @@ def test_left_press_on_a_body_grabs_it_and_beside_it_turns(controls):
     assert controls.drag == "grab"
     controls.release("left")
     assert controls.drag is None and controls.advance(CAMERA, 0.01) == []
-    controls.press("left", 10.0, 10.0, CAMERA, world)
+    controls.press("left", *SKY, CAMERA, world)
     assert controls.drag == "turn"
     controls.move(10.0, 0.0, CAMERA)
     assert controls.orbit.eye[0] < 0  # the scene follows the cursor to the right
 
 
-@pytest.mark.parametrize("world", [None, pytest.param("paused", id="paused")])
-def test_nothing_is_grabbed_before_the_world_is_there_or_while_it_is_paused(controls, world):
-    if world:
-        world = Target()
-        world.paused = True
+def test_nothing_is_grabbed_while_the_world_is_paused(controls, world):
+    world.paused = True
     controls.press("left", *CENTRE, CAMERA, world)
     assert controls.drag == "turn"
 
 
-def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls):
+def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls, world):
     controls.wheel(1)
     assert_allclose(controls.orbit.distance, 2.7)
     controls.orbit.reset()
-    controls.press("left", *CENTRE, CAMERA, Target())
+    controls.press("left", *CENTRE, CAMERA, world)
     controls.wheel(2)
-    controls.key("shift", True, None)
+    key(controls, "shift", world)
     controls.move(0.0, -18.0, CAMERA)  # a tenth of the height, upwards: away
     for _ in range(90):
         (hand,) = controls.advance(CAMERA, 1 / 60)
@@ -202,141 +210,144 @@ def test_wheel_and_shift_push_a_held_body_and_zoom_otherwise(controls):
     assert_allclose(controls.orbit.distance, 3.0)
 
 
-def test_a_hand_waits_while_the_world_does_not_run(controls):
-    controls.press("left", *CENTRE, CAMERA, Target())
+def test_a_hand_waits_while_the_world_does_not_run(controls, world):
+    controls.press("left", *CENTRE, CAMERA, world)
     controls.move(50.0, 0.0, CAMERA)
     (hand,) = controls.advance(CAMERA, 0.05, running=False)
     assert_allclose(hand.position, (0, 0, RADIUS), atol=1e-9)
 
 
 @pytest.mark.parametrize("button", ["right", "middle"])
-def test_shift_drag_pans_so_that_the_target_plane_follows_the_cursor(controls, button):
-    controls.key("shift", True, None)
-    controls.press(button, *CENTRE, CAMERA, None)
+def test_shift_drag_pans_so_that_the_target_plane_follows_the_cursor(controls, world, button):
+    key(controls, "shift", world)
+    controls.press(button, *CENTRE, CAMERA, world)
     controls.move(30.0, 12.0, CAMERA)
     moved = controls.orbit.camera(WIDTH, HEIGHT)
     assert_allclose(project(moved, np.zeros(3)), (CENTRE[0] + 30, CENTRE[1] + 12))
 
 
-def test_right_drag_looks_and_middle_drag_turns(controls):
-    controls.press("right", *CENTRE, CAMERA, Target())
+def test_right_drag_looks_and_middle_drag_turns(controls, world):
+    controls.press("right", *CENTRE, CAMERA, world)
     controls.move(20.0, 0.0, CAMERA)
     assert_allclose(controls.orbit.eye, (0, 0, 3))
     assert controls.orbit.target[0] > 0
     controls.release("right")
     controls.orbit.reset()
-    controls.press("middle", *CENTRE, CAMERA, Target())
+    controls.press("middle", *CENTRE, CAMERA, world)
     controls.move(20.0, 0.0, CAMERA)
     assert_allclose(controls.orbit.target, 0)
     assert controls.orbit.eye[0] < 0
 
 
-def test_walking_goes_on_while_a_key_is_held(controls):
-    controls.key("w", True, None)
+def test_walking_goes_on_while_a_key_is_held(controls, world):
+    key(controls, "w", world)
     controls.advance(CAMERA, 0.5)
     assert_allclose(controls.orbit.eye, (0, 0, 3 - 0.5 * 0.8 * 3), atol=1e-12)
-    controls.key("w", False, None)
+    key(controls, "w", world, down=False)
     controls.advance(CAMERA, 0.5)
     assert_allclose(controls.orbit.eye[2], 1.8)
-    controls.key("d", True, None)
+    key(controls, "d", world)
     controls.let_go()  # the window lost the keyboard
     controls.advance(CAMERA, 0.5)
     assert_allclose(controls.orbit.eye[0], 0.0)
 
 
-def test_keys_become_commands(controls):
-    world = Target()
-    assert controls.key("space", True, world) == [Pause(True)]
-    world.paused = True
-    assert controls.key("space", True, world) == [Pause(False)]
-    assert controls.key("n", True, world) == [Pause(True), SingleStep()]
-    assert controls.key("t", True, world) == [SetInteraction("transform")]
-    world.interaction = "transform"
-    assert controls.key("t", True, world) == [SetInteraction("physics")]
-    assert controls.key("p", True, world) == [PlayDemo(True)]
-    assert controls.key("r", True, world) == [Reset()]
-    assert controls.key("r", False, world) == []
-    controls.orbit.turn(1.0, 0.3)
-    assert controls.key("home", True, world) == [] and np.allclose(controls.orbit.eye, (0, 0, 3))
-    controls.key("f1", True, world)
+def test_keys_become_commands(controls, world):
+    for name, commands in {
+        "space": [Pause(True)],
+        "n": [Pause(True), SingleStep()],
+        "t": [SetInteraction("transform")],
+        "p": [PlayDemo(True)],
+        "r": [Reset()],
+        "home": [],
+        "f1": [],
+    }.items():
+        assert key(controls, name, world) == commands
+        assert key(controls, name, world, down=False) == []
     assert not controls.panel and not controls.quit
-    controls.key("escape", True, world)
+    world.paused, world.interaction = True, "transform"
+    assert key(controls, "space", world) == [Pause(False)]
+    assert key(controls, "t", world) == [SetInteraction("physics")]
+    controls.orbit.turn(1.0, 0.3)
+    key(controls, "home", world)
+    assert np.allclose(controls.orbit.eye, (0, 0, 3))
+    key(controls, "escape", world)
     assert controls.quit
 
 
-def test_reset_lets_go_of_what_is_held(controls):
-    controls.press("left", *CENTRE, CAMERA, Target())
-    controls.key("r", True, Target())
+def test_reset_lets_go_of_what_is_held(controls, world):
+    controls.press("left", *CENTRE, CAMERA, world)
+    key(controls, "r", world)
     assert controls.drag is None and controls.advance(CAMERA, 0.01) == []
 
 
 def test_the_help_names_every_walking_key():
     text = " ".join(keys for keys, _ in HELP).lower().split()
-    assert set(WALKING) <= {word.strip(",") for word in text}
+    assert set(WALK_KEYS) <= {word.strip(",") for word in text}
 
 
 # editing
 
 
 @pytest.mark.parametrize(
-    ("key", "command"),
+    ("name", "command"),
     [
-        ("c", [Duplicate(0)]),
-        ("delete", [Remove(0)]),
-        ("plus", [Rescale(0, LARGER)]),
-        ("minus", [Rescale(0, 1 / LARGER)]),
+        ("c", Duplicate),
+        ("delete", Remove),
+        ("plus", lambda body: Rescale(body, SCALE_STEP)),
+        ("minus", lambda body: Rescale(body, 1 / SCALE_STEP)),
     ],
 )
-def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, key, command):
-    world = Target()
-    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == command
-    last = [replace(command[0], body=None)]
-    assert controls.key(key, True, world, (5.0, 5.0, CAMERA)) == last  # the sky
-    assert controls.key(key, True, world) == last
-    assert controls.key(key, False, world, (*CENTRE, CAMERA)) == []
-    assert controls.key(key, True, None, (*CENTRE, CAMERA)) == []
+def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, world, name, command):
+    assert key(controls, name, world, CENTRE) == [command(0)]
+    assert key(controls, name, world) == [command(None)]  # the sky
+    assert key(controls, name, world, CENTRE, down=False) == []
     controls.press("left", *CENTRE, CAMERA, world)
-    assert controls.key(key, True, world, (*CENTRE, CAMERA)) == last  # the one that is held
+    assert key(controls, name, world, CENTRE) == [command(None)]  # the one that is held
+    world.editable = False
+    assert key(controls, name, world, CENTRE) == []
 
 
-def test_turning_keys_turn_both_ways_about_the_vertical(controls):
-    one, other = (controls.key(k, True, Target())[0].rotation for k in ("comma", "period"))
+def test_turning_keys_turn_both_ways_about_the_vertical(controls, world):
+    one, other = (key(controls, k, world)[0].rotation for k in ("comma", "period"))
     assert_allclose(np.linalg.norm(one), 1.0)
     assert_allclose(one, np.multiply(other, [1, 1, -1, 1]))
-    assert one[1] == one[3] == 0.0 and 2 * np.arcsin(one[2]) == pytest.approx(np.pi / 12)
-    controls.key("shift", True, Target())
-    over = controls.key("comma", True, Target(), (5.0, 5.0, CAMERA))[0].rotation
-    assert_allclose(over[1:], np.sin(np.pi / 24) * CAMERA.world_to_camera[0, :3])
+    assert one[1] == one[3] == 0.0 and 2 * np.arcsin(one[2]) == pytest.approx(TURN_STEP)
+    key(controls, "shift", world)
+    over = key(controls, "comma", world)[0].rotation
+    assert_allclose(over[1:], np.sin(TURN_STEP / 2) * CAMERA.world_to_camera[0, :3])
 
 
-def test_undo_and_redo_let_go_of_what_is_dragged(controls):
-    world = Target()
+def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     assert controls.drag == "grab"
-    assert controls.key("ctrl+z", True, world) == [Undo()]
+    assert key(controls, "ctrl+z", world) == [Undo()]
     assert controls.drag is None and not controls.hand.gripping
-    assert controls.key("ctrl+y", True, world) == [Redo()]
-    assert controls.key("u", True, world) == [Undo()]
-    controls.key("shift", True, world)
-    assert controls.key("u", True, world) == [Redo()]
-    assert controls.key("ctrl+z", True, world) == [Redo()]
+    assert key(controls, "ctrl+y", world) == [Redo()]
+    assert key(controls, "u", world) == [Undo()]
+    key(controls, "shift", world)
+    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [Redo()]
 
 
-def test_the_light_follows_the_cursor_while_its_key_is_down(controls):
-    world = Target()
+def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):
+    def place(u, v):
+        return [command.light for command in controls.place_light(world, u, v, CAMERA)]
+
     world.light = Light((0.5, 1.0, 1.0), target=(0.0, 0.0, 0.0), strength=0.4)
-    assert controls.lighting(world, 40.0, 30.0, CAMERA) == []
-    controls.key("l", True, world)
-    light = controls.lighting(world, 40.0, 30.0, CAMERA)[0].light
+    assert place(40.0, 30.0) == []
+    key(controls, "l", world)
+    (light,) = place(40.0, 30.0)
     assert_allclose(project(CAMERA, np.array(light.position)), (40.0, 30.0))
     assert light.position[2] == pytest.approx(1.0)  # as far from the camera as it was
     assert (light.strength, light.target) == (0.4, (0.0, 0.0, 0.0))
-    assert controls.lighting(world, 40.0, 30.0, CAMERA) == []  # nothing new
-    assert len(controls.lighting(world, 50.0, 30.0, CAMERA)) == 1
-    controls.key("l", False, world)
-    assert controls.lighting(world, 60.0, 30.0, CAMERA) == []
+    assert place(40.0, 30.0) == []  # nothing new
+    assert len(place(50.0, 30.0)) == 1
+    key(controls, "l", world, down=False)
+    assert place(60.0, 30.0) == []
     world.light = replace(world.light, position=(0.0, 0.0, 7.0))  # behind the camera
-    controls.key("l", True, world)
-    light = controls.lighting(world, 60.0, 30.0, CAMERA)[0].light
+    key(controls, "l", world)
+    (light,) = place(60.0, 30.0)
     assert_allclose(project(CAMERA, np.array(light.position)), (60.0, 30.0))
     assert light.position[2] == pytest.approx(0.0)  # in the plane of what one looks at
+    world.light = None
+    assert place(70.0, 30.0) == []

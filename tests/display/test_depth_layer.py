@@ -7,7 +7,7 @@ from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from render.renderer import FAR, NEAR, SOLID
-from tests.support.fake_xr import DEPTH, Fake
+from tests.support.fake_xr import DEPTH, FakeXr
 
 WIDTH, HEIGHT = 24, 16
 
@@ -61,18 +61,18 @@ def test_nearer_is_less_and_the_ends_are_the_runtimes():
 @pytest.fixture(scope="module")
 def gl():
     """OpenGL without a window."""
-    from display.xr.mirror import NoMirror
+    from display.window.gl_context import EglContext
 
     try:
-        mirror = NoMirror(2)
-    except (BadInput, OSError) as e:
+        context = EglContext()
+    except BadInput as e:
         pytest.skip(f"no OpenGL without a window: {e}")
-    yield mirror.gl
-    mirror.close()
+    yield context.gl
+    context.close()
 
 
 class Runtime:
-    name = "Fake"
+    name = "FakeXr"
 
     def __init__(self, xr):
         self.xr, self.enabled = xr, [DEPTH]
@@ -81,7 +81,7 @@ class Runtime:
 @pytest.fixture
 def eyes(gl):
     """(eyes of 40 x 30 px, the textures of the runtime: [colour of an eye's images, depth, ...])."""
-    from display.xr.eye_swapchains import Eyes
+    from display.xr.swapchains import EyeSwapchains
 
     textures = []
 
@@ -90,11 +90,11 @@ def eyes(gl):
         textures.append(texture)
         return texture.glo
 
-    xr = Fake(images=image)
-    made = Eyes(Runtime(xr), xr.create_session(xr.create_instance(None), None), gl, (40, 30), 2)
+    xr = FakeXr(images=image)
+    made = EyeSwapchains(Runtime(xr), xr.create_session(xr.create_instance(None), None), gl, (40, 30), 2)
     yield made, textures, xr
     made.close()
-    assert not xr.alive & set(xr.chains)
+    assert not xr.alive & set(xr.swapchains)
 
 
 @pytest.mark.parametrize("size", [(40, 30), (24, 16)])
@@ -114,6 +114,6 @@ def test_colour_and_depth_of_both_eyes_are_in_the_same_part_of_their_textures(gl
             np.testing.assert_allclose(depth, wanted[..., 3] / 255, atol=1e-6)
     views = [xr.View(), xr.View()]
     layer = made.layer(xr.create_reference_space(None, None), views)
-    seen = [xr._view(layer.views[k]) for k in (0, 1)]
+    seen = [xr.view_of(layer.views[k]) for k in (0, 1)]
     assert [s["rectangle"] for s in seen] == [s["depth"] for s in seen] == [(0, 0, width, height)] * 2
     assert not gl.error or gl.error == "GL_NO_ERROR"

@@ -18,7 +18,7 @@ from display.picture import fit, pixels_of, save_png, side_by_side
 from display.protocol import Frame
 from display.run_stats import peak_memory_mb, run_stats, write_stats
 from display.timing import Timings
-from display.window.panel import pace
+from display.window.panel import frame_lines
 from tests.support.fake_world import FakeWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180
@@ -129,10 +129,10 @@ def test_a_display_that_knows_what_it_missed_is_believed():
         timings.frame(missed)
     assert timings.missed == 3 and 0.0 < timings.worst < 1.0
     timings._frames.append(0.2)
-    assert pace(timings) == ["longest frame 200 ms, 3 missed"]
+    assert frame_lines(timings) == ["longest frame 200 ms, 3 missed"]
     timings.photon.extend([0.03, 0.02, 0.5])
     timings.dropped = 1.25
-    assert pace(timings)[1:] == ["from motion to light 30 ms", "1.2 s left out: too slow for real time"]
+    assert frame_lines(timings)[1:] == ["from motion to light 30 ms", "1.2 s left out: too slow for real time"]
 
 
 def test_exact_timings_wait_for_the_device(ti_cpu, monkeypatch):

@@ -1,4 +1,4 @@
-"""Bare hands as controllers, who plays where both are there, the poking finger, what is felt: with made-up joints."""
+"""Bare hands as controllers, the choice of input, the poking finger, what is felt: with made-up joints."""
 
 from types import SimpleNamespace as N
 
@@ -7,31 +7,41 @@ import pytest
 from numpy.testing import assert_allclose
 
 from display.xr import hand_joints as J
-from display.xr.actions import Controller
-from display.xr.finger_poke import LENGTH, RADIUS, FingerPoke
-from display.xr.hand_joints import BONES, HandInput, bones, curls
-from display.xr.hand_skeleton import RELAXED, about, along, posed
-from display.xr.hand_tracking import HANDOVER, LOCATION, PATIENCE, Sides, joints_of
-from display.xr.player import GRAB_REACH, PINCH_REACH, Player
+from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS, Controller
+from display.xr.hand_joints import BONES, RELAXED, posed, rotation_about, rotation_along
+from display.xr.hand_tracking import (
+    FIST_ABOVE,
+    FIST_UNTIL,
+    HANDOVER,
+    LOCATION,
+    LOST_TIMEOUT,
+    PINCH_BELOW,
+    PINCH_UNTIL,
+    HandGestures,
+    InputSelector,
+    joints_of,
+)
+from display.xr.player import GRAB_RADIUS, PINCH_RADIUS, FingerPoke, Player
+from display.xr.poses import pose_matrix
 from scenes import registry
+from tests.support.fake_view import FakeView
 
 PINCH, FIST, POINT = (0.7, 0.6, 0.2, 0.2, 0.2), (0.8, 1.0, 1.0, 1.0, 1.0), (0.5, 0.0, 1.0, 1.0, 1.0)
 HALF = (0.35, 0.3, 0.2, 0.2, 0.2)
-WORLD = N(interaction="physics", demo=False, paused=False)
 
 
 def frame(position=(0.0, 1.0, -0.4), yaw=0.3):
-    return J.pose_of(np.array(position), about((0, 1, 0), yaw))
+    return pose_matrix(position, rotation_about((0, 1, 0), yaw))
 
 
 def does(*poses, left=False):
     """What a hand does in these poses, one after the other."""
-    hand = HandInput()
+    hand = HandGestures()
     return [("grab", "pinch", "")[0 if c.grab else 1 if c.pinch else 2] for c in map(hand.read, track(poses, left))]
 
 
 def track(poses, left=False):
-    return [None if p is None else posed(p, left=left, frame=frame()) for p in poses]
+    return [None if p is None else posed(p, left=left, world_from_wrist=frame()) for p in poses]
 
 
 @pytest.mark.parametrize("left", [False, True])
@@ -47,10 +57,10 @@ def test_what_is_begun_goes_on_until_it_is_clearly_over():
     apart = [np.linalg.norm(j.position[J.THUMB_TIP] - j.position[J.INDEX_TIP]) for j in track([PINCH, HALF, RELAXED])]
     wide = (0.62, 0.54, 0.2, 0.2, 0.2)
     between = np.linalg.norm(np.subtract(*posed(wide).position[[J.THUMB_TIP, J.INDEX_TIP]]))
-    assert apart[0] < J.PINCHED < between < J.PARTED < apart[1]
+    assert apart[0] < PINCH_BELOW < between < PINCH_UNTIL < apart[1]
     assert does(wide, PINCH, wide, HALF, wide) == ["", "pinch", "pinch", "", ""]
     loose = (0.5, 0.55, 0.55, 0.55, 0.55)
-    assert J.OPEN < curls(posed(loose))[1] < J.FIST
+    assert FIST_UNTIL < posed(loose).curls()[1] < FIST_ABOVE
     assert does(loose, FIST, loose, RELAXED, loose) == ["", "grab", "grab", "", ""]
 
 
@@ -60,45 +70,47 @@ def test_a_fist_on_the_way_back_is_no_pinch():
 
 
 def test_a_lost_hand_goes_on_with_what_it_did():
-    hand = HandInput()
+    hand = HandGestures()
     pinching, lost, back = (hand.read(j) for j in track([PINCH, None, (0.62, 0.54, 0.2, 0.2, 0.2)]))
     assert pinching.pinch == 1.0 and lost.grip is None and back.pinch == 1.0
 
 
 def test_a_pinch_holds_between_the_fingers_and_a_fist_in_the_palm():
-    pinch, fist = (HandInput().read(posed(p, frame=frame())) for p in (PINCH, FIST))
-    tips = posed(PINCH, frame=frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
+    pinch, fist = (HandGestures().read(posed(p, world_from_wrist=frame())) for p in (PINCH, FIST))
+    tips = posed(PINCH, world_from_wrist=frame()).position[[J.THUMB_TIP, J.INDEX_TIP]]
     assert_allclose(pinch.grip[:3, 3], tips.mean(0), atol=1e-12)
-    assert_allclose(fist.grip[:3, 3], posed(FIST, frame=frame()).position[J.PALM], atol=1e-12)
+    assert_allclose(fist.grip[:3, 3], posed(FIST, world_from_wrist=frame()).position[J.PALM], atol=1e-12)
     player = Player(registry.load("ring_toss"))
-    hands, _ = player.advance([pinch, fist], np.eye(4), None)
-    assert [h.grip for h in hands] == [True, True] and [h.reach for h in hands] == [PINCH_REACH, GRAB_REACH]
-    stage = player.standpoint.matrix
+    hands, _ = player.advance([pinch, fist], np.eye(4), FakeView())
+    assert [h.grip for h in hands] == [True, True] and [h.reach for h in hands] == [PINCH_RADIUS, GRAB_RADIUS]
+    stage = player.play_space.world_from_play
     assert_allclose(hands[0].position, (stage @ [*tips.mean(0), 1.0])[:3])
     assert len(hands[0].touch) == len(BONES)
     a = np.array([t.a for t in hands[0].touch])
-    assert_allclose(a, bones(posed(PINCH, frame=frame()))[:, :3] @ stage[:3, :3].T + stage[:3, 3], atol=1e-12)
+    assert_allclose(
+        a, posed(PINCH, world_from_wrist=frame()).bones()[:, :3] @ stage[:3, :3].T + stage[:3, 3], atol=1e-12
+    )
 
 
 def test_bones_are_where_the_joints_are_and_not_too_thick():
     joints = posed()
-    wild = J.Joints(joints.position, joints.rotation, np.linspace(0.0, 0.3, J.COUNT))
-    capsules = bones(wild)
+    wild = J.HandJoints(joints.position, joints.rotation, np.linspace(0.0, 0.3, J.JOINT_COUNT))
+    capsules = wild.bones()
     assert capsules.shape == (19, 7)
-    assert (capsules[:, 6] >= J.THINNEST).all() and (capsules[:, 6] <= J.THICKEST).all()
+    assert (capsules[:, 6] >= J.MIN_RADIUS).all() and (capsules[:, 6] <= J.MAX_RADIUS).all()
     for (a, b), row in zip(BONES, capsules, strict=True):
         assert_allclose(row[:6], [*joints.position[a], *joints.position[b]])
 
 
 def test_bends_add_up_and_do_not_depend_on_where_the_hand_is():
-    straight, fist = curls(posed((0.0,) * 5)), curls(posed((1.0,) * 5))
+    straight, fist = posed((0.0,) * 5).curls(), posed((1.0,) * 5).curls()
     assert (straight[1:] < np.radians(10)).all() and (fist[1:] > np.radians(200)).all()
-    assert_allclose(curls(posed(PINCH, frame=frame((1, 2, 3), 2.0))), curls(posed(PINCH)), atol=1e-9)
-    assert_allclose(curls(posed(PINCH, left=True)), curls(posed(PINCH)), atol=1e-9)
+    assert_allclose(posed(PINCH, world_from_wrist=frame((1, 2, 3), 2.0)).curls(), posed(PINCH).curls(), atol=1e-9)
+    assert_allclose(posed(PINCH, left=True).curls(), posed(PINCH).curls(), atol=1e-9)
 
 
 def test_a_hand_points_along_its_forearm_however_it_pinches():
-    aims = [J.aim_of(posed(p, frame=frame())) for p in (RELAXED, PINCH)]
+    aims = [posed(p, world_from_wrist=frame()).aim() for p in (RELAXED, PINCH)]
     assert_allclose(aims[0], aims[1], atol=1e-12)
     assert np.linalg.det(aims[0][:3, :3]) == pytest.approx(1.0)
     ahead = frame()[:3, :3] @ [0, 0, -1]
@@ -106,20 +118,20 @@ def test_a_hand_points_along_its_forearm_however_it_pinches():
 
 
 def test_the_skeleton_is_made_of_rotations_along_its_bones():
-    joints = posed(PINCH, left=True, frame=frame())
+    joints = posed(PINCH, left=True, world_from_wrist=frame())
     assert_allclose(
-        joints.rotation @ np.swapaxes(joints.rotation, 1, 2), np.tile(np.eye(3), (J.COUNT, 1, 1)), atol=1e-9
+        joints.rotation @ np.swapaxes(joints.rotation, 1, 2), np.tile(np.eye(3), (J.JOINT_COUNT, 1, 1)), atol=1e-9
     )
     assert_allclose(np.linalg.det(joints.rotation), 1.0)
     for finger in J.FINGERS:
         for j in finger[:-1]:
             way = joints.position[j + 1] - joints.position[j]
             assert -joints.rotation[j][:, 2] @ way > 0.995 * np.linalg.norm(way)
-    assert_allclose(along([0.0, 0.0, -2.0]), np.eye(3), atol=1e-12)
+    assert_allclose(rotation_along([0.0, 0.0, -2.0]), np.eye(3), atol=1e-12)
 
 
 def location_table(joints):
-    table = np.zeros(J.COUNT, LOCATION)
+    table = np.zeros(J.JOINT_COUNT, LOCATION)
     table["orientation"][:, 3] = 1.0
     table["position"], table["radius"] = joints.position, joints.radius
     return table
@@ -129,7 +141,7 @@ def test_joints_are_read_as_the_runtime_lays_them_out():
     assert LOCATION.itemsize == 40  # XrSpaceLocationFlags, XrPosef, float; and the end's padding below
     read = joints_of(location_table(posed()))
     assert_allclose(read.position, posed().position, atol=1e-6)
-    assert_allclose(read.rotation, np.tile(np.eye(3), (J.COUNT, 1, 1)))
+    assert_allclose(read.rotation, np.tile(np.eye(3), (J.JOINT_COUNT, 1, 1)))
     for field, value in (("position", np.nan), ("radius", np.inf), ("orientation", 0.0)):
         table = location_table(posed())
         table[field][3] = value
@@ -145,7 +157,7 @@ def plays(sides, time, controller, hand):
 
 
 def test_a_controller_plays_while_it_is_used_and_a_hand_else():
-    sides = Sides()
+    sides = InputSelector()
     assert plays(sides, 0.0, IDLE, True) == "hand"
     assert plays(sides, 0.1, BUSY, True) == "controller"
     assert plays(sides, 0.1 + 0.9 * HANDOVER, IDLE, True) == "controller"
@@ -153,15 +165,15 @@ def test_a_controller_plays_while_it_is_used_and_a_hand_else():
 
 
 def test_a_lost_hand_is_not_replaced_at_once():
-    sides = Sides()
+    sides = InputSelector()
     assert plays(sides, 0.0, IDLE, True) == "hand"
-    assert plays(sides, 0.5 * PATIENCE, IDLE, False) == "frozen"
-    assert plays(sides, 0.6 * PATIENCE, IDLE, True) == "hand"
-    assert plays(sides, 2.0 * PATIENCE, IDLE, False) == "controller"
+    assert plays(sides, 0.5 * LOST_TIMEOUT, IDLE, False) == "frozen"
+    assert plays(sides, 0.6 * LOST_TIMEOUT, IDLE, True) == "hand"
+    assert plays(sides, 2.0 * LOST_TIMEOUT, IDLE, False) == "controller"
 
 
 def test_without_hands_controllers_play_as_ever():
-    sides = Sides()
+    sides = InputSelector()
     assert [plays(sides, t, IDLE, False) for t in (0.0, 5.0)] == ["controller"] * 2
 
 
@@ -169,27 +181,27 @@ def test_a_touched_trigger_stretches_out_a_finger_and_a_grip_draws_it_in():
     poke, outs = FingerPoke(), []
     held = Controller(grip=frame(), point=True)
     for c, grips in [(held, False)] * 8 + [(Controller(grip=frame(), grab=1.0, point=True), True)] * 8:
-        poke.stretch(c, grips)
-        outs.append(poke.out)
+        poke.advance(c, grips)
+        outs.append(poke.extension)
     assert outs[0] < 0.3 and outs[7] == 1.0 and outs[-1] == 0.0
     assert (np.diff(outs[:8]) >= 0).all() and np.abs(np.diff(outs)).max() < 0.2
-    poke.out = 1.0
-    piece = poke.pieces(held)[0]
-    assert_allclose(np.linalg.norm(piece[3:6] - piece[:3]), LENGTH)
-    assert_allclose((piece[3:6] - piece[:3]) / LENGTH, frame()[:3, :3] @ [0, 0, -1], atol=1e-12)
-    assert piece[6] == RADIUS
-    assert len(FingerPoke().pieces(held)) == 0
+    poke.extension = 1.0
+    piece = poke.capsules(held)[0]
+    assert_allclose(np.linalg.norm(piece[3:6] - piece[:3]), FINGER_LENGTH)
+    assert_allclose((piece[3:6] - piece[:3]) / FINGER_LENGTH, frame()[:3, :3] @ [0, 0, -1], atol=1e-12)
+    assert piece[6] == FINGER_RADIUS
+    assert len(FingerPoke().capsules(held)) == 0
 
 
 def test_a_pulled_trigger_pinches_at_the_fingers_tip():
     player = Player(registry.load("ring_toss"))
     half, pulled = Controller(grip=frame(), pinch=0.4), Controller(grip=frame(), pinch=1.0)
     for _ in range(8):
-        hands, _ = player.advance([half, Controller()], np.eye(4), None)
+        hands, _ = player.advance([half, Controller()], np.eye(4), FakeView())
     assert not hands[0].grip and len(hands[0].touch) == 1
     tip = np.array(hands[0].touch[0].b)
-    hands, _ = player.advance([pulled, Controller()], np.eye(4), None)
-    assert hands[0].grip and hands[0].reach == PINCH_REACH
+    hands, _ = player.advance([pulled, Controller()], np.eye(4), FakeView())
+    assert hands[0].grip and hands[0].reach == PINCH_RADIUS
     assert_allclose(hands[0].position, tip, atol=1e-9)
 
 

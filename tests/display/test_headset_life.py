@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from display.xr.dynamic_resolution import SETTLE
+from display.adaptive_resolution import DynamicResolution
 from display.xr.wrist_panel import PIXELS
 from render.renderer import FAR, NEAR
-from tests.support.fake_xr import CLOCK, DEPTH, EXTENSIONS, PERIOD, Fake
+from tests.support.fake_xr import CLOCK, DEPTH, EXTENSIONS, PERIOD, FakeXr
 from tests.support.worn import DEPTH32, lines, worn
 
 wear = pytest.fixture(worn)
 
 
 def test_an_ordinary_play_from_the_first_frame_to_the_last(wear, capsys):
-    fake = Fake()
+    fake = FakeXr()
     _, world = wear(fake, 10)
     assert len(world.frames) == 10 and lines(capsys) == []
     assert world.frames[-1].time == pytest.approx(10 * PERIOD * 1e-9)
@@ -33,17 +33,17 @@ def test_an_ordinary_play_from_the_first_frame_to_the_last(wear, capsys):
 
 
 def test_without_the_extensions_nothing_of_them_is_asked_for(wear):
-    fake = Fake(extensions=[e for e in EXTENSIONS if e not in (DEPTH, CLOCK)])
+    fake = FakeXr(extensions=[e for e in EXTENSIONS if e not in (DEPTH, CLOCK)])
     _, world = wear(fake, 3)
     assert fake.ended[0][1][0][0] == {"rectangle": (0, 0, 64, 48)}
     assert world.timings.to_light is None and DEPTH32 not in fake.formats_made()
-    fake = Fake(formats=(0x8058,))  # depth, but no format for it; and only linear textures
+    fake = FakeXr(formats=(0x8058,))  # depth, but no format for it; and only linear textures
     wear(fake, 2)
     assert "depth" not in fake.ended[0][1][0][0] and set(fake.formats_made()) == {0x8058}
 
 
 def test_missed_frames_are_the_runtimes_and_the_world_does_not_slow_down(wear):
-    fake = Fake(missed={4: 2, 8: 1})
+    fake = FakeXr(missed={4: 2, 8: 1})
     _, world = wear(fake, 10, lambda k, headset, world: setattr(world, "simulation_cost", 0.1))
     assert world.timings.missed == 3 and world.timings.budget == pytest.approx(PERIOD * 1e-9)
     assert world.frames[-1].time == pytest.approx(13 * PERIOD * 1e-9) and world.timings.dropped == 0.0
@@ -51,7 +51,7 @@ def test_missed_frames_are_the_runtimes_and_the_world_does_not_slow_down(wear):
 
 
 def test_where_the_rate_does_not_hold_a_part_of_the_textures_is_drawn(wear):
-    fake = Fake()
+    fake = FakeXr()
     fake.size = (640, 480)
     wear.time.work = 0.02
     _, world = wear(fake, 60, lambda k, headset, world: world.timings.add("render", 0.015))
@@ -60,24 +60,24 @@ def test_where_the_rate_does_not_hold_a_part_of_the_textures_is_drawn(wear):
     assert view["rectangle"] == view["depth"] == (0, 0, 320, 240)
     made = fake.calls.index("begin_session")
     assert "create_swapchain" in fake.calls[:made] and fake.formats_made().count(DEPTH32) == 2
-    sizes = {chain["size"] for chain in fake.chains.values()}
+    sizes = {chain.size for chain in fake.swapchains.values()}
     assert sizes == {(640, 480), PIXELS}, "a swapchain is made anew"
     wear.time.work = 0.02
-    fake = Fake()
+    fake = FakeXr()
 
     def choose(k, headset, world):
-        wear.mirrors[-1].share = None if k < 5 else 1.0 if k < 10 else 0.75
+        wear.mirrors[-1].resolution = None if k < 5 else 1.0 if k < 10 else 0.75
 
     fake.size = (640, 480)
-    _, world = wear(fake, 5 + SETTLE + 20, choose)
+    _, world = wear(fake, 5 + DynamicResolution.SKIPPED_FRAMES + 20, choose)
     assert world.picture_size == (480, 360) and world.sizes == [(480, 360)]  # the user's choice
 
 
 def test_off_and_on_again(wear, capsys):
     off = ["VISIBLE", "SYNCHRONIZED", "STOPPING"]
-    fake = Fake(script={6: off, 9: off})
+    fake = FakeXr(script={6: off, 9: off})
 
-    def poll(instance, ask=Fake.poll_event):
+    def poll(instance, ask=FakeXr.poll_event):
         if fake.state == "IDLE" and "end_session" in fake.calls and wear.time.slept > 40 * fake.counts["end_session"]:
             fake.time += 10**12
             fake.enter("READY")
@@ -85,14 +85,14 @@ def test_off_and_on_again(wear, capsys):
 
     fake.poll_event = poll
     _, world = wear(fake, 12)
-    paused = ["the headset is off: the play is paused", "the headset is on: the play goes on"]
+    paused = ["headset taken off: paused", "headset put on: playing again"]
     assert lines(capsys) == paused * 2
     assert max(f.dt for f in world.frames) == pytest.approx(PERIOD * 1e-9), "the world stood still meanwhile"
     assert world.timings.missed == 0 and fake.counts["begin_session"] == 3
 
 
 def test_a_headset_that_nobody_wears_is_asked_for(wear, capsys):
-    fake = Fake()
+    fake = FakeXr()
     fake.poll_event = lambda instance, ask=fake.poll_event: ask(instance) if wear.time.slept > 60 else nothing(fake)
     _, world = wear(fake, 2)
     assert lines(capsys) == ["put the headset on to begin"] and len(world.frames) == 2
@@ -103,7 +103,7 @@ def nothing(fake):
 
 
 def test_while_something_else_has_the_input_the_world_goes_on_and_hands_hold_on(wear, capsys):
-    fake = Fake(script={5: ["VISIBLE"], 9: ["FOCUSED"]})
+    fake = FakeXr(script={5: ["VISIBLE"], 9: ["FOCUSED"]})
     fake.squeeze = {"left": 1.0, "right": 1.0}
 
     def each(k, headset, world):
@@ -120,11 +120,11 @@ def test_while_something_else_has_the_input_the_world_goes_on_and_hands_hold_on(
     assert hands[5].position == hands[3].position == hands[7].position
     ways = np.linalg.norm(np.diff([h.position for h in hands], axis=0), axis=1)
     assert ways.max() < 2.1 * PERIOD * 1e-9 and ways.sum() == pytest.approx(0.1)  # led there, not flung
-    assert lines(capsys) == ["something else has your hands: they rest here", "your hands are here again"]
+    assert lines(capsys) == ["another program has the input: your hands wait", "the input is back"]
 
 
 def test_a_hand_and_a_head_that_are_lost_stay_where_they_were(wear, capsys):
-    fake = Fake()
+    fake = FakeXr()
     fake.squeeze["left"] = 1.0
     seen = []
 
@@ -146,11 +146,11 @@ def test_a_hand_and_a_head_that_are_lost_stay_where_they_were(wear, capsys):
     assert np.linalg.norm(eyes[11] - eyes[2]) > 5
     assert all(f.hands[0].grip for f in world.frames)
     assert world.frames[5].hands[0] == world.frames[2].hands[0]
-    assert lines(capsys) == ["the head is not seen: the view stays where it was", "the head is seen again"]
+    assert lines(capsys) == ["head tracking lost: the view stays where it was", "head tracking is back"]
 
 
 def test_a_head_that_nobody_has_seen_yet_looks_ahead(wear):
-    fake = Fake()
+    fake = FakeXr()
     fake.valid = set()
     _, world = wear(fake, 2)
     assert world.cameras[0][0].position[1] == pytest.approx(1.6) and np.isfinite(world.cameras[0][0].position).all()
@@ -158,7 +158,7 @@ def test_a_head_that_nobody_has_seen_yet_looks_ahead(wear):
 
 
 def test_a_frame_that_is_not_presented_is_ended_all_the_same(wear):
-    fake = Fake()
+    fake = FakeXr()
 
     def skip(k, headset, world):
         headset.present = (lambda world: None) if k == 3 else type(headset).present.__get__(headset)
@@ -168,7 +168,7 @@ def test_a_frame_that_is_not_presented_is_ended_all_the_same(wear):
 
 
 def test_frames_that_are_not_seen_are_simulated_but_not_drawn(wear):
-    fake = Fake()
+    fake = FakeXr()
     fake.should_render = False
     _, world = wear(fake, 4)
     assert world.cameras == [[]] * 4 and all(layers == [] for _, layers in fake.ended) and world.frames[-1].dt > 0

@@ -36,12 +36,12 @@ class Play:
 
     def __init__(self, *, headset: bool):
         from display.world import World
-        from display.xr import avatar as shown
+        from display.xr import avatar
 
         self.scene, self.frames, self.size, self.views = ring_toss.build(), 0, (96, 64), 1 + headset
-        how = {"fingers": True, "room": True, "props": shown.skins()} if headset else {}
+        how = {"fingers": True, "room": True, "props": avatar.skins()} if headset else {}
         self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
-        self.parts = shown.hidden() if headset else None
+        self.parts = avatar.hidden() if headset else None
 
     def frame(self, *given):
         hands, commands = ([g for g in given if isinstance(g, Hand) == k] for k in (True, False))

@@ -9,7 +9,7 @@ from display.edit import selection_marker as marking
 from display.edit.editor import Editor
 from display.edit.selection_marker import marked, strokes
 from display.protocol import Select, Undo
-from display.xr import avatar as shown
+from display.xr import avatar
 
 
 def body(held=False, high=(0.2, 0.1, 0.3)):
@@ -40,11 +40,11 @@ def test_strokes_go_along_the_edges_of_a_box_around_the_body():
 
 
 def test_the_headset_shows_the_same_strokes():
-    parts = shown.hidden()
-    shown.corners(parts, body())
-    ends = np.einsum("kij,sj->ksi", parts[shown.CORNERS :], np.column_stack([np.eye(3), np.ones(3)])).reshape(-1, 3)
+    parts = avatar.hidden()
+    avatar.show_corners(parts, body())
+    ends = np.einsum("kij,sj->ksi", parts[avatar.CORNERS :], np.column_stack([np.eye(3), np.ones(3)])).reshape(-1, 3)
     assert_allclose(ends, strokes(body())[:, 1], atol=1e-12)
-    assert np.isnan(parts[: shown.CORNERS]).all()
+    assert np.isnan(parts[: avatar.CORNERS]).all()
 
 
 def test_commands_choose_for_a_moment(monkeypatch):

@@ -1,4 +1,4 @@
-"""Going with bare hands: the left one pinches at nothing and points at the floor."""
+"""Teleport of bare hands: the left one pinches at nothing and points at the floor."""
 
 from types import SimpleNamespace as N
 
@@ -6,51 +6,56 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display.xr import hand_joints as J
 from display.xr.actions import Controller
-from display.xr.hand_joints import HandInput
-from display.xr.hand_skeleton import RELAXED, about, posed
-from display.xr.player import Player
-from display.xr.teleport import on_the_floor
+from display.xr.hand_joints import RELAXED, posed, rotation_about
+from display.xr.hand_tracking import HandGestures
+from display.xr.player import Player, floor_hit
+from display.xr.poses import pose_matrix
 from scenes import ring_toss
+from tests.support.fake_view import FakeView
 
 PINCH = (0.7, 0.6, 0.2, 0.2, 0.2)
-HEAD = J.pose_of(np.array([0.0, 1.6, 0.0]), np.eye(3))
+HEAD = pose_matrix((0.0, 1.6, 0.0), np.eye(3))
 PLACE = np.array([-0.15, 1.1, -0.35])
 
 
-def hand(pose, pitch=-0.5, place=PLACE):
-    """A left hand that points down by `pitch` [rad], or None."""
-    return None if pose is None else posed(pose, left=True, frame=J.pose_of(np.array(place), about((1, 0, 0), pitch)))
+def pointing(pitch):
+    return pose_matrix(PLACE, rotation_about((1, 0, 0), pitch))
+
+
+def hand(bends, pitch=-0.5):
+    """A left hand that points up by `pitch` [rad]."""
+    return posed(bends, left=True, world_from_wrist=pointing(pitch))
 
 
 class Play:
     def __init__(self, bodies=()):
-        self.player, self.input = Player(ring_toss.build()), HandInput()
-        self.world = N(interaction="physics", bodies=lambda: list(bodies))
+        self.player, self.gestures = Player(ring_toss.build()), HandGestures()
+        self.world = FakeView(bodies=lambda: list(bodies))
 
-    def frame(self, joints):
-        """Whether the left hand grips, and where the spot is, (3,) [m] or None."""
-        left = self.input.read(joints)
-        hands, _ = self.player.advance([left, Controller()], HEAD, self.world)
-        return hands[0].grip, None if self.player.pointing is None else self.player.pointing[1]
+    def frame(self, joints, right=None):
+        """Whether each hand grips, and the place that is aimed at, (3,) [m] or None."""
+        left = joints if isinstance(joints, Controller) else self.gestures.read(joints)
+        hands, _ = self.player.advance([left, right or Controller()], HEAD, self.world)
+        target = None if self.player.pointing is None else self.player.pointing[1]
+        return [h.grip for h in hands], target
 
     def feet(self):
-        return (self.player.standpoint.matrix @ HEAD)[[0, 2], 3]
+        return (self.player.play_space.world_from_play @ HEAD)[[0, 2], 3]
 
 
-def test_a_pinch_at_nothing_shows_a_spot_on_the_floor_and_opened_goes_there():
+def test_a_pinch_at_nothing_shows_a_place_on_the_floor_and_opened_goes_there():
     play = Play()
     start = play.feet()
-    assert play.frame(hand(RELAXED)) == (False, None)
-    grip, spot = play.frame(hand(PINCH))
-    assert not grip and spot is not None and spot[1] == pytest.approx(0.0)
+    assert play.frame(hand(RELAXED)) == ([False, False], None)
+    grips, target = play.frame(hand(PINCH))
+    assert not any(grips) and target is not None and target[1] == pytest.approx(0.0)
     _, other = play.frame(hand(PINCH, pitch=-0.7))
-    assert np.linalg.norm(other[[0, 2]] - start) < np.linalg.norm(spot[[0, 2]] - start)  # farther down is nearer
+    assert np.linalg.norm(other[[0, 2]] - start) < np.linalg.norm(target[[0, 2]] - start)  # farther down is nearer
     assert_allclose(play.feet(), start)
-    assert play.frame(hand(RELAXED, pitch=-0.7)) == (False, None)
+    assert play.frame(hand(RELAXED, pitch=-0.7)) == ([False, False], None)
     assert_allclose(play.feet(), other[[0, 2]], atol=1e-9)
-    assert play.frame(hand(RELAXED)) == (False, None)
+    assert play.frame(hand(RELAXED)) == ([False, False], None)
 
 
 def test_pointed_elsewhere_or_lost_nobody_goes():
@@ -64,29 +69,24 @@ def test_pointed_elsewhere_or_lost_nobody_goes():
         assert_allclose(play.feet(), start)
 
 
-def test_a_pinch_that_was_begun_ahead_or_at_a_body_is_no_step():
+def test_a_pinch_that_was_begun_ahead_or_at_a_body_is_no_teleport():
     play = Play()
-    assert play.frame(hand(PINCH, pitch=0.2)) == (True, None)
-    assert play.frame(hand(PINCH)) == (True, None)  # it goes on as what it was
+    assert play.frame(hand(PINCH, pitch=0.2)) == ([True, False], None)
+    assert play.frame(hand(PINCH)) == ([True, False], None)  # it goes on as what it was
     joints = hand(PINCH)
-    tip = (play.player.standpoint.matrix @ [*joints.position[[J.THUMB_TIP, J.INDEX_TIP]].mean(0), 1.0])[:3]
-    body = N(low=tip + [0.0, -0.2, 0.0], high=tip + [0.2, -0.02, 0.2])
-    near = Play([body])
-    assert near.frame(joints) == (True, None)
-    far = Play([N(low=body.low + 0.5, high=body.high + 0.5)])
-    assert far.frame(joints)[1] is not None
+    tip = (play.player.play_space.world_from_play @ [*joints.pinch_point(), 1.0])[:3]
+    low, high = tip + [0.0, -0.2, 0.0], tip + [0.2, -0.02, 0.2]
+    assert Play([N(low=low, high=high)]).frame(joints) == ([True, False], None)
+    assert Play([N(low=low + 0.5, high=high + 0.5)]).frame(joints)[1] is not None
 
 
-def test_the_right_hand_and_controllers_do_not_stride():
-    play = Play()
-    right = HandInput().read(posed(PINCH, frame=J.pose_of(PLACE, about((1, 0, 0), -0.5))))
-    hands, _ = play.player.advance([Controller(), right], HEAD, play.world)
-    assert hands[1].grip and play.player.pointing is None
-    held = Controller(grip=np.eye(4), aim=J.pose_of(PLACE, about((1, 0, 0), -0.5)), pinch=1.0)
-    hands, _ = play.player.advance([held, Controller()], HEAD, play.world)
-    assert hands[0].grip and play.player.pointing is None
+def test_the_right_hand_and_controllers_do_not_teleport_by_pinching():
+    right = HandGestures().read(posed(PINCH, world_from_wrist=pointing(-0.5)))
+    assert Play().frame(Controller(), right) == ([False, True], None)
+    held = Controller(grip=np.eye(4), aim=pointing(-0.5), pinch=1.0)
+    assert Play().frame(held) == ([True, False], None)
 
 
-def test_the_spot_is_where_the_hand_points():
-    aim = J.pose_of(np.array([0.0, 1.0, 0.0]), about((1, 0, 0), -np.pi / 4))
-    assert_allclose(on_the_floor(aim), [0.0, 0.0, -1.0], atol=1e-12)
+def test_the_place_is_where_the_hand_points():
+    aim = pose_matrix((0.0, 1.0, 0.0), rotation_about((1, 0, 0), -np.pi / 4))
+    assert_allclose(floor_hit(aim), [0.0, 0.0, -1.0], atol=1e-12)

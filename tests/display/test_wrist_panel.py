@@ -1,4 +1,4 @@
-"""The panel over the left hand: where it is, what is pressed by ray and by finger, how it looks; without a runtime."""
+"""The panel over the left hand: its pose, what is pressed by ray and by finger, its picture; without a runtime."""
 
 from dataclasses import replace
 from types import SimpleNamespace as N
@@ -15,69 +15,61 @@ from display.protocol import (
     Remove,
     Rescale,
     Reset,
+    Rotate,
     Select,
     SetInteraction,
     SetLight,
     Undo,
-    last_of,
 )
-from display.xr.actions import Controller
-from display.xr.panel_paint import BACK, Content, content_of, paint
+from display.xr.actions import FINGER_LENGTH, Controller
+from display.xr.hand_joints import HandJoints
+from display.xr.panel_layer import BACKGROUND, PanelContent, paint
+from display.xr.poses import pose_matrix
 from display.xr.wrist_panel import (
-    ABOVE,
     BUTTONS,
-    FINGER,
+    HEIGHT_OVER_HAND,
     PIXELS,
-    WIDTH,
     WristPanel,
     button_at,
-    on_panel,
-    pose_of,
+    panel_pose,
+    point_on_panel,
+    project_to_panel,
     ray_hit,
 )
 from scenes.scene import Light
-
-HEAD = np.eye(4)
-HEAD[:3, 3] = 0.0, 1.6, 0.0
-STAGE = np.array([[0.0, 0.0, 1.0, 5.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 0.0, 1.0]])
-BY_NAME = {b.name: b for b in BUTTONS}
+from tests.support.fake_view import FakeView
 
 
 def at(x, y, z) -> np.ndarray:
-    m = np.eye(4)
-    m[:3, 3] = x, y, z
-    return m
+    return pose_matrix((x, y, z), np.eye(3))
 
 
+HEAD = at(0.0, 1.6, 0.0)
+WORLD_FROM_PLAY = pose_matrix((5.0, 0.0, 2.0), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+BY_NAME = {b.name: b for b in BUTTONS}
 LEFT = Controller(grip=at(-0.2, 1.1, -0.35), aim=at(-0.2, 1.1, -0.35))
-
-
-class World:
-    """What the panel asks of a world."""
-
-    interaction, paused, demo, selected, notice = "physics", False, False, None, ""
-    score, message, light, editable = 2, "Score: see there.", Light((0.0, 2.0, 0.0)), True
-    timings = N(recent_fps=lambda: 71.6)
-    hit = None
-
-    def bodies(self):
-        return [N(name="ring_red"), N(name="ring_blue")]
-
-    def pick(self, origin, direction):
-        self.asked = (origin, direction)
-        return self.hit
+AWAY = at(0.4, 1.3, -0.5)
+LIGHT = Light((0.0, 2.0, 0.0))
 
 
 @pytest.fixture
 def world():
-    return World()
+    bodies = [N(name="ring_red"), N(name="ring_blue")]
+    return FakeView(
+        score=2,
+        message="Score: see there.",
+        light=LIGHT,
+        editable=True,
+        timings=N(recent_fps=lambda: 71.6),
+        bodies=lambda: bodies,
+    )
 
 
 @pytest.fixture
 def panel(world):
     """Pinned by its button."""
     panel = WristPanel()
-    panel.advance([replace(LEFT, pressed={"lower"}), Controller()], HEAD, STAGE, world)
+    advance(panel, world, Controller(), replace(LEFT, pressed={"lower"}))
     assert panel.pose is not None
     return panel
 
@@ -85,17 +77,18 @@ def panel(world):
 def pointing(panel, name: str, distance: float = 0.3, **inputs) -> Controller:
     """The right hand, which points at a button's middle from before the panel."""
     x, y, w, h = BY_NAME[name].box
-    scale = WIDTH / PIXELS[0]
-    pose = panel.pose.copy()
-    pose[:3, 3] += pose[:3, :3] @ [
-        (x + w / 2 - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - y - h / 2) * scale, distance,
-    ]  # fmt: skip
-    return Controller(grip=pose.copy(), aim=pose, **inputs)
+    pose = pose_matrix(point_on_panel(panel.pose, x + w / 2, y + h / 2, distance), panel.pose[:3, :3])
+    return Controller(grip=pose, aim=pose, **inputs)
+
+
+def away(pinch: float) -> Controller:
+    return Controller(grip=AWAY, aim=AWAY, pinch=pinch)
 
 
 def advance(panel, world, right: Controller, left: Controller = LEFT):
-    controllers = [left, right]
-    return panel.advance(controllers, HEAD, STAGE, world), controllers[1]
+    """Commands, and how far the right hand pinches for everything else."""
+    right, commands = panel.advance([left, right], HEAD, WORLD_FROM_PLAY, world)
+    return commands, right.pinch
 
 
 def test_buttons_lie_apart_on_the_panel():
@@ -104,195 +97,171 @@ def test_buttons_lie_apart_on_the_panel():
         x, y, w, h = b.box
         assert x >= 0 and y >= 0 and x + w <= PIXELS[0] and y + h <= PIXELS[1] and min(w, h) >= 80
         cover[y : y + h, x : x + w] += 1
-        assert button_at(x, y) is b and button_at(x + w - 1, y + h - 1) is b and button_at(x + w / 2, y + h / 2) is b
+        assert button_at(x, y) is b and button_at(x + w - 1, y + h - 1) is b
     assert cover.max() == 1
     assert button_at(1, 1) is None and button_at(-5, 200) is None
     assert len(BY_NAME) == len(BUTTONS)
 
 
 def test_it_is_over_the_hand_and_looks_to_the_eyes():
-    pose = pose_of(LEFT.grip, HEAD)
-    assert_allclose(pose[:3, 3], LEFT.grip[:3, 3] + [0, ABOVE, 0])
+    pose = panel_pose(LEFT.grip, HEAD)
+    assert_allclose(pose[:3, 3], LEFT.grip[:3, 3] + [0, HEIGHT_OVER_HAND, 0])
     assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
-    way = HEAD[:3, 3] - pose[:3, 3]
-    assert_allclose(pose[:3, 2], way / np.linalg.norm(way))
+    to_eyes = HEAD[:3, 3] - pose[:3, 3]
+    assert_allclose(pose[:3, 2], to_eyes / np.linalg.norm(to_eyes))
     assert pose[1, 0] == pytest.approx(0.0) and pose[1, 1] > 0.5  # level, and not upside down
-    over = pose_of(at(0.0, 1.0, 0.0), HEAD)  # straight below
-    assert np.isfinite(over).all() and np.linalg.det(over[:3, :3]) == pytest.approx(1.0)
+    below = panel_pose(at(0.0, 1.0, 0.0), HEAD)
+    assert np.isfinite(below).all() and np.linalg.det(below[:3, :3]) == pytest.approx(1.0)
 
 
-def test_a_ray_meets_the_pixel_that_it_points_at():
-    pose = pose_of(LEFT.grip, HEAD)
+def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_from_afar():
+    pose = panel_pose(LEFT.grip, HEAD)
     rng = np.random.default_rng(0)
     for _ in range(50):
         u, v = rng.uniform(0, PIXELS[0] - 1), rng.uniform(0, PIXELS[1] - 1)
-        scale = WIDTH / PIXELS[0]
-        target = pose[:3, 3] + pose[:3, :3] @ [(u - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - v) * scale, 0.0]
+        target = point_on_panel(pose, u, v)
+        assert_allclose(project_to_panel(pose, target), (u, v, 0.0), atol=1e-9)
         start = target + pose[:3, :3] @ [*rng.uniform(-0.3, 0.3, 2), rng.uniform(0.1, 0.8)]
         z = (start - target) / np.linalg.norm(start - target)
         x = np.cross([0.3, 1.0, 0.2], z)
         x /= np.linalg.norm(x)
-        aim = np.eye(4)
-        aim[:3, :3], aim[:3, 3] = np.column_stack([x, np.cross(z, x), z]), start
+        aim = pose_matrix(start, np.column_stack([x, np.cross(z, x), z]))
         assert_allclose(ray_hit(pose, aim), (u, v), atol=1e-6)
-        aim[:3, 0], aim[:3, 2] = -aim[:3, 0], -aim[:3, 2]
+        aim[:3, [0, 2]] *= -1
         assert ray_hit(pose, aim) is None  # it points away
-    assert on_panel(pose, pose[:3, 3])[:2] == (PIXELS[0] / 2, PIXELS[1] / 2)
-
-
-def test_a_ray_from_behind_beside_or_afar_misses(panel):
-    right = pointing(panel, "undo").aim
-    behind = right.copy()
-    behind[:3, 3] -= 0.6 * panel.pose[:3, 2]
-    beside = right.copy()
-    beside[:3, 3] += 0.5 * panel.pose[:3, 0]
-    far = right.copy()
-    far[:3, 3] += 4.0 * panel.pose[:3, 2]
-    for aim in (behind, beside, far):
-        assert ray_hit(panel.pose, aim) is None
+    for offset in ([0, 0, -0.3], [0.5, 0, 0.3], [0, 0, 4.3]):  # behind, beside, far
+        assert ray_hit(pose, pose_matrix(pose[:3, 3] + pose[:3, :3] @ offset, pose[:3, :3])) is None
+    assert ray_hit(pose, pose_matrix(pose[:3, 3] + 0.3 * pose[:3, 2], pose[:3, :3])) is not None
 
 
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("undo", [Undo()]),
-        ("redo", [Redo()]),
-        ("c", [Duplicate(None)]),
-        ("delete", [Remove(None)]),
-        ("plus", [Rescale(None, 1.25)]),
-        ("minus", [Rescale(None, 0.8)]),
-        ("physics", [SetInteraction("physics")]),
-        ("transform", [SetInteraction("transform")]),
-        ("pause", [Pause(True)]),
-        ("reset", [Reset()]),
-        ("demo", [PlayDemo(True)]),
+        ("undo", Undo()),
+        ("redo", Redo()),
+        ("copy", Duplicate()),
+        ("remove", Remove()),
+        ("larger", Rescale(None, 1.25)),
+        ("smaller", Rescale(None, 0.8)),
+        ("physics", SetInteraction("physics")),
+        ("transform", SetInteraction("transform")),
+        ("pause", Pause(True)),
+        ("reset", Reset()),
+        ("demo", PlayDemo(True)),
     ],
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):
-    commands, right = advance(panel, world, pointing(panel, name))
-    assert commands == [] and panel.over.name == name and not panel.clicked
-    commands, right = advance(panel, world, pointing(panel, name, pinch=0.9))
-    assert commands == command and right.pinch == 0.0 and panel.clicked
-    for level in (0.9, 0.5):
-        commands, right = advance(panel, world, pointing(panel, name, pinch=level))
-        assert commands == [] and right.pinch == 0.0 and not panel.clicked
-    commands, right = advance(panel, world, pointing(panel, name))
-    assert commands == []
-    commands, _ = advance(panel, world, pointing(panel, name, pinch=0.9))
-    assert commands == command
+    assert advance(panel, world, pointing(panel, name)) == ([], 0.0)
+    assert panel.hovered.name == name and not panel.clicked
+    for pinch, wanted in ((0.9, [command]), (0.9, []), (0.5, []), (0.0, []), (0.9, [command])):
+        assert advance(panel, world, pointing(panel, name, pinch=pinch)) == (wanted, 0.0)
+        assert panel.clicked == bool(wanted)
+
+
+def test_turning_is_about_the_vertical(panel, world):
+    ((command,), _) = advance(panel, world, pointing(panel, "turn", pinch=0.9))
+    assert isinstance(command, Rotate) and command.rotation[1] == command.rotation[3] == 0.0
 
 
 def test_a_trigger_pulled_elsewhere_presses_nothing_here_and_holds_on(panel, world):
-    elsewhere = Controller(grip=at(0.3, 1.0, -0.3), aim=at(0.3, 1.0, -0.3), pinch=1.0)
-    _, right = advance(panel, world, elsewhere)
-    assert right.pinch == 1.0
-    commands, right = advance(panel, world, pointing(panel, "reset", pinch=1.0))
-    assert commands == [] and right.pinch == 1.0 and panel.over is None
+    assert advance(panel, world, away(1.0)) == ([], 1.0)
+    assert advance(panel, world, pointing(panel, "reset", pinch=1.0)) == ([], 1.0)
+    assert panel.hovered is None
 
 
 def test_a_finger_presses_by_going_through_from_the_front(panel, world):
-    def finger(depth):
-        return pointing(panel, "c", depth + FINGER)  # it points with the hand
+    def pressed(*distances):
+        """Whether the finger of a controller, which points with the hand, presses at these distances."""
+        fingers = [pointing(panel, "copy", d + FINGER_LENGTH) for d in distances]
+        return [advance(panel, world, finger)[0] == [Duplicate()] for finger in fingers]
 
-    pressed = [advance(panel, world, finger(d))[0] for d in (0.1, 0.02, 0.005, -0.002, -0.02, 0.005, -0.01)]
-    assert pressed == [[], [], [], [Duplicate(None)], [], [], []]
-    again = [advance(panel, world, finger(d))[0] for d in (0.02, -0.002)]
-    assert again == [[], [Duplicate(None)]]
-    from_behind = [advance(panel, world, finger(d))[0] for d in (-0.1, -0.03, -0.005, 0.005, 0.03)]
-    assert from_behind == [[]] * 5
-    fast = [advance(panel, world, finger(d))[0] for d in (0.2, -0.04)]
-    assert fast == [[], [Duplicate(None)]]
+    assert pressed(0.1, 0.02, 0.005, -0.002, -0.02, 0.005, -0.01) == [False] * 3 + [True] + [False] * 3
+    assert pressed(0.02, -0.002) == [False, True]  # again, from clear of the panel
+    assert not any(pressed(-0.1, -0.03, -0.005, 0.005, 0.03))  # from behind
+    assert pressed(0.2, -0.04) == [False, True]  # fast
 
 
 def test_a_tracked_finger_presses(panel, world):
-    def hand(depth):
-        c = pointing(panel, "redo", depth)
-        joints = N(position=np.tile(c.grip[:3, 3], (26, 1)), rotation=np.tile(np.eye(3), (26, 1, 1)))
-        c.joints, c.aim = joints, None
-        return c
+    def hand(distance):
+        c = pointing(panel, "redo", distance)
+        joints = HandJoints(np.tile(c.grip[:3, 3], (26, 1)), np.tile(np.eye(3), (26, 1, 1)), np.zeros(26))
+        return replace(c, aim=None, joints=joints)
 
     assert [advance(panel, world, hand(d))[0] for d in (0.03, -0.001)] == [[], [Redo()]]
 
 
-def test_the_light_follows_the_hand_until_the_trigger_is_let_go(panel, world):
-    commands, right = advance(panel, world, pointing(panel, "light", pinch=1.0))
-    assert right.pinch == 0.0 and panel.placing
-    away = at(0.4, 1.3, -0.5)
-    commands, right = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert_allclose(last_of(SetLight, commands).light.position, (STAGE @ away)[:3, 3])
-    assert right.pinch == 0.0
-    commands, _ = advance(panel, world, Controller(grip=away, aim=away))
-    assert last_of(SetLight, commands) is None and panel.placing is None
+def test_the_light_follows_the_hand_until_the_trigger_is_released(panel, world):
+    assert advance(panel, world, pointing(panel, "light", pinch=1.0))[1] == 0.0 and panel.placing
+    (command,), pinch = advance(panel, world, away(1.0))
+    assert command == SetLight(replace(LIGHT, position=command.light.position)) and pinch == 0.0
+    assert_allclose(command.light.position, (WORLD_FROM_PLAY @ AWAY)[:3, 3])
+    assert advance(panel, world, away(0.0))[0] == [] and not panel.placing
 
 
 def test_a_light_taken_with_a_finger_waits_for_the_trigger(panel, world):
-    for depth in (0.03, -0.001):
-        advance(panel, world, pointing(panel, "light", depth + FINGER))
+    for distance in (0.03, -0.001):
+        advance(panel, world, pointing(panel, "light", distance + FINGER_LENGTH))
     assert panel.placing
-    away = at(0.4, 1.3, -0.5)
     for pinch, follows in ((0.0, True), (0.0, True), (1.0, True), (1.0, True), (0.0, False), (0.0, False)):
-        commands, _ = advance(panel, world, Controller(grip=away, aim=away, pinch=pinch))
-        assert (last_of(SetLight, commands) is not None) == follows
+        assert bool(advance(panel, world, away(pinch))[0]) == follows
 
 
-def test_pointing_at_a_body_chooses_it(panel, world):
-    world.hit = (0.8, 1)
-    away = at(0.4, 1.3, -0.5)
-    commands, right = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert commands == [Select(1)] and right.pinch == 1.0
-    assert_allclose(world.asked[0], (STAGE @ away)[:3, 3])
-    assert_allclose(world.asked[1], STAGE[:3, :3] @ [0, 0, -1])
-    commands, _ = advance(panel, world, Controller(grip=away, aim=away, pinch=1.0))
-    assert commands == []
+def test_without_a_light_there_is_none_to_place(panel, world):
+    dark = FakeView(editable=True)
+    assert advance(panel, dark, pointing(panel, "light", pinch=1.0)) == ([], 0.0) and not panel.placing
+    assert advance(panel, dark, away(1.0))[0] == []
+
+
+def test_pointing_at_a_body_selects_it(panel, world):
+    asked = []
+    world.pick = lambda origin, direction: asked.append((origin, direction)) or (0.8, 1)
+    assert advance(panel, world, away(1.0)) == ([Select(1)], 1.0)
+    assert_allclose(asked[0][0], (WORLD_FROM_PLAY @ AWAY)[:3, 3])
+    assert_allclose(asked[0][1], WORLD_FROM_PLAY[:3, :3] @ [0, 0, -1])
+    assert advance(panel, world, away(1.0))[0] == []
 
 
 def test_it_comes_when_the_palm_turns_to_the_face_and_goes(world):
     panel = WristPanel()
 
-    def turned(angle, **inputs):
-        """The left hand's palm, +x of its grip, `angle` away from the way to the eyes."""
-        way = HEAD[:3, 3] - LEFT.grip[:3, 3]
-        x = way / np.linalg.norm(way)
+    def seen(degrees, **inputs):
+        """Whether it is on view once the left hand's palm, +x of its grip, is that far from the direction to the eyes."""
+        x = HEAD[:3, 3] - LEFT.grip[:3, 3]
+        x /= np.linalg.norm(x)
         y = np.cross([0.0, 0.0, 1.0], x)
         y /= np.linalg.norm(y)
-        grip = LEFT.grip.copy()
-        side = np.cos(angle) * x + np.sin(angle) * y
-        grip[:3, :3] = np.column_stack([side, np.cross(np.cross(x, y), side), np.cross(x, y)])
-        return Controller(grip=grip, aim=grip, **inputs)
+        z = np.cross(x, y)
+        palm = np.cos(np.radians(degrees)) * x + np.sin(np.radians(degrees)) * y
+        grip = pose_matrix(LEFT.grip[:3, 3], np.column_stack([palm, np.cross(z, palm), z]))
+        advance(panel, world, Controller(), Controller(grip=grip, aim=grip, **inputs))
+        return panel.pose is not None
 
-    seen = []
-    for degrees in (90, 60, 40, 20, 40, 50, 60, 20):
-        advance(panel, world, Controller(), turned(np.radians(degrees)))
-        seen.append(panel.pose is not None)
-    assert seen == [False, False, False, True, True, True, False, True]
-    advance(panel, world, Controller(), turned(0.0, grab=1.0))
-    assert panel.pose is None  # a hand that holds something turns as it must
+    angles = (90, 60, 40, 20, 40, 50, 60, 20)
+    assert [seen(a) for a in angles] == [False, False, False, True, True, True, False, True]
+    assert not seen(0, grab=1.0)  # a hand that holds something turns as it must
 
 
 def test_the_button_keeps_it_and_takes_it_away(panel, world):
-    advance(panel, world, Controller())
-    assert panel.pose is not None
-    advance(panel, world, Controller(), Controller())  # the hand is lost: it stays
-    assert panel.pose is not None
-    advance(panel, world, Controller(), replace(LEFT, pressed={"lower"}))
-    assert panel.pose is None
-    assert advance(panel, None, Controller(pinch=1.0))[0] == []
+    for left, there in ((LEFT, True), (Controller(), True), (replace(LEFT, pressed={"lower"}), False)):
+        advance(panel, world, Controller(), left)  # while the hand is not tracked it stays
+        assert (panel.pose is not None) == there
 
 
 def test_what_it_shows(panel, world):
-    content = content_of(world, panel)
-    assert content.message == "2   Score: see there." and content.rate == "72 fps" and content.on == {"physics"}
+    content = PanelContent.of(world, panel)
+    assert content.message == "2   Score: see there." and content.rate == "72 fps" and content.lit == {"physics"}
     assert "Hold" in content.note and not content.warns
     world.selected, world.paused, world.interaction = 1, True, "transform"
-    content = content_of(world, panel)
-    assert content.note == "ring_blue" and content.on == {"transform", "pause"}
+    content = PanelContent.of(world, panel)
+    assert content.note == "ring_blue" and content.lit == {"transform", "pause"}
     world.notice = "There is no room."
-    assert content_of(world, panel).note == "There is no room." and content_of(world, panel).warns
+    content = PanelContent.of(world, panel)
+    assert content.note == "There is no room." and content.warns
 
 
 def test_its_picture_is_readable_and_says_what_is_on():
-    content = Content("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"physics"}), None)
+    content = PanelContent("0 of 3 rings.", "ring_red", False, "90 fps", frozenset({"physics"}), None)
     plain = paint(content)
     assert plain.shape == (*PIXELS[::-1], 4) and plain.dtype == np.uint8
     assert plain[0, 0, 3] == 0 and plain[250, 400, 3] == 255
@@ -300,16 +269,13 @@ def test_its_picture_is_readable_and_says_what_is_on():
     for b in BUTTONS:
         x, y, w, h = b.box
         inside = plain[y : y + h, x : x + w, :3].astype(int)
-        middle = inside[h // 4 : -h // 4].mean(2)
-        assert np.ptp(middle) > 100, f"{b.name} has no letters"
-        lit = (inside[8, w // 2] > [200, 120, 0]).all()
-        assert lit == (b.name == "physics")
+        assert np.ptp(inside[h // 4 : -h // 4].mean(2)) > 100, f"{b.name} has no letters"
+        assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "physics")
         outside = inside[:, [2, w - 3]].mean(2)
         assert abs(outside[h // 2].mean() - inside[8, w // 2].mean()) < 3, f"{b.name}'s letters reach its edge"
-    assert (plain[6, 300, :3] == BACK).all()
-    other = paint(replace(content, over="undo"))
+    assert (plain[6, 300, :3] == BACKGROUND).all()
     x, y, w, h = BY_NAME["undo"].box
-    changed = (plain != other).any(2)
+    changed = (plain != paint(replace(content, hovered="undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
     assert (paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
     assert (paint(content) == plain).all()

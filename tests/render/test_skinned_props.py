@@ -5,11 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.gaussians import concatenate
-from display.xr import avatar as shown
-from display.xr import hand_mesh as hand_model
+from display.xr import avatar, hand_mesh
 from display.xr.actions import Controller
-from display.xr.hand_joints import COUNT, FINGERS, WRIST, pose_of
-from display.xr.hand_skeleton import about, posed
+from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, posed, rotation_about
+from display.xr.poses import pose_matrix
 from render.skinned_props import AWAY, C0, SkinnedProps
 from render.splats import Splats, covariances
 from scenes.scene import Light
@@ -19,7 +18,7 @@ LIGHT = Light(position=(0.5, 2.0, 0.3))
 
 @pytest.fixture(scope="module")
 def all_skins():
-    return shown.skins()
+    return avatar.skins()
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +39,7 @@ def values(splats):
 
 def test_what_is_hidden_is_away_and_transparent(drawn):
     splats, props = drawn
-    props.place(shown.hidden(), LIGHT)
+    props.place(avatar.hidden(), LIGHT)
     mean, _, opacity, _ = values(splats)
     assert (mean >= AWAY).all() and (opacity == 0.0).all()
 
@@ -50,7 +49,7 @@ def test_gaussians_follow_their_parts_as_the_formula_says(drawn, all_skins):
     splats, props = drawn
     rng = np.random.default_rng(1)
     poses = np.concatenate(
-        [np.eye(3) + 0.3 * rng.normal(size=(shown.PARTS, 3, 3)), rng.normal(size=(shown.PARTS, 3, 1))], 2
+        [np.eye(3) + 0.3 * rng.normal(size=(avatar.PART_COUNT, 3, 3)), rng.normal(size=(avatar.PART_COUNT, 3, 1))], 2
     )
     assert props.place(poses, LIGHT)
     assert not props.place(poses, LIGHT)  # nothing new
@@ -79,23 +78,23 @@ def test_gaussians_follow_their_parts_as_the_formula_says(drawn, all_skins):
 
 def test_the_hands_bound_pose_is_the_model_itself(all_skins):
     for left in (True, False):
-        poses = hand_model.placed(posed(hand_model.SPREAD, left=left), left=left)
+        poses = hand_mesh.skinning_transforms(posed(hand_mesh.BIND_BENDS, left=left), left=left)
         used = [j for f in FINGERS for j in f[:-1]] + [WRIST]
         assert_allclose(poses[used], np.tile(np.eye(3, 4), (len(used), 1, 1)), atol=1e-9)
 
 
 def test_a_turned_hand_is_turned_as_a_whole():
-    at = pose_of(np.array([0.3, 1.0, -0.2]), about((1, 2, 3), 1.1))
-    poses = hand_model.placed(posed(hand_model.SPREAD, frame=at), left=False)
+    at = pose_matrix(np.array([0.3, 1.0, -0.2]), rotation_about((1, 2, 3), 1.1))
+    poses = hand_mesh.skinning_transforms(posed(hand_mesh.BIND_BENDS, world_from_wrist=at), left=False)
     used = [j for f in FINGERS for j in f[:-1]] + [WRIST]
     assert_allclose(poses[used], np.tile(at[:3], (len(used), 1, 1)), atol=1e-9)
 
 
 def test_the_skin_lies_around_the_bones(all_skins):
     """Within the thickness of flesh, closed (a point inside sees skin in all directions), left as right."""
-    left, right = (s for s in all_skins if s.part.max() < 2 * COUNT and s.solid)
+    left, right = (s for s in all_skins if s.part.max() < 2 * JOINT_COUNT and s.solid)
     assert_allclose(left.gaussians.means * [-1, 1, 1], right.gaussians.means, atol=1e-7)
-    joints, x, n = posed(hand_model.SPREAD), right.gaussians.means, right.normal
+    joints, x, n = posed(hand_mesh.BIND_BENDS), right.gaussians.means, right.normal
     assert 2000 < len(x) < 5000
     away = np.min([segment(x, joints.position[j], joints.position[j + 1]) for f in FINGERS for j in f[:-1]], axis=0)
     hand = x[:, 2] < 0.0
@@ -118,27 +117,27 @@ def segment(x, a, b):
 def test_what_casts_no_shadow_comes_first(all_skins):
     solid = [s.solid for s in all_skins]
     assert solid == sorted(solid) and not solid[0] and solid[-1]
-    assert max(int(s.part.max()) for s in all_skins) < shown.PARTS
+    assert max(int(s.part.max()) for s in all_skins) < avatar.PART_COUNT
 
 
 def test_a_controller_is_where_it_is_held_and_its_finger_as_long_as_it_is_out():
     grip, stage = (
-        pose_of(np.array([0.1, 1.2, -0.3]), about((0, 1, 0), 0.4)),
-        pose_of(np.array([1.0, 0, 2.0]), np.eye(3)),
+        pose_matrix(np.array([0.1, 1.2, -0.3]), rotation_about((0, 1, 0), 0.4)),
+        pose_matrix(np.array([1.0, 0, 2.0]), np.eye(3)),
     )
-    parts = shown.hidden()
-    shown.side_of(parts, 1, Controller(grip=grip), stage, 0.5)
-    assert np.isnan(parts[shown.CONTROLLER]).all()
-    assert_allclose(parts[shown.CONTROLLER + 1], (stage @ grip)[:3])
-    end = parts[shown.SHAFT + 1] @ [0, 0, -0.09, 1]
+    parts = avatar.hidden()
+    avatar.show_hand(parts, 1, Controller(grip=grip), stage, 0.5)
+    assert np.isnan(parts[avatar.CONTROLLER]).all()
+    assert_allclose(parts[avatar.CONTROLLER + 1], (stage @ grip)[:3])
+    end = parts[avatar.FINGER + 1] @ [0, 0, -0.09, 1]
     assert_allclose(np.linalg.norm(end - (stage @ grip)[:3, 3]), 0.045)
-    assert_allclose(parts[shown.TIP + 1][:, 3], end)
-    shown.side_of(parts, 1, Controller(grip=grip), stage, 0.0)
+    assert_allclose(parts[avatar.FINGERTIP + 1][:, 3], end)
+    avatar.show_hand(parts, 1, Controller(grip=grip), stage, 0.0)
 
 
 def test_a_ray_goes_from_the_hand_to_the_spot():
-    parts, start, end = shown.hidden(), np.array([0.2, 1.2, 0.3]), np.array([1.0, 0.0, -1.0])
-    shown.pointing(parts, start, end, floor=True)
-    assert_allclose(parts[shown.RAY] @ [0, 0, 0, 1], start)
-    assert_allclose(parts[shown.RAY] @ [0, 0, -1, 1], end)
-    assert np.linalg.norm(parts[shown.SPOT][:, 3] - end) < 0.05
+    parts, start, end = avatar.hidden(), np.array([0.2, 1.2, 0.3]), np.array([1.0, 0.0, -1.0])
+    avatar.show_ray(parts, start, end)
+    assert_allclose(parts[avatar.RAY] @ [0, 0, 0, 1], start)
+    assert_allclose(parts[avatar.RAY] @ [0, 0, -1, 1], end)
+    assert np.linalg.norm(parts[avatar.TARGET][:, 3] - end) < 0.05

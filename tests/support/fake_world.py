@@ -80,28 +80,23 @@ def paint(
         picture[view * height + i, j] = r | (g << ti.u32(8)) | (a << ti.u32(16)) | ti.u32(4278190080)
 
 
-class FakeWorld(WorldView):
-    """What a display needs of `World`: the ball hangs still, follows a hand, flies on when thrown."""
+class BallWorld(WorldView):
+    """A ball that hangs still, follows a hand, and flies on when thrown; without a picture."""
 
-    def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
-        self.scene, self.light, self.views = scene, scene.light, views
-        self.timings, self.editable, self.steps = Timings(), True, 0
-        self.resize(width, height)
-        self._reset()
+    def __init__(self, scene: Scene):
+        self.scene, self.light, self.timings = scene, scene.light, Timings()
+        self.editable, self.steps = True, 0
+        self.reset()
 
-    def _reset(self) -> None:
-        self.ball, self.velocity, self._held = np.zeros(3), np.zeros(3), None
+    def reset(self) -> None:
+        self.ball, self.velocity, self.offset = np.zeros(3), np.zeros(3), None  # from the hand that holds it
         self.scene.game.reset()
-
-    def resize(self, width: int, height: int) -> None:
-        self.picture = ti.ndarray(ti.u32, (self.views * height, width))
-        self.picture_size = (width, height)
 
     def apply(self, commands) -> None:
         for command in in_order(commands):
             match command:
                 case Reset():
-                    self._reset()
+                    self.reset()
                 case SetLight(light):
                     self.light = light
                 case SetInteraction(mode):
@@ -109,29 +104,15 @@ class FakeWorld(WorldView):
                 case Pause(on):
                     self.paused = on
 
-    def step(self, frame) -> None:
-        self.apply(frame.commands)
-        if not self.paused or last_of(SingleStep, frame.commands):
-            with self.timings.stage("simulate"):
-                self._move(frame)
-        height = self.picture_size[1]
-        with self.timings.stage("render"):
-            for view, camera in enumerate(frame.cameras):
-                assert (camera.width, camera.height) == self.picture_size
-                rows = camera.world_to_camera[:3, :3]
-                axes = [vec3(*row) for row in rows]
-                eye, ball, light = vec3(*camera.position), vec3(*self.ball), vec3(*self.light.position)
-                paint(self.picture, view, height, eye, *axes, camera.fx, camera.fy, ball, light)
-
-    def _move(self, frame) -> None:
+    def move(self, frame) -> None:
         self.steps += 1
-        grip = [hand for hand in frame.hands if hand.grip]
-        if grip and self._held is None and np.linalg.norm(grip[0].position - self.ball) <= RADIUS + grip[0].reach:
-            self._held = self.ball - grip[0].position
-        if not grip:
-            self._held = None
-        if self._held is not None:
-            goal = np.array(grip[0].position) + self._held
+        grip = next((hand for hand in frame.hands if hand.grip), None)
+        if grip is None:
+            self.offset = None
+        elif self.offset is None and np.linalg.norm(grip.position - self.ball) <= RADIUS + grip.reach:
+            self.offset = self.ball - grip.position
+        if self.offset is not None:
+            goal = grip.position + self.offset
             self.velocity = (goal - self.ball) / max(frame.dt, 1e-6)
             self.ball = goal
         else:
@@ -147,7 +128,7 @@ class FakeWorld(WorldView):
     def bodies(self) -> list[BodyState]:
         low, high = self.ball - RADIUS, self.ball + RADIUS
         up = np.array([0.0, 1.0, 0.0])
-        return [BodyState("ball", self.ball, self.velocity, low, high, up, self._held is not None)]
+        return [BodyState("ball", self.ball, self.velocity, low, high, up, self.offset is not None)]
 
     @property
     def score(self) -> int:
@@ -160,6 +141,32 @@ class FakeWorld(WorldView):
     def stats(self) -> dict:
         counts = {"gaussians": 1_234_567, "vertices": 2000, "tets": 8123, "substeps": 17, "dt": 1e-3}
         return {**counts, "score": self.score, "finite": bool(np.isfinite(self.ball).all())}
+
+
+class FakeWorld(BallWorld):
+    """The ball's world with its picture."""
+
+    def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
+        super().__init__(scene)
+        self.views = views
+        self.resize(width, height)
+
+    def resize(self, width: int, height: int) -> None:
+        self.picture = ti.ndarray(ti.u32, (self.views * height, width))
+        self.picture_size = (width, height)
+
+    def step(self, frame) -> None:
+        self.apply(frame.commands)
+        if not self.paused or last_of(SingleStep, frame.commands):
+            with self.timings.stage("simulate"):
+                self.move(frame)
+        height = self.picture_size[1]
+        with self.timings.stage("render"):
+            for view, camera in enumerate(frame.cameras):
+                assert (camera.width, camera.height) == self.picture_size
+                axes = [vec3(*row) for row in camera.world_to_camera[:3, :3]]
+                eye, ball, light = vec3(*camera.position), vec3(*self.ball), vec3(*self.light.position)
+                paint(self.picture, view, height, eye, *axes, camera.fx, camera.fy, ball, light)
 
 
 def main() -> None:
@@ -199,7 +206,7 @@ def record(frame, world) -> dict:
         "grip": hand is not None and hand.grip,
         "ball": world.ball.tolist(),
         "speed": float(np.linalg.norm(world.velocity)),
-        "held": world._held is not None,
+        "held": world.offset is not None,
         "commands": {NAMES[type(c)]: vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
         "paused": world.paused,
         "interaction": world.interaction,

@@ -66,8 +66,6 @@ def play(args) -> None:
         if replay:
             how = replay.world_options(how)
         props = display.props() if args.xr else []
-        if args.xr and recorder:
-            display.marks = False  # they do not belong in a film
         world = World(scene, width=width, height=height, views=views, props=props, **how)
         if args.headless and not replay:
             display.hands = world.scripted_hands
@@ -126,7 +124,8 @@ def open_display(args, scene, replay=None):
     if args.xr:
         from display.xr.headset import Headset
 
-        return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale)
+        marks = not args.record  # they do not belong in a film
+        return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale, marks=marks)
     if not args.headless:
         from display.window.gl_window import has_display
 

@@ -15,8 +15,8 @@ import pytest
 
 from core.rotation import quaternions_from_matrices
 from display.record.replay import Replay
-from display.xr.poses import Standpoint
-from display.xr.wrist_panel import BUTTONS, PIXELS, WIDTH, pose_of
+from display.xr.poses import PlaySpace
+from display.xr.wrist_panel import BUTTONS, panel_pose, point_on_panel
 from scenes import ring_toss
 from tests.support.remote_headset import PORT, Player, monado, surroundings
 from tests.support.watched import Watched
@@ -38,7 +38,7 @@ class Play(Watched):
         self.player = Player(int(environment[PORT]))
         self.player.send()
         scene = ring_toss.build()
-        self.stage = Standpoint.of(scene).matrix
+        self.world_from_play = PlaySpace.of(scene).world_from_play
 
     def until(self, condition, *, seconds: float = 120.0) -> dict:
         """The first frame from now on that meets the condition: a headset's takes longer."""
@@ -46,7 +46,7 @@ class Play(Watched):
 
     def in_play_space(self, point) -> tuple[float, ...]:
         """Where a point of the world is for the player [m]."""
-        return tuple((np.linalg.inv(self.stage) @ [*point, 1.0])[:3].tolist())
+        return tuple((np.linalg.inv(self.world_from_play) @ [*point, 1.0])[:3].tolist())
 
     def move(self, controller, to, *, seconds: float = 1.0, steps: int = 20) -> None:
         """Move a controller evenly to a point of the play space."""
@@ -58,7 +58,7 @@ class Play(Watched):
 
     def in_world(self, point) -> np.ndarray:
         """Where a point of the play space is in the world [m]."""
-        return (self.stage @ [*point, 1.0])[:3]
+        return (self.world_from_play @ [*point, 1.0])[:3]
 
     def rest(self, frames: int = 2) -> None:
         """Let some frames pass."""
@@ -154,7 +154,7 @@ def test_the_panel_over_the_left_hand_is_seen_and_pressed_by_the_ray(play):
     play.player.send()
     play.rest()
     pull(play, lambda f: "select" in f["commands"])
-    point(play, "c")
+    point(play, "copy")
     pull(play, lambda f: len(f["bodies"]) == 4)
     copied = play.frames()[-1]["bodies"]
     assert copied[3]["name"] == copied[RED]["name"] and not any(b["held"] for b in copied)
@@ -211,11 +211,9 @@ def point(play, name: str) -> None:
     left, right = play.player.left, play.player.right
     hand, head = np.eye(4), np.eye(4)
     hand[:3, 3], head[:3, 3] = left.position, play.player.position
-    panel = pose_of(hand, head)
+    panel = panel_pose(hand, head)
     x, y, w, h = next(b.box for b in BUTTONS if b.name == name)
-    scale = WIDTH / PIXELS[0]
-    at = [(x + w / 2 - PIXELS[0] / 2) * scale, (PIXELS[1] / 2 - y - h / 2) * scale, 0.15]
-    right.position = tuple((panel[:3, 3] + panel[:3, :3] @ at).tolist())
+    right.position = tuple(point_on_panel(panel, x + w / 2, y + h / 2, 0.15).tolist())
     w, x, y, z = quaternions_from_matrices(panel[:3, :3])
     right.rotation = (x, y, z, w)
     play.player.send()

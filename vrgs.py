@@ -62,7 +62,7 @@ def play(args) -> None:
         views = 2 if args.stereo or args.xr else 1
         how = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
         # nobody who wears a headset should wait for room in there
-        how |= {"depth": args.xr and display.depth, "fingers": bool(args.xr), "room": bool(args.xr)}
+        how |= {"depth": args.xr and display.depth, "fingers": bool(args.xr), "grown": bool(args.xr)}
         if replay:
             how = replay.world_options(how)
         props = display.props() if args.xr else []

@@ -71,7 +71,7 @@ def controllers(k: int) -> list[Controller]:
 def measure(exact: bool) -> dict:
     """Times [ms] of FRAMES frames and their stages; with `exact` each stage waits for the device."""
     scene = ring_toss.build()
-    how = {"fingers": True, "room": True, "props": avatar.skins()}
+    how = {"fingers": True, "grown": True, "props": avatar.skins()}
     world = World(scene, width=SIZE[0], height=SIZE[1], views=2, **how)
     world.warm_up()
     opengl = NoMirror(2)

@@ -1,4 +1,4 @@
-"""Bodies that move by themselves: before each frame, where its end has them goes to the solver."""
+"""Animated bodies: their skeleton leads the driven vertices through each frame as kinematic targets of the solver."""
 
 from __future__ import annotations
 
@@ -13,63 +13,66 @@ from sim.reductions import best_rotation
 from sim.skinning import Skinning
 from sim.solver import LONGEST_FRAME, Solver
 
-UNMOVED = 1e-4  # [m]; rounding
+ROUNDING = 1e-4  # [m]; a body that is nearer to its targets has not been moved
 
 
 class AnimationTargets:
-    """The motion of body number `body` of a solver, where it is placed; its own clock starts at rest.
+    """The animation of body number `body` of a solver, where it is placed, `time` [s] after its start.
 
+    placed    the body as the scene places it
     vertices  of the body at rest [m], scaled as it is placed, (V, 3)
     """
 
     def __init__(self, body: int, placed: Body, animation: Animation, vertices: np.ndarray, solver: Solver):
-        self.body, self.animation, self.solver, self.time = body, animation, solver, 0.0
+        self.body, self.animation, self.time = body, animation, 0.0
         q = np.asarray(placed.rotation, np.float64)
         self.world_from_body = np.eye(4)
         self.world_from_body[:3, :3] = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0] * placed.scale
         self.world_from_body[:3, 3] = placed.position
-        led = animation.driven
-        mine = animation.vertices[led]
+        driven = animation.driven
+        index = animation.vertices[driven]
         self.skinning = Skinning(
             solver.vertex_offset[body],
-            mine,
-            vertices[mine] / placed.scale,
-            animation.joints[led],
-            animation.weights[led],
+            index,
+            vertices[index] / placed.scale,
+            animation.joints[driven],
+            animation.weights[driven],
             len(animation.parents),
         )
 
-    def drive(self, dt: float) -> None:
-        """Lead the driven vertices through the frame of dt [s] that comes."""
-        if self.solver.interaction == "transform":  # time stands still
+    def drive(self, solver: Solver, dt: float) -> None:
+        """Give the solver the targets at the end of the next frame of dt [s]; none while it simulates no time."""
+        if solver.interaction == "transform":
             return
         self.time += min(dt, LONGEST_FRAME)
-        self._pose()
-        self.solver.drive_surface(self.body)
+        self._pose(solver)
+        solver.drive_surface(self.body)
 
-    def _pose(self) -> None:
+    def _pose(self, solver: Solver) -> None:
         matrices = self.world_from_body @ self.animation.matrices(self.time)
-        self.skinning.pose(matrices, self.solver.targets, self.solver.vertex_offset[self.body])
+        self.skinning.pose(matrices, solver.targets, solver.vertex_offset[self.body])
+
+    def at(self, time: float) -> AnimationTargets:
+        """A copy at another time [s]."""
+        other = copy(self)
+        other.time = time
+        return other
 
     def moved(self, by: np.ndarray, body: int | None = None) -> AnimationTargets:
-        """The same motion at another place, `by` (4, 4) of an affine map of the world; also that of a copy `body`."""
+        """A copy moved by an affine map (4, 4) of the world, for body number `body` if that is another one."""
         other = copy(self)
         other.world_from_body = by @ self.world_from_body
         other.body = self.body if body is None else body
         return other
 
-    def settled(self) -> AnimationTargets:
-        """The motion where a hand has put the body while time stood still."""
-        self._pose()
-        led = self.animation.vertices[self.animation.driven] + self.solver.vertex_offset[self.body]
-        there, here = (f.to_numpy()[led].astype(np.float64) for f in (self.solver.targets, self.solver.x))
-        if np.abs(here - there).max() < UNMOVED:
+    def rebased(self, solver: Solver) -> AnimationTargets:
+        """The animation where a hand has put the body while time stood still."""
+        self._pose(solver)
+        index = self.animation.vertices[self.animation.driven] + solver.vertex_offset[self.body]
+        there, here = (f.to_numpy()[index].astype(np.float64) for f in (solver.targets, solver.x))
+        if np.abs(here - there).max() < ROUNDING:
             return self
         by = np.eye(4)
         by[:3, :3] = best_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
         by[:3, 3] = here.mean(0) - by[:3, :3] @ there.mean(0)
         return self.moved(by)
-
-    def reset(self) -> None:
-        """At rest again."""
-        self.time = 0.0

@@ -1,16 +1,16 @@
 """The world's clock in a headset: it shows what will be true when the picture is seen.
 
 A runtime predicts when a frame will be displayed. The world is simulated up to that time, however many frames were
-missed, in equal steps no longer than the display's period (or STEP, if that is shorter): n steps that end exactly at
+missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter): n steps that end exactly at
 the predicted time. So nothing is left over to be blended. A fixed step with a picture between the last two states
 would cost a second copy of all vertices and show what is held up to a step, 11 ms at 90 Hz, behind the hand; and
 runtimes predict whole periods, so that the steps are the period anyway. More, shorter steps cost nothing that could be
 measured: 50 ms of the ring toss took 60 to 68 ms on two CPU cores as one step, and 59 to 93 ms as 2 to 5 steps.
 
 Rule for machines that are too slow: a frame makes up for all the time that has passed, but for no more than
-max(SLOWEST, LONGEST (1 - cost)), where `cost` is how many seconds it takes to simulate one. Catching up with a gap of
+max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is how many seconds it takes to simulate one. Catching up with a gap of
 g takes cost g, in which cost g more passes, and so on: g / (1 - cost) in all. So every gap is made up for within
-LONGEST, and where simulating is slower than life (cost >= 1) a frame never takes on more than SLOWEST and the world
+CATCH_UP_TIME, and where simulating is slower than life (cost >= 1) a frame never takes on more than MIN_CATCH_UP and the world
 goes slower instead. What it is behind by then is let go of, and counted in `dropped`.
 """
 
@@ -25,12 +25,12 @@ import numpy as np
 
 from scenes.scene import Hand
 
-STEP, SHORTEST = 1 / 60, 1 / 240  # [s] a step at most, whatever the display's period
-SLOWEST = 1 / 20  # [s] that a frame always makes up for
-LONGEST = 0.5  # [s] within which a gap is made up for
-LATE = 1.5  # periods between two frames, from which on the ones between were missed
-JUMP = 1.0  # [m] in a frame: the hand was not led there, it was found there
-SLACK = 0.25  # of a step: a prediction that trembles does not make one step two
+MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] a step at most, whatever the display's period
+MIN_CATCH_UP = 1 / 20  # [s] that a frame always makes up for
+CATCH_UP_TIME = 0.5  # [s] within which a gap is made up for
+MISSED_PERIODS = 1.5  # periods between two frames, from which on the ones between were missed
+JUMP_DISTANCE = 1.0  # [m] in a frame: the hand was not led there, it was found there
+STEP_SLACK = 0.25  # of a step: a prediction that trembles does not make one step two
 
 
 @dataclass(frozen=True)
@@ -59,22 +59,22 @@ class Clock:
         """The next frame is displayed at `shown` [ns], the display's period is `period` [ns]. `cost` is None while
         nothing is known, as kernels are being compiled: what passes then is not counted."""
         last, self._last = self._last, shown
-        seconds = max(period * 1e-9, SHORTEST)
-        step = min(seconds, STEP)
+        seconds = max(period * 1e-9, MIN_PERIOD)
+        step = min(seconds, MAX_STEP)
         if last is None or shown <= last:  # the first frame, or another clock
             self.time += step
             return Tick(step, step, seconds, 0)
         passed = shown - last
-        missed = round(passed / period) - 1 if 0 < LATE * period < passed else 0
-        dt = min(passed * 1e-9, most(cost))
+        missed = round(passed / period) - 1 if 0 < MISSED_PERIODS * period < passed else 0
+        dt = min(passed * 1e-9, catch_up_limit(cost))
         self.dropped += 0.0 if cost is None else passed * 1e-9 - dt
         self.time += dt
         return Tick(dt, step, seconds, missed)
 
 
-def most(cost: float | None) -> float:
+def catch_up_limit(cost: float | None) -> float:
     """The most that one frame makes up for [s], if simulating a second takes `cost` seconds."""
-    return SLOWEST if cost is None else max(SLOWEST, LONGEST * (1.0 - cost))
+    return MIN_CATCH_UP if cost is None else max(MIN_CATCH_UP, CATCH_UP_TIME * (1.0 - cost))
 
 
 class SimulationCost:
@@ -96,53 +96,53 @@ class SimulationCost:
         return float(np.median(self._samples)) if self._samples else None
 
 
-def moves(dt: float, step: float | None, before: list[Hand], now: list[Hand]) -> list[tuple[float, list[Hand]]]:
+def frame_steps(dt: float, step: float | None, before: list[Hand], now: list[Hand]) -> list[tuple[float, list[Hand]]]:
     """The steps of a frame: how long each is [s] and where the hands are at its end.
 
     step    the longest one may be [s]; None: one step, whatever its length
     before  the hands at the frame's begin, `now` at its end; in between they are led evenly
     """
-    n = 1 if step is None else max(1, math.ceil(dt / step - SLACK))
-    return [(dt / n, led(before, now, k / n)) for k in range(1, n)] + [(dt / n, now)]
+    n = 1 if step is None else max(1, math.ceil(dt / step - STEP_SLACK))
+    return [(dt / n, interpolate_hands(before, now, k / n)) for k in range(1, n)] + [(dt / n, now)]
 
 
-def led(before: list[Hand], now: list[Hand], share: float) -> list[Hand]:
-    """The hands at a share of the way; one that was not there before is where it is now."""
+def interpolate_hands(before: list[Hand], now: list[Hand], fraction: float) -> list[Hand]:
+    """The hands at a fraction of the way; one that was not there before is where it is now."""
     there = [*before, *[None] * len(now)]
-    return [between(a, b, share) for a, b in zip(there, now, strict=False)]
+    return [interpolate_hand(a, b, fraction) for a, b in zip(there, now, strict=False)]
 
 
-def between(before: Hand | None, now: Hand | None, share: float) -> Hand | None:
-    """A hand at a share (0 to 1, less than 1) of the way between two poses.
+def interpolate_hand(before: Hand | None, now: Hand | None, fraction: float) -> Hand | None:
+    """A hand at a fraction (0 to 1, less than 1) of the way between two poses.
 
     Whatever numbers a hand has are blended, rotations along the shorter arc; what is no number (a grip) changes only
-    at the end. A hand that is suddenly JUMP away is there at once.
+    at the end. A hand that is suddenly JUMP_DISTANCE away is there at once.
     """
-    if before is None or now is None or not math.dist(before.position, now.position) < JUMP:
+    if before is None or now is None or not math.dist(before.position, now.position) < JUMP_DISTANCE:
         return now
-    return blend("", before, now, share)
+    return interpolate_field("", before, now, fraction)
 
 
-def blend(name: str, a, b, share: float):
+def interpolate_field(name: str, a, b, fraction: float):
     """The field `name` of a hand on the way from a to b; its kind stays. What is not alike in both is as in a."""
     if type(a) is type(b) and dataclasses.is_dataclass(a):
         fields = ((f.name, getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
-        return dataclasses.replace(a, **{name: blend(name, x, y, share) for name, x, y in fields})
+        return dataclasses.replace(a, **{name: interpolate_field(name, x, y, fraction) for name, x, y in fields})
     if isinstance(a, float):
-        return a + share * (b - a) if isinstance(b, (int, float)) else a
+        return a + fraction * (b - a) if isinstance(b, (int, float)) else a
     if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and a.shape == b.shape and a.dtype.kind == "f":
-        return mixed(name, a, b, share).astype(a.dtype)
+        return interpolate_numbers(name, a, b, fraction).astype(a.dtype)
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b):
         if all(type(x) in (int, float) for x in (*a, *b)):
-            return tuple(mixed(name, np.array(a, np.float64), np.array(b, np.float64), share).tolist())
-        return tuple(blend(name, x, y, share) for x, y in zip(a, b, strict=True))
+            return tuple(interpolate_numbers(name, np.array(a, np.float64), np.array(b, np.float64), fraction).tolist())
+        return tuple(interpolate_field(name, x, y, fraction) for x, y in zip(a, b, strict=True))
     return a
 
 
-def mixed(name: str, x: np.ndarray, y: np.ndarray, share: float) -> np.ndarray:
+def interpolate_numbers(name: str, x: np.ndarray, y: np.ndarray, fraction: float) -> np.ndarray:
     """Numbers on the way from x to y; quaternions, (..., 4) of a field that is called rotation, stay such."""
     turns = "rotation" in name and x.shape[-1:] == (4,)
     if turns:
         y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)
-    z = x + share * (y - x)
+    z = x + fraction * (y - x)
     return z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12) if turns else z

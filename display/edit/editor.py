@@ -1,41 +1,62 @@
-"""What the user changes in a world, and how it is taken back: undo, redo, copies, sizes, turns, materials."""
+"""The user's edits of a world: carried out, announced, taken back and repeated."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from time import monotonic
+from typing import TypeVar
+
+import numpy as np
 
 from core.errors import BadInput
-from display.body_registry import MAKING, BodyRegistry, NotYet
-from display.edit.edit_commands import Changes
-from display.edit.selection_marker import SHOWN
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from display.edit.body_registry import GROWTH_NOTICE, BodyRegistry, GrowthPending
+from display.edit.selection_marker import MARKED_SECONDS
 from display.edit.undo_stack import Step, UndoStack
-from display.edit.world_snapshot import WorldSnapshot, bring_back, moment_of, step_of
-from display.protocol import Command, Duplicate, Redo, Remove, Rescale, Rotate, Select, SetMaterial, Undo, in_order
+from display.protocol import (
+    Command,
+    Duplicate,
+    Redo,
+    Remove,
+    Rescale,
+    Rotate,
+    Select,
+    SetMaterial,
+    Undo,
+    in_order,
+)
 from scenes.scene import BodyState, Hand
 
-TOGETHER = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
-NOTICE = 6.0  # [s] that a notice is shown
-COMPILING = "This takes another solver, which is made once: some seconds."
+DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
+NOTICE_SECONDS = 6.0  # [s] that a notice is shown
+COMPILING_NOTICE = "This takes another solver, which is made once: some seconds."
 EDITS = (Select, Remove, Duplicate, Rescale, Rotate, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, SetMaterial)  # after these the selected body is marked
 SIMULATED = (Rescale, SetMaterial, Undo, Redo)  # may change how bodies are simulated
+COPY_GAP = 0.01  # [m] between a body and its copy
+SCALE_MIN, SCALE_MAX = 0.2, 5.0  # size of a body in multiples of its first one
+SCALE_ROUNDING = 1e-6  # a factor this near to 1 changes nothing
+T = TypeVar("T")
 
 
-class Editor(Changes):
-    """Carries out the commands that change bodies. `selected`: the body that was last held or pointed out."""
+class Editor:
+    """Carries out the commands that change bodies, and keeps the history of all that can be undone.
 
-    def __init__(self, world, cast: BodyRegistry):
-        self.world, self.cast, self.history = world, cast, UndoStack()
+    A command that cannot be carried out changes nothing, and `notice` says why. `selected` is the body that was last
+    held or pointed at. `world` gives snapshots and takes them back.
+    """
+
+    def __init__(self, world, bodies: BodyRegistry):
+        self._world, self._bodies, self.history = world, bodies, UndoStack()
         self.selected: int | None = None
-        self._motions = tuple(world.motions)  # as the scene has them
-        self._last: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
+        self._last_action: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
         self._pending: list[Command] = []  # for the next frame
-        self._gripped: list[bool] = []
-        self._notice: tuple[str, float] = ("", 0.0)
-        self._waits = False
+        self._gripped: list[bool] = []  # by each hand in the frame before
+        self._notice: tuple[str, float] = ("", 0.0)  # and until when [s] it is shown
         self._selected_until = 0.0  # [s], of `recently_selected`
+        self._holding = False
 
     @property
     def recently_selected(self) -> bool:
@@ -44,26 +65,29 @@ class Editor(Changes):
 
     @property
     def notice(self) -> str:
-        """What the user should know of the last command, for some seconds."""
+        """Message about the last command, for some seconds."""
         text, until = self._notice
         return text if monotonic() < until else ""
 
-    def say(self, text: str) -> None:
-        """Let the panels show this for a while."""
-        self._notice = text, monotonic() + NOTICE
-
-    def begin(self) -> None:
-        """A frame begins."""
-        self._frame += 1
-        self._waits = False
+    def _tell(self, text: str) -> None:
+        self._notice = text, monotonic() + NOTICE_SECONDS
 
     @property
-    def waits(self) -> bool:
-        """Whether time must stand still in this frame, so that its picture says why the next one takes long."""
-        return self._waits
+    def holding(self) -> bool:
+        """Must time stand still in this frame, so that its picture says why the next one takes long?"""
+        return self._holding
+
+    def begin_frame(self) -> None:
+        """Note that a frame begins."""
+        self._frame += 1
+        self._holding = False
+
+    def deselect(self) -> None:
+        """Select no body."""
+        self.selected = None
 
     def apply(self, commands: Sequence[Command]) -> None:
-        """Carry out the commands that change bodies. One that cannot be carried out changes nothing; `notice` says why."""
+        """Carry out the commands that change bodies."""
         commands, self._pending = in_order([*self._pending, *commands]), []
         for command in commands:
             if isinstance(command, EDITS):
@@ -71,106 +95,163 @@ class Editor(Changes):
                     self._notice = ("", 0.0)
                     self._carry_out(command)
                     if isinstance(command, SELECTING):
-                        self._selected_until = monotonic() + SHOWN
+                        self._selected_until = monotonic() + MARKED_SECONDS
                 except BadInput as e:
-                    self.say(str(e))
-                except NotYet:
-                    self.say(MAKING)
+                    self._tell(str(e))
+                except GrowthPending:
+                    self._tell(GROWTH_NOTICE)
                     self._pending.append(command)
-        if any(isinstance(c, SIMULATED) for c in commands) and self.world.solver.fresh and self._frame > 1:
-            self._waits = True
-            self.say(COMPILING)
+        if any(isinstance(c, SIMULATED) for c in commands) and self._bodies.device.solver.fresh and self._frame > 1:
+            self._holding = True
+            self._tell(COMPILING_NOTICE)
 
     def _carry_out(self, command: Command) -> None:
         match command:
             case Select(body):
                 self.selected = None if body is None else self._index(body)
             case Remove(body):
-                self._remove(body)
+                self._remove(self._index(body))
             case Duplicate(body):
-                self._duplicate(body)
+                self._duplicate(self._index(body))
             case Rescale(body, factor):
-                self._rescale(body, factor)
+                self._rescale(self._index(body), factor)
             case Rotate(body, rotation):
-                self._rotate(body, rotation)
+                self._rotate(self._index(body), rotation)
             case SetMaterial(body, material):
-                self._set_material(body, material)
+                self._set_material(self._index(body), material)
             case Undo():
-                self._return(self.history.back(self._now), "Nothing to undo.")
+                self._return(self.history.back(self._present), "Nothing to undo.")
             case Redo():
-                self._return(self.history.forth(self._now), "Nothing to redo.")
+                self._return(self.history.forth(self._present), "Nothing to redo.")
+
+    def _index(self, body: int | None) -> int:
+        """The body that a command names; None: the selected one."""
+        k = self.selected if body is None else body
+        if k is None:
+            raise BadInput("Take hold of something first, or point at it.")
+        if not 0 <= int(k) < len(self._bodies.members):
+            raise BadInput(f"There is no body {k}.")
+        return int(k)
+
+    def _edit(self, action: str, edit: Callable[[], T], select: int | None = None) -> T:
+        """Record the state, carry out an edit of the registry, and let the world see it."""
+        before = self._before(action)
+        self.selected = self.selected if select is None else select
+        result = edit()
+        self._record(action, before)
+        self._world.refresh()
+        return result
+
+    def _remove(self, k: int) -> None:
+        self._edit("remove", lambda: self._bodies.remove(k))
+        self.selected = None
+
+    def _duplicate(self, k: int) -> None:
+        offset = copy_offset(k, self._world.bodies())
+        self.selected = self._edit("duplicate", lambda: self._bodies.duplicate(k, offset))
+
+    def _rescale(self, k: int, wanted: float) -> None:
+        now, body = self._bodies.device.solver.parts[k].shape.factor, self._world.bodies()[k]
+        if abs(wanted - 1.0) < SCALE_ROUNDING:
+            return
+        if not np.isfinite(wanted) or wanted <= 0.0:
+            raise BadInput(f"A body cannot be made {wanted} times as large.")
+        size = float(np.clip(now * wanted, SCALE_MIN, SCALE_MAX))
+        size = 1.0 if abs(size - 1.0) < SCALE_ROUNDING else size
+        factor = size / now
+        if abs(factor - 1.0) < SCALE_ROUNDING:
+            raise BadInput(f"It is as {'large' if wanted > 1.0 else 'small'} as it can be.")
+        fixed = body.centroid if body.held else np.array([body.centroid[0], body.low[1], body.centroid[2]])
+        self._edit("rescale", lambda: self._bodies.rescale(k, factor, fixed), select=k)
+
+    def _rotate(self, k: int, rotation) -> None:
+        q = np.asarray(rotation, np.float64)
+        if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
+            raise BadInput(f"A body cannot be turned by {rotation}.")
+        body, by = self._world.bodies()[k], np.eye(4)
+        by[:3, :3] = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
+        by[:3, 3] = body.centroid - by[:3, :3] @ body.centroid
+        if not body.held:  # a body that stands on a table still does
+            solver = self._bodies.device.solver
+            first, last = solver.vertex_offset[k : k + 2]
+            by[1, 3] += body.low[1] - (solver.snapshot()["x"][first:last] @ by[1, :3] + by[1, 3]).min()
+        self._edit("rotate", lambda: self._bodies.displace(k, by), select=k)
+
+    def _set_material(self, k: int, material: Material | str) -> None:
+        material = material if isinstance(material, Material) else Material.named(str(material))
+        self._edit("material", lambda: self._bodies.set_material(k, material), select=k)
 
     # history
 
     def record(self, action: str) -> None:
-        """Remember how things are before this action; a drag, a command in each frame, is one action."""
-        self._keep(action, self._before(action))
+        """Remember the state before this action; a drag, a command in each frame, is one action."""
+        self._record(action, self._before(action))
 
     def _before(self, action: str) -> Step | None:
-        """How things are before an action; None if it only goes on."""
-        last, at = self._last
-        if action == last and self._frame - at <= TOGETHER.get(action, -1):
+        """The state before an action; None if it continues the last one."""
+        last, frame = self._last_action
+        if action == last and self._frame - frame <= DRAG_GAP.get(action, -1):
             return None
-        return self._light_step() if action == "light" else step_of(action, self._moment())
+        return self._step(action)
 
-    def _keep(self, action: str, step: Step | None) -> None:
-        """The action has been done."""
-        self._last = action, self._frame
+    def _record(self, action: str, step: Step | None) -> None:
+        self._last_action = action, self._frame
         if step is not None:
             self.history.add(step)
 
-    def _moment(self) -> WorldSnapshot:
-        return moment_of(self.world, self.cast, self.selected)
+    def _step(self, action: str) -> Step:
+        """The present state, as a step that takes this action back."""
+        if action == "light":
+            return Step("light", self._world.light)
+        snapshot = self._world.snapshot()
+        solver = snapshot.bodies.solver
+        sizes = {id(a): a.nbytes for a in solver.values() if isinstance(a, np.ndarray)}
+        for model in solver["bodies"]:
+            if model.shape.root is not model.shape:  # a scaled body has a distance grid of its own
+                sizes[id(model.shape)] = model.shape.bytes
+        return Step(action, (snapshot, self.selected), sizes)
 
-    def _light_step(self) -> Step:
-        return Step("light", self.world.light)
-
-    def _now(self, step: Step) -> Step:
-        return self._light_step() if step.action == "light" else step_of(step.action, self._moment())
+    def _present(self, step: Step) -> Step:
+        return self._step(step.action)
 
     def _return(self, step: Step | None, nothing: str) -> None:
-        self._last = ("", 0)
+        """Bring the state of a step back."""
+        self._last_action = ("", 0)
         if step is None:
-            self.say(nothing)
+            self._tell(nothing)
         elif step.action == "light":
-            self.world.set_light(step.state)
+            self._world.set_light(step.state)
         else:
-            self.world.demo = False
-            self.selected = step.state.selected
-            bring_back(step.state, self.world, self.cast)
+            snapshot, self.selected = step.state
+            self._world.restore(snapshot)
 
     # hands
 
-    def before_step(self, hands: list[Hand]) -> WorldSnapshot | None:
-        """How things are, if a hand is about to close: then it may take something."""
+    def before_step(self, hands: list[Hand]) -> Step | None:
+        """The state, if a hand is about to close: then it may grasp something."""
         grips = [h is not None and h.grip for h in hands]
         before = self._gripped + [False] * len(grips)
         self._gripped = grips
-        if not any(g and not b for g, b in zip(grips, before, strict=False)):
-            return None
-        return self._moment()
+        closes = any(g and not b for g, b in zip(grips, before, strict=False))
+        return self._step("grab") if closes else None
 
-    def after_step(self, moment: WorldSnapshot | None, before: list[BodyState], bodies: list[BodyState]) -> None:
-        """A hand that has taken something has begun an action."""
-        taken = [k for k, (a, b) in enumerate(zip(before, bodies, strict=True)) if b.held and not a.held]
-        if taken:
-            self.selected = taken[0]
-            if moment is not None:
-                self._keep("grab", step_of("grab", moment))
+    def after_step(self, step: Step | None, before: list[BodyState], bodies: list[BodyState]) -> None:
+        """A body that a hand has grasped is selected, and the grasp can be undone."""
+        grasped = [k for k, (a, b) in enumerate(zip(before, bodies, strict=True)) if b.held and not a.held]
+        if grasped:
+            self.selected = grasped[0]
+            if step is not None:
+                self._record("grab", step)
 
-    def reset(self) -> None:
-        """The scene's own bodies at their starts, and no others; its game begins anew."""
-        w, game = self.world, self.world.scene.game
-        changed = self.cast.changed
-        w.solver.reset(self.cast.parts if changed else None)
-        w.time = w.owed = 0.0
-        w.motions = list(self._motions)
-        for motion in w.motions:
-            motion.solver = w.solver
-            motion.reset()
-        if game is not None:
-            game.reset()
-        if changed:
-            self.selected = None
-            self.cast.follow(self.cast.scene)
-        w.refresh()
+
+def copy_offset(k: int, bodies: list[BodyState]) -> np.ndarray:
+    """Offset [m], (3,), of a copy from body k: above it, or beside it if it is animated, clear of all bounding boxes."""
+    size = bodies[k].high - bodies[k].low + COPY_GAP
+    directions = [[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]] if bodies[k].driven else [[0, 1, 0]]
+    for steps in range(1, len(bodies) + 2):
+        for direction in directions:
+            offset = steps * size * direction
+            low, high = bodies[k].low + offset, bodies[k].high + offset
+            if all((low >= b.high).any() or (high <= b.low).any() for b in bodies):
+                return offset
+    return len(bodies) * size * directions[0]

@@ -12,7 +12,7 @@ import numpy as np
 
 from scenes.scene import BodyState
 
-SHOWN = 2.5  # [s] after a command
+MARKED_SECONDS = 2.5  # [s] that a body is marked after a command
 AROUND = 0.008  # [m] between a body and its corners
 SHARE, LONGEST = 0.3, 0.045  # of the longest side, and [m] at most: how long the strokes of a corner are
 COLOUR = (1.0, 0.96, 0.86)

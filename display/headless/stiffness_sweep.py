@@ -88,14 +88,14 @@ def drop_each(path: Path, cage: np.ndarray, material: Material, youngs: list[flo
         world = World(scene, width=PANEL, height=PANEL)
     for young in youngs:
         for body in range(len(world.bodies())):  # the pieces of the asset
-            world.solver.set_material(body, replace(material, young=young))
-        world.solver.reset()
+            world.device.solver.set_material(body, replace(material, young=young))
+        world.device.solver.reset()
         yield dropped(world, cage.astype(np.float64), young)
 
 
 def dropped(world, cage: np.ndarray, young: float) -> Drop:
     """One drop to the end."""
-    solver = world.solver
+    solver = world.device.solver
     crushed, least, rebound, quiet, time = solver.snapshot(), np.inf, 0.0, 0.0, 0.0
     while time < LONGEST and quiet < RESTS_FOR:
         solver.step(STEP)
@@ -137,7 +137,7 @@ def upright(rest: np.ndarray, x: np.ndarray) -> float:
 
 def drawn(world, cage: np.ndarray, snapshot: dict) -> np.ndarray:
     """Picture (H, W, 3) uint8 of a moment, with the undeformed height beside the body."""
-    world.solver.restore(snapshot)
+    world.device.solver.restore(snapshot)
     x = snapshot["x"].astype(np.float64)
     camera = framing(x.mean(0), np.ptp(cage, axis=0), PANEL, PANEL)
     world.step(Frame(0.0, 0.0, [camera]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,8 @@ from core.errors import BadInput
 from display.protocol import Frame, Pause, last_of
 from display.record.recording import FORMAT, OPTIONS, VERSION
 from display.record.recording_reader import checked_about, read_frames, read_states
+
+WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers", "grown")  # recorded before as "room"
 
 
 class Replay:
@@ -55,10 +56,9 @@ class Replay:
 
     def world_options(self, how: dict) -> dict:
         """The options of a World: as it was made then, and for the rest `how`. Depth is for headsets."""
-        from display.world import World
-
-        known = set(inspect.signature(World).parameters) - {"depth"}
-        return how | {key: value for key, value in self.about.get("world", {}).items() if key in known}
+        recorded = self.about.get("world", {})
+        recorded = recorded | {"grown": recorded[old] for old in ("room",) if old in recorded}
+        return how | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
 
     def frames(self, display, world, *, paced: bool) -> Iterator[Frame]:
         """The recorded frames, to be stepped and presented by the caller, until all are done or the display ends, with

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from core.camera import look_at, perspective
-from display.body_registry import FULL
+from display.edit.body_registry import FULL_NOTICE as FULL
 from display.picture import pixels_of
 from display.protocol import (
     Duplicate,
@@ -69,7 +69,7 @@ class Play:
 
     def do(self, *commands):
         """Only these commands; no time passes."""
-        self.world.editor.begin()
+        self.world.editor.begin_frame()
         self.world.apply(commands)
         self.world.apply([])  # what had to wait for room
         self.world.paused = True
@@ -77,7 +77,7 @@ class Play:
         self.world.paused = False
 
     def motion(self):
-        s = self.world.solver.snapshot()
+        s = self.world.device.solver.snapshot()
         return [s[name] for name in ("x", "x_lo", "v", "v_lo")]
 
     def picture(self):
@@ -85,9 +85,9 @@ class Play:
 
     def shown(self, k):
         """Means of the Gaussians that show body k, as the device has them."""
-        run = self.world.embedding.runs[k]
-        count = self.world.editor.cast._counts[run.part]
-        return self.world.splats.mean.to_numpy()[run.gaussian : run.gaussian + count]
+        run = self.world.device.embedding.runs[k]
+        count = self.world.device.gaussian_counts[run.part]
+        return self.world.device.splats.mean.to_numpy()[run.gaussian : run.gaussian + count]
 
 
 @pytest.fixture(scope="module")
@@ -140,32 +140,34 @@ def test_a_hand_that_takes_nothing_is_no_action(play):
 
 
 def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play):
-    play = Play() if play.world.editor.cast.grown else play
+    play = Play() if play.world.device.grown else play
     world = play.world
-    solver, tree = world.solver, world.splats.tree
+    solver, tree = world.device.solver, world.device.splats.tree
     motion = play.motion()
     world.apply([Duplicate(RED)])
-    assert world.notice.startswith("Making room") and world.solver is solver and len(world.bodies()) == 2
+    assert world.notice.startswith("Making room") and world.device.solver is solver and len(world.bodies()) == 2
     world.apply({})
-    assert len(world.bodies()) == 3 and world.solver is not solver
+    assert len(world.bodies()) == 3 and world.device.solver is not solver
     assert solver.state.tree.destroyed and tree.destroyed
     equal([a[: len(b)] for a, b in zip(play.motion(), motion, strict=True)], motion)
 
 
 def test_a_copy_looks_like_its_original_and_stands_above_it(play):
-    before, gaussians = play.picture(), play.world.splats.count
-    own = play.world.editor.cast._counts[BLUE]
+    before, gaussians = play.picture(), play.world.device.splats.count
+    own = play.world.device.gaussian_counts[BLUE]
     play.do(Duplicate(BLUE))
     world = play.world
-    assert world.splats.count == gaussians + own and len(world.bodies()) == 3 and world.selected == 2
+    assert world.device.splats.count == gaussians + own and len(world.bodies()) == 3 and world.selected == 2
     original, copy = world.bodies()[BLUE], world.bodies()[2]
     aside = copy.centroid - original.centroid
     assert copy.name == original.name and copy.low[1] > original.high[1]
     assert_allclose(play.shown(2), play.shown(BLUE) + aside, atol=2e-6)
-    a, b = world.embedding.runs[BLUE].gaussian, world.embedding.runs[2].gaussian
-    for one, other in zip(world.splats.read(a, own), world.splats.read(b, own), strict=True):
+    a, b = world.device.embedding.runs[BLUE].gaussian, world.device.embedding.runs[2].gaussian
+    for one, other in zip(world.device.splats.read(a, own), world.device.splats.read(b, own), strict=True):
         assert_array_equal(one, other)
-    assert_allclose(world.splats.cov.to_numpy()[b : b + own], world.splats.cov.to_numpy()[a : a + own], atol=1e-9)
+    assert_allclose(
+        world.device.splats.cov.to_numpy()[b : b + own], world.device.splats.cov.to_numpy()[a : a + own], atol=1e-9
+    )
     blue = lambda p: ((p[..., 2].astype(int) - p[..., 0]) > 60).sum()  # noqa: E731
     assert blue(play.picture()) > 1.25 * blue(before)
     play.step(30)
@@ -199,13 +201,13 @@ def test_what_is_taken_away_is_not_drawn_and_comes_back(play):
 
 def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     play.step(20)
-    before, cov, foot = play.shown(BLUE), play.world.splats.cov.to_numpy(), play.world.bodies()[BLUE]
-    first, count = play.world.embedding.runs[BLUE].gaussian, play.world.editor.cast._counts[BLUE]
+    before, cov, foot = play.shown(BLUE), play.world.device.splats.cov.to_numpy(), play.world.bodies()[BLUE]
+    first, count = play.world.device.embedding.runs[BLUE].gaussian, play.world.device.gaussian_counts[BLUE]
     about = np.array([foot.centroid[0], foot.low[1], foot.centroid[2]])
     for factor, size in ((1.5, 1.5), (1.4, 2.1)):
         play.do(Rescale(BLUE, factor))
         assert_allclose(play.shown(BLUE), about + size * (before - about), atol=2e-5)
-        now = play.world.splats.cov.to_numpy()[first : first + count]
+        now = play.world.device.splats.cov.to_numpy()[first : first + count]
         assert_allclose(now, size**2 * cov[first : first + count], rtol=1e-3, atol=1e-8)
         assert_allclose(play.world.bodies()[BLUE].low[1], foot.low[1], atol=1e-5)
     play.do(Rescale(BLUE, 4.0))
@@ -215,7 +217,7 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     assert_allclose(play.shown(BLUE), before, atol=2e-6)
     play.do(Rescale(BLUE, 0.05))
     play.do(Rescale(BLUE, 0.05))
-    assert_allclose(play.world.solver.parts[BLUE].shape.factor, 0.2)
+    assert_allclose(play.world.device.solver.parts[BLUE].shape.factor, 0.2)
     assert play.world.notice == "It is as small as it can be."
 
 
@@ -244,7 +246,7 @@ def test_a_drag_is_one_action_two_keys_are_two(play):
     assert play.world.light == light
     equal(motion, play.motion())  # the light alone went back
     play.do(Undo())
-    assert_allclose(play.world.solver.parts[RED].shape.factor, 1.02**4)
+    assert_allclose(play.world.device.solver.parts[RED].shape.factor, 1.02**4)
 
 
 def test_reset_gives_the_scene_and_can_be_taken_back(play):
@@ -258,11 +260,11 @@ def test_reset_gives_the_scene_and_can_be_taken_back(play):
     play.do(Reset())
     play.step()
     equal(start, play.motion())
-    assert not play.world.editor.cast.changed
+    assert not play.world.registry.changed
     play.do(Undo())
     equal(changed, play.motion())
-    assert [p.body.name for p in play.world.solver.parts] == ["ring_blue", "ring_red"]
-    assert play.world.solver.parts[0].shape.factor == 1.5
+    assert [p.body.name for p in play.world.device.solver.parts] == ["ring_blue", "ring_red"]
+    assert play.world.device.solver.parts[0].shape.factor == 1.5
 
 
 def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
@@ -328,7 +330,7 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
     assert len(play.world.editor.history.done) == steps
     play.do(Remove(RED))
     play.do(Duplicate(0))
-    assert len(play.world.bodies()) == len(motion[0]) // len(play.world.solver.parts[0].shape.vertices)
+    assert len(play.world.bodies()) == len(motion[0]) // len(play.world.device.solver.parts[0].shape.vertices)
 
 
 @pytest.mark.parametrize(

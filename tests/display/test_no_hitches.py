@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from core.camera import look_at, perspective
-from display.edit.editor import COMPILING, Editor
+from core.material import Material
+from display.edit.editor import COMPILING_NOTICE, Editor
 from display.protocol import (
     Duplicate,
     Frame,
@@ -39,7 +40,7 @@ class Play:
         from display.xr import avatar
 
         self.scene, self.frames, self.size, self.views = ring_toss.build(), 0, (96, 64), 1 + headset
-        how = {"fingers": True, "room": True, "props": avatar.skins()} if headset else {}
+        how = {"fingers": True, "grown": True, "props": avatar.skins()} if headset else {}
         self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
         self.parts = avatar.hidden() if headset else None
 
@@ -91,17 +92,17 @@ class Play:
 
 def unchanged(world, before: dict, means: np.ndarray) -> None:
     """Bodies and what is seen of them are as they were."""
-    after = world.solver.snapshot()
+    after = world.device.solver.snapshot()
     for name in ("x", "x_lo", "v", "v_lo", "mending"):
         np.testing.assert_array_equal(before[name], after[name])
     world.refresh()
-    np.testing.assert_array_equal(world.splats.mean.to_numpy(), means)
+    np.testing.assert_array_equal(world.device.splats.mean.to_numpy(), means)
 
 
 @pytest.mark.parametrize("headset", [pytest.param(False, marks=pytest.mark.long), True])
 def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
     play = Play(headset=headset)
-    before, means = play.world.solver.snapshot(), play.world.splats.mean.to_numpy()
+    before, means = play.world.device.solver.snapshot(), play.world.device.splats.mean.to_numpy()
     play.world.warm_up()
     unchanged(play.world, before, means)
     play.frame()
@@ -130,19 +131,22 @@ def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
 
 
 def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
-    """A made-up world: one frame stands still, with a notice."""
-    world = N(solver=N(fresh=False), motions=[])
-    editor = Editor(world, cast=None)
-    editor._carry_out = lambda command: setattr(world.solver, "fresh", command == SetMaterial(0, "wood"))
+    """One frame stands still, with a notice, after the edit that needs other kernels."""
+    solver = N(fresh=False)
+    registry = N(device=N(solver=solver), members=(None,))
+    registry.set_material = lambda k, material: setattr(solver, "fresh", material == Material.named("wood"))
+    world = N(refresh=lambda: None, restore=lambda snapshot: None, light=None)
+    world.snapshot = lambda: N(bodies=N(solver={"bodies": ()}))
+    editor = Editor(world, registry)
 
     def frame(*commands):
-        editor.begin()
+        editor.begin_frame()
         editor.apply(commands)
-        return editor.waits, editor.notice == COMPILING
+        return editor.holding, editor.notice == COMPILING_NOTICE
 
     assert frame() == (False, False)
     assert frame(SetMaterial(0, "plush")) == (False, False)
     assert frame(SetMaterial(0, "wood")) == (True, True)
     assert frame() == (False, True)
-    world.solver.fresh = False
+    solver.fresh = False
     assert frame(Undo()) == (False, False)

@@ -50,10 +50,10 @@ def test_the_headset_shows_the_same_strokes():
 def test_commands_choose_for_a_moment(monkeypatch):
     now = [10.0]
     monkeypatch.setattr("display.edit.editor.monotonic", lambda: now[0])
-    editor = Editor(N(solver=N(fresh=False), motions=[]), cast=N(members=(None, None)))
+    editor = Editor(None, N(device=N(solver=N(fresh=False)), members=(None, None)))
     editor.apply([Undo()])
     assert not editor.recently_selected
     editor.apply([Select(1)])
     assert editor.recently_selected
-    now[0] += marking.SHOWN + 0.1
+    now[0] += marking.MARKED_SECONDS + 0.1
     assert not editor.recently_selected

@@ -205,11 +205,11 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     rest = asset.cage.vertices.astype(np.float64)
     tets = asset.cage.tets
     frames = round(60 * (RAMP + a.duration))
-    world.renderer.render = lambda cameras: None  # what is looked at is where things are
-    world.shadow.cast = lambda: None
+    world.device.renderer.render = lambda cameras: None  # what is looked at is where things are
+    world.device.cast_shadow = lambda: None
     for k in range(frames):
         world.step(Frame(1 / 60, k / 60, [], []))
-        x = (world.solver.x.to_numpy()[: len(rest)] - np.array(place)) / 4.0
+        x = (world.device.solver.x.to_numpy()[: len(rest)] - np.array(place)) / 4.0
         if k == frames // 2:
             led = a.vertices[a.driven]
             wanted = a.skinned(rest[a.vertices], a.matrices((k + 1) / 60))[a.driven]
@@ -221,9 +221,9 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     assert least > 0.05 and most < 2.5
     assert world.stats()["finite"] and world.bodies()[0].driven
     world.apply([Reset()])
-    assert_allclose(world.solver.x.to_numpy()[: len(rest)], 4 * rest + place, atol=1e-5)
+    assert_allclose(world.device.solver.x.to_numpy()[: len(rest)], 4 * rest + place, atol=1e-5)
     world.step(Frame(1 / 60, 0, [], []))
-    moved = np.abs(world.solver.x.to_numpy()[a.vertices[a.driven]] - (4 * rest[a.vertices[a.driven]] + place)).max()
+    moved = np.abs(world.device.solver.x.to_numpy()[a.vertices[a.driven]] - (4 * rest[a.vertices[a.driven]] + place)).max()
     assert moved < 2e-3  # the ramp begins slowly
 
 

@@ -24,14 +24,14 @@ def stage(ti_cpu):
     from display.world import World
 
     world = World(registry.load("just_dance"), width=32, height=32)
-    world.renderer.render = lambda cameras: None
-    world.shadow.cast = lambda: None
+    world.device.renderer.render = lambda cameras: None
+    world.device.cast_shadow = lambda: None
     return world, Asset.load(find_asset("dancer"))
 
 
 def shape(world, asset) -> np.ndarray:
     """The dancer's cage as it is now [m], (V, 3)."""
-    return world.solver.x.to_numpy()[: len(asset.cage.vertices)].astype(np.float64)
+    return world.device.solver.x.to_numpy()[: len(asset.cage.vertices)].astype(np.float64)
 
 
 def test_a_ring_bounces_off_the_dancer(stage):
@@ -82,9 +82,9 @@ def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tu
     """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
     a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
     place = np.array(world.scene.bodies[2].position)
-    led, first = a.vertices[a.driven], world.solver.vertex_offset[body]
+    led, first = a.vertices[a.driven], world.device.solver.vertex_offset[body]
     wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
-    x = world.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
+    x = world.device.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)
     return x[led], wanted @ move[:3, :3].T + move[:3, 3]
 
 
@@ -126,7 +126,7 @@ def test_a_copy_dances_along_at_its_size_and_goes(stage):
         world.step(Frame(DT, (k + 1) * DT, []))
     world.apply([Duplicate(0)])
     world.apply({})  # room is made
-    world.shadow.cast = lambda: None
+    world.device.cast_shadow = lambda: None
     aside = world.bodies()[2].centroid - world.bodies()[0].centroid
     assert abs(aside[1]) < 1e-5 and np.hypot(aside[0], aside[2]) > 0.1  # beside it, on the table
     move = np.eye(4)
@@ -150,7 +150,7 @@ def test_a_copy_dances_along_at_its_size_and_goes(stage):
     world.apply([Remove(0)])
     world.step(Frame(DT, 0.0, []))
     assert_allclose(*led_and_wanted(world, asset, 0, 15 * DT, scale @ move), atol=1e-4)
-    assert world.stats()["finite"] and len(world.motions) == 1
+    assert world.stats()["finite"] and len(world.registry.animations) == 1
     world.apply([Reset()])
     world.step(Frame(DT, 0.0, []))
     assert len(world.bodies()) == 2

@@ -1,0 +1,224 @@
+"""The bodies of a running world: which of the scene's bodies each body of the solver is, or is a copy of.
+
+An edit changes the solver's body, its Gaussians and its animation together. At the first one, what the device holds of
+each of the scene's bodies is read back; without edits nothing of this costs anything.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from core.material import Material
+from display.animation_targets import AnimationTargets
+from display.device_scene import DeviceScene
+from scenes.scene import BodyState, Hand
+from sim.embedding import Run
+from sim.model import MAX_BODIES, CapacityError
+
+FULL_NOTICE = "There is no room for that: remove something first."
+GROWTH_NOTICE = "Making room for more bodies: some seconds, once."
+REMOVED_X = 1e3  # [m] where the game sees a body that was removed
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Member:
+    """A body of the solver: the index of the scene's body that it looks like, and whether it is a copy of that."""
+
+    source: int
+    copy: bool = False
+
+
+@dataclass(frozen=True)
+class BodiesSnapshot:
+    """State of all bodies: the solver's, the members, and the animations with their times."""
+
+    solver: dict
+    members: tuple[Member, ...]
+    animations: tuple[AnimationTargets, ...]
+
+
+class GrowthPending(Exception):
+    """The edit needs more capacity, which takes seconds: the user should read so before it is tried again."""
+
+
+class BodyRegistry:
+    """The members, in the order of the solver's bodies, and their animations.
+
+    Edits raise BadInput, and change nothing, if they cannot be carried out; the first one that needs more capacity
+    raises GrowthPending, and grows the device's scene when it is tried again.
+    """
+
+    def __init__(self, device: DeviceScene):
+        self.device = device
+        self.animations = [a.at(0.0) for a in device.animations]
+        self._scene_models = device.solver.parts
+        self._scene_members = self.members = tuple(Member(k) for k in range(len(self._scene_models)))
+        self._growth_announced = device.grown
+        self._packed: list[dict] | None = None
+        self._looks: list[tuple[np.ndarray, np.ndarray]] = []
+
+    @property
+    def changed(self) -> bool:
+        """Is any body not the scene's, as it was?"""
+        return self.members != self._scene_members or self.device.solver.parts != self._scene_models
+
+    def scene_states(self, bodies: list[BodyState]) -> list[BodyState]:
+        """The states of the scene's own bodies, in its order: all that its game sees. A removed one is far away."""
+        if self.members == self._scene_members:
+            return bodies
+        index = {m.source: k for k, m in enumerate(self.members) if not m.copy}
+        return [bodies[index[k]] if k in index else self._removed(k) for k in range(len(self._scene_members))]
+
+    def _removed(self, k: int) -> BodyState:
+        body, far = self._scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])
+        up = np.array([0.0, 1.0, 0.0])
+        return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
+
+    def step(self, dt: float, hands: list[Hand]) -> None:
+        """Advance all bodies by dt [s]; `hands` are the poses at its end."""
+        for animation in self.animations:
+            animation.drive(self.device.solver, dt)
+        self.device.solver.step(dt, hands)
+
+    def rebase_animations(self) -> None:
+        """Let animated bodies that were carried off while time stood still go on from where they are."""
+        if self.animations and self.device.solver.interaction == "transform":
+            self.animations = [a.rebased(self.device.solver) for a in self.animations]
+
+    # edits
+
+    def remove(self, k: int) -> None:
+        """Remove a body."""
+        self.device.solver.remove(k)
+        self.animations = [a.moved(np.eye(4), a.body - (a.body > k)) for a in self.animations if a.body != k]
+        self._show(self.members[:k] + self.members[k + 1 :])
+
+    def duplicate(self, k: int, offset: np.ndarray) -> int:
+        """Put a copy of a body at an offset [m] from it, (3,); returns its index."""
+        members = (*self.members, replace(self.members[k], copy=True))
+
+        def copy() -> int:
+            self._check(members)
+            return self.device.solver.duplicate(k, aside=offset)
+
+        new = self._with_capacity(copy)
+        by = np.eye(4)
+        by[:3, 3] = offset
+        self.animations += [a.moved(by, new) for a in self.animations if a.body == k]
+        self._show(members)
+        return new
+
+    def rescale(self, k: int, factor: float, about: np.ndarray) -> None:
+        """Scale a body about a point [m]."""
+        self._with_capacity(lambda: self.device.solver.rescale(k, factor, about=about))
+        by = np.diag([factor, factor, factor, 1.0])
+        by[:3, 3] = (1.0 - factor) * about
+        self._move_animation(k, by)
+
+    def displace(self, k: int, by: np.ndarray) -> None:
+        """Move a body by a rigid transform (4, 4)."""
+        self.device.solver.displace(k, by)
+        self._move_animation(k, by)
+
+    def set_material(self, k: int, material: Material) -> None:
+        """Make a body of another material."""
+        self._with_capacity(lambda: self.device.solver.set_material(k, material))
+        self._show(self.members)
+
+    def reset(self) -> None:
+        """The scene's own bodies at their start, and no others."""
+        changed = self.changed
+        self.device.solver.reset(self._scene_models if changed else None)
+        self.animations = [a.at(0.0) for a in self.device.animations]
+        if changed:
+            self._show(self._scene_members)
+
+    def snapshot(self) -> BodiesSnapshot:
+        """The state of all bodies; hands count as open."""
+        self.rebase_animations()
+        animations = tuple(a.at(a.time) for a in self.animations)
+        return BodiesSnapshot({**self.device.solver.snapshot(), "grips": ()}, self.members, animations)
+
+    def restore(self, snapshot: BodiesSnapshot) -> None:
+        """Bring a state back."""
+        self._with_capacity(lambda: self.device.solver.restore(snapshot.solver))
+        self.animations = [a.at(a.time) for a in snapshot.animations]
+        self._show(snapshot.members)
+
+    def warm_up(self) -> None:
+        """Compile what the first edit needs; nothing is changed."""
+        splats, first = self.device.splats, self.device.first
+        if self.members:
+            splats.put(first, *splats.read(first, 1))
+            self.device.embedding.warm_up()
+        for animation in self.animations:
+            animation.rebased(self.device.solver)
+
+    def _move_animation(self, k: int, by: np.ndarray) -> None:
+        self.animations = [a.moved(by) if a.body == k else a for a in self.animations]
+        self._show(self.members)
+
+    # capacity, and what is shown
+
+    def _with_capacity(self, edit: Callable[[], T]) -> T:
+        """The result of an edit, for which the device's scene grows if it must."""
+        try:
+            return edit()
+        except CapacityError as e:
+            if self.device.grown or len(self.members) >= MAX_BODIES:
+                raise CapacityError(FULL_NOTICE) from e
+        if not self._growth_announced:
+            self._growth_announced = True
+            raise GrowthPending
+        self._read()
+        print(GROWTH_NOTICE, file=sys.stderr, flush=True)
+        self.device.grow([model.body for model in self._scene_models], self._packed)
+        self._show(self.members)
+        self.warm_up()
+        try:
+            return edit()
+        except CapacityError as e:
+            raise CapacityError(FULL_NOTICE) from e
+
+    def _show(self, members: tuple[Member, ...]) -> None:
+        """Let the picture show these members where the solver has them."""
+        device, before = self.device, self._begins(self.members)
+        models, vertices, begins = device.solver.parts, device.solver.vertex_offset, self._begins(members)
+        runs = [
+            Run(m.source, v, g, model.shape.factor)
+            for m, v, g, model in zip(members, vertices, begins, models, strict=False)
+        ]
+        if runs != device.embedding.runs:
+            self._read()
+            device.show(runs, self._packed, begins[-1])
+            for k, (m, g) in enumerate(zip(members, begins, strict=False)):
+                if not (k < len(self.members) and self.members[k].source == m.source and before[k] == g):
+                    device.splats.put(g, *self._looks[m.source])
+        self.members = members
+
+    def _check(self, members: tuple[Member, ...]) -> None:
+        """Raise CapacityError if the splats or the embedding have no capacity for these members."""
+        self._read()
+        runs = [Run(m.source, 0, 0) for m in members]
+        device = self.device
+        if self._begins(members)[-1] > device.splats.capacity or not device.embedding.fits(runs, self._packed):
+            raise CapacityError("no capacity for Gaussians")
+
+    def _begins(self, members: tuple[Member, ...]) -> list[int]:
+        """Index of the first Gaussian of each member, and the end of the last one's."""
+        counts = self.device.gaussian_counts
+        return (self.device.first + np.cumsum([0, *(counts[m.source] for m in members)])).tolist()
+
+    def _read(self) -> None:
+        """Keep on the host what the device holds of each of the scene's bodies; they are shown, and no others."""
+        if self._packed is None:
+            splats, begins = self.device.splats, self._begins(self._scene_members)
+            counts = self.device.gaussian_counts
+            self._looks = [splats.read(first, count) for first, count in zip(begins, counts, strict=False)]
+            self._packed = self.device.embedding.read()

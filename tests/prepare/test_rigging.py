@@ -205,7 +205,7 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     rest = asset.cage.vertices.astype(np.float64)
     tets = asset.cage.tets
     frames = round(60 * (RAMP + a.duration))
-    world.device.renderer.render = lambda cameras: None  # what is looked at is where things are
+    world.device.render = lambda cameras: None  # what is looked at is where things are
     world.device.cast_shadow = lambda: None
     for k in range(frames):
         world.step(Frame(1 / 60, k / 60, [], []))

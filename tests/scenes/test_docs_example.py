@@ -23,7 +23,7 @@ def test_the_scene_of_the_guide_plays(tmp_path, monkeypatch, ti_cpu):
 
     bare = replace(scene, bodies=scene.bodies[1:])  # without the room, for speed
     world = World(bare, width=32, height=32)
-    world.renderer.render, world.shadow.cast = lambda cameras: None, lambda: None  # nothing is looked at
+    world.device.render, world.device.cast_shadow = lambda cameras: None, lambda: None  # nothing is looked at
     for i in range(round(scene.game.duration / DT)):
         time = (i + 1) * DT
         world.step(Frame(dt=DT, time=time, cameras=[], hands=world.scripted_hands(time)))

@@ -24,7 +24,7 @@ def stage(ti_cpu):
     from display.world import World
 
     world = World(registry.load("just_dance"), width=32, height=32)
-    world.device.renderer.render = lambda cameras: None
+    world.device.render = lambda cameras: None
     world.device.cast_shadow = lambda: None
     return world, Asset.load(find_asset("dancer"))
 

@@ -61,7 +61,7 @@ class Embedded:
 class Asset:
     """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
 
-    `provenance` is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/thumbnail.py). `stage`: a static scene to play
+    `provenance` is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/images.py). `stage`: a static scene to play
     in. With an `animation` the body moves by itself.
     """
 

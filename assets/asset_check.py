@@ -9,7 +9,7 @@ import numpy as np
 from assets.animation import check_animation
 from assets.file_access import usable
 from assets.gaussians import SH_COUNTS, Gaussians
-from assets.thumbnail import check_thumbnail
+from assets.images import check_thumbnail
 from core.errors import BadInput
 from core.tetmesh import enclosed_volume
 

@@ -184,7 +184,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     c.add_argument("--mesher", choices=("stuffing", "tetgen"), default="stuffing", help=meshers)
     c.add_argument("--no-report", action="store_true", help="leave out ASSET.report.html and ASSET.report.json")
     c.add_argument("--arch", default=argparse.SUPPRESS, **arch)  # else it would undo the one before COMMAND
-    c = add("convert", command("assets.conversion"), "convert between splat formats", "convert cat.sog cat.spz")
+    c = add("convert", command("commands.convert"), "convert between splat formats", "convert cat.sog cat.spz")
     c.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
     c.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
     c = add("bench", bench, "measure speed", "bench sim --json sim.json")

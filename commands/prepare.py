@@ -13,7 +13,7 @@ import numpy as np
 from assets.asset_check import check
 from assets.file_access import file_size, replacing_all
 from assets.splat_files import read_gaussians
-from assets.thumbnail import thumbnail_of
+from assets.images import thumbnail_of
 from assets.up_axis import told
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput

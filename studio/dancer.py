@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
-from assets.gltf_skin import Rig
+from assets.formats.gltf_skin import Rig
 from core.distance_grid import DistanceGrid
 from prepare.rig.joint_names import SIDES
 from prepare.rig.landmarks import NAMES, Landmarks

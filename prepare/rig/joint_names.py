@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 
-from assets.gltf_skin import Rig
+from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 
 SIDES = ("left", "right")

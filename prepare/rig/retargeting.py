@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.animation import Local, slerp, turned_back, world_of
-from assets.gltf_skin import Rig
+from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.rotation import multiply_quaternions
 from prepare.rig.joint_names import ARM, LEG, SIDES, TREE, named_joints

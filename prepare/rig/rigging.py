@@ -8,7 +8,7 @@ import numpy as np
 
 from assets.animation import Animation, Local, looped, skin, world_of
 from assets.asset import Asset, Cage
-from assets.gltf_skin import Rig
+from assets.formats.gltf_skin import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cage.embedding_hosts_reference import embed

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from assets.animation import local_matrices, parts_of, world_of
 from assets.asset import Asset
 from assets.gaussians import Gaussians
-from assets.gltf_skin import Mesh, Rig, decoded, encoded
+from assets.formats.gltf_skin import Mesh, Rig, decoded, encoded
 from assets.up_axis import rotation_to_up
 from core.errors import BadInput
 from core.point_location import TetLocator

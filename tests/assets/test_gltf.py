@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.animation import skin, world_of
-from assets.gltf import PIXELS_MAX, Gltf, picture_size
-from assets.gltf_skin import read_mesh, read_rig
+from assets.formats.gltf import PIXELS_MAX, Gltf, picture_size
+from assets.formats.gltf_skin import read_mesh, read_rig
 from core.errors import BadInput
 from tests.support.glb import CODES, Builder, bar, packed
 

@@ -11,7 +11,7 @@ import pytest
 import commands.prepare as command
 from assets.asset import Asset
 from assets.splat_files import write_gaussians
-from assets.thumbnail import SIDE, check_thumbnail, thumbnail_of
+from assets.images import SIDE, check_thumbnail, thumbnail_of
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STAGES

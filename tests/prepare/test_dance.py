@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from assets.animation import RAMP, skin
 from assets.asset import Asset
-from assets.gltf_skin import read_rig
+from assets.formats.gltf_skin import read_rig
 from core.material import ANIMATED_MATERIAL
 from prepare.rig.skin_weights import least_volumes
 

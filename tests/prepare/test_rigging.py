@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from assets.animation import RAMP, skin, world_of
 from assets.asset import Asset
-from assets.gltf_skin import Rig
+from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 from display.protocol import Reset

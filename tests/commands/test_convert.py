@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from assets.asset import Asset
-from assets.conversion import run
+from commands.convert import run
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
@@ -80,7 +80,7 @@ def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind
 
 
 def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("assets.conversion.LONG", 1)
+    monkeypatch.setattr("commands.convert.LONG", 1)
     write_gaussians(tmp_path / "a.ply", some_gaussians(5))
     run(Namespace(input=str(tmp_path / "a.ply"), output=str(tmp_path / "a.spz")))
     out, err = capsys.readouterr()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.gltf import Gltf
+from assets.formats.gltf import Gltf
 
 NODES_MAX = 4096
 TRIANGLES_MAX = 5_000_000

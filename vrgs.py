@@ -42,12 +42,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def play(args) -> None:
     """Play a scene: in a window, or headless with its scripted hand."""
-    from assets.library import usual_material
+    from assets.library import default_material
     from scenes import registry
 
     replay = open_replay(args)
     body = prepared_body(args)
-    material = args.material or (usual_material(body) if body else None)
+    material = args.material or (default_material(body) if body else None)
     scene = registry.load(args.scene, body=body, material=material, stage=prepared_stage(args))
     with (
         open_display(args, scene, replay) as display,
@@ -161,10 +161,10 @@ def prepared_body(args) -> str | None:
         if args.up is not None or args.scale is not None or args.pieces:
             raise BadInput("--up, --scale and --pieces belong to --body FILE")
         return None
-    from assets.library import SHIPPED, cached_asset
+    from assets.library import SHIPPED_FOLDER, cached_asset
 
     path = Path(args.body)
-    if (SHIPPED / f"{args.body}.h5").is_file() or path.suffix.lower() == ".h5":
+    if (SHIPPED_FOLDER / f"{args.body}.h5").is_file() or path.suffix.lower() == ".h5":
         return args.body
     if not path.is_file():
         raise BadInput(f"{path}: no such file")

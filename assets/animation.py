@@ -13,12 +13,12 @@ from core.errors import BadInput
 from core.rotation import matrices_from_quaternions, multiply_quaternions
 
 JOINTS_MAX, FRAMES_MAX, NUMBERS_MAX = 1024, 100_000, 20_000_000
-MOST = 4  # joints that a vertex follows
-RAMP = 1.0  # [s] from the shape at rest to the motion
+JOINTS_PER_VERTEX = 4  # joints that a vertex follows
+START_RAMP = 1.0  # [s] from the shape at rest to the motion
 SUM_TOLERANCE = 1e-3  # of a vertex's weights, as float32 rounds them
 SCALES = (1e-4, 1e4)  # of a joint
 
-Local = tuple[
+Pose = tuple[
     np.ndarray, np.ndarray, np.ndarray
 ]  # translation (..., J, 3), rotation wxyz (..., J, 4), scale (..., J, 3)
 
@@ -40,8 +40,8 @@ class Animation:
     names: list[str]
     parents: np.ndarray
     inverse_bind: np.ndarray
-    rest: Local
-    frames: Local
+    rest: Pose
+    frames: Pose
     fps: float
     vertices: np.ndarray
     joints: np.ndarray
@@ -53,29 +53,29 @@ class Animation:
         """[s] until it comes round."""
         return len(self.frames[0]) / self.fps
 
-    def local(self, time: float) -> Local:
+    def local(self, time: float) -> Pose:
         """Translation, rotation and scale of each joint at `time` [s], blended between frames, (J, 3 or 4) each."""
         count = len(self.frames[0])
         at = (time * self.fps) % count
         k = min(int(at), count - 1)
-        return blend([x[k] for x in self.frames], [x[(k + 1) % count] for x in self.frames], at - k)
+        return interpolate_poses([x[k] for x in self.frames], [x[(k + 1) % count] for x in self.frames], at - k)
 
-    def matrices(self, time: float, ramp: float = RAMP) -> np.ndarray:
+    def matrices(self, time: float, ramp: float = START_RAMP) -> np.ndarray:
         """What carries a vertex at rest to where each joint has it at `time` [s] after the start, (J, 4, 4).
 
         It starts at rest, and over `ramp` [s] goes over into the motion.
         """
         local, share = self.local(time), 1.0 if ramp <= 0 else min(max(time / ramp, 0.0), 1.0)
         if share < 1.0:
-            local = blend(self.rest, local, share * share * (3.0 - 2.0 * share))
-        return world_of(self.parents, local) @ self.inverse_bind
+            local = interpolate_poses(self.rest, local, share * share * (3.0 - 2.0 * share))
+        return world_matrices(self.parents, local) @ self.inverse_bind
 
     def skinned(self, points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
         """Where `vertices` are that at rest are at `points` (S, 3) [m], float64; the twin of sim/skinning.py."""
-        return skin(points, self.joints, self.weights, matrices)
+        return linear_blend_skinning(points, self.joints, self.weights, matrices)
 
 
-def skin(points: np.ndarray, joints: np.ndarray, weights: np.ndarray, matrices: np.ndarray) -> np.ndarray:
+def linear_blend_skinning(points: np.ndarray, joints: np.ndarray, weights: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Linear blend skinning: points (n, 3), joints and weights (n, k), matrices (J, 4, 4); (n, 3) float64."""
     points, weights = np.asarray(points, np.float64), np.asarray(weights, np.float64)
     blended = np.einsum("nk,nkij->nij", weights, matrices[joints][:, :, :3])
@@ -95,12 +95,12 @@ def slerp(a: np.ndarray, b: np.ndarray, u) -> np.ndarray:
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
 
 
-def blend(a: Local, b: Local, u: float) -> Local:
+def interpolate_poses(a: Pose, b: Pose, u: float) -> Pose:
     """The share u of the way from one pose to another."""
     return a[0] + u * (b[0] - a[0]), slerp(a[1], b[1], u), a[2] + u * (b[2] - a[2])
 
 
-def local_matrices(local: Local) -> np.ndarray:
+def local_matrices(local: Pose) -> np.ndarray:
     """T R S of translations, rotations and scales, (..., 4, 4)."""
     t, q, s = local
     m = np.zeros((*np.shape(t)[:-1], 4, 4))
@@ -109,7 +109,7 @@ def local_matrices(local: Local) -> np.ndarray:
     return m
 
 
-def world_of(parents: np.ndarray, local: Local) -> np.ndarray:
+def world_matrices(parents: np.ndarray, local: Pose) -> np.ndarray:
     """From each joint's frame to the asset's, (..., J, 4, 4)."""
     m = local_matrices(local)
     for j, parent in enumerate(parents):
@@ -118,7 +118,7 @@ def world_of(parents: np.ndarray, local: Local) -> np.ndarray:
     return m
 
 
-def parts_of(m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def decompose(m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Translation, rotation wxyz, scale of T R S (n, 4, 4), and how far each is from being one (n,): 0 if it is."""
     from scipy.spatial.transform import Rotation
 
@@ -136,7 +136,7 @@ def turned_back(q: np.ndarray) -> np.ndarray:
     return np.asarray(q) * [1.0, -1.0, -1.0, -1.0]
 
 
-def looped(frames: Local, seconds: float, fps: float) -> Local:
+def close_loop(frames: Pose, seconds: float, fps: float) -> Pose:
     """Frames 0..F of a motion whose last one should be the first again: F frames that come round without a jump.
 
     Over the last `seconds` what is missing at the end is made up for, bit by bit.
@@ -161,7 +161,7 @@ def check_animation(a: Animation, cage_vertices: int, where: str) -> None:
     shapes = {"parents": (a.parents, (J,)), "inverse_bind": (a.inverse_bind, (J, 4, 4))}
     for kind, width, k in (("translations", 3, 0), ("rotations", 4, 1), ("scales", 3, 2)):
         shapes |= {f"rest {kind}": (a.rest[k], (J, width)), kind: (a.frames[k], (F, J, width))}
-    shapes |= {"joints": (a.joints, (S, MOST)), "weights": (a.weights, (S, MOST)), "driven": (a.driven, (S,))}
+    shapes |= {"joints": (a.joints, (S, JOINTS_PER_VERTEX)), "weights": (a.weights, (S, JOINTS_PER_VERTEX)), "driven": (a.driven, (S,))}
     for name, (values, shape) in shapes.items():
         if np.shape(values) != shape:
             raise BadInput(f"{where}: the animation's {name} has shape {np.shape(values)}, expected {shape}")

@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from assets.animation import JOINTS_MAX, MOST, Animation
+from assets.animation import JOINTS_MAX, JOINTS_PER_VERTEX, Animation
 
 if TYPE_CHECKING:
-    from assets.hdf5 import Reader
+    from assets.hdf5 import Hdf5Reader
 
 KINDS = (("translations", 3), ("rotations", 4), ("scales", 3))
 
@@ -40,7 +40,7 @@ def write_animation(a: Animation, file: h5py.File, write: Callable) -> None:
     file["animation"].attrs["names"] = json.dumps(a.names)
 
 
-def read_animation(file: Reader) -> Animation:
+def read_animation(file: Hdf5Reader) -> Animation:
     """The group as it is stored; `check_animation` holds it against the cage. Raises BadInput."""
 
     def indices(name: str, shape: tuple) -> np.ndarray:
@@ -74,8 +74,8 @@ def read_animation(file: Reader) -> Animation:
         tuple(unit(x) if k == 1 else x for k, x in enumerate(frames)),
         file.number("animation", "fps"),
         vertices,
-        indices("joints", (S, MOST)),
-        floats("weights", (S, MOST)).astype(np.float32),
+        indices("joints", (S, JOINTS_PER_VERTEX)),
+        floats("weights", (S, JOINTS_PER_VERTEX)).astype(np.float32),
         indices("driven", (S,)) != 0,
     )
 

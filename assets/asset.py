@@ -12,10 +12,10 @@ import numpy as np
 from assets.animation import Animation
 from assets.animation_file import read_animation, write_animation
 from assets.asset_check import check
-from assets.environment import Stage, read_stage, write_stage
-from assets.file_access import replacing
+from assets.environment import Environment, read_environment, write_environment
+from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
-from assets.hdf5 import Reader, open_hdf5
+from assets.hdf5 import Hdf5Reader, open_hdf5
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.tetmesh import tet_volumes
@@ -46,7 +46,7 @@ class Cage:
 
 
 @dataclass(frozen=True)
-class Embedded:
+class CageEmbedding:
     """Where the four corners of each Gaussian's local tetrahedron lie in the cage (VR-GS, Sec. 4.3.2).
 
     host     host tet of each corner, (N, 4) int32
@@ -67,11 +67,11 @@ class Asset:
 
     gaussians: Gaussians
     cage: Cage | None = None
-    embedded: Embedded | None = None
+    embedded: CageEmbedding | None = None
     sdf: DistanceGrid | None = None
     material: Material | None = None
     provenance: dict = field(default_factory=dict)
-    stage: Stage | None = None
+    stage: Environment | None = None
     animation: Animation | None = None
     thumbnail: np.ndarray | None = None
 
@@ -87,7 +87,7 @@ class Asset:
                 _read_sdf(file) if file.has("sdf") else None,
                 read_material(file) if file.has("material") else None,
                 _read_provenance(file),
-                read_stage(file) if file.has("stage") else None,
+                read_environment(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
                 _indices(file, "thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
             )
@@ -98,7 +98,7 @@ class Asset:
         """Write the asset, compressed, in one step: either the whole file or none. Raises BadInput."""
         check(self, str(path))
         g = self.gaussians
-        with replacing(path) as beside, h5py.File(beside, "w") as file:
+        with atomic_write(path) as beside, h5py.File(beside, "w") as file:
             file.attrs["format"] = FORMAT
             file.attrs["version"] = VERSION
             file.attrs["provenance"] = json.dumps(self.provenance)
@@ -117,7 +117,7 @@ class Asset:
                 file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
             if self.stage is not None:
-                write_stage(file, self.stage)
+                write_environment(file, self.stage)
             if self.thumbnail is not None:
                 _write(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
@@ -130,7 +130,7 @@ def _write(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:
     file.create_dataset(name, data=np.asarray(values, dtype), compression="gzip", shuffle=True)
 
 
-def _check_format(file: Reader) -> None:
+def _check_format(file: Hdf5Reader) -> None:
     if file.text("", "format") != FORMAT:
         raise file.bad(f"not a {FORMAT} file")
     version = file.number("", "version")
@@ -139,19 +139,19 @@ def _check_format(file: Reader) -> None:
         raise file.bad(f"version {version:g} of the format, this program reads version {VERSION}{hint}")
 
 
-def _floats(file: Reader, name: str, shape: tuple) -> np.ndarray:
+def _floats(file: Hdf5Reader, name: str, shape: tuple) -> np.ndarray:
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by the check for finite values
         return np.asarray(file.array(name, "f", shape), np.float32)
 
 
-def _indices(file: Reader, name: str, shape: tuple, dtype=np.int32) -> np.ndarray:
+def _indices(file: Hdf5Reader, name: str, shape: tuple, dtype=np.int32) -> np.ndarray:
     values = file.array(name, "iu", shape)
     if values.size and (values.min() < 0 or values.max() > np.iinfo(dtype).max):
         raise file.bad(f"{name} holds an index out of range")
     return values.astype(dtype)
 
 
-def _read_gaussians(file: Reader) -> Gaussians:
+def _read_gaussians(file: Hdf5Reader) -> Gaussians:
     means = _floats(file, "gaussians/means", (None, 3))
     n = len(means)
     return Gaussians(
@@ -164,7 +164,7 @@ def _read_gaussians(file: Reader) -> Gaussians:
     )
 
 
-def _read_cage(file: Reader) -> Cage:
+def _read_cage(file: Hdf5Reader) -> Cage:
     return Cage(
         _floats(file, "cage/vertices", (None, 3)),
         _indices(file, "cage/tets", (None, 4)),
@@ -172,12 +172,12 @@ def _read_cage(file: Reader) -> Cage:
     )
 
 
-def _read_embedded(file: Reader) -> Embedded:
+def _read_embedded(file: Hdf5Reader) -> CageEmbedding:
     host = _indices(file, "embedding/host", (None, 4))
-    return Embedded(host, _floats(file, "embedding/weights", (len(host), 4, 4)))
+    return CageEmbedding(host, _floats(file, "embedding/weights", (len(host), 4, 4)))
 
 
-def _read_sdf(file: Reader) -> DistanceGrid:
+def _read_sdf(file: Hdf5Reader) -> DistanceGrid:
     values = file.array("sdf/values", "f", (None, None, None))
     if values.dtype != np.float16:
         with np.errstate(over="ignore"):
@@ -193,14 +193,14 @@ def write_material(material: Material, file: h5py.File) -> None:
             group.attrs[key] = float(value)
 
 
-def read_material(file: Reader) -> Material:
+def read_material(file: Hdf5Reader) -> Material:
     """The group `material`, not checked. Raises BadInput."""
     keys = [f.name for f in fields(Material)]
     present = [key for key in keys if key not in OPTIONAL_MATERIAL or file.has_attribute("material", key)]
     return Material(**{key: file.number("material", key) for key in present})
 
 
-def _read_provenance(file: Reader) -> dict:
+def _read_provenance(file: Hdf5Reader) -> dict:
     try:
         provenance = json.loads(file.text("", "provenance"))
     except (ValueError, RecursionError) as e:

@@ -14,7 +14,7 @@ from core.errors import BadInput
 from core.tetmesh import enclosed_volume
 
 if TYPE_CHECKING:
-    from assets.asset import Asset, Cage, Embedded
+    from assets.asset import Asset, Cage, CageEmbedding
 
 QUAT_TOLERANCE = 1e-3  # a unit quaternion rounded to float16 is off by less
 WEIGHT_TOLERANCE = 1e-3  # of a row's sum, as float32 rounds weights of some hundreds
@@ -32,7 +32,7 @@ def check(asset: Asset, where: str) -> None:
         check_embedded(asset.embedded, len(asset.gaussians), len(asset.cage.tets), where)
     if asset.sdf is not None:
         asset.sdf.check(where)
-    for grid in asset.stage.fine if asset.stage is not None else ():
+    for grid in asset.environment.fine if asset.environment is not None else ():
         grid.check(where)
     if asset.material is not None:
         asset.material.check(where)
@@ -92,7 +92,7 @@ def check_cage(cage: Cage, where: str) -> None:
         raise BadInput(f"{where}: the cage's surface encloses {enclosed:.4g} m^3, its tets fill {volumes.sum():.4g}")
 
 
-def check_embedded(embedded: Embedded, gaussians: int, tets: int, where: str) -> None:
+def check_embedded(embedded: CageEmbedding, gaussians: int, tets: int, where: str) -> None:
     """Raise BadInput unless each Gaussian's corners have a host and weights that sum to 1."""
     host, weights = embedded.host, embedded.weights
     if host.shape != (gaussians, 4) or weights.shape != (gaussians, 4, 4):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from assets.asset import Asset, Cage, Embedded
+from assets.asset import Asset, Cage, CageEmbedding
 
 
 def piece_of_vertices(cage: Cage) -> np.ndarray:
@@ -28,7 +28,7 @@ def piece_of_vertices(cage: Cage) -> np.ndarray:
     return np.argsort(np.argsort(-count, kind="stable"), kind="stable")[numbers.reshape(-1)]
 
 
-def pieces_of(asset: Asset) -> list[Asset]:
+def split_components(asset: Asset) -> list[Asset]:
     """The asset's pieces, the largest first, in its own frame: [asset] if it is in one, or has no cage.
 
     A solver takes a body for one thing: it damps it towards one motion, leads it back to one shape, and lets what is
@@ -61,7 +61,7 @@ def pieces_of(asset: Asset) -> list[Asset]:
             number[cage.tets[of_tet == k]].astype(np.int32),
             number[cage.surface[piece[cage.surface[:, 0]] == k]].astype(np.int32),
         )
-        inner = Embedded(tet[host].astype(np.int32), weights)
+        inner = CageEmbedding(tet[host].astype(np.int32), weights)
         found.append(replace(asset, gaussians=asset.gaussians.select(mine), cage=part, embedded=inner, sdf=None))
     return found
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.hdf5 import Reader, open_hdf5
+from assets.hdf5 import Hdf5Reader, open_hdf5
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
@@ -17,7 +17,7 @@ KINDS = ("floor", "table", "shelf")
 
 
 @dataclass(frozen=True)
-class Stage:
+class Environment:
     """What `prepare --static` found in a scene; metres, +y up.
 
     floor     height of the floor
@@ -36,15 +36,15 @@ class Stage:
     fine: tuple[DistanceGrid, ...] = field(default=())
 
     @classmethod
-    def load(cls, path: str | Path) -> Stage:
+    def load(cls, path: str | Path) -> Environment:
         """The stage in an asset file, without its Gaussians. Raises BadInput where there is none."""
         with open_hdf5(Path(path)) as file:
             if not file.has("stage"):
                 raise BadInput(f"{path}: is no stage (make one: python vrgs.py prepare ROOM.ply --static)")
-            return read_stage(file)
+            return read_environment(file)
 
 
-def read_stage(file: Reader) -> Stage:
+def read_environment(file: Hdf5Reader) -> Environment:
     """The stage of an open asset file; checked. Raises BadInput."""
     numbers = {key: file.number("stage", key) for key in ("floor", "clear")}
     points = {key: tuple(map(float, file.vector("stage", key))) for key in ("drop", "eye")}
@@ -59,10 +59,10 @@ def read_stage(file: Reader) -> Stage:
     if numbers["clear"] <= 0 or not np.isin(rows[:, 0], range(len(KINDS))).all():
         raise file.bad("the stage's free radius or a kind of plane is out of range")
     planes = tuple((KINDS[int(r[0])], *map(float, r[1:])) for r in rows)
-    return Stage(**numbers, **points, planes=planes, fine=tuple(fine))
+    return Environment(**numbers, **points, planes=planes, fine=tuple(fine))
 
 
-def write_stage(file: h5py.File, stage: Stage) -> None:
+def write_environment(file: h5py.File, stage: Environment) -> None:
     """Put a stage into an asset file."""
     group = file.create_group("stage")
     group.attrs["floor"], group.attrs["clear"] = float(stage.floor), float(stage.clear)

@@ -45,7 +45,7 @@ def file_size(path: Path) -> int:
 
 
 @contextmanager
-def reading(path: Path) -> Iterator:
+def open_input(path: Path) -> Iterator:
     """The file opened for reading as bytes; the system's refusals become BadInput."""
     file_size(path)
     try:
@@ -56,7 +56,7 @@ def reading(path: Path) -> Iterator:
 
 
 @contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
+def atomic_write(path: str | Path) -> Iterator[Path]:
     """A name beside `path` to write to; it takes the place of `path` only if the block succeeds."""
     path = Path(path)
     if path.is_dir():
@@ -74,10 +74,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_all(*paths: str | Path) -> Iterator[list[Path]]:
+def atomic_write_all(*paths: str | Path) -> Iterator[list[Path]]:
     """As `replacing`, for several files: none takes its place before all are written."""
     with ExitStack() as stack:
-        besides = [stack.enter_context(replacing(path)) for path in paths]
+        besides = [stack.enter_context(atomic_write(path)) for path in paths]
         try:
             yield besides
         except BadInput as e:  # of a writer, which knows only the name it was given

@@ -23,7 +23,7 @@ HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in any file of less than 
 TEXT_MAX = 1 << 20  # [characters] of a text attribute
 
 
-class Reader:
+class Hdf5Reader:
     """An open HDF5 file. Every method raises BadInput with one line that names the file and the defect."""
 
     def __init__(self, path: Path, file: h5py.File, size: int):
@@ -160,12 +160,12 @@ class Reader:
 
 
 @contextmanager
-def open_hdf5(path: Path) -> Iterator[Reader]:
+def open_hdf5(path: Path) -> Iterator[Hdf5Reader]:
     """A Reader of the file. Whatever h5py makes of a damaged file becomes BadInput."""
     size = file_size(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
-            yield Reader(path, file, size)
+            yield Hdf5Reader(path, file, size)
     except (OSError, KeyError, ValueError, RuntimeError, TypeError, OverflowError, MemoryError, zlib.error) as e:
         reason = " ".join(str(e).split())[:120]
         raise BadInput(f"{path}: not a readable HDF5 file ({reason or type(e).__name__})") from e

@@ -9,7 +9,7 @@ import numpy as np
 
 from core.errors import BadInput
 
-SIDE = 192  # [px] of those that are made
+THUMBNAIL_SIDE = 192  # [px] of those that are made
 SIDE_MAX = 1024  # [px] of those that are taken
 BYTES_MAX = 1 << 20
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -65,5 +65,5 @@ def thumbnail_of(picture: np.ndarray) -> np.ndarray:
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
-    square = cv2.resize(picture[top : top + side, left : left + side], (SIDE, SIDE), interpolation=cv2.INTER_AREA)
+    square = cv2.resize(picture[top : top + side, left : left + side], (THUMBNAIL_SIDE, THUMBNAIL_SIDE), interpolation=cv2.INTER_AREA)
     return cv2.imencode(".png", square[..., ::-1].copy(), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].reshape(-1)

@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
 
 NARROWING = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # how far normals may lean from an axis, ever less
-LEVEL = np.cos(np.radians(25.0))  # a Gaussian's normal may lean so far and still belong to a level plane
+LEVEL_COS = np.cos(np.radians(25.0))  # a Gaussian's normal may lean so far and still belong to a level plane
 BINS = 300  # of the scene's height, for the search of the floor
 LOWER = 0.45  # of the scene's height, in which the floor is: above are tables and the ceiling
 BELOW = 2.0  # weight of what lies under a floor: nothing should
@@ -30,7 +30,7 @@ def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
     return n, np.pi * s[:, 1] * s[:, 2]
 
 
-def refine(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
+def refine_direction(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
     """The direction near `axis` (3,) about which the most area has its normals; their signs do not count."""
     for least in NARROWING:
         mine = np.abs(normals @ axis) > least
@@ -80,8 +80,8 @@ def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> d
     """
     votes = {}
     for axis in range(3):
-        direction = refine(np.eye(3)[axis], normals, areas)
-        heights, level = points @ direction, np.abs(normals @ direction) > LEVEL
+        direction = refine_direction(np.eye(3)[axis], normals, areas)
+        heights, level = points @ direction, np.abs(normals @ direction) > LEVEL_COS
         ends = [floor_of(sign * heights, level, areas) for sign in (1, -1)]
         low, high = ends[0][0], -ends[1][0]
         clear = 0.04 * max(high - low, 1e-9)
@@ -122,7 +122,7 @@ def scene_votes(g: Gaussians) -> dict[str, float] | None:
     normals, areas = normals_and_areas(g.select(core))
     votes = plane_votes(points, normals, np.minimum(areas, np.percentile(areas, 99)))
     up = max(votes, key=votes.get)
-    direction = refine(np.eye(3)["xyz".index(up[1])] * (1 if up[0] == "+" else -1), normals, areas)
+    direction = refine_direction(np.eye(3)["xyz".index(up[1])] * (1 if up[0] == "+" else -1), normals, areas)
     heights = points @ direction
     low, high = np.percentile(heights, [1, 99])
     slab = 0.06 * (high - low)

@@ -11,28 +11,28 @@ from assets.hdf5 import open_hdf5
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 
-SHIPPED = Path(__file__).resolve().parent / "data"
+SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 
 
 def find_asset(name: str) -> Path:
     """Path of an asset named as in a scene: a shipped one ("ring") or a file. Raises BadInput."""
-    shipped = SHIPPED / f"{name}.h5"
+    shipped = SHIPPED_FOLDER / f"{name}.h5"
     if shipped.is_file():
         return shipped
     path = Path(name)
     if path.is_file():
         return path
-    known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.h5"))) or "none (run: python vrgs.py build)"
+    known = ", ".join(sorted(p.stem for p in SHIPPED_FOLDER.glob("*.h5"))) or "none (run: python vrgs.py build)"
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
 
 
-def usual_material(asset: str) -> str | None:
+def default_material(asset: str) -> str | None:
     """The name of what this asset is made of if nothing is said: what moves by itself is flesh. Raises BadInput."""
     with open_hdf5(find_asset(asset)) as file:
         return ANIMATED_MATERIAL if file.has("animation") else None
 
 
-def moves_by_itself(asset: str) -> float | None:
+def animated_height(asset: str) -> float | None:
     """The height [m] of an asset that has a motion of its own, None if it has none. Raises BadInput."""
     with open_hdf5(find_asset(asset)) as file:
         if not file.has("animation"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from assets.asset import Asset
-from assets.file_access import Report, reading
+from assets.file_access import Report, open_input
 from assets.formats.antimatter_splat import read_splat, write_splat
 from assets.formats.compressed_ply import write_compressed
 from assets.formats.ksplat import read_ksplat
@@ -51,7 +51,7 @@ def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     suffix = path.suffix.lower()
     if suffix not in READERS:
         raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join(READERS)}")
-    with reading(path) as file:
+    with open_input(path) as file:
         head = file.read(8)
     found = next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), suffix)
     if found != suffix:

@@ -24,14 +24,14 @@ SINGLE = 0.06  # of the extent: what is seen this close together from above and 
 # Weights of the cues, and a head start for what files use. The cues differ by 0.1 to 0.7 between a toy's top and
 # underside; a flat side lit from a window reaches 0.2 of brightness.
 WEIGHT = {"size": 1.0, "opacity": 2.0, "brightness": 2.0, "open": 1.5, "hollow": 1.0, "stable": 0.6}
-BODY_UNIT, SCENE_UNIT = 0.1, 0.03  # by which one vote must exceed another to be about three times as sure
-USUAL = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05}
+BODY_VOTE_UNIT, SCENE_VOTE_UNIT = 0.1, 0.03  # by which one vote must exceed another to be about three times as sure
+UP_PRIOR = {"-y": 0.10, "+y": 0.08, "+z": 0.05, "-z": 0.0, "+x": -0.05, "-x": -0.05}
 PLAUSIBLE = (0.05, 0.6)  # [m] largest extent of what a hand can hold; files outside have arbitrary units
 USUAL_SIZE = 0.25  # [m]
 SIZES = (0.01, 10.0)  # [m] what may be asked for
 
 
-def extent(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def robust_bounds(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper corner (3,) of all but the outermost 0.5 % of points (N, 3) on each side."""
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
     return low, high
@@ -93,7 +93,7 @@ def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
     """For each axis that may point up: what speaks for it, larger is more likely."""
     g = gaussians.select(gaussians.opacities >= min(0.3, np.median(gaussians.opacities)))
     points = g.means.astype(np.float64)
-    low, high = extent(points)
+    low, high = robust_bounds(points)
     longest = (high - low).max()
     sigma = np.sort(g.log_scales, axis=1)[:, 1]  # the middle one: the width of a disc, whatever its length
     centre = centre_of(points, longest)
@@ -122,24 +122,24 @@ def cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
     return found
 
 
-def guess(gaussians: Gaussians) -> tuple[str, float]:
+def guess_up_axis(gaussians: Gaussians) -> tuple[str, float]:
     """The axis of the file that points up, "+x", "-x", ... "-z", and how sure that is, 0 to 1.
 
     Of a room or a garden its planes tell. How sure is a share of exp(votes): it ranks guesses, it is no frequency.
     """
-    votes, unit = scene_votes(gaussians), SCENE_UNIT
+    votes, unit = scene_votes(gaussians), SCENE_VOTE_UNIT
     if votes is not None:
-        votes = {up: vote + 0.1 * USUAL[up] for up, vote in votes.items()}
+        votes = {up: vote + 0.1 * UP_PRIOR[up] for up, vote in votes.items()}
     else:
-        unit = BODY_UNIT
+        unit = BODY_VOTE_UNIT
         votes = {
-            up: USUAL[up] + sum(WEIGHT[name] * value for name, value in of.items())
+            up: UP_PRIOR[up] + sum(WEIGHT[name] * value for name, value in of.items())
             for up, of in cues(gaussians).items()
         }
-    return surest(votes, unit)
+    return most_likely(votes, unit)
 
 
-def surest(votes: dict[str, float], unit: float) -> tuple[str, float]:
+def most_likely(votes: dict[str, float], unit: float) -> tuple[str, float]:
     """The name with the largest vote, and its share where a vote that is larger by `unit` counts e times as much."""
     up = max(AXES, key=lambda name: votes[name])
     return up, float(1 / sum(np.exp((vote - votes[up]) / unit) for vote in votes.values()))
@@ -147,10 +147,10 @@ def surest(votes: dict[str, float], unit: float) -> tuple[str, float]:
 
 def guess_up(gaussians: Gaussians) -> str:
     """The axis of the file that points up, as `guess` has it."""
-    return guess(gaussians)[0]
+    return guess_up_axis(gaussians)[0]
 
 
-def told(up: str, sure: float) -> str:
+def describe_guess(up: str, sure: float) -> str:
     """What a terminal says of a guess."""
     return f"{up} (guessed, {sure:.0%} sure; --up overrides)"
 
@@ -170,7 +170,7 @@ def rotation_to_up(up: str) -> np.ndarray:
     }[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"]
 
 
-def metres(longest: float, scale: float | None) -> float:
+def body_size(longest: float, scale: float | None) -> float:
     """Size [m] of a body whose largest extent in the file is `longest`: as asked, else the file's if it is plausible.
 
     Raises BadInput.

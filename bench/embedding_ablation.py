@@ -15,7 +15,7 @@ import numpy as np
 import taichi as ti
 
 from assets.gaussians import Gaussians
-from assets.library import SHIPPED
+from assets.library import SHIPPED_FOLDER
 from bench.ablation import DEFORMATIONS, SCHEMES, ablation, arch, body, carried, jump, moved, page
 from bench.sample_meshes import random_gaussians, tet_bar
 from display.headless.video import claim
@@ -34,7 +34,7 @@ def run(args) -> None:
     for file in filter(None, (args.json, args.out)):
         claim(file, file.with_name(f".{file.name}.part"))
     rows = [hosts(args.count), deform(args.count, args.rounds)]
-    names = ["bar", *([args.splats] if args.splats != SHIPPED / "dining_room.h5" else [])]
+    names = ["bar", *([args.splats] if args.splats != SHIPPED_FOLDER / "dining_room.h5" else [])]
     pages = []
     print(f"\n{'body':14} {'deformation':12} {'scheme':10} {'spikes':>8} {'ratio 99%':>10}", end=" ")
     print(f"{'error 95%':>10} {'jump 95%':>9}", flush=True)

@@ -13,7 +13,7 @@ import os
 from pathlib import Path
 from statistics import median
 
-from assets.file_access import replacing
+from assets.file_access import atomic_write
 from bench.plot import Panel, svg
 from core.errors import BadInput
 from display.headless.video import claim
@@ -44,7 +44,7 @@ def run(args) -> None:
     if args.json:
         write_stats(args.json, rows)
     if args.plot:
-        with replacing(args.plot) as beside:
+        with atomic_write(args.plot) as beside:
             beside.write_text(svg(panels(rows)), encoding="utf-8")
 
 

@@ -6,7 +6,7 @@ import argparse
 import importlib
 from pathlib import Path
 
-from assets.library import SHIPPED
+from assets.library import SHIPPED_FOLDER
 from commands.argument_types import elevation, positive, share, size
 from core.runtime import start_taichi
 from render.sort_modes import MOVING_SORT, SORTS
@@ -194,7 +194,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
     what += "popping: what flickers when the head turns, by ways to sort; "
     what += "embedding: finding hosts, carrying Gaussians, one level against two"
     c.add_argument("subject", choices=tuple(BENCHES), help=what)
-    room = {"type": Path, "default": SHIPPED / "dining_room.h5", "metavar": "SPLATS"}
+    room = {"type": Path, "default": SHIPPED_FOLDER / "dining_room.h5", "metavar": "SPLATS"}
     c.add_argument("--splats", **room, help="popping: what is looked at (default: the dining room); embedding: a body")
     c.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help="embedding: (default 1000000)")
     c.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
@@ -216,7 +216,7 @@ def parser(summary: str, play) -> argparse.ArgumentParser:
         "build ring_red",
     )
     c.add_argument("names", nargs="*", metavar="NAME", help="which ones (default: all)")
-    c.add_argument("--out", type=Path, default=SHIPPED, metavar="DIR")
+    c.add_argument("--out", type=Path, default=SHIPPED_FOLDER, metavar="DIR")
     c = add(
         "tune",
         command("display.headless.stiffness_sweep", taichi=True),

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset_check import check
-from assets.file_access import file_size, replacing_all
-from assets.splat_files import read_gaussians
+from assets.file_access import atomic_write_all, file_size
 from assets.images import thumbnail_of
-from assets.up_axis import told
+from assets.splat_files import read_gaussians
+from assets.up_axis import describe_guess
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
@@ -99,7 +99,7 @@ def prepare_file(
         splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
         asset = replace(asset, thumbnail=thumbnail_of(splat))
     texts = report_texts(asset, made, out.name, notes=tuple(notes), splat=splat) if page else ()
-    with replacing_all(out, *(report_names(out) if page else ())) as (beside, *others):
+    with atomic_write_all(out, *(report_names(out) if page else ())) as (beside, *others):
         check(asset, str(out))  # before `save` does, which would name the file beside
         asset.save(beside)
         for other, text in zip(others, texts, strict=True):
@@ -114,7 +114,7 @@ def summary(provenance: dict) -> list[str]:
     """What was made, in a few lines."""
     counts, figures, options = provenance["counts"], provenance["figures"], provenance["options"]
     left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
-    up = provenance["up"] if options["up"] else told(provenance["up"], provenance["up_sure"])
+    up = provenance["up"] if options["up"] else describe_guess(provenance["up"], provenance["up_sure"])
     size = f"{provenance['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     moving = provenance.get("rig")
     apart, pieces = counts["apart"] + counts["stray"], []

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.camera_file import read_cameras
-from assets.file_access import replacing
+from assets.file_access import atomic_write
 from assets.splat_files import read_gaussians
 from core.camera import Camera
 from core.errors import BadInput
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> None:
     start = time.perf_counter()
     if out.suffix.lower() == ".npz":
         images = draw_float(gaussians, cameras, antialias=args.antialias, sort=args.sort)
-        with replacing(out) as beside, open(beside, "wb") as file:
+        with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
         for path, picture in zip(
@@ -82,5 +82,5 @@ def _write_png(path: Path, rgba: np.ndarray) -> None:
     ok, data = cv2.imencode(".png", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR))
     if not ok:
         raise BadInput(f"{path}: the picture could not be encoded")
-    with replacing(path) as beside:
+    with atomic_write(path) as beside:
         beside.write_bytes(data.tobytes())

@@ -8,7 +8,7 @@ import numpy as np
 
 from assets.animation import Animation
 from assets.asset import Asset
-from assets.components import pieces_of
+from assets.components import split_components
 from assets.gaussians import Gaussians
 from assets.library import find_asset
 from core.distance_grid import DistanceGrid
@@ -45,7 +45,7 @@ def load_bodies(
             static.append(place_static(library[body.asset], body))
             continue
         if body.asset not in pieces:
-            pieces[body.asset] = pieces_of(library[body.asset])
+            pieces[body.asset] = split_components(library[body.asset])
         for asset in pieces[body.asset]:
             if asset.animation is not None and body.kind == "soft":
                 animated[len(moving)] = body, asset.animation
@@ -58,7 +58,7 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]
     rotation = matrices_from_quaternions(np.array(body.rotation))
     gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
     friction = asset.material.friction if asset.material is not None else 0.5
-    grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.stage.fine if asset.stage is not None else ())]
+    grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.environment.fine if asset.environment is not None else ())]
     return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
 
 

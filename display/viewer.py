@@ -33,13 +33,13 @@ BACKDROP = (0.12, 0.13, 0.14)
 
 def upright(path, up: str | None) -> tuple[Gaussians, str]:
     """The file's Gaussians turned so that `up` is +y, and what to say of it; None guesses, but for a prepared asset."""
-    from assets.up_axis import guess, rotation_to_up
+    from assets.up_axis import guess_up_axis, rotation_to_up
 
     gaussians = read_gaussians(path)
     note = ""
     if up is None:
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ENOUGH)))
-        up, sure = ("+y", 1.0) if str(path).lower().endswith(".h5") else guess(some)
+        up, sure = ("+y", 1.0) if str(path).lower().endswith(".h5") else guess_up_axis(some)
         note = f" (guessed, {sure:.0%} sure; --up overrides)" if sure < 1.0 else ""
     if up != "+y":
         gaussians = gaussians.transformed(rotation_to_up(up), (0.0, 0.0, 0.0), 1.0)

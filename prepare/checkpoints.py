@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import replacing
+from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
 from assets.library import cache_folder
 from core.errors import BadInput
@@ -52,7 +52,7 @@ class Checkpoints:
         if self.folder:
             with contextlib.suppress(OSError, BadInput):  # a full disk is no reason to stop
                 self.folder.mkdir(parents=True, exist_ok=True)
-                with replacing(self.folder / f"{name}.npz") as beside, open(beside, "wb") as file:
+                with atomic_write(self.folder / f"{name}.npz") as beside, open(beside, "wb") as file:
                     np.savez(file, **made)
         return made
 

@@ -7,7 +7,7 @@ from scipy.ndimage import binary_dilation, generate_binary_structure, label
 from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
-from assets.up_axis import extent
+from assets.up_axis import robust_bounds
 from core.errors import BadInput
 
 OPACITY_MIN = 0.01  # at most 2.5 of 255 grey levels
@@ -61,7 +61,7 @@ def box_of(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
     solid = g.opacities > 0.5
     if solid.sum() < FEWEST:
         solid[:] = True
-    low, high = extent(g.means[solid].astype(np.float64))
+    low, high = robust_bounds(g.means[solid].astype(np.float64))
     longest = (high - low).max()
     if not 1e-6 < longest < 1e6:
         raise BadInput(f"the splat's extent is {longest:.3g}; nothing to be made of that (expected 1e-6 to 1e6)")

@@ -9,9 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from assets.asset import Asset, Cage, Embedded
+from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
-from assets.up_axis import guess, metres, rotation_to_up
+from assets.up_axis import body_size, guess_up_axis, rotation_to_up
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
 from core.tetmesh import tet_volumes
@@ -78,7 +78,7 @@ def prepare(
     elastic = Material.named(material or DEFAULT_MATERIAL)
     check_count(vertices)
     check_mesher(mesher)
-    metres(1.0, scale)
+    body_size(1.0, scale)
     if up is not None:
         rotation_to_up(up)
 
@@ -93,7 +93,7 @@ def prepare(
             g, counts = clean(gaussians)
             number = np.zeros(len(g), int)
         report("orient", 0.0)
-        axis, sure = guess(g) if guessed else (up, 1.0)
+        axis, sure = guess_up_axis(g) if guessed else (up, 1.0)
         return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis, sure=sure) | {"cluster": number}
 
     arrays = kept.stage("orient", cleaned)
@@ -138,7 +138,7 @@ def prepare(
     mine = np.concatenate([c.part.mine for c in caged])
     counts |= {"stray": counts["kept"] - len(mine), "kept": len(mine)}
     longest, foot = extent_of(caged)
-    size = metres(longest, scale)
+    size = body_size(longest, scale)
     factor = size / longest
     cage, first = joined(caged, lambda x: (x - foot) * factor)
     g = g.select(mine).transformed(np.eye(3), -factor * foot, factor)
@@ -147,7 +147,7 @@ def prepare(
         report("embed", 0.0)
         return vars(embedded_in(cage, first, g, [len(c.part.mine) for c in caged]))
 
-    embedded = Embedded(**kept.stage("embed", placed))
+    embedded = CageEmbedding(**kept.stage("embed", placed))
 
     report("contact", 0.0)
     made = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.library import moves_by_itself
+from assets.library import animated_height
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL, Material
 from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
@@ -45,7 +45,7 @@ class JustDance(Sandbox):
 
 def build(body: str = "dancer", material: str = ANIMATED_MATERIAL) -> Scene:
     """`body` is an asset that moves by itself, `material` a name (see core/material.py). Raises BadInput."""
-    height = moves_by_itself(body)
+    height = animated_height(body)
     if height is None:
         raise BadInput(f"{body}: does not move by itself; make it (vrgs.py prepare PERSON.ply --rig RIG.glb)")
     far = float(np.clip(1.5 * height - 0.5, 0.0, 1.2))  # to see it from head to foot

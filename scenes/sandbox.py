@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.environment import Stage
-from assets.library import moves_by_itself
+from assets.environment import Environment
+from assets.library import animated_height
 from core.material import Material
 from scenes.ring_toss import BOTTLE, PLASTER, RUBBER, TABLE_TOP, room
 from scenes.scene import Body, BodyState, Hand, Light, Plane, Scene
@@ -81,7 +81,7 @@ class Sandbox:
 
 def build(body: str = "ring_red", material: str = "plush", stage: str | None = None) -> Scene:
     """`material` is a name (see core/material.py), `stage` an asset that `prepare --static` made."""
-    height = moves_by_itself(body)
+    height = animated_height(body)
     of = Material.named(material) if height is None else Material.animated(material, height)
     if stage is not None:
         return on_stage(body, of, stage, height)
@@ -110,7 +110,7 @@ def rings(at: tuple[float, float, float], height: float | None) -> list[Body]:
 
 def on_stage(body: str, material: Material, stage: str, height: float | None = None) -> Scene:
     """The same in a room of the user's: the body over its table or floor, which goes on beyond what was captured."""
-    place = Stage.load(stage)
+    place = Environment.load(stage)
     x, y, z = place.drop
     start = (x, y + ABOVE, z) if height is None else (x, y, z)
     return Scene(

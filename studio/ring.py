@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.asset import Asset, Cage, Embedded
+from assets.asset import Asset, Cage, CageEmbedding
 from core.material import Material
 from studio.finish import (
     SPHERE_VIEWS,
@@ -44,7 +44,7 @@ def ring(name: str, rng: np.random.Generator) -> Asset:
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
     half = RING_MAJOR + RING_TUBE + 0.0105
     sdf = sample_distance_grid([torus(RING_MAJOR, RING_TUBE)], (-half, -0.0255, -half), (half, 0.0255, half), 0.003)
-    embedded = Embedded(embedded.host, _rounded_weights(embedded.weights))
+    embedded = CageEmbedding(embedded.host, _rounded_weights(embedded.weights))
     return Asset(g, cage, embedded, sdf, MATERIAL, {"made_by": "vrgs build", "name": name})
 
 

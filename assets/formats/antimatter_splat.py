@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, byte_of_logit, logit_of_byte, reading, replacing, usable_gaussians
+from assets.file_access import Report, atomic_write, byte_of_logit, logit_of_byte, open_input, usable_gaussians
 from assets.gaussians import Gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
@@ -19,7 +19,7 @@ LEAST_SCALE = float(np.finfo(np.float32).tiny)  # [m]; a smaller one could becom
 def read_splat(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .splat; those that are not finite are dropped and reported. Raises BadInput."""
     path = Path(path)
-    with reading(path) as file:
+    with open_input(path) as file:
         size = file.seek(0, 2)
         if size % ROW.itemsize:
             raise BadInput(f"{path}: truncated, or no .splat: {size} bytes are not a multiple of {ROW.itemsize}")
@@ -43,7 +43,7 @@ def write_splat(path: str | Path, g: Gaussians) -> None:
     rows["color"] = _bytes((g.sh[:, 0].astype(np.float64) * C0 + 0.5) * 255)
     rows["alpha"] = byte_of_logit(g.logit_opacities)
     rows["quat"] = _bytes(g.quats.astype(np.float64) * 128 + 128)
-    with replacing(path) as beside, open(beside, "wb") as file:
+    with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(rows.tobytes())
 
 

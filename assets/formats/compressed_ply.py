@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, byte_of_logit, logit_of_byte, replacing, usable_gaussians
+from assets.file_access import Report, atomic_write, byte_of_logit, logit_of_byte, usable_gaussians
 from assets.formats.ply_header import Element, binary_rows
 from assets.gaussians import Gaussians
 from core.errors import BadInput
@@ -152,7 +152,7 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     header += [f"property float {name}" for both in RANGES.values() for names in both for name in names]
     header += [f"element vertex {n}", *(f"property uint {name}" for name in PACKED)]
     header += [f"element sh {n}", *(f"property uchar f_rest_{i}" for i in range(rest))] if rest else []
-    with replacing(path) as beside, open(beside, "wb") as file:
+    with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write("\n".join([*header, "end_header\n"]).encode("ascii"))
         file.write(ranges.astype("<f4").tobytes())
         file.write(np.stack(words, axis=1).astype("<u4").tobytes())

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import reading
+from assets.file_access import open_input
 from core.errors import BadInput
 
 MAGIC, VERSION = b"glTF", 2
@@ -27,7 +27,7 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # MAT2, MAT
 HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization")  # what may be required
 
 
-class Gltf:
+class GlbFile:
     """An open .glb. Every method raises BadInput with one line that names the file and the defect.
 
     json  the scene description, a dict
@@ -35,7 +35,7 @@ class Gltf:
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
-        with reading(self.path) as file:
+        with open_input(self.path) as file:
             size = self.path.stat().st_size
             if size > FILE_MAX:
                 raise self.bad(f"has {size} bytes, at most {FILE_MAX} are read")
@@ -186,7 +186,7 @@ class Gltf:
         if "bufferView" not in image:
             raise self.bad("keeps a picture in another file; only a self-contained .glb is read")
         data = bytes(self.view(image["bufferView"])[0])
-        size = picture_size(data)
+        size = image_size(data)
         if size is None or not 0 < size[0] * size[1] <= PIXELS_MAX:
             raise self.bad(f"image {index} is no PNG or JPEG of at most {PIXELS_MAX} pixels")
         import cv2
@@ -204,7 +204,7 @@ class Gltf:
         return pixels[..., ::-1].copy()
 
 
-def picture_size(data: bytes) -> tuple[int, int] | None:
+def image_size(data: bytes) -> tuple[int, int] | None:
     """Width and height [px] from the header of a PNG (ISO 15948) or JPEG (ITU T.81, B.2); None if it is neither."""
     if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
         return struct.unpack_from(">II", data, 16)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.formats.gltf import Gltf
+from assets.formats.gltf import GlbFile
 
 NODES_MAX = 4096
 TRIANGLES_MAX = 5_000_000
@@ -20,7 +20,7 @@ WEIGHT_SUM = 0.05  # that the weights of a vertex may be off 1; they are normali
 
 
 @dataclass(frozen=True)
-class Mesh:
+class SkinnedMesh:
     """A skinned mesh as it lies in the file, before any joint moves it.
 
     vertices (V, 3) [m]; faces (F, 3) int64; joints (V, K) int64, into the skin's list; weights (V, K), rows sum to 1
@@ -60,12 +60,12 @@ class Rig:
     animation: str
 
 
-def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, Gltf, int]:
+def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, GlbFile, int]:
     """The first skin of a .glb and its first animation, sampled, with the open file and the skin's index.
 
     Raises BadInput.
     """
-    file = Gltf(path)
+    file = GlbFile(path)
     nodes = file.list(file.json, "nodes")
     if not 0 < len(nodes) <= NODES_MAX:
         raise file.bad(f"has {len(nodes)} nodes, expected 1 to {NODES_MAX}")
@@ -96,7 +96,7 @@ def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, Gltf, int]:
     return rig, file, 0
 
 
-def _order(file: Gltf, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
     """An order in which parents come before their children, and the parent of each node, -1 for none."""
     parents = np.full(count, -1, np.int64)
     children = [file.list(file.item("nodes", k), "children") for k in range(count)]
@@ -114,13 +114,13 @@ def _order(file: Gltf, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(order), parents
 
 
-def _local(file: Gltf, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Translation, rotation wxyz and scale of a node."""
-    from assets.animation import parts_of
+    from assets.animation import decompose
 
     if "matrix" in node:
         m = file.numbers(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
-        t, q, s, off = parts_of(m[None])
+        t, q, s, off = decompose(m[None])
         if off[0] > 1e-3:
             raise file.bad("a node's matrix shears, or mirrors")
         return t[0], q[0], s[0]
@@ -131,7 +131,7 @@ def _local(file: Gltf, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return file.numbers(node, "translation", (0.0, 0.0, 0.0)), q / np.linalg.norm(q), scale
 
 
-def _sampled(file: Gltf, rest: list[np.ndarray], place: np.ndarray, fps: float):
+def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: float):
     """The first animation at a whole number of frames of about 1/fps: (t, q, s), its rate and name."""
     animations = file.list(file.json, "animations")
     if not animations:
@@ -165,14 +165,14 @@ def _sampled(file: Gltf, rest: list[np.ndarray], place: np.ndarray, fps: float):
     return tuple(frames), count / (end - begin), str(animation.get("name", ""))[:100]
 
 
-def _times(file: Gltf, sampler: dict) -> np.ndarray:
+def _times(file: GlbFile, sampler: dict) -> np.ndarray:
     times = file.accessor(sampler.get("input"), kinds=("SCALAR",))[:, 0]
     if (np.diff(times) <= 0).any():
         raise file.bad("the times of an animation do not rise")
     return times
 
 
-def _channel(file: Gltf, sampler: dict, times: np.ndarray, at: np.ndarray, turns: bool) -> np.ndarray:
+def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, turns: bool) -> np.ndarray:
     """A channel's values at the times `at`: (n, 3), or quaternions wxyz (n, 4)."""
     from assets.animation import slerp
 
@@ -209,7 +209,7 @@ def _channel(file: Gltf, sampler: dict, times: np.ndarray, at: np.ndarray, turns
     return found
 
 
-def read_mesh(file: Gltf, skin: int, joints: int) -> Mesh:
+def read_mesh(file: GlbFile, skin: int, joints: int) -> SkinnedMesh:
     """All triangles that are bound to the skin of `joints` joints, with their colours. Raises BadInput."""
     parts, textures, known, faces, vertices = [], [], {}, 0, 0
     for node in file.list(file.json, "nodes"):
@@ -225,10 +225,10 @@ def read_mesh(file: Gltf, skin: int, joints: int) -> Mesh:
             parts.append(part)
     if not parts:
         raise file.bad("no mesh is bound to its skin")
-    return Mesh(*(np.concatenate(x) for x in zip(*parts, strict=True)), textures)
+    return SkinnedMesh(*(np.concatenate(x) for x in zip(*parts, strict=True)), textures)
 
 
-def _primitive(file: Gltf, p, joints: int, textures: list, known: dict) -> list[np.ndarray]:
+def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> list[np.ndarray]:
     """The arrays of a Mesh for one primitive; its texture is added to `textures` unless it is `known`."""
     attributes = p.get("attributes") if isinstance(p, dict) else None
     if not isinstance(attributes, dict) or p.get("mode", 4) != 4:
@@ -271,12 +271,12 @@ def _primitive(file: Gltf, p, joints: int, textures: list, known: dict) -> list[
     return [x, faces, which, weights / total, colours, uv, texture]
 
 
-def encoded(linear: np.ndarray) -> np.ndarray:
+def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
     """Display values of linear light in 0..1 (IEC 61966-2-1, sRGB)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def decoded(display: np.ndarray) -> np.ndarray:
+def linear_from_srgb(display: np.ndarray) -> np.ndarray:
     """Linear light of display values in 0..1, the inverse of `encoded`."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)

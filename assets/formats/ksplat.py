@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, logit_of_byte, reading, usable_gaussians
+from assets.file_access import Report, logit_of_byte, open_input, usable_gaussians
 from assets.gaussians import SH_COUNTS, Gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
@@ -60,7 +60,7 @@ class Section:
 def read_ksplat(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ksplat; those that are not finite are dropped and reported. Raises BadInput."""
     path = Path(path)
-    with reading(path) as file:
+    with open_input(path) as file:
         data = file.read()
     level, sh_range, sections = _headers(path, data)
     at = HEADER_SIZE + SECTION_SIZE * len(sections)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import ALPHA_EPSILON, Report, reading, replacing, usable_gaussians
+from assets.file_access import ALPHA_EPSILON, Report, atomic_write, open_input, usable_gaussians
 from assets.formats.compressed_ply import read_compressed
 from assets.formats.ply_header import Element, binary_rows, read_header
 from assets.gaussians import Gaussians
@@ -29,7 +29,7 @@ REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
 def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ply, SH degree 0 to 3; those that are not finite are dropped and reported. Raises BadInput."""
     path = Path(path)
-    with reading(path) as file:
+    with open_input(path) as file:
         order, elements = read_header(path, file)
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
@@ -109,6 +109,6 @@ def write_ply(path: str | Path, g: Gaussians) -> None:
     columns = [g.means, normals, g.sh[:, 0], channels, g.logit_opacities[:, None], g.log_scales, g.quats]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in names] + ["end_header\n"]
-    with replacing(path) as beside, open(beside, "wb") as file:
+    with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())

@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from assets.file_access import Report, file_size, logit_of_byte, reading, unpack_bound, usable_gaussians
+from assets.file_access import Report, file_size, logit_of_byte, open_input, unpack_bound, usable_gaussians
 from assets.formats.webp import read_webp
 from assets.formats.zip_archive import Archive
 from assets.gaussians import SH_COUNTS, Gaussians
@@ -92,11 +92,11 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        with reading(path) as file:
+        with open_input(path) as file:
             meta = _meta(path, file.read(META_MAX + 1))
             beside = sum(f.stat().st_size for f in path.parent.iterdir() if f.is_file())
         return _decode(Images(path, meta, lambda name: _beside(path, name), unpack_bound(beside)), report)
-    with reading(path) as file, Archive(path, file) as archive:
+    with open_input(path) as file, Archive(path, file) as archive:
         names = [n for n in archive.names() if PurePosixPath(n).name == "meta.json"]
         if not names:
             raise BadInput(f"{path}: holds no meta.json")
@@ -107,7 +107,7 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
 
 
 def _beside(path: Path, name: str) -> bytes:
-    with reading(path.with_name(name)) as file:
+    with open_input(path.with_name(name)) as file:
         return file.read()
 
 

@@ -17,7 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, byte_of_logit, logit_of_byte, reading, replacing, unpack_bound, usable_gaussians
+from assets.file_access import (
+    Report,
+    atomic_write,
+    byte_of_logit,
+    logit_of_byte,
+    open_input,
+    unpack_bound,
+    usable_gaussians,
+)
 from assets.gaussians import SH_COUNTS, Gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
@@ -67,7 +75,7 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     `report` takes a line for what was dropped or ignored.
     """
     path = Path(path)
-    with reading(path) as file:
+    with open_input(path) as file:
         data = file.read()
     unzipped = data[:4] == MAGIC.to_bytes(4, "little")
     if not unzipped and data[:2] != GZIP:
@@ -228,7 +236,7 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         _bytes(sh[:, 1:] * 128.0 + 128),
     ]
     header = HEADER.pack(MAGIC, 3, n, g.sh_degree, bits, 0, 0)
-    with replacing(path) as beside, open(beside, "wb") as file:
+    with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0))
 
 

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from assets.hdf5 import Reader
+from assets.hdf5 import Hdf5Reader
 from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Command, Frame
@@ -53,7 +53,7 @@ def checked_about(text: str) -> dict:
 
 
 def finite(
-    file: Reader, name: str, shape: tuple = (None,), *, low: float = -np.inf, high: float = np.inf
+    file: Hdf5Reader, name: str, shape: tuple = (None,), *, low: float = -np.inf, high: float = np.inf
 ) -> np.ndarray:
     """A dataset of floats within bounds."""
     values = file.array(name, "f", shape).astype(np.float64)
@@ -63,7 +63,7 @@ def finite(
     return values
 
 
-def counts(file: Reader, name: str, most: int, length: int | None = None) -> np.ndarray:
+def counts(file: Hdf5Reader, name: str, most: int, length: int | None = None) -> np.ndarray:
     """A dataset of numbers of things, 0 to `most`."""
     values = file.array(name, "iu", (length,)).astype(np.int64)
     if len(values) and (values.min() < 0 or values.max() > most):
@@ -71,7 +71,7 @@ def counts(file: Reader, name: str, most: int, length: int | None = None) -> np.
     return values
 
 
-def read_frames(file: Reader) -> list[Frame]:
+def read_frames(file: Hdf5Reader) -> list[Frame]:
     """All frames, checked."""
     dt = finite(file, "frames/dt", low=0.0, high=LONGEST)
     count = len(dt)
@@ -86,7 +86,7 @@ def read_frames(file: Reader) -> list[Frame]:
     ]
 
 
-def read_hands(file: Reader, per_frame: np.ndarray) -> list[list]:
+def read_hands(file: Hdf5Reader, per_frame: np.ndarray) -> list[list]:
     """The hands of each frame."""
     try:
         layouts = json.loads(file.text("", "layouts"))
@@ -111,7 +111,7 @@ def read_hands(file: Reader, per_frame: np.ndarray) -> list[list]:
     return [all_hands[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
 
 
-def read_cameras(file: Reader, per_frame: np.ndarray) -> list[list[Camera]]:
+def read_cameras(file: Hdf5Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     """The cameras of each frame."""
     values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA), low=-1e9, high=1e9)
     sides, focal = values[:, :2], values[:, 2:4]
@@ -122,7 +122,7 @@ def read_cameras(file: Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     return [cameras[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
 
 
-def read_commands(file: Reader, count: int) -> dict[int, list[Command]]:
+def read_commands(file: Hdf5Reader, count: int) -> dict[int, list[Command]]:
     """The commands of the frames that have some."""
     commands = {}
     text = file.array("commands/text", "iu", (None,)).astype(np.uint8).tobytes()
@@ -138,7 +138,7 @@ def read_commands(file: Reader, count: int) -> dict[int, list[Command]]:
     return commands
 
 
-def read_states(file: Reader, frames: int) -> dict[int, np.ndarray]:
+def read_states(file: Hdf5Reader, frames: int) -> dict[int, np.ndarray]:
     """Centroids (B, 3) by the frame after which the bodies were there."""
     where = counts(file, "states/frame", max(frames - 1, 0))
     per_state = counts(file, "states/count", 1_000_000, len(where))

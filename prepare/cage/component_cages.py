@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assets.asset import Cage, Embedded
+from assets.asset import Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from core.errors import BadInput
 from prepare.cage.cage import COUNTS, EXACT
@@ -202,7 +202,7 @@ def joined(caged: list[Caged], place: Callable[[np.ndarray], np.ndarray]) -> tup
     return Cage(np.concatenate(vertices), np.concatenate(tets), np.concatenate(surface)), begin
 
 
-def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) -> Embedded:
+def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) -> CageEmbedding:
     """Each Gaussian in the tets of its own piece: `counts` of them, one after the other. Taichi must be running."""
     host, weights, first = [], [], 0
     for k, count in enumerate(counts):
@@ -214,4 +214,4 @@ def embedded_in(cage: Cage, begin: np.ndarray, g: Gaussians, counts: list[int]) 
         host.append(found.host + np.int32(begin[k]))
         weights.append(found.weights)
         first += count
-    return Embedded(np.concatenate(host), np.concatenate(weights))
+    return CageEmbedding(np.concatenate(host), np.concatenate(weights))

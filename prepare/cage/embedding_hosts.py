@@ -8,7 +8,7 @@ two tets, or two samples, are equally good.
 import numpy as np
 import taichi as ti
 
-from assets.asset import Embedded
+from assets.asset import CageEmbedding
 from core.point_location import TetLocator
 from prepare.cage.device_point_location import Search, find, indices, nearest, reals, slopes, vec3, weights_of
 from prepare.cage.embedding_hosts_reference import FURTHEST, LONGEST
@@ -26,7 +26,7 @@ def embed_on_device(
     *,
     k: float = 1 / 3,
     floor: float = 0.15,
-) -> Embedded:
+) -> CageEmbedding:
     """`prepare.cage.embedding_hosts_reference.embed` by one kernel: the same arguments and, but for ties, the same result. Taichi must run."""
     n = len(means)
     host, weights = np.zeros((n, 4), np.int32), np.zeros((n, 4, 4), np.float32)
@@ -36,7 +36,7 @@ def embed_on_device(
             part = slice(i, min(i + CHUNK, n))
             f64 = (np.ascontiguousarray(a[part], np.float64) for a in (means, quats, scales))
             _embed(*f64, *search.tables, *search.grid, float(k), float(floor), host[part], weights[part])
-    return Embedded(host, weights)
+    return CageEmbedding(host, weights)
 
 
 @ti.kernel

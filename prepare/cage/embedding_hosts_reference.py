@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.asset import Embedded
+from assets.asset import CageEmbedding
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
 
@@ -23,7 +23,7 @@ def embed(
     *,
     k: float = 1 / 3,
     floor: float = 0.15,
-) -> Embedded:
+) -> CageEmbedding:
     """Find the host tets and the weights of the local tetrahedra's corners.
 
     means [m] (N, 3), quats wxyz (N, 4), scales = standard deviations [m] (N, 3); vertices [m] (V, 3), tets (T, 4).
@@ -50,7 +50,7 @@ def embed(
     ]
     host = np.concatenate([p[0] for p in parts]) if parts else np.zeros((0, 4))
     weights = np.concatenate([p[1] for p in parts]) if parts else np.zeros((0, 4, 4))
-    return Embedded(host.astype(np.int32), weights.astype(np.float32))
+    return CageEmbedding(host.astype(np.int32), weights.astype(np.float32))
 
 
 def _embed_chunk(cage: TetLocator, means, quats, scales, k: float, floor: float):

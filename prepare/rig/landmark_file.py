@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import reading
+from assets.file_access import open_input
 from core.errors import BadInput
 from prepare.rig.landmarks import NAMES, Held
 
@@ -20,7 +20,7 @@ def read_landmarks(path: str | Path) -> dict:
     Coordinates are metres in the prepared asset's frame. Raises BadInput.
     """
     path = Path(path)
-    with reading(path) as file:
+    with open_input(path) as file:
         data = file.read(FILE_MAX + 1)
     if len(data) > FILE_MAX:
         raise BadInput(f"{path}: is larger than {FILE_MAX} bytes")

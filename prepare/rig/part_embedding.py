@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import coo_matrix, eye
 
-from assets.asset import Cage, Embedded
+from assets.asset import Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
@@ -19,7 +19,7 @@ GROWN = 1.35  # times its size at rest: a Gaussian that would be drawn out farth
 SPREAD = 0.35  # edges: half axis of the local tetrahedra of what follows its part: F is a mean over some of its tets
 
 
-def within(embedded: Embedded, means: np.ndarray, cage: Cage, parts: Parts) -> tuple[Embedded, int]:
+def within(embedded: CageEmbedding, means: np.ndarray, cage: Cage, parts: Parts) -> tuple[CageEmbedding, int]:
     """No Gaussian hangs on both sides of a cut, or on another part than its own; and how many were hung anew.
 
     Tets are coarse: a Gaussian may lie in one of another part, or outside of all. Then its local tetrahedron stands
@@ -38,14 +38,14 @@ def within(embedded: Embedded, means: np.ndarray, cage: Cage, parts: Parts) -> t
 
 
 def hung(
-    embedded: Embedded,
+    embedded: CageEmbedding,
     which: np.ndarray,
     tets: np.ndarray,
     means: np.ndarray,
     edge: np.ndarray,
     cage: Cage,
     parts: Parts,
-) -> tuple[Embedded, int]:
+) -> tuple[CageEmbedding, int]:
     """Gaussians `which` (k,) hung on those `tets` (T,) bool of their own part that are nearest; and how many were.
 
     edge  of the cage at each Gaussian [m], (N,)
@@ -66,10 +66,10 @@ def hung(
         h, w = stood(part, foot, tet, SPREAD * edge[mine])
         host[mine], weights[mine] = own[h], w
         count += len(mine)
-    return Embedded(host, weights), count
+    return CageEmbedding(host, weights), count
 
 
-def calmed(embedded: Embedded, g: Gaussians, cage: Cage, parts: Parts, shapes: np.ndarray) -> tuple[Embedded, int]:
+def calmed(embedded: CageEmbedding, g: Gaussians, cage: Cage, parts: Parts, shapes: np.ndarray) -> tuple[CageEmbedding, int]:
     """No Gaussian is drawn out to a spike where the cage is, between an arm and the side: in these shapes (F, V, 3) of
     the cage, the first at rest, those that would be follow what is calm of their part; and how many do."""
     ends = cage.tets[:, EDGES]
@@ -117,7 +117,7 @@ def stood(part: TetLocator, foot: np.ndarray, tet: np.ndarray, half: np.ndarray)
     return host, weights
 
 
-def across_cut(embedded: Embedded, home: np.ndarray, cage: Cage, label: np.ndarray) -> np.ndarray:
+def across_cut(embedded: CageEmbedding, home: np.ndarray, cage: Cage, label: np.ndarray) -> np.ndarray:
     """Gaussians (N,) with a corner in a tet of another part than `home`, from which it is cut off: no way of one or two
     edges leads from there to here."""
     V, ends = len(cage.vertices), cage.tets[:, EDGES].reshape(-1, 2)

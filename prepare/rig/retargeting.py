@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from assets.animation import Local, slerp, turned_back, world_of
+from assets.animation import Pose, slerp, turned_back, world_matrices
 from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.rotation import multiply_quaternions
@@ -43,7 +43,7 @@ class Fitted:
 
     rest: np.ndarray
     tips: dict[str, np.ndarray]
-    frames: Local
+    frames: Pose
     residual: dict[str, tuple[float, float]]
 
 
@@ -109,7 +109,7 @@ def similar(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def fit(rig: Rig, marks: Landmarks) -> Fitted:
     """The rig's motion on the body of these landmarks. Raises BadInput."""
     joints = named_joints(rig, marks.joints)
-    world = world_of(rig.parents, rig.frames)
+    world = world_matrices(rig.parents, rig.frames)
     x, R = world[:, :, :3, 3], world[:, :, :3, :3]
     R = R / np.maximum(np.linalg.norm(R, axis=2, keepdims=True), 1e-12)
     rest, tips, residual = skeleton(rig, joints, marks, world)

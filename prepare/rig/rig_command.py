@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from assets.asset import Asset
-from assets.gaussians import Gaussians
 from assets.formats.gltf_skin import read_mesh, read_rig
+from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL

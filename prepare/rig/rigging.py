@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from assets.animation import Animation, Local, looped, skin, world_of
+from assets.animation import Animation, Pose, close_loop, linear_blend_skinning, world_matrices
 from assets.asset import Asset, Cage
 from assets.formats.gltf_skin import Rig
 from core.distance_grid import DistanceGrid
@@ -33,8 +33,8 @@ class Skeleton:
     names: list[str]
     parents: np.ndarray
     inverse_bind: np.ndarray
-    rest: Local
-    frames: Local
+    rest: Pose
+    frames: Pose
     fps: float
 
 
@@ -91,10 +91,10 @@ def animated(
     """
     frames = come_round(own, float(np.ptp(cage.vertices[:, 1])))
     joints, strong = strongest(weights)
-    matrices = world_of(own.parents, frames) @ own.inverse_bind
+    matrices = world_matrices(own.parents, frames) @ own.inverse_bind
     picked = np.linspace(0, len(matrices), min(SHAPES, len(matrices)), endpoint=False).astype(int)
     shapes = np.stack(
-        [cage.vertices.astype(np.float64)] + [skin(cage.vertices, joints, strong, matrices[k]) for k in picked]
+        [cage.vertices.astype(np.float64)] + [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
     )
     if on_ground:
         lift = shapes[0, :, 1].min() - shapes[1:, :, 1].min()
@@ -135,11 +135,11 @@ def animated(
         "kept_to_their_part": mended,
         "kept_calm": rehung,
     }
-    moving = replace(asset, cage=cage, embedded=embedded, animation=motion)
+    moving = replace(asset, cage=cage, embedding=embedded, animation=motion)
     return with_provenance(moving, figures)
 
 
-def come_round(own: Skeleton, size: float) -> Local:
+def come_round(own: Skeleton, size: float) -> Pose:
     """The frames of a motion without the last, which is the first again, or is made so."""
     t, q, s = (np.array(x) for x in own.frames)
     if own.fps <= 0 or len(t) < 2:
@@ -147,7 +147,7 @@ def come_round(own: Skeleton, size: float) -> Local:
     angle = 2 * np.arccos(np.abs((q[0] * q[-1]).sum(-1)).clip(0, 1)).max()
     if np.abs(t[0] - t[-1]).max() < JUMP[0] * size and angle < JUMP[1]:
         return t[:-1], q[:-1], s[:-1]
-    return looped((t, q, s), LOOP, own.fps)
+    return close_loop((t, q, s), LOOP, own.fps)
 
 
 def largest_stretch(tets: np.ndarray, shapes: np.ndarray) -> float:

@@ -14,7 +14,7 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 
-from assets.animation import MOST
+from assets.animation import JOINTS_PER_VERTEX
 
 HOLD = 4.0  # how much quicker weights change than over the distance to the bone
 FIRM = 0.7  # share of its first joint from which on a vertex is driven; others bend, and are simulated
@@ -45,9 +45,9 @@ def diffused(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: n
 
 def strongest(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest weights of each row (V, J), to sum 1 again: joints (V, 4) int32, weights (V, 4) float32."""
-    if weights.shape[1] < MOST:
-        weights = np.pad(weights, ((0, 0), (0, MOST - weights.shape[1])))
-    joints = np.argsort(-weights, axis=1, kind="stable")[:, :MOST]
+    if weights.shape[1] < JOINTS_PER_VERTEX:
+        weights = np.pad(weights, ((0, 0), (0, JOINTS_PER_VERTEX - weights.shape[1])))
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :JOINTS_PER_VERTEX]
     w = np.take_along_axis(weights, joints, 1).clip(0)
     w[w < 1e-3 * w[:, :1]] = 0.0
     return np.where(w > 0, joints, 0).astype(np.int32), (w / w.sum(1, keepdims=True)).astype(np.float32)

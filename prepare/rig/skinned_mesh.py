@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from assets.animation import local_matrices, parts_of, world_of
+from assets.animation import decompose, local_matrices, world_matrices
 from assets.asset import Asset
+from assets.formats.gltf_skin import Rig, SkinnedMesh, linear_from_srgb, srgb_from_linear
 from assets.gaussians import Gaussians
-from assets.formats.gltf_skin import Mesh, Rig, decoded, encoded
 from assets.up_axis import rotation_to_up
 from core.errors import BadInput
 from core.point_location import TetLocator
@@ -59,7 +59,7 @@ def sampled(vertices: np.ndarray, faces: np.ndarray, count: int = COUNT) -> Samp
     return Samples(face, np.stack([1 - a - b, a, b], 1), float(np.sqrt(total / count)))
 
 
-def surface_gaussians(vertices: np.ndarray, mesh: Mesh, at: Samples) -> Gaussians:
+def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> Gaussians:
     """Flat Gaussians on the mesh with these vertices (V, 3), in its colours."""
     v = vertices[mesh.faces]
     normal = np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0])[at.face]
@@ -76,15 +76,15 @@ def surface_gaussians(vertices: np.ndarray, mesh: Mesh, at: Samples) -> Gaussian
         mine = which == k
         height, width = pixels.shape[:2]
         place = np.floor((uv[mine] % 1.0) * [width, height]).astype(int).clip(0, [width - 1, height - 1])
-        linear[mine] *= decoded(pixels[place[:, 1], place[:, 0]] / 255.0)
-    sh = ((encoded(linear) - 0.5) / C0)[:, None]
+        linear[mine] *= linear_from_srgb(pixels[place[:, 1], place[:, 0]] / 255.0)
+    sh = ((srgb_from_linear(linear) - 0.5) / C0)[:, None]
     return Gaussians.of(at.of(v), quats, scales, np.full(len(quats), OPACITY), sh)
 
 
 def placed_at_rest(rig: Rig) -> np.ndarray:
     """From the mesh's own frame to the scene's (4, 4), where the skin's first joint stands at rest."""
     first = int(np.argmin(rig.joints))  # parents come first
-    return world_of(rig.parents, rig.rest)[rig.joints[first]] @ rig.inverse_bind[first]
+    return world_matrices(rig.parents, rig.rest)[rig.joints[first]] @ rig.inverse_bind[first]
 
 
 def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> tuple[Skeleton, np.ndarray]:
@@ -110,7 +110,7 @@ def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> 
         world[k] = asset_from_scene @ at_rest @ bind[int(j)] if known else world[parents[k]] @ local[j]
     steps = world.copy()
     steps[1:] = np.linalg.inv(world[parents[1:]]) @ world[1:]
-    t, q, s, off = parts_of(steps)
+    t, q, s, off = decompose(steps)
     if off.max() > SHEAR:
         raise BadInput("the rig's joints shear or mirror at rest; such a skeleton cannot be played")
     count = len(rig.frames[0])
@@ -122,7 +122,7 @@ def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> 
     return Skeleton(names, parents, np.linalg.inv(world), (t, q, s), tuple(frames), rig.fps), place[rig.joints]
 
 
-def walk(asset: Asset, mesh: Mesh, rig: Rig, at: Samples) -> Asset:
+def walk(asset: Asset, mesh: SkinnedMesh, rig: Rig, at: Samples) -> Asset:
     """The asset prepared from the mesh's Gaussians, with the rig's motion. Raises BadInput."""
     at_rest, done = placed_at_rest(rig), asset.provenance
     similarity = np.eye(4)

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from assets.asset_check import check
-from assets.file_access import file_size, replacing_all
+from assets.file_access import atomic_write_all, file_size
 from assets.formats.ply import write_ply
 from assets.splat_files import read_gaussians
-from assets.up_axis import told
+from assets.up_axis import describe_guess
 from core.errors import BadInput
 from prepare.pipeline import Progress
 from prepare.progress import progress_on
@@ -47,7 +47,7 @@ def prepare_stage_file(
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     files = [out, *(piece_name(out, k) for k in pieces)]
     check(asset, str(out))
-    with replacing_all(*files) as (beside, *others):
+    with atomic_write_all(*files) as (beside, *others):
         for other, piece in zip(others, pieces.values(), strict=True):
             write_ply(other, piece)
         asset.save(beside)
@@ -67,7 +67,7 @@ def summary(asset) -> list[str]:
     """What was found, in a few lines."""
     p, s = asset.provenance, asset.stage
     options = p["options"]
-    up = p["up"] if options["up"] else told(p["up"], p["up_sure"])
+    up = p["up"] if options["up"] else describe_guess(p["up"], p["up_sure"])
     size = f"{p['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
     grids = ", ".join(f"{n:,} cells of {1000 * h:.0f} mm" for n, h in zip(p["cells"], p["spacings"], strict=True))
     lines = [f"{len(asset.gaussians):,} Gaussians, up {up}, leaning by {p['lean']:.1f} degrees, largest extent {size}"]

@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 
 from assets.asset import Asset
-from assets.environment import Stage
+from assets.environment import Environment
 from assets.gaussians import Gaussians
-from assets.up_axis import extent
+from assets.up_axis import robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cleaning import FEWEST, cut_out, largest_piece
@@ -68,7 +68,7 @@ def prepare_static(
     if len(solid) < FEWEST:
         raise BadInput(f"only {len(solid)} of {len(gaussians)} Gaussians are opaque; {FEWEST} are needed")
     points = solid.means.astype(np.float64)
-    low, high = extent(points)
+    low, high = robust_bounds(points)
     if not 1e-6 < (high - low).max() < 1e6:
         raise BadInput(f"the scene's extent is {(high - low).max():.3g}; nothing to be made of that")
     main = solid.select(largest_piece(points, low, high))
@@ -78,7 +78,7 @@ def prepare_static(
     weights = np.minimum(areas, cap(areas))
     named, floor, rotation, sure = gravity(main.means.astype(np.float64), normals, weights, up)
     level = main.means.astype(np.float64) @ rotation.T
-    low, high = extent(level)
+    low, high = robust_bounds(level)
     longest = float((high - low).max())
     size = scale or (longest if PLAUSIBLE[0] <= longest <= PLAUSIBLE[1] else USUAL_SIZE)
     factor = size / longest
@@ -127,7 +127,7 @@ def prepare_static(
         phi = np.maximum(phi, inside_box(origin, h, shape, a + 1.5 * h, b - 1.5 * h))
     ground = planes[0].height
     to = -np.array([drop[0], ground, drop[2]])
-    stage = Stage(
+    stage = Environment(
         0.0,
         tuple(map(float, drop + to)),
         tuple(map(float, eye + to)),

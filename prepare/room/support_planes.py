@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
-from assets.level_planes import LEVEL, floor_of, plane_votes, refine, weighted_percentile
-from assets.up_axis import SCENE_UNIT, USUAL, rotation_to_up, surest
+from assets.level_planes import LEVEL_COS, floor_of, plane_votes, refine_direction, weighted_percentile
+from assets.up_axis import SCENE_VOTE_UNIT, UP_PRIOR, most_likely, rotation_to_up
 from core.errors import BadInput
 
 CELL = 0.04  # [m] of the map of a plane
@@ -66,11 +66,11 @@ def gravity(
     sure = 1.0
     if up is None:
         votes = plane_votes(points, normals, areas)
-        up, sure = surest({name: vote + 0.1 * USUAL[name] for name, vote in votes.items()}, SCENE_UNIT)
+        up, sure = most_likely({name: vote + 0.1 * UP_PRIOR[name] for name, vote in votes.items()}, SCENE_VOTE_UNIT)
     turn = rotation_to_up(up)
-    direction = refine(turn[1], normals, areas)
+    direction = refine_direction(turn[1], normals, areas)
     heights = points @ direction
-    floor = floor_of(heights, np.abs(normals @ direction) > LEVEL, areas)[0]
+    floor = floor_of(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
     floor, direction = fitted(points, normals, areas, floor, direction)
     return up, floor, turn_between(turn @ direction) @ turn, sure
 
@@ -81,7 +81,7 @@ def fitted(points, normals, areas, floor: float, direction: np.ndarray) -> tuple
     reach = 0.02 * np.ptp(weighted_percentile(heights, areas, (0.2, 99.8)))
     for _ in range(8):
         off = points @ direction - floor
-        mine = (np.abs(off) < reach) & (np.abs(normals @ direction) > LEVEL)
+        mine = (np.abs(off) < reach) & (np.abs(normals @ direction) > LEVEL_COS)
         if mine.sum() < 10:
             break
         w = areas[mine] / areas[mine].sum()
@@ -108,7 +108,7 @@ def supports(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> lis
     points [m] (N, 3) of the surface, evenly spread, +y up; normals (N, 3) that point into free space.
     Peaks of a histogram of heights are cut into pieces that hang together. Raises BadInput where there is no floor.
     """
-    up = normals[:, 1] > LEVEL
+    up = normals[:, 1] > LEVEL_COS
     p = points[up]
     near = np.abs(p[:, 1] - floor) < 2 * THICK
     if not near.any():

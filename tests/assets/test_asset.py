@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from assets.asset import Asset, Cage, Embedded
+from assets.asset import Asset, Cage, CageEmbedding
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
@@ -25,7 +25,7 @@ def some_asset(n: int = 20) -> Asset:
     return Asset(
         some_gaussians(n, 1),
         Cage(vertices, tets, np.array(faces, np.int32)),
-        Embedded(rng.integers(0, 2, (n, 4)).astype(np.int32), weights),
+        CageEmbedding(rng.integers(0, 2, (n, 4)).astype(np.int32), weights),
         DistanceGrid(rng.normal(size=(3, 4, 5)).astype(np.float16), np.array([0.1, 0.2, 0.3]), 0.05),
         MATERIAL,
         {"source": "test", "steps": [1, 2]},

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.animation import skin, world_of
-from assets.formats.gltf import PIXELS_MAX, Gltf, picture_size
+from assets.animation import linear_blend_skinning, world_matrices
+from assets.formats.gltf import PIXELS_MAX, GlbFile, image_size
 from assets.formats.gltf_skin import read_mesh, read_rig
 from core.errors import BadInput
 from tests.support.glb import CODES, Builder, bar, packed
@@ -33,7 +33,7 @@ def test_every_component_type_is_read_plain_and_normalised(tmp_path, dtype):
     low, high = (-1e3, 1e3) if dtype == "f4" else (np.iinfo(dtype).min, np.iinfo(dtype).max)
     values = np.array([[low, high, 0], [1, 2, 3]], np.float64)
     at = b.array(values, dtype), b.array(values, dtype, normalized=True)
-    file = Gltf(b.write(tmp_path / "a.glb", b.json()))
+    file = GlbFile(b.write(tmp_path / "a.glb", b.json()))
     assert_allclose(file.accessor(at[0], kinds=("VEC3",)), values)
     expected = values if dtype == "f4" else np.maximum(values / high, -1.0)  # the specification's formula
     assert_allclose(file.accessor(at[1], kinds=("VEC3",)), expected, atol=1e-7)
@@ -48,7 +48,7 @@ def test_interleaved_and_sparse_accessors(tmp_path):
     sparse = {"count": 2, "indices": {"bufferView": where, "componentType": 5123}, "values": {"bufferView": what}}
     b.accessors.append({"componentType": 5126, "count": 4, "type": "VEC3", "sparse": sparse})
     b.accessors.append({**b.accessors[0], "sparse": sparse})
-    file = Gltf(b.write(tmp_path / "a.glb", b.json()))
+    file = GlbFile(b.write(tmp_path / "a.glb", b.json()))
     assert_allclose(file.accessor(0, kinds=("VEC3",)), rows[:, 2:])
     assert_allclose(file.accessor(1, kinds=("VEC3",)), [[0] * 3, [7] * 3, [0] * 3, [7] * 3])
     assert_allclose(file.accessor(2, kinds=("VEC3",))[[0, 2]], rows[[0, 2], 2:])
@@ -59,12 +59,12 @@ def test_a_bar_bends_as_its_file_says(tmp_path):
     b, scene = bar()
     rig, mesh = whole(b.write(tmp_path / "bar.glb", scene))
     assert set(rig.names) == {"lower", "upper", "node 2"}
-    world = world_of(rig.parents, rig.frames)[:, rig.joints] @ rig.inverse_bind
-    assert_allclose(skin(mesh.vertices, mesh.joints, mesh.weights, world[0]), mesh.vertices, atol=1e-7)
+    world = world_matrices(rig.parents, rig.frames)[:, rig.joints] @ rig.inverse_bind
+    assert_allclose(linear_blend_skinning(mesh.vertices, mesh.joints, mesh.weights, world[0]), mesh.vertices, atol=1e-7)
     at_90 = round(0.5 * rig.fps)
-    top = skin(mesh.vertices, mesh.joints, mesh.weights, world[at_90])[-4:]
+    top = linear_blend_skinning(mesh.vertices, mesh.joints, mesh.weights, world[at_90])[-4:]
     assert_allclose(top.mean(0), [-0.5, 0.5, 0], atol=1e-6)  # (0, 1, 0) turned about (0, 0.5, 0)
-    at_45 = skin(mesh.vertices, mesh.joints, mesh.weights, world[round(0.25 * rig.fps)])[-4:].mean(0)
+    at_45 = linear_blend_skinning(mesh.vertices, mesh.joints, mesh.weights, world[round(0.25 * rig.fps)])[-4:].mean(0)
     assert_allclose(at_45, [-0.5 * np.sqrt(0.5), 0.5 + 0.5 * np.sqrt(0.5), 0], atol=1e-6)  # slerp, at the half
     assert_allclose(mesh.weights.sum(1), 1)
     assert mesh.textures[0][0].tolist() == [[0, 0, 0], [255, 0, 0]]
@@ -175,17 +175,17 @@ def test_a_picture_bomb_is_refused_by_its_header(tmp_path):
     scene["buffers"] = [{"byteLength": len(b.binary)}]
     assert "pixels" in refused(b.write(tmp_path / "bomb.glb", scene))
     for suffix in (".png", ".jpg"):
-        assert picture_size(cv2.imencode(suffix, np.zeros((7, 11, 3), np.uint8))[1].tobytes()) == (11, 7)
+        assert image_size(cv2.imencode(suffix, np.zeros((7, 11, 3), np.uint8))[1].tobytes()) == (11, 7)
 
 
 def test_the_walking_man(shared):
     """At rest the skin is the mesh, bones keep their lengths, and the colours are there."""
     rig, mesh = whole(shared / "data/rigs/CesiumMan.glb")
-    world = world_of(rig.parents, rig.rest)
+    world = world_matrices(rig.parents, rig.rest)
     place = world[rig.joints[0]] @ rig.inverse_bind[0]
-    still = skin(mesh.vertices, mesh.joints, mesh.weights, world[rig.joints] @ rig.inverse_bind)
+    still = linear_blend_skinning(mesh.vertices, mesh.joints, mesh.weights, world[rig.joints] @ rig.inverse_bind)
     assert_allclose(still, mesh.vertices @ place[:3, :3].T + place[:3, 3], atol=1e-5)
-    joint = world_of(rig.parents, rig.frames)[:, :, :3, 3]
+    joint = world_matrices(rig.parents, rig.frames)[:, :, :3, 3]
     bones = np.flatnonzero(np.isin(rig.parents, rig.joints))
     length = np.linalg.norm(joint[:, bones] - joint[:, rig.parents[bones]], axis=2)
     assert_allclose(length, np.broadcast_to(length[:1], length.shape), rtol=2e-3)  # its keys move joints by that

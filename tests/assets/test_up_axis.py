@@ -6,7 +6,16 @@ from scipy.spatial import ConvexHull
 
 from assets.gaussians import Gaussians
 from assets.level_planes import hollow_columns, normals_and_areas, plane_votes, scene_votes
-from assets.up_axis import AXES, extent, first_hits, guess, hull, rotation_to_up, surest, told
+from assets.up_axis import (
+    AXES,
+    describe_guess,
+    first_hits,
+    guess_up_axis,
+    hull,
+    most_likely,
+    robust_bounds,
+    rotation_to_up,
+)
 from prepare.cleaning import clean
 from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
@@ -30,7 +39,7 @@ def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
     g = scenes[name]
     assert scene_votes(g) is not None
     for up in AXES:
-        found, sure = guess(every(g.transformed(rotation_to_up(up).T), 3))
+        found, sure = guess_up_axis(every(g.transformed(rotation_to_up(up).T), 3))
         assert found == up and sure > 0.85, (up, found, sure)
 
 
@@ -39,14 +48,14 @@ def test_the_ceiling_decides_nothing_by_itself(scenes):
     box = brick(np.random.default_rng(0), (-2, 0, -2.5), (2, 2.2, 2.5), 0.08, 0.0)
     votes = plane_votes(box.means.astype(float), *normals_and_areas(box))
     assert abs(votes["+y"] - votes["-y"]) < 0.02 and min(votes["+y"], votes["-y"]) > votes["+z"] + 0.02
-    assert surest(votes, 0.03)[1] < 0.7
+    assert most_likely(votes, 0.03)[1] < 0.7
     assert scene_votes(box) is None  # nothing is in it: as much a body as a room
 
 
 @pytest.mark.parametrize("up", AXES)
 def test_a_mug_stands_with_its_opening_upwards(up):
     """Its underside is missing, so that the floor inside is all that is there: what misled before."""
-    found, sure = guess(clean(case("mug", 12_000))[0].transformed(rotation_to_up(up).T))
+    found, sure = guess_up_axis(clean(case("mug", 12_000))[0].transformed(rotation_to_up(up).T))
     assert found == up and sure > 0.5
 
 
@@ -54,7 +63,7 @@ def test_a_mug_stands_with_its_opening_upwards(up):
 def test_what_was_not_looked_into_is_not_hollow(made):
     """A shell without its underside is as empty from below as a cup, but its wall has one face."""
     points = made().means.astype(np.float64)
-    low, high = extent(points)
+    low, high = robust_bounds(points)
     for axis in range(3):
         hits = first_hits(points, axis, low, float((high - low).max()))
         for sign, hit in zip((-1, 1), hits, strict=True):
@@ -63,11 +72,11 @@ def test_what_was_not_looked_into_is_not_hollow(made):
 
 def test_how_sure_a_guess_is_is_said():
     votes = dict.fromkeys(AXES, 0.0)
-    assert surest(votes | {"+y": 1.0}, 0.1)[0] == "+y" and surest(votes | {"+y": 1.0}, 0.1)[1] > 0.99
-    assert surest(votes | {"+y": 1.0, "-z": 1.0}, 0.1)[1] == pytest.approx(0.5, abs=0.01)
-    assert told("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
+    assert most_likely(votes | {"+y": 1.0}, 0.1)[0] == "+y" and most_likely(votes | {"+y": 1.0}, 0.1)[1] > 0.99
+    assert most_likely(votes | {"+y": 1.0, "-z": 1.0}, 0.1)[1] == pytest.approx(0.5, abs=0.01)
+    assert describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
     assert (
-        guess(toy())[1] > guess(case("capsule", 6000))[1]
+        guess_up_axis(toy())[1] > guess_up_axis(case("capsule", 6000))[1]
     )  # a drop has an underside, a lying capsule looks like any side
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from assets.asset import Asset
-from commands.convert import run
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
+from commands.convert import run
 from core.errors import BadInput
 from tests.assets.test_ksplat import ksplat_bytes
 from tests.assets.test_sog import sog_files, zipped

@@ -10,8 +10,8 @@ import pytest
 
 import commands.prepare as command
 from assets.asset import Asset
+from assets.images import THUMBNAIL_SIDE, check_thumbnail, thumbnail_of
 from assets.splat_files import write_gaussians
-from assets.images import SIDE, check_thumbnail, thumbnail_of
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
 from prepare.pipeline import STAGES
@@ -123,7 +123,7 @@ def picture() -> np.ndarray:
 def test_a_thumbnail_is_kept_and_old_files_need_none(tmp_path):
     small_asset(thumbnail=thumbnail_of(picture())).save(tmp_path / "a.h5")
     again = cv2.imdecode(Asset.load(tmp_path / "a.h5").thumbnail, cv2.IMREAD_COLOR)
-    assert again.shape == (SIDE, SIDE, 3)
+    assert again.shape == (THUMBNAIL_SIDE, THUMBNAIL_SIDE, 3)
     small_asset().save(tmp_path / "b.h5")
     assert Asset.load(tmp_path / "b.h5").thumbnail is None
 

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import vrgs
-from assets.asset import Asset, Cage, Embedded
+from assets.asset import Asset, Cage, CageEmbedding
 from assets.asset_check import check, check_cage
-from assets.components import piece_of_vertices, pieces_of
-from assets.file_access import replacing_all
+from assets.components import piece_of_vertices, split_components
+from assets.file_access import atomic_write_all
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import write_gaussians
 from core.errors import BadInput
@@ -128,7 +128,7 @@ def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_c
     assert clean_pieces(near)[1].max() == 0
     asset = prepare(near, vertices=800, up="+y", pieces=True)
     assert asset.provenance["figures"]["pieces"] == 2
-    assert_allclose(*(p.cage.volumes().sum() for p in pieces_of(asset)), rtol=0.1)
+    assert_allclose(*(p.cage.volumes().sum() for p in split_components(asset)), rtol=0.1)
     alone = prepare(near, vertices=400, up="+y")
     assert alone.provenance["figures"]["pieces"] == 1 and alone.provenance["counts"]["stray"] > 2000
 
@@ -165,11 +165,11 @@ def test_corners_in_another_piece_are_brought_home():
     last = np.stack([np.linalg.solve((b[1:] - b[0]).T, p - b[0]) for b, p in zip(base, places, strict=True)])
     weights = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)[None].astype(np.float32)
     g = ball(60).select(np.arange(1))
-    first, second = pieces_of(Asset(g, cage, Embedded(host, weights)))
+    first, second = split_components(Asset(g, cage, CageEmbedding(host, weights)))
     assert len(first.gaussians) == 1 and len(second.gaussians) == 0
     again = np.einsum("kj,kjc->kc", first.embedded.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
     assert_allclose(again, places, atol=1e-5)
-    assert pieces_of(first)[0] is first
+    assert split_components(first)[0] is first
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -224,12 +224,12 @@ def test_of_several_files_all_are_written_or_none(tmp_path):
     (tmp_path / "b").write_text("old")
     with (
         pytest.raises(BadInput, match=f"{tmp_path}/b: is full"),
-        replacing_all(tmp_path / "a", tmp_path / "b") as files,
+        atomic_write_all(tmp_path / "a", tmp_path / "b") as files,
     ):
         files[0].write_text("new")
         raise BadInput(f"{files[1]}: is full")
     assert [p.name for p in tmp_path.iterdir()] == ["b"] and (tmp_path / "b").read_text() == "old"
-    with replacing_all(tmp_path / "a", tmp_path / "b") as files:
+    with atomic_write_all(tmp_path / "a", tmp_path / "b") as files:
         for file in files:
             file.write_text("new")
         assert not (tmp_path / "a").exists()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.animation import RAMP, skin
+from assets.animation import START_RAMP, linear_blend_skinning
 from assets.asset import Asset
 from assets.formats.gltf_skin import read_rig
 from core.material import ANIMATED_MATERIAL
@@ -52,7 +52,7 @@ def test_what_he_holds_is_found_and_stays_whole(dancer):
     assert mine.sum() > 1500
     a = dancer.animation
     rest = dancer.cage.vertices.astype(np.float64)
-    hand = skin(rest, np.full((len(rest), 1), a.names.index("right_wrist")), np.ones((len(rest), 1)), a.matrices(2.0))
+    hand = linear_blend_skinning(rest, np.full((len(rest), 1), a.names.index("right_wrist")), np.ones((len(rest), 1)), a.matrices(2.0))
     x = rest.copy()
     x[a.vertices] = a.skinned(rest[a.vertices], a.matrices(2.0))
     inner = np.setdiff1d(np.arange(len(rest)), a.vertices)
@@ -80,7 +80,7 @@ def test_a_man_dances_without_tearing(dancer, shared):
     solver = Solver([body], contacts=False)
     motion = AnimationTargets(0, Body("dancer", material), a, cage.vertices, solver)
     rest, shapes = cage.vertices.astype(np.float64), []
-    for _ in range(round(60 * (RAMP + a.duration))):
+    for _ in range(round(60 * (START_RAMP + a.duration))):
         motion.drive(1 / 60)
         solver.step(1 / 60)
         shapes.append(solver.x.to_numpy()[: len(rest)].astype(np.float64))

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
-from assets.up_axis import AXES, guess_up, metres, rotation_to_up
+from assets.up_axis import AXES, body_size, guess_up, rotation_to_up
 from commands.prepare import prepare_file, run
 from core.errors import BadInput
 from core.material import MATERIALS
@@ -109,9 +109,9 @@ def test_up_is_found_in_captures_however_they_are_turned(shared, name):
 
 
 def test_a_plausible_size_is_kept():
-    assert metres(0.3, None) == 0.3
-    assert metres(1.8, None) == metres(1e-3, None) == 0.25
-    assert metres(1.8, 0.4) == 0.4
+    assert body_size(0.3, None) == 0.3
+    assert body_size(1.8, None) == body_size(1e-3, None) == 0.25
+    assert body_size(1.8, 0.4) == 0.4
 
 
 def assert_sound(asset: Asset, vertices: int) -> None:

@@ -9,7 +9,7 @@ import vrgs
 from assets.asset import Asset
 from assets.gaussians import concatenate
 from assets.splat_files import write_gaussians
-from assets.up_axis import extent
+from assets.up_axis import robust_bounds
 from core.errors import BadInput
 from tests.prepare.test_pipeline import BAD, PLANE, some
 from tests.support.sample_scenes import table_and_jug
@@ -107,7 +107,7 @@ def test_of_two_equal_bodies_far_apart_one_is_taken(prepared, tmp_path):
 
 def cells_of(g) -> float:
     """The --cell [m] at which the splat, 6 m long, asks for 50 million cells."""
-    low, high = extent(g.means.astype(np.float64))
+    low, high = robust_bounds(g.means.astype(np.float64))
     return float(np.cbrt(((high - low) * 6.0 / (high - low).max()).prod() / 50e6))
 
 

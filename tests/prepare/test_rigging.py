@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from assets.animation import RAMP, skin, world_of
+from assets.animation import START_RAMP, linear_blend_skinning, world_matrices
 from assets.asset import Asset
 from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
@@ -91,8 +91,8 @@ def test_a_fitted_skeleton_keeps_its_bones_and_moves_like_the_rig():
         way = body[f"{s}_wrist"] - body[f"{s}_elbow"]
         body[f"{s}_wrist"], body[f"{s}_hand"] = body[f"{s}_wrist"] + 0.3 * way, body[f"{s}_hand"] + 0.3 * way
     f = fit(rig, marks_of(body))
-    x = world_of(PARENTS, f.frames)[:, :, :3, 3]
-    theirs = world_of(rig.parents, rig.frames)[:, :, :3, 3]
+    x = world_matrices(PARENTS, f.frames)[:, :, :3, 3]
+    theirs = world_matrices(rig.parents, rig.frames)[:, :, :3, 3]
     length = np.linalg.norm(x[:, 1:] - x[:, PARENTS[1:]], axis=2)
     assert_allclose(length, np.broadcast_to(length[:1], length.shape), rtol=1e-9)
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle")):
@@ -153,7 +153,7 @@ def test_the_skinning_kernel_is_its_twin(ti_cpu):
     targets = ti_cpu.Vector.field(3, ti_cpu.f32, 100)
     vertices = rng.permutation(60)[:40]
     Skinning(30, vertices, points, joints, weights, 5).pose(matrices, targets)
-    expected = skin(points, joints, weights, matrices)
+    expected = linear_blend_skinning(points, joints, weights, matrices)
     assert_allclose(targets.to_numpy()[30 + vertices], expected, atol=1e-5)
     untouched = np.setdiff1d(np.arange(100), 30 + vertices)
     assert (targets.to_numpy()[untouched] == 0).all()
@@ -204,7 +204,7 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     least, most = 1.0, 1.0
     rest = asset.cage.vertices.astype(np.float64)
     tets = asset.cage.tets
-    frames = round(60 * (RAMP + a.duration))
+    frames = round(60 * (START_RAMP + a.duration))
     world.device.render = lambda cameras: None  # what is looked at is where things are
     world.device.cast_shadow = lambda: None
     for k in range(frames):

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset
-from assets.library import find_asset, moves_by_itself
+from assets.library import animated_height, find_asset
 from core.errors import BadInput
 from core.material import PERSON_HEIGHT, Material
 from display.protocol import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
@@ -160,8 +160,8 @@ def test_a_copy_dances_along_at_its_size_and_goes(stage):
 def test_what_stands_still_cannot_dance():
     with pytest.raises(BadInput, match="does not move by itself"):
         registry.load("just_dance", body="ring_red")
-    assert moves_by_itself("ring_red") is None
-    assert_allclose(moves_by_itself("dancer"), np.ptp(Asset.load(find_asset("dancer")).cage.vertices[:, 1]))
+    assert animated_height("ring_red") is None
+    assert_allclose(animated_height("dancer"), np.ptp(Asset.load(find_asset("dancer")).cage.vertices[:, 1]))
 
 
 def test_a_small_dancer_is_softer_and_a_giant_is_not_harder():

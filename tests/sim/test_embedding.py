@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.asset import Embedded
+from assets.asset import CageEmbedding
 from assets.gaussians import Gaussians
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.errors import BadInput
@@ -27,7 +27,7 @@ def covariances(gaussians):
     return A @ np.moveaxis(A, 1, 2)
 
 
-def embed_in_bar(gaussians, bar=BAR, **options) -> Embedded:
+def embed_in_bar(gaussians, bar=BAR, **options) -> CageEmbedding:
     return embed(gaussians.means, gaussians.quats, np.exp(gaussians.log_scales), *bar, **options)
 
 

@@ -1,4 +1,4 @@
-"""An asset: what prepare makes of a capture and a scene loads. One HDF5 file, checked on load."""
+"""An asset: what `prepare` makes of a capture and a scene loads. One HDF5 file, checked on load."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.animation import Animation
-from assets.animation_file import read_animation, write_animation
-from assets.asset_check import check
+from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
-from assets.hdf5 import Hdf5Reader, open_hdf5
+from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
+from assets.images import check_thumbnail
 from core.distance_grid import DistanceGrid
+from core.errors import BadInput
 from core.material import Material
-from core.tetmesh import tet_volumes
+from core.tetmesh import enclosed_volume, tet_volumes
 
 FORMAT = "vrgs-asset"
 VERSION = 1
+
+WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 rounds weights of some hundreds
+VOLUME_TOLERANCE = 1e-3  # relative, between a cage's tets and its surface
 
 # Attributes of `material` that a file may lack, and what that stands for.
 OPTIONAL_MATERIAL = {f.name: f.default for f in fields(Material) if f.name in ("damping", "kinetic_friction")}
@@ -44,10 +47,32 @@ class Cage:
         """Signed volume of each tet [m^3], (T,) float64."""
         return tet_volumes(self.vertices, self.tets)
 
+    def check(self, where: str) -> None:
+        """Raise BadInput unless all tets are positive, all vertices have mass and the surface is theirs, outward."""
+        count = len(self.vertices)
+        for name, width in (("vertices", 3), ("tets", 4), ("surface", 3)):
+            shape = getattr(self, name).shape
+            if len(shape) != 2 or shape[1] != width or shape[0] == 0:
+                raise BadInput(f"{where}: cage {name} has shape {shape}, expected (*, {width})")
+        if not np.isfinite(self.vertices).all():
+            raise BadInput(f"{where}: a cage vertex is not finite")
+        for name, index in (("tets", self.tets), ("surface", self.surface)):
+            if index.min() < 0 or index.max() >= count:
+                raise BadInput(f"{where}: cage {name} name a vertex outside 0..{count - 1}")
+        volumes = self.volumes()
+        if not (volumes > 0).all():
+            raise BadInput(f"{where}: {int((~(volumes > 0)).sum())} cage tets have no positive volume")
+        used = len(np.unique(self.tets))
+        if used != count:
+            raise BadInput(f"{where}: {count - used} cage vertices belong to no tet")
+        enclosed, filled = enclosed_volume(self.vertices, self.surface), volumes.sum()
+        if abs(enclosed - filled) > VOLUME_TOLERANCE * filled:
+            raise BadInput(f"{where}: the cage's surface encloses {enclosed:.4g} m^3, its tets fill {filled:.4g}")
+
 
 @dataclass(frozen=True)
 class CageEmbedding:
-    """Where the four corners of each Gaussian's local tetrahedron lie in the cage (VR-GS, Sec. 4.3.2).
+    """The four corners of each Gaussian's local tetrahedron in the cage (VR-GS, Sec. 4.3.2).
 
     host     host tet of each corner, (N, 4) int32
     weights  row k = barycentric weights of corner k in tet host[k], (N, 4, 4) float32; rows sum to 1
@@ -56,24 +81,65 @@ class CageEmbedding:
     host: np.ndarray
     weights: np.ndarray
 
+    def check(self, gaussians: int, tets: int, where: str) -> None:
+        """Raise BadInput unless each of the Gaussians' corners has a host and weights that sum to 1."""
+        if self.host.shape != (gaussians, 4) or self.weights.shape != (gaussians, 4, 4):
+            raise BadInput(f"{where}: the embedding has {len(self.host)} rows for {gaussians} Gaussians")
+        if self.host.min() < 0 or self.host.max() >= tets:
+            raise BadInput(f"{where}: the embedding names a tet outside 0..{tets - 1}")
+        if not np.isfinite(self.weights).all():
+            raise BadInput(f"{where}: an embedding weight is not finite")
+        if np.abs(self.weights.sum(axis=2, dtype=np.float64) - 1).max() > WEIGHT_SUM_TOLERANCE:
+            raise BadInput(f"{where}: embedding weights do not sum to 1")
+
 
 @dataclass(frozen=True)
 class Asset:
-    """Gaussians, and for what can be touched a cage, its embedding and a distance grid; all in the asset's frame.
+    """Gaussians, and what is needed to touch them; all in the asset's frame.
 
-    `provenance` is any JSON object; `thumbnail` is a small PNG, (K,) uint8 (assets/images.py). `stage`: a static scene to play
-    in. With an `animation` the body moves by itself.
+    cage, embedding  the simulated mesh and how the Gaussians hang on it; static things have neither
+    sdf              signed distance grid for contacts
+    material         None: not known
+    provenance       any JSON object
+    environment      a static scene to play in
+    animation        a motion of the body's own
+    thumbnail        a small PNG, (K,) uint8 (assets/images.py)
     """
 
     gaussians: Gaussians
     cage: Cage | None = None
-    embedded: CageEmbedding | None = None
+    embedding: CageEmbedding | None = None
     sdf: DistanceGrid | None = None
     material: Material | None = None
     provenance: dict = field(default_factory=dict)
-    stage: Environment | None = None
+    environment: Environment | None = None
     animation: Animation | None = None
     thumbnail: np.ndarray | None = None
+
+    @property
+    def grids(self) -> list[DistanceGrid]:
+        """The asset's distance grid and the finer ones of its environment, as far as there are any."""
+        fine = self.environment.fine_grids if self.environment is not None else ()
+        return [grid for grid in (self.sdf, *fine) if grid is not None]
+
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, unless all that the asset holds is sound and agrees."""
+        self.gaussians.check(where)
+        for name, value in (("an embedding", self.embedding), ("an animation", self.animation)):
+            if value is not None and self.cage is None:
+                raise BadInput(f"{where}: has {name} but no cage")
+        if self.cage is not None:
+            self.cage.check(where)
+        if self.embedding is not None:
+            self.embedding.check(len(self.gaussians), len(self.cage.tets), where)
+        for grid in self.grids:
+            grid.check(where)
+        if self.material is not None:
+            self.material.check(where)
+        if self.animation is not None:
+            self.animation.check(len(self.cage.vertices), where)
+        if self.thumbnail is not None:
+            check_thumbnail(self.thumbnail, where)
 
     @classmethod
     def load(cls, path: str | Path) -> Asset:
@@ -83,98 +149,97 @@ class Asset:
             asset = cls(
                 _read_gaussians(file),
                 _read_cage(file) if file.has("cage") else None,
-                _read_embedded(file) if file.has("embedding") else None,
+                _read_embedding(file) if file.has("embedding") else None,
                 _read_sdf(file) if file.has("sdf") else None,
-                read_material(file) if file.has("material") else None,
+                read_material(file),
                 _read_provenance(file),
                 read_environment(file) if file.has("stage") else None,
                 read_animation(file) if file.has("animation") else None,
-                _indices(file, "thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
+                file.indices("thumbnail", (None,), np.uint8) if file.has("thumbnail") else None,
             )
-        check(asset, str(path))
+        asset.check(str(path))
         return asset
 
     def save(self, path: str | Path) -> None:
         """Write the asset, compressed, in one step: either the whole file or none. Raises BadInput."""
-        check(self, str(path))
-        g = self.gaussians
+        self.check(str(path))
         with atomic_write(path) as beside, h5py.File(beside, "w") as file:
             file.attrs["format"] = FORMAT
             file.attrs["version"] = VERSION
             file.attrs["provenance"] = json.dumps(self.provenance)
             for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
-                _write(file, f"gaussians/{name}", getattr(g, name), np.float32)
-            _write(file, "gaussians/object_id", g.object_id, np.uint16)
+                write_dataset(file, f"gaussians/{name}", getattr(self.gaussians, name), np.float32)
+            write_dataset(file, "gaussians/object_id", self.gaussians.object_id, np.uint16)
             if self.cage is not None:
-                _write(file, "cage/vertices", self.cage.vertices, np.float32)
-                _write(file, "cage/tets", self.cage.tets, np.int32)
-                _write(file, "cage/surface", self.cage.surface, np.int32)
-            if self.embedded is not None:
-                _write(file, "embedding/host", self.embedded.host, np.int32)
-                _write(file, "embedding/weights", self.embedded.weights, np.float32)
+                write_dataset(file, "cage/vertices", self.cage.vertices, np.float32)
+                write_dataset(file, "cage/tets", self.cage.tets, np.int32)
+                write_dataset(file, "cage/surface", self.cage.surface, np.int32)
+            if self.embedding is not None:
+                write_dataset(file, "embedding/host", self.embedding.host, np.int32)
+                write_dataset(file, "embedding/weights", self.embedding.weights, np.float32)
             if self.sdf is not None:
-                _write(file, "sdf/values", self.sdf.values, np.float16)
+                write_dataset(file, "sdf/values", self.sdf.values, np.float16)
                 file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)
                 file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
-            if self.stage is not None:
-                write_environment(file, self.stage)
+            if self.environment is not None:
+                write_environment(file, self.environment)
             if self.thumbnail is not None:
-                _write(file, "thumbnail", self.thumbnail, np.uint8)
+                write_dataset(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
-                write_material(self.material, file)
+                _write_material(file, self.material)
             if self.animation is not None:
-                write_animation(self.animation, file, _write)
+                write_animation(file, self.animation)
 
 
-def _write(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:
-    file.create_dataset(name, data=np.asarray(values, dtype), compression="gzip", shuffle=True)
+def read_material(file: Hdf5Reader) -> Material | None:
+    """The material of an open asset file, not checked; None if it has none. Raises BadInput."""
+    if not file.has("material"):
+        return None
+    names = [f.name for f in fields(Material)]
+    present = [name for name in names if name not in OPTIONAL_MATERIAL or file.has_attribute("material", name)]
+    return Material(**{name: file.number("material", name) for name in present})
+
+
+def _write_material(file: h5py.File, material: Material) -> None:
+    group = file.create_group("material")
+    for name, value in asdict(material).items():
+        if name not in OPTIONAL_MATERIAL or value != OPTIONAL_MATERIAL[name]:
+            group.attrs[name] = float(value)
 
 
 def _check_format(file: Hdf5Reader) -> None:
     if file.text("", "format") != FORMAT:
-        raise file.bad(f"not a {FORMAT} file")
+        raise file.error(f"not a {FORMAT} file")
     version = file.number("", "version")
     if version != VERSION:
         hint = "; a newer program wrote it" if version > VERSION else ""
-        raise file.bad(f"version {version:g} of the format, this program reads version {VERSION}{hint}")
-
-
-def _floats(file: Hdf5Reader, name: str, shape: tuple) -> np.ndarray:
-    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is refused by the check for finite values
-        return np.asarray(file.array(name, "f", shape), np.float32)
-
-
-def _indices(file: Hdf5Reader, name: str, shape: tuple, dtype=np.int32) -> np.ndarray:
-    values = file.array(name, "iu", shape)
-    if values.size and (values.min() < 0 or values.max() > np.iinfo(dtype).max):
-        raise file.bad(f"{name} holds an index out of range")
-    return values.astype(dtype)
+        raise file.error(f"version {version:g} of the format, this program reads version {VERSION}{hint}")
 
 
 def _read_gaussians(file: Hdf5Reader) -> Gaussians:
-    means = _floats(file, "gaussians/means", (None, 3))
+    means = file.floats("gaussians/means", (None, 3))
     n = len(means)
     return Gaussians(
         means,
-        _floats(file, "gaussians/quats", (n, 4)),
-        _floats(file, "gaussians/log_scales", (n, 3)),
-        _floats(file, "gaussians/logit_opacities", (n,)),
-        _floats(file, "gaussians/sh", (n, None, 3)),
-        _indices(file, "gaussians/object_id", (n,), np.uint16),
+        file.floats("gaussians/quats", (n, 4)),
+        file.floats("gaussians/log_scales", (n, 3)),
+        file.floats("gaussians/logit_opacities", (n,)),
+        file.floats("gaussians/sh", (n, None, 3)),
+        file.indices("gaussians/object_id", (n,), np.uint16),
     )
 
 
 def _read_cage(file: Hdf5Reader) -> Cage:
     return Cage(
-        _floats(file, "cage/vertices", (None, 3)),
-        _indices(file, "cage/tets", (None, 4)),
-        _indices(file, "cage/surface", (None, 3)),
+        file.floats("cage/vertices", (None, 3)),
+        file.indices("cage/tets", (None, 4)),
+        file.indices("cage/surface", (None, 3)),
     )
 
 
-def _read_embedded(file: Hdf5Reader) -> CageEmbedding:
-    host = _indices(file, "embedding/host", (None, 4))
-    return CageEmbedding(host, _floats(file, "embedding/weights", (len(host), 4, 4)))
+def _read_embedding(file: Hdf5Reader) -> CageEmbedding:
+    host = file.indices("embedding/host", (None, 4))
+    return CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
 
 
 def _read_sdf(file: Hdf5Reader) -> DistanceGrid:
@@ -185,26 +250,8 @@ def _read_sdf(file: Hdf5Reader) -> DistanceGrid:
     return DistanceGrid(values, file.vector("sdf/values", "origin"), file.number("sdf/values", "spacing"))
 
 
-def write_material(material: Material, file: h5py.File) -> None:
-    """Write the attributes of the group `material`; what is as by default is left out where files may lack it."""
-    group = file.create_group("material")
-    for key, value in asdict(material).items():
-        if key not in OPTIONAL_MATERIAL or value != OPTIONAL_MATERIAL[key]:
-            group.attrs[key] = float(value)
-
-
-def read_material(file: Hdf5Reader) -> Material:
-    """The group `material`, not checked. Raises BadInput."""
-    keys = [f.name for f in fields(Material)]
-    present = [key for key in keys if key not in OPTIONAL_MATERIAL or file.has_attribute("material", key)]
-    return Material(**{key: file.number("material", key) for key in present})
-
-
 def _read_provenance(file: Hdf5Reader) -> dict:
-    try:
-        provenance = json.loads(file.text("", "provenance"))
-    except (ValueError, RecursionError) as e:
-        raise file.bad("the provenance is not JSON") from e
+    provenance = file.json("", "provenance")
     if not isinstance(provenance, dict):
-        raise file.bad("the provenance is not a JSON object")
+        raise file.error("the provenance is not a JSON object")
     return provenance

@@ -1,4 +1,4 @@
-"""Reading CAM.json, the camera file of the command line."""
+"""Reading of CAM.json, the camera file of the command line."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import MAGNITUDE_MAX
+from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
 
-MAX_SIDE = 16384  # [px]; larger pictures are a mistake in the file, not a wish
-FOCAL = (1e-3, 1e9)  # [px] of focal lengths, and how far off the lens's middle may be: products still fit float32
+SIDE_MAX = 16384  # [px] a larger picture is a mistake in the file
+FOCAL_RANGE = (1e-3, 1e9)  # [px] also bounds the principal point: products still fit float32
 
 
 def read_cameras(path: str | Path) -> list[Camera]:
@@ -54,12 +54,12 @@ def _camera(path: Path, index: int, item) -> Camera:
         raise BadInput(f"{where}: the last row of world_to_camera is not 0 0 0 1 (is it transposed?)")
     if np.abs(matrix[:3, 3]).max() > MAGNITUDE_MAX:
         raise BadInput(f"{where}: the translation in world_to_camera is beyond {MAGNITUDE_MAX:g}")
-    sides = [_number(where, item, name, 1, MAX_SIDE) for name in ("width", "height")]
+    sides = [_number(where, item, name, 1, SIDE_MAX) for name in ("width", "height")]
     if any(side != int(side) for side in sides):
         raise BadInput(f"{where}: width and height must be whole")
-    lens = [_number(where, item, name, *FOCAL) for name in ("fx", "fy")]
-    lens += [_number(where, item, name, -FOCAL[1], FOCAL[1]) for name in ("cx", "cy")]
-    return Camera(int(sides[0]), int(sides[1]), *lens, matrix)
+    intrinsics = [_number(where, item, name, *FOCAL_RANGE) for name in ("fx", "fy")]
+    intrinsics += [_number(where, item, name, -FOCAL_RANGE[1], FOCAL_RANGE[1]) for name in ("cx", "cy")]
+    return Camera(int(sides[0]), int(sides[1]), *intrinsics, matrix)
 
 
 def _number(where: str, item: dict, name: str, low: float, high: float) -> float:

@@ -1,4 +1,4 @@
-"""The separate pieces of an asset. In a scene each is a body of its own."""
+"""Split an asset into its connected components, each of which is a body of its own in a scene."""
 
 from __future__ import annotations
 
@@ -7,80 +7,58 @@ from dataclasses import replace
 import numpy as np
 
 from assets.asset import Asset, Cage, CageEmbedding
-
-
-def piece_of_vertices(cage: Cage) -> np.ndarray:
-    """Piece (V,) of each vertex; tets that share a vertex belong to one. Piece 0 has the most tets."""
-    label = np.arange(len(cage.vertices))
-    while (
-        True
-    ):  # the least number of each tet's corners spreads, and numbers are followed to their own: O(log V) rounds
-        least = label[cage.tets].min(1)
-        new = label.copy()
-        np.minimum.at(new, label[cage.tets].ravel(), np.repeat(least, 4))
-        while not np.array_equal(new, new[new]):
-            new = new[new]
-        if np.array_equal(new, label):
-            break
-        label = new
-    roots, numbers = np.unique(label, return_inverse=True)
-    count = np.bincount(numbers.reshape(-1)[cage.tets[:, 0]], minlength=len(roots))
-    return np.argsort(np.argsort(-count, kind="stable"), kind="stable")[numbers.reshape(-1)]
+from core.tetmesh import vertex_components
 
 
 def split_components(asset: Asset) -> list[Asset]:
-    """The asset's pieces, the largest first, in its own frame: [asset] if it is in one, or has no cage.
+    """The asset's components, the largest first, in its own frame: [asset] if it is connected, or has no cage.
 
-    A solver takes a body for one thing: it damps it towards one motion, leads it back to one shape, and lets what is
-    close at rest pass through itself. So separate pieces become separate bodies. Gaussians go to the piece that holds
-    most of their corners. The asset's distance grid is that of all pieces together: they have none (the solver makes
-    its own), and what is animated stays whole.
+    The solver treats a body as one thing: it damps relative to one rigid motion, restores one shape, and ignores
+    contacts between what is close at rest. So separate components become separate bodies. Gaussians go to the component
+    that holds most of their corners. The asset's distance grid is that of all components together, so they have none
+    (the solver makes its own). An animated asset stays whole.
     """
-    if asset.cage is None or asset.embedded is None or asset.animation is not None:
+    if asset.cage is None or asset.embedding is None or asset.animation is not None:
         return [asset]
-    cage, embedded = asset.cage, asset.embedded
-    piece = piece_of_vertices(cage)
-    count = int(piece.max()) + 1
+    cage, embedding = asset.cage, asset.embedding
+    tet_component = vertex_components(cage.tets)
+    count = int(tet_component.max()) + 1
     if count == 1:
         return [asset]
-    of_tet = piece[cage.tets[:, 0]]
-    of_corner = of_tet[embedded.host]
-    home = np.array([(of_corner == k).sum(1) for k in range(count)]).argmax(0)
-    astray = of_corner != home[:, None]
+    component = np.empty(len(cage.vertices), np.int64)  # of each vertex
+    component[cage.tets] = tet_component[:, None]
+    corner_component = tet_component[embedding.host]
+    home = np.array([(corner_component == k).sum(1) for k in range(count)]).argmax(0)
     found = []
     for k in range(count):
-        number = np.cumsum(piece == k) - 1  # of a vertex, among those of this piece
-        tet = np.cumsum(of_tet == k) - 1
+        vertex_index = np.cumsum(component == k) - 1
+        tet_index = np.cumsum(tet_component == k) - 1
         mine = home == k
-        host, weights = embedded.host[mine], embedded.weights[mine].copy()
-        lost = np.nonzero(astray[mine])
-        if len(lost[0]):  # a corner in another piece's tet goes to a tet that holds one of this piece's
-            host, weights = brought_home(asset, host, weights, lost, of_tet == k)
-        part = Cage(
-            cage.vertices[piece == k],
-            number[cage.tets[of_tet == k]].astype(np.int32),
-            number[cage.surface[piece[cage.surface[:, 0]] == k]].astype(np.int32),
+        host, weights = _rehosted(asset, mine, tet_component == k)
+        own = Cage(
+            cage.vertices[component == k],
+            vertex_index[cage.tets[tet_component == k]].astype(np.int32),
+            vertex_index[cage.surface[component[cage.surface[:, 0]] == k]].astype(np.int32),
         )
-        inner = CageEmbedding(tet[host].astype(np.int32), weights)
-        found.append(replace(asset, gaussians=asset.gaussians.select(mine), cage=part, embedded=inner, sdf=None))
+        hosts = CageEmbedding(tet_index[host].astype(np.int32), weights)
+        found.append(replace(asset, gaussians=asset.gaussians.select(mine), cage=own, embedding=hosts, sdf=None))
     return found
 
 
-def brought_home(asset: Asset, host, weights, lost, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Hosts and weights of Gaussians with some corners, `lost`, in other pieces: these follow a tet of their own piece.
+def _rehosted(asset: Asset, mine: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hosts and weights of the Gaussians `mine` (N,), with all corners in the tets `own` (T,) of their component.
 
-    own  mask (T,) of the tets of the Gaussians' piece
+    A corner in another component's tet goes to the tet of one that is not; its weights extrapolate there.
     """
-    x = asset.cage.vertices.astype(np.float64)
-    host = host.copy()
-    row, corner = lost
-    places = np.einsum("nj,njc->nc", weights[row, corner], x[asset.cage.tets[host[row, corner]]])
-    first = np.argmax(own[host[row]], axis=1)  # a corner that is at home
-    home = host[row, first]
-    corners = x[asset.cage.tets[home]]
-    last = np.linalg.solve(np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 2), (places - corners[:, 0])[..., None])[
-        ..., 0
-    ]
-    host[row, corner] = home
-    weights[row, corner] = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)
+    x, tets = asset.cage.vertices.astype(np.float64), asset.cage.tets
+    host, weights = asset.embedding.host[mine].copy(), asset.embedding.weights[mine].copy()
+    row, corner = np.nonzero(~own[host])
+    if len(row):
+        position = np.einsum("nj,njc->nc", weights[row, corner], x[tets[host[row, corner]]])
+        first = np.argmax(own[host[row]], axis=1)
+        tet = host[row, first]
+        origin, *others = np.moveaxis(x[tets[tet]], 1, 0)
+        last = np.linalg.solve(np.stack(others, 2) - origin[..., None], (position - origin)[..., None])[..., 0]
+        host[row, corner] = tet
+        weights[row, corner] = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)
     return host, weights

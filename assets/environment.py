@@ -1,43 +1,43 @@
-"""A prepared room to play in: where its floor and tables are, where a body is dropped and where the user stands."""
+"""A static scene to play in: its floor and level planes, where bodies drop, where the user stands."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from assets.hdf5 import Hdf5Reader, open_hdf5
+from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
-MAX_FINE = 16  # finer grids of a stage
-KINDS = ("floor", "table", "shelf")
+FINE_GRIDS_MAX = 16
+PLANE_KINDS = ("floor", "table", "shelf")
 
 
 @dataclass(frozen=True)
 class Environment:
-    """What `prepare --static` found in a scene; metres, +y up.
+    """The results of `prepare --static`; metres, +y up. In files the group is called `stage`.
 
-    floor     height of the floor
-    drop      a point on a table or the floor where there is room for a body, (3,)
-    eye       where the user's head is, (3,)
-    clear     radius of the free disc around `drop`
-    planes    level planes, the floor first: (kind, height, x low, z low, x high, z high)
-    fine      distance grids finer than the asset's own, where that leaves the work to them
+    floor_height
+    drop_point    on a table or the floor, with a free disc around it, (3,)
+    eye_position  of the user, (3,)
+    clear_radius  of the free disc
+    planes        level planes, the floor first: (kind, height, x low, z low, x high, z high)
+    fine_grids    distance grids finer than the asset's own, where that one defers to them
     """
 
-    floor: float
-    drop: tuple[float, float, float]
-    eye: tuple[float, float, float]
-    clear: float
+    floor_height: float
+    drop_point: tuple[float, float, float]
+    eye_position: tuple[float, float, float]
+    clear_radius: float
     planes: tuple[tuple, ...] = ()
-    fine: tuple[DistanceGrid, ...] = field(default=())
+    fine_grids: tuple[DistanceGrid, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Environment:
-        """The stage in an asset file, without its Gaussians. Raises BadInput where there is none."""
+        """The environment of an asset file, without its Gaussians. Raises BadInput if there is none."""
         with open_hdf5(Path(path)) as file:
             if not file.has("stage"):
                 raise BadInput(f"{path}: is no stage (make one: python vrgs.py prepare ROOM.ply --static)")
@@ -45,31 +45,32 @@ class Environment:
 
 
 def read_environment(file: Hdf5Reader) -> Environment:
-    """The stage of an open asset file; checked. Raises BadInput."""
-    numbers = {key: file.number("stage", key) for key in ("floor", "clear")}
-    points = {key: tuple(map(float, file.vector("stage", key))) for key in ("drop", "eye")}
+    """The environment of an open asset file, checked but for its grids. Raises BadInput."""
+    floor, clear = (file.number("stage", key) for key in ("floor", "clear"))
+    drop, eye = (tuple(map(float, file.vector("stage", key))) for key in ("drop", "eye"))
     rows = np.asarray(file.array("stage/planes", "f", (None, 6)), np.float64)
     fine = []
-    while len(fine) < MAX_FINE and file.has(f"stage/fine{len(fine)}"):
+    while len(fine) < FINE_GRIDS_MAX and file.has(f"stage/fine{len(fine)}"):
         name = f"stage/fine{len(fine)}"
         values = file.array(name, "f", (None, None, None))
         fine.append(DistanceGrid(values, file.vector(name, "origin"), file.number(name, "spacing")))
-    if not np.isfinite([*numbers.values(), *points["drop"], *points["eye"]]).all() or not np.isfinite(rows).all():
-        raise file.bad("a number of the stage is not finite")
-    if numbers["clear"] <= 0 or not np.isin(rows[:, 0], range(len(KINDS))).all():
-        raise file.bad("the stage's free radius or a kind of plane is out of range")
-    planes = tuple((KINDS[int(r[0])], *map(float, r[1:])) for r in rows)
-    return Environment(**numbers, **points, planes=planes, fine=tuple(fine))
+    if not np.isfinite([floor, clear, *drop, *eye]).all() or not np.isfinite(rows).all():
+        raise file.error("a number of the stage is not finite")
+    if clear <= 0 or not np.isin(rows[:, 0], range(len(PLANE_KINDS))).all():
+        raise file.error("the stage's free radius or a kind of plane is out of range")
+    planes = tuple((PLANE_KINDS[int(row[0])], *map(float, row[1:])) for row in rows)
+    return Environment(floor, drop, eye, clear, planes, tuple(fine))
 
 
-def write_environment(file: h5py.File, stage: Environment) -> None:
-    """Put a stage into an asset file."""
+def write_environment(file: h5py.File, environment: Environment) -> None:
+    """Write the environment to an asset file."""
     group = file.create_group("stage")
-    group.attrs["floor"], group.attrs["clear"] = float(stage.floor), float(stage.clear)
-    group.attrs["drop"], group.attrs["eye"] = np.array(stage.drop, np.float64), np.array(stage.eye, np.float64)
-    rows = [(KINDS.index(p[0]), *p[1:]) for p in stage.planes]
+    group.attrs["floor"], group.attrs["clear"] = float(environment.floor_height), float(environment.clear_radius)
+    group.attrs["drop"] = np.array(environment.drop_point, np.float64)
+    group.attrs["eye"] = np.array(environment.eye_position, np.float64)
+    rows = [(PLANE_KINDS.index(kind), *bounds) for kind, *bounds in environment.planes]
     group["planes"] = np.array(rows, np.float64).reshape(-1, 6)
-    for k, grid in enumerate(stage.fine):
-        values = np.asarray(grid.values, np.float16)
-        data = group.create_dataset(f"fine{k}", data=values, compression="gzip", shuffle=True)
-        data.attrs["origin"], data.attrs["spacing"] = np.asarray(grid.origin, np.float64), float(grid.spacing)
+    for k, grid in enumerate(environment.fine_grids):
+        write_dataset(file, f"stage/fine{k}", grid.values, np.float16)
+        attributes = file[f"stage/fine{k}"].attrs
+        attributes["origin"], attributes["spacing"] = np.asarray(grid.origin, np.float64), float(grid.spacing)

@@ -1,15 +1,23 @@
-"""The Gaussians of a splat, as they lie in files and in host memory."""
+"""The Gaussians of a splat as they lie in files and in host memory."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 
+from core.errors import BadInput
 from core.rotation import multiply_quaternions, quaternions_from_matrices
 from core.spherical_harmonics import rotate_sh
 
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
+LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit float32
+MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
+UNIT_TOLERANCE = 1e-3  # a unit quaternion rounded to float16 is off by less
+
+Report = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -33,7 +41,7 @@ class Gaussians:
 
     @classmethod
     def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None) -> Gaussians:
-        """Convert dtypes, normalise quaternions; the inputs must be finite already."""
+        """Convert dtypes and normalise quaternions; the inputs must be finite."""
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
         quats = quats / np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-12)
@@ -54,7 +62,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """0 to 3."""
+        """Degree of the spherical harmonics, 0 to 3."""
         return SH_COUNTS.index(self.sh.shape[1])
 
     @property
@@ -75,16 +83,66 @@ class Gaussians:
         return replace(self, sh=sh)
 
     def transformed(self, rotation: np.ndarray, translation=(0.0, 0.0, 0.0), scale: float = 1.0) -> Gaussians:
-        """Apply x -> scale * rotation @ x + translation, the view-dependent colour included."""
+        """Apply x -> scale * rotation @ x + translation, to the view-dependent colour as well."""
         rotation = np.asarray(rotation, np.float64)
         means = scale * self.means @ rotation.T + np.asarray(translation)
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         return Gaussians.of(means, quats, self.log_scales + np.log(scale), self.logit_opacities, sh, self.object_id)
 
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
+        n = len(self.means)
+        if n == 0:
+            raise BadInput(f"{where}: holds no Gaussians")
+        if self.sh.ndim != 3 or self.sh.shape[1] not in SH_COUNTS:
+            raise BadInput(f"{where}: sh has shape {self.sh.shape}, expected (N, K, 3) with K one of {SH_COUNTS}")
+        shapes = [(n, 3), (n, 4), (n, 3), (n,), (n, self.sh.shape[1], 3), (n,)]
+        for name, shape in zip((f.name for f in fields(self)), shapes, strict=True):
+            if getattr(self, name).shape != shape:
+                raise BadInput(f"{where}: {name} has shape {getattr(self, name).shape}, expected {shape}")
+        wrong = n - int(drawable(self.means, self.quats, self.log_scales, self.logit_opacities, self.sh).sum())
+        if wrong:
+            raise BadInput(f"{where}: {wrong} of {n} Gaussians are not finite or have no rotation")
+        if np.abs(np.linalg.norm(self.quats, axis=1) - 1).max() > UNIT_TOLERANCE:
+            raise BadInput(f"{where}: the quaternions are not normalised")
 
-def concatenate(parts: list[Gaussians]) -> Gaussians:
-    """One set of all parts, padded to the highest SH degree among them."""
-    degree = max(p.sh_degree for p in parts)
-    parts = [p.with_sh_degree(degree) for p in parts]
-    return Gaussians(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)))
+
+def concatenate(sets: list[Gaussians]) -> Gaussians:
+    """All Gaussians of the sets, padded to the highest SH degree among them."""
+    degree = max(g.sh_degree for g in sets)
+    sets = [g.with_sh_degree(degree) for g in sets]
+    return Gaussians(*(np.concatenate([getattr(g, f.name) for g in sets]) for f in fields(Gaussians)))
+
+
+def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
+    """Mask (N,) of the Gaussians that can be drawn: finite, with a rotation, and finite still when squared."""
+    n = len(means)
+    with np.errstate(invalid="ignore", over="ignore"):
+        rows = np.concatenate([means, sh.reshape(n, -1), logit_opacities.reshape(n, 1)], axis=1)
+        mask = (np.abs(rows) < MAGNITUDE_MAX).all(1)  # NaN compares false
+        mask &= (log_scales <= LOG_SCALE_MAX).all(1) & np.isfinite(log_scales).all(1)
+        norm = np.linalg.norm(np.asarray(quats, np.float64), axis=1)
+        return mask & (norm > 1e-6) & np.isfinite(norm)
+
+
+def drawable_gaussians(path: Path, means, quats, log_scales, logit_opacities, sh, report: Report) -> Gaussians:
+    """Gaussians of the rows of a file that can be drawn; `report` takes a line if others were dropped.
+
+    Raises BadInput, naming `path`, if none can be drawn.
+    """
+    n = len(means)
+    if n == 0:
+        raise BadInput(f"{path}: holds no Gaussians")
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        quats = np.asarray(quats, np.float64)  # the norm of 1e30 overflows in float32
+    keep = drawable(means, quats, log_scales, logit_opacities, sh)
+    dropped = n - int(keep.sum())
+    if dropped == n:
+        raise BadInput(f"{path}: none of its {n} Gaussians is finite and has a rotation")
+    columns = [means, quats, log_scales, logit_opacities, sh]
+    if dropped:
+        report(f"{path}: dropped {dropped} of {n} Gaussians that are not finite or have no rotation")
+        columns = [c[keep] for c in columns]
+    columns[1] = columns[1] / np.linalg.norm(columns[1], axis=1, keepdims=True)
+    return Gaussians.of(*columns)

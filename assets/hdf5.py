@@ -1,4 +1,4 @@
-"""Reading HDF5 files that may come from anywhere: nothing is followed out of the file and every size is bounded.
+"""Reading of HDF5 files from untrusted sources: nothing is followed out of the file and every size is bounded.
 
 HDF5 can point to other files (external and soft links, external and virtual storage), load plug-in
 filters, hold pickled objects, and claim sizes that its bytes do not back. All of that is refused
@@ -7,6 +7,7 @@ before a dataset is read.
 
 from __future__ import annotations
 
+import json
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from assets.file_access import UNPACK_BASE, file_size, unpack_bound
 from core.errors import BadInput
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in any file of less than an exabyte
+HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in a file of less than an exabyte
 TEXT_MAX = 1 << 20  # [characters] of a text attribute
 
 
@@ -30,18 +31,18 @@ class Hdf5Reader:
         self.path = path
         self._file = file
         self._size = size
-        self._left = unpack_bound(size)  # [bytes] that may still be unpacked
+        self._unpack_left = unpack_bound(size)  # [bytes] that may still be unpacked
 
-    def bad(self, defect: str) -> BadInput:
+    def error(self, defect: str) -> BadInput:
         """The error to raise."""
         return BadInput(f"{self.path}: {defect}")
 
     def has(self, name: str) -> bool:
-        """Whether a group or dataset of that name is there."""
+        """True if a group or dataset of that name is there."""
         return self._find(name) is not None
 
     def has_attribute(self, name: str, key: str) -> bool:
-        """Whether the group or dataset `name` has the attribute."""
+        """True if the group or dataset `name` is there and has the attribute."""
         node = self._find(name)
         return node is not None and key in node.attrs
 
@@ -54,66 +55,78 @@ class Hdf5Reader:
             if link is None:
                 return None
             if not isinstance(link, h5py.HardLink):
-                raise self.bad(f"{name} is a link; links are not followed")
+                raise self.error(f"{name} is a link; links are not followed")
             node = node[part]
         return node
 
     def array(self, name: str, kind: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """A dataset of numbers. `kind` is "f" or "iu"; None in `shape` stands for any length."""
+        """A dataset of numbers as it is stored. `kind` is "f" or "iu"; None in `shape` stands for any length."""
         data = self._find(name)
         if not isinstance(data, h5py.Dataset):
-            raise self.bad(f"missing dataset {name!r}")
+            raise self.error(f"missing dataset {name!r}")
         if data.dtype.kind not in kind or data.dtype.itemsize > 8:
-            raise self.bad(
+            raise self.error(
                 f"{name} holds {data.dtype}, expected {'floating-point numbers' if kind == 'f' else 'integers'}"
             )
         got = data.shape
         if got is None or len(got) != len(shape) or any(s not in (None, g) for s, g in zip(shape, got, strict=True)):
             expected = ", ".join("*" if s is None else str(s) for s in shape)
-            raise self.bad(f"{name} has shape {got}, expected ({expected})")
+            raise self.error(f"{name} has shape {got}, expected ({expected})")
         self._bound(name, data)
         return data[()]
+
+    def floats(self, name: str, shape: tuple[int | None, ...], dtype=np.float32) -> np.ndarray:
+        """A dataset of floating-point numbers, not checked to be finite."""
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow becomes infinite
+            return self.array(name, "f", shape).astype(dtype, copy=False)
+
+    def indices(self, name: str, shape: tuple[int | None, ...], dtype=np.int32) -> np.ndarray:
+        """A dataset of integers from 0 to the largest of `dtype`."""
+        values = self.array(name, "iu", shape)
+        if values.size and (values.min() < 0 or values.max() > np.iinfo(dtype).max):
+            raise self.error(f"{name} holds an index out of range")
+        return values.astype(dtype)
 
     def _bound(self, name: str, data: h5py.Dataset) -> None:
         """Refuse storage outside the file, foreign filters, and sizes that the file cannot back."""
         if data.external or data.is_virtual:
-            raise self.bad(f"{name} is stored outside the file")
+            raise self.error(f"{name} is stored outside the file")
         plist = data.id.get_create_plist()
         filters = {plist.get_filter(i)[0] for i in range(plist.get_nfilters())}
         if filters - FILTERS:
-            raise self.bad(f"{name} uses a filter other than gzip and shuffle")
+            raise self.error(f"{name} uses a filter other than gzip and shuffle")
         size = int(np.prod(data.shape, dtype=object)) * data.dtype.itemsize
         chunk = int(np.prod(data.chunks, dtype=object)) * data.dtype.itemsize if data.chunks else 0
-        self._left -= size
-        if self._left < 0 or chunk > max(size, UNPACK_BASE):
-            raise self.bad(f"{name} claims {max(size, chunk)} bytes, more than a file of {self._size} bytes may hold")
+        self._unpack_left -= size
+        if self._unpack_left < 0 or chunk > max(size, UNPACK_BASE):
+            raise self.error(f"{name} claims {max(size, chunk)} bytes, more than a file of {self._size} bytes may hold")
         if h5py.h5z.FILTER_DEFLATE in filters and size:
             self._check_chunks(name, data, chunk)
 
     def _check_chunks(self, name: str, data: h5py.Dataset, chunk: int) -> None:
-        """HDF5 inflates a chunk to its end whatever it should hold, so see first that none is a bomb."""
+        """Refuse chunks that inflate to more than their size: HDF5 inflates a chunk to its end whatever it should hold."""
         for i in range(data.id.get_num_chunks()):
             info = data.id.get_chunk_info(i)
             if info.size > self._size:
-                raise self.bad(f"{name} claims a chunk of {info.size} bytes in a file of {self._size}")
+                raise self.error(f"{name} claims a chunk of {info.size} bytes in a file of {self._size}")
             mask, raw = data.id.read_direct_chunk(info.chunk_offset)
             stored = zlib.decompressobj()
             # Four bytes more: the checksum that Fletcher's filter may append.
             if mask == 0 and len(stored.decompress(raw, chunk + 5)) > chunk + 4:
-                raise self.bad(f"{name} holds a chunk that inflates to more than its {chunk} bytes")
+                raise self.error(f"{name} holds a chunk that inflates to more than its {chunk} bytes")
 
     def number(self, name: str, key: str) -> float:
         """A scalar attribute of the group or dataset `name` ("" is the root)."""
         value = self._attribute(name, key)
         if np.ndim(value) != 0 or not isinstance(value, (int, float, np.integer, np.floating)):
-            raise self.bad(f"attribute {key!r} of {name or 'the file'} is not a number")
+            raise self.error(f"attribute {key!r} of {name or 'the file'} is not a number")
         return float(value)
 
     def vector(self, name: str, key: str) -> np.ndarray:
         """An attribute of three numbers, float64."""
         value = np.asarray(self._attribute(name, key))
         if value.shape != (3,) or value.dtype.kind not in "fiu":
-            raise self.bad(f"attribute {key!r} of {name} is not three numbers")
+            raise self.error(f"attribute {key!r} of {name} is not three numbers")
         return value.astype(np.float64)
 
     def text(self, name: str, key: str) -> str:
@@ -122,23 +135,32 @@ class Hdf5Reader:
         if isinstance(value, bytes):
             value = value.decode("utf-8")
         if not isinstance(value, str) or len(value) > TEXT_MAX:
-            raise self.bad(f"attribute {key!r} of {name or 'the file'} is not a text of at most {TEXT_MAX} characters")
+            raise self.error(
+                f"attribute {key!r} of {name or 'the file'} is not a text of at most {TEXT_MAX} characters"
+            )
         return str(value)
+
+    def json(self, name: str, key: str):
+        """The value of a text attribute that holds JSON."""
+        try:
+            return json.loads(self.text(name, key))
+        except (ValueError, RecursionError) as e:
+            raise self.error(f"attribute {key!r} of {name or 'the file'} is not JSON") from e
 
     def _attribute(self, name: str, key: str):
         node = self._find(name) if name else self._file
         if node is None or key not in node.attrs:
-            raise self.bad(f"missing attribute {key!r} of {name or 'the file'}")
+            raise self.error(f"missing attribute {key!r} of {name or 'the file'}")
         stored = node.attrs.get_id(key)
         plain = stored.dtype.kind in "fiu" or h5py.check_string_dtype(stored.dtype) is not None
         if stored.shape not in ((), (3,)) or not plain or stored.dtype.itemsize > TEXT_MAX:
-            raise self.bad(f"attribute {key!r} of {name or 'the file'} is neither a number nor a text")
+            raise self.error(f"attribute {key!r} of {name or 'the file'} is neither a number nor a text")
         if h5py.check_vlen_dtype(stored.dtype) or h5py.check_string_dtype(stored.dtype):
             self._check_heaps()
         return node.attrs[key]
 
     def _check_heaps(self) -> None:
-        """Walk the heaps that hold texts of variable length: HDF5 loops for ever in a damaged one.
+        """Walk the heaps that hold texts of variable length: HDF5 loops forever in a damaged one.
 
         A heap is "GCOL", 1, 3 zeros and its size [8 bytes]; then objects of an index [2], 6 bytes, a
         size [8] and the padded data. Index 0 is what is left free, its header included.
@@ -155,13 +177,13 @@ class Hdf5Reader:
                     break
                 at += 16 + -(-size // 8) * 8
             if not end - 16 < at <= end:
-                raise self.bad("a heap of texts is damaged")
+                raise self.error("a heap of texts is damaged")
             at = data.find(HEAP, at)
 
 
 @contextmanager
 def open_hdf5(path: Path) -> Iterator[Hdf5Reader]:
-    """A Reader of the file. Whatever h5py makes of a damaged file becomes BadInput."""
+    """Open a file for reading. Any exception that h5py raises on a damaged file becomes BadInput."""
     size = file_size(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -169,3 +191,8 @@ def open_hdf5(path: Path) -> Iterator[Hdf5Reader]:
     except (OSError, KeyError, ValueError, RuntimeError, TypeError, OverflowError, MemoryError, zlib.error) as e:
         reason = " ".join(str(e).split())[:120]
         raise BadInput(f"{path}: not a readable HDF5 file ({reason or type(e).__name__})") from e
+
+
+def write_dataset(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:
+    """Write a compressed dataset."""
+    file.create_dataset(name, data=np.asarray(values, dtype), compression="gzip", shuffle=True)

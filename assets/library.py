@@ -1,4 +1,4 @@
-"""Where assets are found: the shipped ones by name, the user's by path, prepared splats in a cache."""
+"""Location of assets: shipped ones by name, the user's by path, prepared splats in a cache."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import os
 import sys
 from pathlib import Path
 
+from assets.asset import read_material
 from assets.hdf5 import open_hdf5
 from core.errors import BadInput
-from core.material import ANIMATED_MATERIAL
+from core.material import ANIMATED_MATERIAL, Material
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 
@@ -26,15 +27,25 @@ def find_asset(name: str) -> Path:
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
 
 
-def default_material(asset: str) -> str | None:
-    """The name of what this asset is made of if nothing is said: what moves by itself is flesh. Raises BadInput."""
-    with open_hdf5(find_asset(asset)) as file:
+def asset_material(name: str) -> Material | None:
+    """The material that an asset file names, checked; None if it names none. Raises BadInput."""
+    path = find_asset(name)
+    with open_hdf5(path) as file:
+        material = read_material(file)
+    if material is not None:
+        material.check(str(path))
+    return material
+
+
+def default_material(name: str) -> str | None:
+    """Name of the material of an asset if the user names none: flesh for an animated one, else None. Raises BadInput."""
+    with open_hdf5(find_asset(name)) as file:
         return ANIMATED_MATERIAL if file.has("animation") else None
 
 
-def animated_height(asset: str) -> float | None:
-    """The height [m] of an asset that has a motion of its own, None if it has none. Raises BadInput."""
-    with open_hdf5(find_asset(asset)) as file:
+def animated_height(name: str) -> float | None:
+    """Height [m] of an asset with an animation of its own, None if it has none. Raises BadInput."""
+    with open_hdf5(find_asset(name)) as file:
         if not file.has("animation"):
             return None
         y = file.array("cage/vertices", "f", (None, 3))[:, 1]
@@ -54,7 +65,7 @@ def cache_folder() -> Path:
 
 
 def cached_asset(source: Path, options: dict) -> Path:
-    """Where the asset prepared from `source` with `options` lies, whether or not it exists yet.
+    """Path of the asset prepared from `source` with `options`, whether or not it exists yet.
 
     The name holds a hash of the file's bytes and the options: an edited file is prepared anew.
     """

@@ -1,18 +1,18 @@
-"""Gaussians from and to files of any kind: the kind is the file's suffix, and its content must agree."""
+"""Reading and writing Gaussians of any file format: the suffix names it, and the content must agree."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from assets.asset import Asset
-from assets.file_access import Report, open_input
+from assets.file_access import open_input
 from assets.formats.antimatter_splat import read_splat, write_splat
 from assets.formats.compressed_ply import write_compressed
 from assets.formats.ksplat import read_ksplat
 from assets.formats.ply import read_ply, write_ply
 from assets.formats.sog import read_sog
 from assets.formats.spz import read_spz, write_spz
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, Report
 from core.errors import BadInput
 
 
@@ -29,7 +29,7 @@ READERS = {
     ".json": read_sog,
     ".h5": _read_asset,
 }
-COMPRESSED = ".compressed.ply"  # the two suffixes by which PlayCanvas's tools know it; read by its content
+COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
 MAGICS = {
     b"ply\n": ".ply",
@@ -60,7 +60,7 @@ def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
 
 
 def kind_to_write(path: str | Path) -> str:
-    """The key of WRITERS that a name stands for. Raises BadInput."""
+    """Key in WRITERS for a file name. Raises BadInput."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in WRITERS:

@@ -118,12 +118,12 @@ def ablation(name: str, asset: Asset, title: str, turn, scheme: str, *, draw: bo
     """A row of the table, and the picture."""
     g, cage = asset.gaussians, (asset.cage.vertices, asset.cage.tets)
     splats = Splats(g) if draw else None
-    found = carried(g, asset.embedded, cage, turn, scheme, splats)
+    found = carried(g, asset.embedding, cage, turn, scheme, splats)
     row = {"bench": "embedding", "what": "ablation", "body": name, "deformation": title, "scheme": scheme}
     row |= {"gaussians": len(g), "vertices": len(cage[0]), "error": found.error()}
     excess = found.excess()
     row |= {"spikes": float((excess > SPIKE).mean()), "excess": float(np.percentile(excess, 99))}
-    row |= {"jump": jump(g, asset.embedded, cage, turn, scheme), "arch": arch()}
+    row |= {"jump": jump(g, asset.embedding, cage, turn, scheme), "arch": arch()}
     return row, picture(splats, g, turn) if draw else None
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.asset_check import check
 from assets.file_access import atomic_write_all, file_size
 from assets.images import thumbnail_of
 from assets.splat_files import read_gaussians
@@ -100,7 +99,7 @@ def prepare_file(
         asset = replace(asset, thumbnail=thumbnail_of(splat))
     texts = report_texts(asset, made, out.name, notes=tuple(notes), splat=splat) if page else ()
     with atomic_write_all(out, *(report_names(out) if page else ())) as (beside, *others):
-        check(asset, str(out))  # before `save` does, which would name the file beside
+        asset.check(str(out))  # before `save` does, which would name the file beside
         asset.save(beside)
         for other, text in zip(others, texts, strict=True):
             other.write_text(text, encoding="utf-8")

@@ -58,13 +58,12 @@ def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]
     rotation = matrices_from_quaternions(np.array(body.rotation))
     gaussians = asset.gaussians.transformed(rotation, body.position, body.scale)
     friction = asset.material.friction if asset.material is not None else 0.5
-    grids = [*([asset.sdf] if asset.sdf is not None else []), *(asset.environment.fine if asset.environment is not None else ())]
-    return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in grids]
+    return gaussians, [StaticGrid(g, body.rotation, body.position, body.scale, friction) for g in asset.grids]
 
 
 def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, EmbeddedBody]:
     """The simulated body and its Gaussians, both at rest in the body's frame."""
-    if asset.cage is None or asset.embedded is None:
+    if asset.cage is None or asset.embedding is None:
         raise BadInput(f"{body.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
     s = body.scale
     order = morton_order(asset.gaussians.means)
@@ -90,8 +89,8 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         loose=led is not None,
     )
     part = EmbeddedBody(
-        host=asset.embedded.host[order],
-        weights=asset.embedded.weights[order],
+        host=asset.embedding.host[order],
+        weights=asset.embedding.weights[order],
         gaussians=gaussians,
         rest=vertices,
         tets=asset.cage.tets,

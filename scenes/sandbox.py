@@ -111,14 +111,14 @@ def rings(at: tuple[float, float, float], height: float | None) -> list[Body]:
 def on_stage(body: str, material: Material, stage: str, height: float | None = None) -> Scene:
     """The same in a room of the user's: the body over its table or floor, which goes on beyond what was captured."""
     place = Environment.load(stage)
-    x, y, z = place.drop
+    x, y, z = place.drop_point
     start = (x, y + ABOVE, z) if height is None else (x, y, z)
     return Scene(
         bodies=[Body(stage), Body(body, material, position=start), *rings(start, height)],
-        colliders=[Plane((0.0, place.floor, 0.0), (0.0, 1.0, 0.0))],
-        light=Light(position=(x + 0.1, y + LAMP, z + 0.1), target=place.drop),
+        colliders=[Plane((0.0, place.floor_height, 0.0), (0.0, 1.0, 0.0))],
+        light=Light(position=(x + 0.1, y + LAMP, z + 0.1), target=place.drop_point),
         background=PLASTER,
-        eye=place.eye,
+        eye=place.eye_position,
         target=(x, y + 0.1, z),
-        game=Sandbox(place.drop, height),
+        game=Sandbox(place.drop_point, height),
     )

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, atomic_write, byte_of_logit, logit_of_byte, open_input, usable_gaussians
-from assets.gaussians import Gaussians
+from assets.file_access import atomic_write, open_input
+from assets.formats.quantization import bytes_from_logits, logits_from_bytes, to_bytes
+from assets.gaussians import Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
 ROW = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 3), ("alpha", "u1"), ("quat", "u1", 4)])
 
-LEAST_SCALE = float(np.finfo(np.float32).tiny)  # [m]; a smaller one could become 0, which readers drop
+SCALE_MIN = float(np.finfo(np.float32).tiny)  # [m] a smaller one could become 0, which readers drop
 
 
 def read_splat(path: str | Path, report: Report = print) -> Gaussians:
@@ -29,7 +30,7 @@ def read_splat(path: str | Path, report: Report = print) -> Gaussians:
         log_scales = np.log(rows["scale"])
     quats = (rows["quat"].astype(np.float32) - 128) / 128  # wxyz
     sh = ((rows["color"] / 255.0 - 0.5) / C0).astype(np.float32)[:, None, :]
-    return usable_gaussians(path, rows["mean"], quats, log_scales, logit_of_byte(rows["alpha"]), sh, report)
+    return drawable_gaussians(path, rows["mean"], quats, log_scales, logits_from_bytes(rows["alpha"]), sh, report)
 
 
 def write_splat(path: str | Path, g: Gaussians) -> None:
@@ -39,13 +40,9 @@ def write_splat(path: str | Path, g: Gaussians) -> None:
     """
     rows = np.zeros(len(g), ROW)
     rows["mean"] = g.means
-    rows["scale"] = np.maximum(np.exp(g.log_scales.astype(np.float64)), LEAST_SCALE)
-    rows["color"] = _bytes((g.sh[:, 0].astype(np.float64) * C0 + 0.5) * 255)
-    rows["alpha"] = byte_of_logit(g.logit_opacities)
-    rows["quat"] = _bytes(g.quats.astype(np.float64) * 128 + 128)
+    rows["scale"] = np.maximum(np.exp(g.log_scales.astype(np.float64)), SCALE_MIN)
+    rows["color"] = to_bytes((g.sh[:, 0].astype(np.float64) * C0 + 0.5) * 255)
+    rows["alpha"] = bytes_from_logits(g.logit_opacities)
+    rows["quat"] = to_bytes(g.quats.astype(np.float64) * 128 + 128)
     with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(rows.tobytes())
-
-
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.round(values), 0, 255).astype(np.uint8)

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, atomic_write, byte_of_logit, logit_of_byte, usable_gaussians
+from assets.file_access import atomic_write
 from assets.formats.ply_header import Element, binary_rows
-from assets.gaussians import Gaussians
+from assets.formats.quantization import bytes_from_logits, join_largest, logits_from_bytes, split_largest
+from assets.gaussians import Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.morton import morton_order
 from core.spherical_harmonics import C0
@@ -28,7 +29,8 @@ RANGES = {
     "scale": (["min_scale_x", "min_scale_y", "min_scale_z"], ["max_scale_x", "max_scale_y", "max_scale_z"]),
     "color": (["min_r", "min_g", "min_b"], ["max_r", "max_g", "max_b"]),
 }
-SHIFTS, WIDTHS = (21, 11, 0), (11, 10, 11)  # of x, y, z in a word
+SHIFTS, WIDTHS = (21, 11, 0), (11, 10, 11)  # bits of x, y, z in a word
+QUAT_SHIFTS = (20, 10, 0)  # of the three smaller components
 SH_RANGE = 8.0  # coefficients lie within -4..4
 SH_COUNTS = (9, 24, 45)  # bytes a Gaussian of SH degree 1, 2, 3
 
@@ -42,13 +44,13 @@ def read_compressed(path: Path, file, order: str, elements: list[Element], repor
     n, of_vertex = len(rows), np.arange(len(rows)) // CHUNK
     words = {name: rows[name].astype(np.uint32) for name in PACKED}
 
-    def between(name: str, share: np.ndarray) -> np.ndarray:
+    def between(name: str, fraction: np.ndarray) -> np.ndarray:
         low, high = (np.stack([ranges[c] for c in names], axis=1).astype(np.float64) for names in RANGES[name])
-        return low[of_vertex] * (1 - share) + high[of_vertex] * share
+        return low[of_vertex] * (1 - fraction) + high[of_vertex] * fraction
 
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped below
-        means = between("position", _shares(words["packed_position"])).astype(np.float32)
-        log_scales = between("scale", _shares(words["packed_scale"])).astype(np.float32)
+        means = between("position", _fractions(words["packed_position"])).astype(np.float32)
+        log_scales = between("scale", _fractions(words["packed_scale"])).astype(np.float32)
         bytes_of = words["packed_color"][:, None] >> np.array([24, 16, 8, 0], np.uint32) & 255
         color = bytes_of[:, :3] / 255.0
         if "min_r" in chunk.names:
@@ -59,11 +61,11 @@ def read_compressed(path: Path, file, order: str, elements: list[Element], repor
         codes = np.stack([codes[f"f_rest_{i}"] for i in range(len(sh.names))], axis=1).reshape(n, 3, -1)
         dc = np.concatenate([dc, _sh_of_byte()[codes].transpose(0, 2, 1)], axis=1)
     quats = _unpack_quats(words["packed_rotation"])
-    return usable_gaussians(path, means, quats, log_scales, logit_of_byte(bytes_of[:, 3]), dc, report)
+    return drawable_gaussians(path, means, quats, log_scales, logits_from_bytes(bytes_of[:, 3]), dc, report)
 
 
 def _check_header(path: Path, order: str, elements: list[Element]) -> tuple[Element, Element, Element | None]:
-    """The elements chunk, vertex and sh (or None), if they agree."""
+    """The elements chunk, vertex and sh (or None). Raises BadInput unless they agree."""
     what = f"{path}: a compressed .ply"
     if order == "":
         raise BadInput(f"{what} cannot be text")
@@ -94,35 +96,29 @@ def _check_header(path: Path, order: str, elements: list[Element]) -> tuple[Elem
     return chunk, vertex, sh
 
 
-def _shares(words: np.ndarray) -> np.ndarray:
+def _fractions(words: np.ndarray) -> np.ndarray:
     """Three numbers 0..1 of each word of 11, 10, 11 bits, (N, 3)."""
     limits = (1 << np.array(WIDTHS, np.uint32)) - 1
     return (words[:, None] >> np.array(SHIFTS, np.uint32) & limits) / limits.astype(np.float64)
 
 
 def _sh_of_byte() -> np.ndarray:
-    """What each byte of sh stands for, (256,): the middle of its step, but the ends for the first and last."""
-    share = (np.arange(256) + 0.5) / 256
-    share[[0, -1]] = 0, 1
-    return ((share - 0.5) * SH_RANGE).astype(np.float32)
+    """SH coefficient of each byte, (256,): the middle of its step, but the ends for the first and last."""
+    fraction = (np.arange(256) + 0.5) / 256
+    fraction[[0, -1]] = 0, 1
+    return ((fraction - 0.5) * SH_RANGE).astype(np.float32)
 
 
 def _unpack_quats(words: np.ndarray) -> np.ndarray:
     """Quaternions wxyz (N, 4); the component left out is not negative."""
-    largest = words >> 30
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-    values = ((words[:, None] >> np.array([20, 10, 0], np.uint32) & 1023) / 1023.0 - 0.5) * np.sqrt(2)
-    quats = np.empty((len(words), 4))
-    np.put_along_axis(quats, others[largest], values, axis=1)
-    missing = np.sqrt(np.maximum(0.0, 1.0 - (values**2).sum(axis=1)))
-    np.put_along_axis(quats, largest[:, None].astype(np.int64), missing[:, None], axis=1)
-    return quats
+    values = ((words[:, None] >> np.array(QUAT_SHIFTS, np.uint32) & 1023) / 1023.0 - 0.5) * np.sqrt(2)
+    return join_largest(words >> 30, values)
 
 
 def chunk_order(means: np.ndarray) -> np.ndarray:
-    """The order (N,) in which `write_compressed` stores Gaussians: neighbours share a chunk, so its range is small.
+    """Order (N,) in which `write_compressed` stores Gaussians: neighbours share a chunk, so its range is small.
 
-    The most bits that there are: a few far Gaussians then do not put all others in one cell.
+    With the most bits possible, since otherwise a few far Gaussians would put all others in one cell.
     """
     return morton_order(means.astype(np.float64), bits=21)
 
@@ -138,7 +134,7 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     positions, position_range = _pack(g.means, WIDTHS)
     scales, scale_range = _pack(g.log_scales, WIDTHS)
     colors, color_range = _pack(g.sh[:, 0] * np.float32(C0) + np.float32(0.5), (8, 8, 8))
-    opacity = byte_of_logit(g.logit_opacities).astype(np.uint32)
+    opacity = bytes_from_logits(g.logit_opacities).astype(np.uint32)
     words = [
         (positions << np.array(SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
         _pack_quats(g.quats.astype(np.float64)),
@@ -165,17 +161,13 @@ def _pack(values: np.ndarray, widths: tuple[int, int, int]) -> tuple[np.ndarray,
     low, high = (reduce.reduceat(values, starts, axis=0) for reduce in (np.minimum, np.maximum))
     of_value = np.arange(len(values)) // CHUNK
     extent = (high.astype(np.float64) - low)[of_value]
-    share = (values - low[of_value].astype(np.float64)) / np.where(extent > 0, extent, 1)
+    fraction = (values - low[of_value].astype(np.float64)) / np.where(extent > 0, extent, 1)
     limits = (1 << np.array(widths)) - 1
-    return np.round(share * limits).astype(np.uint32), (low, high)
+    return np.round(fraction * limits).astype(np.uint32), (low, high)
 
 
 def _pack_quats(wxyz: np.ndarray) -> np.ndarray:
     """Words of unit quaternions (N, 4); q and -q are the same rotation."""
-    largest = np.abs(wxyz).argmax(axis=1)
-    wxyz = wxyz * np.where(wxyz[np.arange(len(wxyz)), largest] < 0, -1.0, 1.0)[:, None]
-    codes = np.clip(np.round((wxyz * np.sqrt(0.5) + 0.5) * 1023), 0, 1023).astype(np.uint32)
-    words = largest.astype(np.uint32)
-    for k in range(4):
-        words = np.where(largest != k, words << np.uint32(10) | codes[:, k], words)
-    return words
+    largest, others = split_largest(wxyz)
+    codes = np.clip(np.round((others * np.sqrt(0.5) + 0.5) * 1023), 0, 1023).astype(np.uint32)
+    return largest.astype(np.uint32) << 30 | (codes << np.array(QUAT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32)

@@ -1,7 +1,7 @@
-"""Reading binary glTF 2.0 (.glb) that may come from anywhere: its container, accessors and images.
+"""Reading of binary glTF 2.0 (.glb) from untrusted sources: container, accessors and images.
 
-Khronos, glTF 2.0 Specification: 4.4 the binary container, 3.6.2 accessors. One self-contained file: nothing is fetched
-that it names, and each size is held against the bytes that are there before anything of that size is made.
+Khronos, glTF 2.0 Specification: 4.4 the binary container, 3.6.2 accessors. One self-contained file: no other file
+is opened, and each size is checked against the bytes that are there before memory of that size is allocated.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import open_input
+from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 
 MAGIC, VERSION = b"glTF", 2
@@ -24,7 +25,12 @@ PIXELS_MAX = 8192 * 8192  # of a texture
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 INDICES = (5121, 5123, 5125)
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # MAT2, MAT3 are padded, and nothing here uses them
-HARMLESS = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization")  # what may be required
+HARMLESS_EXTENSIONS = (
+    "KHR_materials_",
+    "KHR_lights_",
+    "KHR_texture_transform",
+    "KHR_mesh_quantization",
+)  # may be required
 
 
 class GlbFile:
@@ -38,62 +44,62 @@ class GlbFile:
         with open_input(self.path) as file:
             size = self.path.stat().st_size
             if size > FILE_MAX:
-                raise self.bad(f"has {size} bytes, at most {FILE_MAX} are read")
+                raise self.error(f"has {size} bytes, at most {FILE_MAX} are read")
             data = file.read()
         self.json, self._binary = self._chunks(data)
         for name in self.list(self.json, "extensionsRequired"):
-            if not (isinstance(name, str) and name.startswith(HARMLESS)):
-                raise self.bad(f"requires the extension {str(name)[:60]!r}, which is not supported")
+            if not (isinstance(name, str) and name.startswith(HARMLESS_EXTENSIONS)):
+                raise self.error(f"requires the extension {str(name)[:60]!r}, which is not supported")
 
-    def bad(self, defect: str) -> BadInput:
+    def error(self, defect: str) -> BadInput:
         """The error to raise."""
         return BadInput(f"{self.path}: {defect}")
 
     def _chunks(self, data: bytes) -> tuple[dict, memoryview]:
         if len(data) < 20 or data[:4] != MAGIC:
-            raise self.bad("not a binary glTF file (.glb)")
+            raise self.error("not a binary glTF file (.glb)")
         version, length, size, kind = struct.unpack_from("<IIII", data, 4)
         if version != VERSION:
-            raise self.bad(f"version {version} of glTF, this program reads version {VERSION}")
+            raise self.error(f"version {version} of glTF, this program reads version {VERSION}")
         if length > len(data):
-            raise self.bad(f"is truncated: {len(data)} of {length} bytes are there")
+            raise self.error(f"is truncated: {len(data)} of {length} bytes are there")
         if kind != JSON_CHUNK or size > min(length - 20, JSON_MAX):
-            raise self.bad("its first chunk is not a JSON text that fits the file")
+            raise self.error("its first chunk is not a JSON text that fits the file")
         try:
             found = json.loads(data[20 : 20 + size].decode("utf-8"))
         except (ValueError, RecursionError) as e:
-            raise self.bad("its JSON chunk is damaged") from e
+            raise self.error("its JSON chunk is damaged") from e
         if not isinstance(found, dict):
-            raise self.bad("its JSON chunk is not an object")
+            raise self.error("its JSON chunk is not an object")
         at = 20 + size
         if at + 8 > length:
             return found, memoryview(b"")
         size, kind = struct.unpack_from("<II", data, at)
         if kind != BINARY_CHUNK or size > length - at - 8:
-            raise self.bad("its binary chunk does not fit the file")
+            raise self.error("its binary chunk does not fit the file")
         return found, memoryview(data)[at + 8 : at + 8 + size]
 
     def list(self, parent: dict, key: str) -> list:
         """The list parent[key], empty if it is not there."""
         found = parent.get(key, [])
         if not isinstance(found, list):
-            raise self.bad(f"{key} is not a list")
+            raise self.error(f"{key} is not a list")
         return found
 
     def item(self, kind: str, index) -> dict:
         """Entry `index` of the file's list `kind` ("nodes", "meshes" ...)."""
         items = self.list(self.json, kind)
         if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(items):
-            raise self.bad(f"names one of its {kind} that is not there: {str(index)[:20]} of {len(items)}")
+            raise self.error(f"names one of its {kind} that is not there: {str(index)[:20]} of {len(items)}")
         if not isinstance(items[index], dict):
-            raise self.bad(f"entry {index} of {kind} is not an object")
+            raise self.error(f"entry {index} of {kind} is not an object")
         return items[index]
 
-    def whole(self, parent: dict, key: str, most: int, default: int | None = None) -> int:
-        """The whole number parent[key], 0 to `most`."""
+    def whole(self, parent: dict, key: str, largest: int, default: int | None = None) -> int:
+        """The whole number parent[key], 0 to `largest`."""
         value = parent.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= most:
-            raise self.bad(f"{key} is {str(value)[:20]}, not a whole number of 0 to {most}")
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
+            raise self.error(f"{key} is {str(value)[:20]}, not a whole number of 0 to {largest}")
         return value
 
     def numbers(self, parent: dict, key: str, default: tuple) -> np.ndarray:
@@ -102,9 +108,9 @@ class GlbFile:
         try:
             found = np.asarray(value, np.float64)
         except (TypeError, ValueError, OverflowError) as e:
-            raise self.bad(f"{key} is not a list of numbers") from e
+            raise self.error(f"{key} is not a list of numbers") from e
         if found.shape != (len(default),) or not np.isfinite(found).all():
-            raise self.bad(f"{key} is not a list of {len(default)} finite numbers")
+            raise self.error(f"{key} is not a list of {len(default)} finite numbers")
         return found
 
     def view(self, index) -> tuple[memoryview, int]:
@@ -112,7 +118,7 @@ class GlbFile:
         view = self.item("bufferViews", index)
         buffer = self.item("buffers", view.get("buffer"))
         if view.get("buffer") != 0 or "uri" in buffer:
-            raise self.bad("keeps data in another file; only a self-contained .glb is read")
+            raise self.error("keeps data in another file; only a self-contained .glb is read")
         have = len(self._binary)
         begin = self.whole(view, "byteOffset", have, 0)
         length = self.whole(view, "byteLength", have - begin)
@@ -121,14 +127,14 @@ class GlbFile:
     def _packed(self, of: dict, kind: int, count: int, width: int) -> np.ndarray:
         """`count` rows of `width` components that begin at byteOffset of a view."""
         if kind not in COMPONENTS:
-            raise self.bad(f"an accessor's component type {str(kind)[:20]} is unknown")
+            raise self.error(f"an accessor's component type {str(kind)[:20]} is unknown")
         dtype = np.dtype(COMPONENTS[kind])
         data, stride = self.view(of.get("bufferView"))
         row = dtype.itemsize * width
         stride = stride or row
         begin = self.whole(of, "byteOffset", len(data), 0)
         if stride < row or begin + stride * (count - 1) + row > len(data):
-            raise self.bad(f"an accessor claims {count} elements, more than its buffer view holds")
+            raise self.error(f"an accessor claims {count} elements, more than its buffer view holds")
         return np.ndarray((count, width), dtype, data, begin, (stride, dtype.itemsize)).copy()
 
     def accessor(self, index, *, kinds: tuple[str, ...], integer: bool = False, count: int | None = None) -> np.ndarray:
@@ -139,20 +145,20 @@ class GlbFile:
         of = self.item("accessors", index)
         kind, width = of.get("componentType"), WIDTHS.get(of.get("type")) if isinstance(of.get("type"), str) else None
         if of.get("type") not in kinds or width is None:
-            raise self.bad(f"accessor {index} is of type {str(of.get('type'))[:20]}, expected {' or '.join(kinds)}")
+            raise self.error(f"accessor {index} is of type {str(of.get('type'))[:20]}, expected {' or '.join(kinds)}")
         n = self.whole(of, "count", ITEMS_MAX)
         if n == 0 or (count is not None and n != count):
-            raise self.bad(f"accessor {index} has {n} elements, expected {'some' if count is None else count}")
+            raise self.error(f"accessor {index} has {n} elements, expected {'some' if count is None else count}")
         if not isinstance(kind, int) or (integer and kind not in INDICES):
-            raise self.bad(f"accessor {index} has components of the wrong type, {str(kind)[:20]}")
+            raise self.error(f"accessor {index} has components of the wrong type, {str(kind)[:20]}")
         sparse = of.get("sparse")
         if "bufferView" in of:
             values = self._packed(of, kind, n, width)
         elif sparse is None or kind not in COMPONENTS:
-            raise self.bad(f"accessor {index} has no data")
+            raise self.error(f"accessor {index} has no data")
         else:
             if n * width > 4 * len(self._binary) + (1 << 20):  # zeros that no byte stands for
-                raise self.bad(f"accessor {index} claims {n} elements, more than this file may hold")
+                raise self.error(f"accessor {index} claims {n} elements, more than this file may hold")
             values = np.zeros((n, width), COMPONENTS[kind])
         if sparse is not None:
             self._fill_in(sparse, kind, values)
@@ -164,62 +170,32 @@ class GlbFile:
         with np.errstate(invalid="ignore"):  # a signalling NaN
             values = values.astype(np.float64)
         if not np.isfinite(values).all():
-            raise self.bad(f"accessor {index} holds a number that is not finite")
+            raise self.error(f"accessor {index} holds a number that is not finite")
         return np.maximum(values * scale, -1.0) if scale != 1.0 else values  # -128 of a byte stands for -1 too
 
     def _fill_in(self, sparse, kind: int, values: np.ndarray) -> None:
         """Put a sparse accessor's exceptions in place."""
         if not all(isinstance(x, dict) for x in (sparse, *(sparse.get(k) for k in ("indices", "values")))):
-            raise self.bad("a sparse accessor is damaged")
+            raise self.error("a sparse accessor is damaged")
         n = self.whole(sparse, "count", len(values))
         index_kind = sparse["indices"].get("componentType")
         if n == 0 or index_kind not in INDICES:
-            raise self.bad("a sparse accessor is damaged")
+            raise self.error("a sparse accessor is damaged")
         where = self._packed(sparse["indices"], index_kind, n, 1)[:, 0].astype(np.int64)
         if where.max() >= len(values):
-            raise self.bad("a sparse accessor names an element that is not there")
+            raise self.error("a sparse accessor names an element that is not there")
         values[where] = self._packed(sparse["values"], kind, n, values.shape[1])
 
     def image(self, index) -> np.ndarray:
         """Pixels of a PNG or JPEG image of the file, (H, W, 3) uint8 RGB."""
         image = self.item("images", index)
         if "bufferView" not in image:
-            raise self.bad("keeps a picture in another file; only a self-contained .glb is read")
+            raise self.error("keeps a picture in another file; only a self-contained .glb is read")
         data = bytes(self.view(image["bufferView"])[0])
-        size = image_size(data)
-        if size is None or not 0 < size[0] * size[1] <= PIXELS_MAX:
-            raise self.bad(f"image {index} is no PNG or JPEG of at most {PIXELS_MAX} pixels")
-        import cv2
-
-        quiet, before = cv2.utils.logging, cv2.utils.logging.getLogLevel()
-        quiet.setLogLevel(quiet.LOG_LEVEL_SILENT)  # OpenCV would print what the error below says
-        try:
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        except cv2.error:
-            pixels = None
-        finally:
-            quiet.setLogLevel(before)
+        header = read_image_header(data)
+        if header is None or header.format == "webp" or not 0 < header.width * header.height <= PIXELS_MAX:
+            raise self.error(f"image {index} is no PNG or JPEG of at most {PIXELS_MAX} pixels")
+        pixels = decode_image(data)
         if pixels is None:
-            raise self.bad(f"image {index} is damaged")
-        return pixels[..., ::-1].copy()
-
-
-def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height [px] from the header of a PNG (ISO 15948) or JPEG (ITU T.81, B.2); None if it is neither."""
-    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
-        return struct.unpack_from(">II", data, 16)
-    if data[:2] != b"\xff\xd8":
-        return None
-    at = 2
-    while at + 9 < len(data):
-        if data[at] != 0xFF:
-            return None
-        kind = data[at + 1]
-        if kind == 0xFF or kind == 0x01 or 0xD0 <= kind <= 0xD7:  # a fill byte, or a marker without a segment
-            at += 1 if kind == 0xFF else 2
-        elif 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack_from(">HH", data, at + 5)
-            return width, height
-        else:
-            at += 2 + struct.unpack_from(">H", data, at + 2)[0]
-    return None
+            raise self.error(f"image {index} is damaged")
+        return pixels

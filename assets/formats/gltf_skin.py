@@ -68,9 +68,9 @@ def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, GlbFile, int]:
     file = GlbFile(path)
     nodes = file.list(file.json, "nodes")
     if not 0 < len(nodes) <= NODES_MAX:
-        raise file.bad(f"has {len(nodes)} nodes, expected 1 to {NODES_MAX}")
+        raise file.error(f"has {len(nodes)} nodes, expected 1 to {NODES_MAX}")
     if not file.list(file.json, "skins"):
-        raise file.bad("has no skin: a rigged mesh is needed")
+        raise file.error("has no skin: a rigged mesh is needed")
     order, parents = _order(file, len(nodes))
     place = np.empty(len(nodes), np.int64)
     place[order] = np.arange(len(nodes))
@@ -80,15 +80,15 @@ def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, GlbFile, int]:
     for j in joints:
         file.item("nodes", j)
     if not joints or len(set(joints)) != len(joints):
-        raise file.bad("the skin names no joints, or one of them twice")
+        raise file.error("the skin names no joints, or one of them twice")
     bind = np.tile(np.eye(4), (len(joints), 1, 1))
     if "inverseBindMatrices" in skin:
         flat = file.accessor(skin["inverseBindMatrices"], kinds=("MAT4",))
         if len(flat) < len(joints):
-            raise file.bad(f"has {len(flat)} inverse bind matrices for {len(joints)} joints")
+            raise file.error(f"has {len(flat)} inverse bind matrices for {len(joints)} joints")
         bind = np.swapaxes(flat[: len(joints)].reshape(-1, 4, 4), 1, 2)  # they are stored by columns
     if (np.abs(np.linalg.det(bind[:, :3, :3])) < 1e-12).any() or (bind[:, 3] != [0, 0, 0, 1]).any():
-        raise file.bad("an inverse bind matrix cannot be inverted")
+        raise file.error("an inverse bind matrix cannot be inverted")
     frames, rate, name = _sampled(file, rest, place, fps)
     names = [str(nodes[k].get("name", f"node {k}"))[:100] for k in order]
     rig = Rig(names, np.where(parents[order] < 0, -1, place[parents[order]]), place[joints], bind, tuple(rest), frames,
@@ -104,13 +104,13 @@ def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
         for c in mine:
             file.item("nodes", c)
             if parents[c] >= 0:
-                raise file.bad(f"node {c} has two parents")
+                raise file.error(f"node {c} has two parents")
             parents[c] = k
     order = [k for k in range(count) if parents[k] < 0]
     for k in order:  # grows while it is walked
         order += children[k]
     if len(order) != count:
-        raise file.bad("its nodes form a ring")
+        raise file.error("its nodes form a ring")
     return np.array(order), parents
 
 
@@ -122,11 +122,11 @@ def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarra
         m = file.numbers(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         t, q, s, off = decompose(m[None])
         if off[0] > 1e-3:
-            raise file.bad("a node's matrix shears, or mirrors")
+            raise file.error("a node's matrix shears, or mirrors")
         return t[0], q[0], s[0]
     q = file.numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0))[[3, 0, 1, 2]]
     if not 1e-3 < np.linalg.norm(q) < 1e3:
-        raise file.bad("a node's rotation is no quaternion")
+        raise file.error("a node's rotation is no quaternion")
     scale = file.numbers(node, "scale", (1.0, 1.0, 1.0))
     return file.numbers(node, "translation", (0.0, 0.0, 0.0)), q / np.linalg.norm(q), scale
 
@@ -135,27 +135,27 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
     """The first animation at a whole number of frames of about 1/fps: (t, q, s), its rate and name."""
     animations = file.list(file.json, "animations")
     if not animations:
-        raise file.bad("has no animation")
+        raise file.error("has no animation")
     animation = file.item("animations", 0)
     samplers, channels = file.list(animation, "samplers"), []
     for c in file.list(animation, "channels"):
         target = c.get("target") if isinstance(c, dict) else None
         if not isinstance(target, dict):
-            raise file.bad("an animation's channel is damaged")
+            raise file.error("an animation's channel is damaged")
         path = target.get("path")
         if path not in ("translation", "rotation", "scale") or "node" not in target:
             continue  # the weights of morph targets
         file.item("nodes", target["node"])
         s = file.whole(c, "sampler", len(samplers) - 1)
         if not isinstance(samplers[s], dict):
-            raise file.bad("an animation's sampler is damaged")
+            raise file.error("an animation's sampler is damaged")
         channels.append((int(place[target["node"]]), path, samplers[s]))
     if not channels:
-        raise file.bad("its animation moves no node")
+        raise file.error("its animation moves no node")
     times = {id(s): _times(file, s) for _, _, s in channels}
     begin, end = min(t[0] for t in times.values()), max(t[-1] for t in times.values())
     if not 0 < end - begin <= LONGEST:
-        raise file.bad(f"its animation lasts {end - begin:.3g} s; more than 0 to {LONGEST:g} s can be played")
+        raise file.error(f"its animation lasts {end - begin:.3g} s; more than 0 to {LONGEST:g} s can be played")
     count = max(round((end - begin) * fps), 2)
     at = begin + (end - begin) * np.arange(count + 1) / count  # the last is where the first should come round again
     frames = [np.tile(x, (count + 1, 1, 1)) for x in rest]
@@ -168,7 +168,7 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
 def _times(file: GlbFile, sampler: dict) -> np.ndarray:
     times = file.accessor(sampler.get("input"), kinds=("SCALAR",))[:, 0]
     if (np.diff(times) <= 0).any():
-        raise file.bad("the times of an animation do not rise")
+        raise file.error("the times of an animation do not rise")
     return times
 
 
@@ -178,7 +178,7 @@ def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, tu
 
     kind = sampler.get("interpolation", "LINEAR")
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
-        raise file.bad(f"interpolation {str(kind)[:20]!r} is unknown")
+        raise file.error(f"interpolation {str(kind)[:20]!r} is unknown")
     cubic = kind == "CUBICSPLINE"
     values = file.accessor(sampler.get("output"), kinds=("VEC4",) if turns else ("VEC3",),
                            count=len(times) * (3 if cubic else 1))  # fmt: skip
@@ -204,7 +204,7 @@ def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, tu
     if turns:
         norm = np.linalg.norm(found, axis=1, keepdims=True)
         if (norm < 1e-6).any():
-            raise file.bad("an animation's rotation is no quaternion")
+            raise file.error("an animation's rotation is no quaternion")
         found = found / norm
     return found
 
@@ -221,10 +221,10 @@ def read_mesh(file: GlbFile, skin: int, joints: int) -> SkinnedMesh:
             part[1] += vertices
             vertices += len(part[0])
             if faces > TRIANGLES_MAX:
-                raise file.bad(f"has more than {TRIANGLES_MAX} triangles")
+                raise file.error(f"has more than {TRIANGLES_MAX} triangles")
             parts.append(part)
     if not parts:
-        raise file.bad("no mesh is bound to its skin")
+        raise file.error("no mesh is bound to its skin")
     return SkinnedMesh(*(np.concatenate(x) for x in zip(*parts, strict=True)), textures)
 
 
@@ -232,7 +232,7 @@ def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> li
     """The arrays of a Mesh for one primitive; its texture is added to `textures` unless it is `known`."""
     attributes = p.get("attributes") if isinstance(p, dict) else None
     if not isinstance(attributes, dict) or p.get("mode", 4) != 4:
-        raise file.bad("a mesh is not made of triangles")
+        raise file.error("a mesh is not made of triangles")
     x = file.accessor(attributes.get("POSITION"), kinds=("VEC3",))
     n = len(x)
     if "indices" in p:
@@ -240,20 +240,20 @@ def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> li
     else:
         index = np.arange(n)
     if len(index) % 3 or index.max() >= n:
-        raise file.bad("the triangles of a mesh name a vertex that is not there")
+        raise file.error("the triangles of a mesh name a vertex that is not there")
     faces = index.reshape(-1, 3)
     which = file.accessor(attributes.get("JOINTS_0"), kinds=("VEC4",), integer=True, count=n)
     weights = file.accessor(attributes.get("WEIGHTS_0"), kinds=("VEC4",), count=n)
     total = weights.sum(1, keepdims=True)
     if (weights < 0).any() or (np.abs(total - 1) > WEIGHT_SUM).any():
-        raise file.bad("the skin's weights of a vertex are negative or do not sum to 1")
+        raise file.error("the skin's weights of a vertex are negative or do not sum to 1")
     if which[weights > 0].max() >= joints:
-        raise file.bad(f"a vertex follows a joint outside 0..{joints - 1}")
+        raise file.error(f"a vertex follows a joint outside 0..{joints - 1}")
     which = np.where(weights > 0, which, 0)
     material = file.item("materials", p["material"]) if "material" in p else {}
     pbr = material.get("pbrMetallicRoughness", {})
     if not isinstance(pbr, dict):
-        raise file.bad("a material is damaged")
+        raise file.error("a material is damaged")
     linear = np.tile(file.numbers(pbr, "baseColorFactor", (1.0,) * 4)[:3], (n, 1))
     if "COLOR_0" in attributes:
         linear = linear * file.accessor(attributes["COLOR_0"], kinds=("VEC3", "VEC4"), count=n)[:, :3]

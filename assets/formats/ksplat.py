@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import Report, logit_of_byte, open_input, usable_gaussians
-from assets.gaussians import SH_COUNTS, Gaussians
+from assets.file_access import open_input
+from assets.formats.quantization import logits_from_bytes
+from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
@@ -76,7 +77,7 @@ def read_ksplat(path: str | Path, report: Report = print) -> Gaussians:
             means = rows["mean"] if level == 0 else _centers(path, section, rows["mean"], data, start)
             parts.append(_decode(rows, means, level, sh_range, degree))
     columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return usable_gaussians(path, *columns, report)
+    return drawable_gaussians(path, *columns, report)
 
 
 def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Section]]:
@@ -146,4 +147,4 @@ def _decode(rows: np.ndarray, means: np.ndarray, level: int, sh_range: tuple[flo
         first, last = SH_COUNTS[b - 1], SH_COUNTS[b]
         band = rest[:, 3 * (first - 1) : 3 * (last - 1)].reshape(len(rows), 3, last - first)
         sh[:, first:last] = band.transpose(0, 2, 1)
-    return means, rows["quat"].astype(np.float32), log_scales, logit_of_byte(rows["alpha"]), sh
+    return means, rows["quat"].astype(np.float32), log_scales, logits_from_bytes(rows["alpha"]), sh

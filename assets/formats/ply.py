@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import ALPHA_EPSILON, Report, atomic_write, open_input, usable_gaussians
+from assets.file_access import atomic_write, open_input
 from assets.formats.compressed_ply import read_compressed
 from assets.formats.ply_header import Element, binary_rows, read_header
-from assets.gaussians import Gaussians
+from assets.formats.quantization import ALPHA_EPSILON
+from assets.gaussians import Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 
 MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
@@ -58,7 +59,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
     opacity = columns(["opacity"])[:, 0]
     opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MOST, opacity), opacity)
-    return usable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
+    return drawable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
 
 
 def _check_vertex(path: Path, vertex: Element) -> None:

@@ -3,7 +3,7 @@
 Pixel i of each image, row by row, belongs to Gaussian i. Positions are 16 bits, high and low bytes in
 two images, between least and greatest values of sign(x) ln(1 + |x|). A quaternion is its three lesser
 components; alpha - 252 says which of w, x, y, z is left out. Log-scales, colours and SH are bytes: in
-version 2 indices into a codebook, in version 1 (no `version`) shares of a range. SH beyond degree 0 is
+version 2 indices into a codebook, in version 1 (no `version`) fractions of a range. SH beyond degree 0 is
 a palette, 64 entries a row, and 16 bits a Gaussian that choose one. Opacity is a byte, in version 1 of
 the logit's range. Source: the SOG specification at developer.playcanvas.com; for version 1
 playcanvas/splat-transform, read-sog-v1.ts. Axes and units are those of the .ply.
@@ -13,28 +13,79 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from assets.file_access import Report, file_size, logit_of_byte, open_input, unpack_bound, usable_gaussians
-from assets.formats.webp import read_webp
-from assets.formats.zip_archive import Archive
-from assets.gaussians import SH_COUNTS, Gaussians
+from assets.file_access import file_size, open_input, unpack_bound
+from assets.formats.quantization import join_largest, logits_from_bytes
+from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
+from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 
 META_MAX = 1 << 20  # [bytes] of a meta.json; codebooks of 256 numbers take some kilobytes
 COUNT_MAX = 1 << 28  # 16,384 x 16,384, the largest WebP image
 LARGEST_MIN = 252  # alpha of a quaternion whose w is left out
 PALETTE_WIDTH = 64  # palette entries in a row
+ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+ZIP_ENCRYPTED = 1  # flag of an entry
+# Exceptions of zipfile on damaged archives; RuntimeError includes NotImplementedError.
+ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, RuntimeError, OverflowError)
+
+
+class ZipArchive:
+    """A ZIP archive opened for reading, as a context; every defect is BadInput and names `path`."""
+
+    def __init__(self, path: Path, file) -> None:
+        self.path = path
+        try:
+            self._zip = zipfile.ZipFile(file)
+        except ZIP_ERRORS as e:
+            raise BadInput(f"{path}: not a ZIP archive, or a truncated one") from e
+
+    def __enter__(self) -> ZipArchive:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._zip.close()
+
+    def names(self) -> list[str]:
+        """Names of all entries."""
+        return self._zip.namelist()
+
+    def read(self, name: str, *, size_max: int) -> bytes:
+        """The content of an entry of at most `size_max` bytes, checked before unpacking. Raises BadInput."""
+        try:
+            entry = self._zip.getinfo(name)
+        except KeyError as e:
+            raise BadInput(f"{self.path}: holds no {name[:60]!r}") from e
+        if entry.compress_type not in ZIP_METHODS or entry.flag_bits & ZIP_ENCRYPTED:
+            raise BadInput(f"{self.path}: {name[:60]!r} is encrypted or of a method of compression that is not read")
+        if entry.file_size > size_max:
+            raise BadInput(f"{self.path}: {name[:60]!r} claims {entry.file_size} bytes, more than {size_max}")
+        try:
+            with self._zip.open(entry) as content:
+                data = content.read(entry.file_size)
+                if len(data) < entry.file_size or content.read(1):
+                    raise BadInput(f"{self.path}: {name[:60]!r} is not of the size that the archive claims")
+        except ZIP_ERRORS as e:
+            raise BadInput(f"{self.path}: {name[:60]!r} is damaged") from e
+        return data
 
 
 class Images:
-    """The images that a meta.json names, decoded when asked for."""
+    """The images that a meta.json names, decoded on demand.
 
-    def __init__(self, path: Path, meta: dict, load: Callable[[str], bytes], most: int) -> None:
-        self.path, self.meta, self._load, self._most = path, meta, load, most
+    load       the bytes of a file beside the meta.json
+    bytes_max  that the pixels of an image may take; checked before decoding
+    """
+
+    def __init__(self, path: Path, meta: dict, load: Callable[[str], bytes], bytes_max: int) -> None:
+        self.path, self.meta, self._load, self._bytes_max = path, meta, load, bytes_max
 
     def section(self, name: str) -> dict:
         """An object of the meta.json."""
@@ -55,7 +106,7 @@ class Images:
         return np.array(values, np.float64)
 
     def codebook(self, name: str) -> np.ndarray:
-        """What each byte stands for, (256,); NaN beyond the end of a shorter codebook."""
+        """Value of each byte, (256,); NaN beyond the end of a shorter codebook."""
         values = self.section(name).get("codebook")
         if not isinstance(values, list) or not 1 <= len(values) <= 256:
             raise BadInput(f"{self.path}: the codebook of {name} in meta.json is not 1 to 256 numbers")
@@ -63,23 +114,33 @@ class Images:
         lost = values[0] is None and len(values) == 256  # a fault of early writers
         known = values[1:] if lost else values
         book[lost : len(values)] = self._finite(known, f"the codebook of {name}", len(known))
-        if lost:  # as the PlayCanvas engine mends it: one mean step below the second entry
+        if lost:  # as the PlayCanvas engine does: one mean step below the second entry
             book[0] = book[1] + (book[1] - book[255]) / 255
         return book
 
-    def pixels(self, name: str, which: int = 0) -> np.ndarray:
-        """One image, (H, W, 4) uint8."""
+    def pixels(self, name: str, index: int = 0) -> np.ndarray:
+        """An image, (H, W, 4) uint8 RGBA."""
         files = self.section(name).get("files")
-        if not isinstance(files, list) or len(files) <= which or not isinstance(files[which], str):
-            raise BadInput(f"{self.path}: meta.json names no image {which + 1} of {name}")
-        file = files[which]
+        if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
+            raise BadInput(f"{self.path}: meta.json names no image {index + 1} of {name}")
+        file = files[index]
         if file in ("", ".", "..") or set(file) & set("/\\:") or not file.isprintable():
             raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is no file beside it")
-        return read_webp(self._load(file), f"{self.path}: {file}", most=self._most)
+        data, where = self._load(file), f"{self.path}: {file}"
+        header = read_image_header(data)
+        if header is None or header.format != "webp":
+            raise BadInput(f"{where}: not a WebP image")
+        _, width, height = header
+        if width == 0 or height == 0 or 4 * width * height > self._bytes_max:
+            raise BadInput(f"{where}: claims {width} x {height} pixels, more than a file of this size may hold")
+        pixels = decode_image(data, alpha=True)
+        if pixels is None or pixels.shape[:2] != (height, width):
+            raise BadInput(f"{where}: the WebP image is damaged")
+        return pixels
 
-    def rows(self, name: str, count: int, which: int = 0) -> np.ndarray:
+    def rows(self, name: str, count: int, index: int = 0) -> np.ndarray:
         """The first `count` pixels of an image, (count, 4) uint8."""
-        flat = self.pixels(name, which).reshape(-1, 4)
+        flat = self.pixels(name, index).reshape(-1, 4)
         if len(flat) < count:
             raise BadInput(f"{self.path}: {name} holds {len(flat)} of {count} Gaussians")
         return flat[:count]
@@ -96,14 +157,16 @@ def read_sog(path: str | Path, report: Report = print) -> Gaussians:
             meta = _meta(path, file.read(META_MAX + 1))
             beside = sum(f.stat().st_size for f in path.parent.iterdir() if f.is_file())
         return _decode(Images(path, meta, lambda name: _beside(path, name), unpack_bound(beside)), report)
-    with open_input(path) as file, Archive(path, file) as archive:
+    with open_input(path) as file, ZipArchive(path, file) as archive:
         names = [n for n in archive.names() if PurePosixPath(n).name == "meta.json"]
         if not names:
             raise BadInput(f"{path}: holds no meta.json")
         first = min(names, key=len)
-        meta = _meta(path, archive.read(first, most=META_MAX))
-        most, folder = unpack_bound(file_size(path)), first[: -len("meta.json")]
-        return _decode(Images(path, meta, lambda name: archive.read(folder + name, most=most), most), report)
+        meta = _meta(path, archive.read(first, size_max=META_MAX))
+        bytes_max, folder = unpack_bound(file_size(path)), first[: -len("meta.json")]
+        return _decode(
+            Images(path, meta, lambda name: archive.read(folder + name, size_max=bytes_max), bytes_max), report
+        )
 
 
 def _beside(path: Path, name: str) -> bytes:
@@ -141,7 +204,7 @@ def _decode(images: Images, report: Report) -> Gaussians:
     scales, color = images.rows("scales", count), images.rows("sh0", count)
     if version == 2:
         log_scales = images.codebook("scales")[scales[:, :3]]
-        dc, logits = images.codebook("sh0")[color[:, :3]], logit_of_byte(color[:, 3])
+        dc, logits = images.codebook("sh0")[color[:, :3]], logits_from_bytes(color[:, 3])
     else:
         log_scales = _between(images, "scales", scales[:, :3])
         dc = _between(images, "sh0", color)
@@ -149,36 +212,31 @@ def _decode(images: Images, report: Report) -> Gaussians:
     sh = dc[:, None, :].astype(np.float32)
     if meta.get("shN") is not None:
         sh = np.concatenate([sh, _palette(images, count, version)], axis=1)
-    return usable_gaussians(path, means, quats, log_scales.astype(np.float32), logits, sh, report)
+    return drawable_gaussians(path, means, quats, log_scales.astype(np.float32), logits, sh, report)
 
 
-def _between(images: Images, name: str, codes: np.ndarray, most: int = 255) -> np.ndarray:
-    """Codes (N, K) as shares of the K ranges that the meta.json gives."""
+def _between(images: Images, name: str, codes: np.ndarray, code_max: int = 255) -> np.ndarray:
+    """Codes (N, K) mapped linearly to the K ranges that the meta.json gives."""
     low, high = (images.numbers(name, key, codes.shape[1]) for key in ("mins", "maxs"))
-    return low + (high - low) * (codes / float(most))
+    return low + (high - low) * (codes / float(code_max))
 
 
 def _means(images: Images, count: int) -> np.ndarray:
     """Positions (N, 3): x = sign(v) (exp |v| - 1) of the stored v."""
-    low, high = (images.rows("means", count, which)[:, :3] for which in (0, 1))
-    stored = _between(images, "means", low + high.astype(np.uint16) * 256, most=65535)
+    low, high = (images.rows("means", count, index)[:, :3] for index in (0, 1))
+    stored = _between(images, "means", low + high.astype(np.uint16) * 256, code_max=65535)
     with np.errstate(over="ignore"):  # what is not finite is dropped later
         return (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
 
 
 def _quats(images: Images, count: int) -> np.ndarray:
-    """Quaternions wxyz (N, 4); 0, which is no rotation, where alpha names no component."""
+    """Quaternions wxyz (N, 4); zero, which is no rotation, where alpha names no component."""
     if images.section("quats").get("encoding", "quaternion_packed") != "quaternion_packed":
         raise BadInput(f"{images.path}: the encoding of its quaternions is not known")
     rgba = images.rows("quats", count)
     values = (rgba[:, :3] / 255.0 * 2 - 1) * math.sqrt(0.5)
     largest = rgba[:, 3].astype(np.int64) - LARGEST_MIN
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-    quats = np.zeros((count, 4))
-    np.put_along_axis(quats, others[largest.clip(0)], values, axis=1)
-    missing = np.sqrt(np.maximum(0.0, 1.0 - (values**2).sum(axis=1)))
-    np.put_along_axis(quats, largest.clip(0)[:, None], missing[:, None], axis=1)
-    return np.where(largest[:, None] < 0, 0.0, quats)
+    return np.where(largest[:, None] < 0, 0.0, join_largest(largest.clip(0), values))
 
 
 def _palette(images: Images, count: int, version: int) -> np.ndarray:

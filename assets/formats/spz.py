@@ -17,16 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import (
-    Report,
-    atomic_write,
-    byte_of_logit,
-    logit_of_byte,
-    open_input,
-    unpack_bound,
-    usable_gaussians,
-)
-from assets.gaussians import SH_COUNTS, Gaussians
+from assets.file_access import atomic_write, open_input, unpack_bound
+from assets.formats.quantization import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
+from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
 
@@ -35,27 +28,27 @@ GZIP = b"\x1f\x8b"
 HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
 TABLE = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
 HEADER_4_SIZE = 32
-TABLE_OFFSET = 16  # where the header of version 4 tells where its table starts
+TABLE_OFFSET = 16  # of the field in the version-4 header that says where its table starts
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
 SH_DEGREE_MAX = 4  # the format has one degree more than 3D Gaussian Splatting
-BITS_MAX = 23  # of a 24-bit coordinate
-BITS_WRITTEN = 16  # steps of 15 micrometres, below the smallest Gaussians; less where the extent demands it
-COLOR_SCALE = 0.15  # SH degree 0 is stored as 0.15 c + 0.5, which leaves room around the range of colours
-WINDOW_MAX = 1 << 27  # [bytes] of memory that a zstd frame may ask for; its own default limit
-TURN = np.array([1.0, -1.0, -1.0])  # right-up-back <-> right-down-front
-TURN_QUAT = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion wxyz
+FRACTION_BITS_MAX = 23  # of a 24-bit coordinate
+FRACTION_BITS_WRITTEN = 16  # 15 micrometres, below the smallest Gaussians; fewer if the extent requires it
+COLOR_SCALE = 0.15  # SH degree 0 is stored as 0.15 c + 0.5, which leaves a margin around the range of colours
+ZSTD_WINDOW_MAX = 1 << 27  # [bytes] of memory that a zstd frame may ask for; its own default limit
+AXIS_FLIP = np.array([1.0, -1.0, -1.0])  # right-up-back <-> right-down-front
+AXIS_FLIP_QUAT = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion wxyz
 
 
-def _turn_sh(sh: np.ndarray) -> np.ndarray:
-    """Each basis function is even or odd under the half turn: coefficients keep or change their sign."""
+def _flip_sh(sh: np.ndarray) -> np.ndarray:
+    """Coefficients in the other axes: each basis function is even or odd under the half turn."""
     generic = np.array([[0.36, 0.48, 0.8]])
-    signs = np.sign(sh_basis(generic, sh.shape[1]) * sh_basis(generic * TURN, sh.shape[1]))
+    signs = np.sign(sh_basis(generic, sh.shape[1]) * sh_basis(generic * AXIS_FLIP, sh.shape[1]))
     return sh * signs[0, :, None]
 
 
 @dataclass(frozen=True)
 class Header:
-    """What both kinds of header say."""
+    """The fields that both kinds of header have."""
 
     version: int
     count: int
@@ -100,7 +93,7 @@ def _header(path: Path, data: bytes) -> Header:
         raise BadInput(f"{path}: not a .spz file")
     if not 1 <= version <= 4:
         raise BadInput(f"{path}: version {version} of .spz, read are 1 to 4")
-    if sh_degree > SH_DEGREE_MAX or bits > BITS_MAX:
+    if sh_degree > SH_DEGREE_MAX or bits > FRACTION_BITS_MAX:
         raise BadInput(f"{path}: SH degree {sh_degree} with {bits} fractional bits is no .spz")
     if count == 0:
         raise BadInput(f"{path}: holds no Gaussians")
@@ -108,13 +101,13 @@ def _header(path: Path, data: bytes) -> Header:
 
 
 def _check_claim(path: Path, header: Header, stored: int) -> None:
-    """Refuse a count that the file cannot hold, before anything is unpacked."""
+    """Refuse a count that the file cannot hold, before unpacking."""
     if header.count * sum(header.widths()) > unpack_bound(stored):
         raise BadInput(f"{path}: claims {header.count} Gaussians, more than a file of {stored} bytes may hold")
 
 
 def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[bytes]]:
-    """Versions 1 to 3; `unzipped` for those whose gzip layer somebody has removed."""
+    """Versions 1 to 3; `unzipped` if the gzip layer was removed."""
     unpack = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
         head = data[: HEADER.size] if unzipped else unpack.decompress(data, HEADER.size)
@@ -147,7 +140,7 @@ def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
     start = table + TABLE.size * len(used)
     if data[HEADER.size - 1] != len(used) or table < HEADER_4_SIZE or start > len(data):
         raise BadInput(f"{path}: the table of streams is damaged")
-    unpack = zstandard.ZstdDecompressor(max_window_size=WINDOW_MAX)
+    unpack = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW_MAX)
     streams = []
     for i, size in enumerate(used):
         stored, claimed = TABLE.unpack_from(data, table + TABLE.size * i)
@@ -174,13 +167,13 @@ def _decode(path: Path, header: Header, streams: list[bytes], report: Report) ->
     quats = _smallest_three(rotations) if header.version >= 3 else _first_three(rotations)
     dc = (colors.reshape(n, 1, 3) / np.float32(255) - 0.5) / COLOR_SCALE
     rest = (sh.reshape(n, -1, 3)[:, : SH_COUNTS[-1] - 1].astype(np.float32) - 128) / 128
-    return usable_gaussians(
+    return drawable_gaussians(
         path,
-        means * TURN,
-        quats * TURN_QUAT,
+        means * AXIS_FLIP,
+        quats * AXIS_FLIP_QUAT,
         scales.reshape(n, 3) / np.float32(16) - 10,
-        logit_of_byte(alphas),
-        _turn_sh(np.concatenate([dc, rest], axis=1)),
+        logits_from_bytes(alphas),
+        _flip_sh(np.concatenate([dc, rest], axis=1)),
         report,
     )
 
@@ -192,26 +185,18 @@ def _int24(packed: np.ndarray) -> np.ndarray:
 
 
 def _first_three(packed: np.ndarray) -> np.ndarray:
-    """wxyz of the bytes of x, y, z; w is what is missing to 1, and not negative."""
+    """Quaternions wxyz from bytes of x, y, z; w completes them to length 1 and is not negative."""
     xyz = packed.reshape(-1, 3) / 127.5 - 1.0
     w = np.sqrt(np.maximum(0.0, 1.0 - (xyz**2).sum(axis=1, keepdims=True)))
     return np.concatenate([w, xyz], axis=1)
 
 
 def _smallest_three(packed: np.ndarray) -> np.ndarray:
-    """wxyz of 32 bits: 2 for which of x, y, z, w is largest, then 10 (sign, 9 of magnitude) for each other one."""
-    code = packed.view("<u4").astype(np.int64)
-    largest = code >> 30
-    xyzw = np.zeros((len(code), 4))
-    shift = np.full(len(code), 20)
-    for k in range(4):
-        here = largest != k
-        field = code[here] >> shift[here]
-        magnitude = (field & 511) / 511 * np.sqrt(0.5)
-        xyzw[here, k] = np.where(field & 512, -magnitude, magnitude)
-        shift[here] -= 10
-    xyzw[np.arange(len(code)), largest] = np.sqrt(np.maximum(0.0, 1.0 - (xyzw**2).sum(axis=1)))
-    return np.roll(xyzw, 1, axis=1)
+    """Quaternions wxyz of 32-bit words: the index of the largest of x, y, z, w, then sign and 9 bits of each other."""
+    code = packed.view("<u4")
+    fields = code[:, None] >> np.array([20, 10, 0], np.uint32)
+    magnitude = (fields & 511) / 511 * np.sqrt(0.5)
+    return np.roll(join_largest(code >> 30, np.where(fields & 512, -magnitude, magnitude)), 1, axis=1)
 
 
 def write_spz(path: str | Path, g: Gaussians) -> None:
@@ -219,38 +204,31 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
 
     Log-scales outside -10..5.94 and SH coefficients outside -1..0.99 are clamped; `object_id` is not stored.
     """
-    means, n = g.means.astype(np.float64) * TURN, len(g)
+    means, n = g.means.astype(np.float64) * AXIS_FLIP, len(g)
     extent = float(np.abs(means).max(initial=1e-9))
-    bits = min(BITS_WRITTEN, int(np.floor(np.log2((2**23 - 1) / extent))))
+    bits = min(FRACTION_BITS_WRITTEN, int(np.floor(np.log2((2**23 - 1) / extent))))
     if bits < 0:
         raise BadInput(f"{path}: positions up to {extent:.3g} m do not fit a .spz")
     fixed = np.round(means * (1 << bits)).astype("<i4").reshape(-1, 1).view(np.uint8)[:, :3]
-    sh = _turn_sh(g.sh)
-    xyzw = np.roll(g.quats.astype(np.float64) * TURN_QUAT, -1, axis=1)
+    sh = _flip_sh(g.sh)
+    xyzw = np.roll(g.quats.astype(np.float64) * AXIS_FLIP_QUAT, -1, axis=1)
     streams = [
         fixed,
-        _bytes(byte_of_logit(g.logit_opacities)),
-        _bytes((sh[:, 0] * COLOR_SCALE + 0.5) * 255),
-        _bytes((g.log_scales.astype(np.float64) + 10) * 16),
+        bytes_from_logits(g.logit_opacities),
+        to_bytes((sh[:, 0] * COLOR_SCALE + 0.5) * 255),
+        to_bytes((g.log_scales.astype(np.float64) + 10) * 16),
         _pack_smallest_three(xyzw),
-        _bytes(sh[:, 1:] * 128.0 + 128),
+        to_bytes(sh[:, 1:] * 128.0 + 128),
     ]
     header = HEADER.pack(MAGIC, 3, n, g.sh_degree, bits, 0, 0)
     with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0))
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
-    return np.clip(np.round(values), 0, 255).astype(np.uint8)
-
-
 def _pack_smallest_three(xyzw: np.ndarray) -> np.ndarray:
-    rows = np.arange(len(xyzw))
-    largest = np.abs(xyzw).argmax(axis=1)
-    xyzw = xyzw * np.where(xyzw[rows, largest] < 0, -1.0, 1.0)[:, None]  # -q is the same rotation
-    code = largest.astype(np.uint32)
-    for k in range(4):
-        magnitude = np.minimum(np.round(511 * np.abs(xyzw[:, k]) / np.sqrt(0.5)), 511).astype(np.uint32)
-        field = magnitude | np.where(xyzw[:, k] < 0, 512, 0).astype(np.uint32)
-        code = np.where(largest != k, code << np.uint32(10) | field, code)
+    """The inverse of `_smallest_three`, little-endian words (N,)."""
+    largest, others = split_largest(xyzw)
+    magnitude = np.minimum(np.round(511 * np.abs(others) / np.sqrt(0.5)), 511).astype(np.uint32)
+    fields = magnitude | np.where(others < 0, 512, 0).astype(np.uint32)
+    code = largest.astype(np.uint32) << 30 | fields[:, 0] << 20 | fields[:, 1] << 10 | fields[:, 2]
     return code.astype("<u4")

@@ -59,7 +59,7 @@ def finite(
     values = file.array(name, "f", shape).astype(np.float64)
     with np.errstate(invalid="ignore"):
         if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
-            raise file.bad(f"{name} holds values that cannot be")
+            raise file.error(f"{name} holds values that cannot be")
     return values
 
 
@@ -67,7 +67,7 @@ def counts(file: Hdf5Reader, name: str, most: int, length: int | None = None) ->
     """A dataset of numbers of things, 0 to `most`."""
     values = file.array(name, "iu", (length,)).astype(np.int64)
     if len(values) and (values.min() < 0 or values.max() > most):
-        raise file.bad(f"{name} holds values that cannot be")
+        raise file.error(f"{name} holds values that cannot be")
     return values
 
 
@@ -91,21 +91,21 @@ def read_hands(file: Hdf5Reader, per_frame: np.ndarray) -> list[list]:
     try:
         layouts = json.loads(file.text("", "layouts"))
     except (ValueError, RecursionError) as e:
-        raise file.bad("its layouts are no JSON") from e
+        raise file.error("its layouts are no JSON") from e
     if not isinstance(layouts, list):
-        raise file.bad("its layouts are no list")
+        raise file.error("its layouts are no list")
     which = counts(file, "hands/layout", max(len(layouts) - 1, 0), int(per_frame.sum()))
     if len(which) and not layouts:
-        raise file.bad("its layouts are missing")
+        raise file.error("its layouts are missing")
     numbers = finite(file, "hands/numbers")
     sizes = [size_of(layout) for layout in layouts]
     if sum(sizes[k] for k in which) != len(numbers):
-        raise file.bad("hands/numbers is not as long as the hands need")
+        raise file.error("hands/numbers is not as long as the hands need")
     all_hands, at = [], 0
     for k in which:
         all_hands.append(unpack(layouts[k], numbers[at : at + sizes[k]]))
         if layouts[k] != "n" and type(all_hands[-1]).__name__ != "Hand":
-            raise file.bad("what stands for a hand is none")
+            raise file.error("what stands for a hand is none")
         at += sizes[k]
     ends = np.cumsum(per_frame)
     return [all_hands[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
@@ -116,7 +116,7 @@ def read_cameras(file: Hdf5Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA), low=-1e9, high=1e9)
     sides, focal = values[:, :2], values[:, 2:4]
     if len(values) and not (sides.min() >= 1 and sides.max() <= SIDE and focal.min() > 0):
-        raise file.bad("cameras/values holds a camera that cannot be")
+        raise file.error("cameras/values holds a camera that cannot be")
     cameras = [Camera(int(v[0]), int(v[1]), *v[2:6].tolist(), v[6:].reshape(4, 4)) for v in values]
     ends = np.cumsum(per_frame)
     return [cameras[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
@@ -129,11 +129,11 @@ def read_commands(file: Hdf5Reader, count: int) -> dict[int, list[Command]]:
     try:
         lines = text.decode().splitlines()
     except UnicodeDecodeError as e:
-        raise file.bad("commands/text is no text") from e
+        raise file.error("commands/text is no text") from e
     for line in lines:
         frame, given = from_text(line)
         if not 0 <= frame < count:
-            raise file.bad("commands/text names a frame that there is not")
+            raise file.error("commands/text names a frame that there is not")
         commands[frame] = given
     return commands
 

@@ -35,9 +35,9 @@ class Replay:
         path = Path(path)
         with open_hdf5(path) as file:
             if file.text("", "format") != FORMAT:
-                raise file.bad("is not a recording of VR-GS")
+                raise file.error("is not a recording of VR-GS")
             if file.number("", "version") != VERSION:
-                raise file.bad(
+                raise file.error(
                     f"is a recording of version {file.number('', 'version'):g}; this program knows {VERSION}"
                 )
             try:
@@ -45,7 +45,7 @@ class Replay:
                 frames = read_frames(file)
                 return cls(path, about, frames, read_states(file, len(frames)))
             except BadInput as e:
-                raise e if str(e).startswith(str(path)) else file.bad(str(e)) from e
+                raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
 
     def set_options(self, args) -> None:
         """Let the command's options be those of the recording, as far as they make the world what it is."""

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from assets.animation import Pose, slerp, turned_back, world_matrices
+from assets.animation import Pose, slerp, world_matrices
 from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
-from core.rotation import multiply_quaternions
+from core.rotation import conjugate_quaternions, multiply_quaternions
 from prepare.rig.joint_names import ARM, LEG, SIDES, TREE, named_joints
 from prepare.rig.landmarks import Landmarks
 
@@ -175,7 +175,7 @@ def fit(rig: Rig, marks: Landmarks) -> Fitted:
         quats.setdefault(f"{s}_clavicle", quats["chest"])
     local = np.empty((len(x), len(BONES), 4))
     for k, n in enumerate(BONES):
-        local[:, k] = quats[n] if TREE[n] is None else multiply_quaternions(turned_back(quats[TREE[n]]), quats[n])
+        local[:, k] = quats[n] if TREE[n] is None else multiply_quaternions(conjugate_quaternions(quats[TREE[n]]), quats[n])
     steps = np.array([rest[k] - (rest[PARENTS[k]] if PARENTS[k] >= 0 else 0) for k in range(len(BONES))])
     moved = np.tile(steps, (len(x), 1, 1))
     rig_leg = np.linalg.norm(at("left_knee") - at("left_hip"), axis=1).mean()

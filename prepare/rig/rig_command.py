@@ -65,7 +65,7 @@ def _own(path: Path) -> Mover:
     try:
         at = sampled(x, mesh.faces)
     except BadInput as e:
-        raise file.bad(str(e)) from e
+        raise file.error(str(e)) from e
     return Mover(surface_gaussians(x, mesh, at), "+y", lambda asset, _: walk(asset, mesh, rig, at))
 
 

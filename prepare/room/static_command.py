@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from assets.asset_check import check
 from assets.file_access import atomic_write_all, file_size
 from assets.formats.ply import write_ply
 from assets.splat_files import read_gaussians
@@ -46,7 +45,7 @@ def prepare_stage_file(
         bar.close()
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     files = [out, *(piece_name(out, k) for k in pieces)]
-    check(asset, str(out))
+    asset.check(str(out))
     with atomic_write_all(*files) as (beside, *others):
         for other, piece in zip(others, pieces.values(), strict=True):
             write_ply(other, piece)
@@ -65,7 +64,7 @@ def piece_name(out: Path, object_id: int) -> Path:
 
 def summary(asset) -> list[str]:
     """What was found, in a few lines."""
-    p, s = asset.provenance, asset.stage
+    p, s = asset.provenance, asset.environment
     options = p["options"]
     up = p["up"] if options["up"] else describe_guess(p["up"], p["up_sure"])
     size = f"{p['size']:.3g} m" + ("" if options["scale"] else " (guessed; --scale overrides)")
@@ -77,7 +76,7 @@ def summary(asset) -> list[str]:
         )
     if len(s.planes) > SHOWN:
         lines.append(f"  and {len(s.planes) - SHOWN} more planes")
-    lines.append(f"bodies drop on the {p['drop_on']}, where a disc of {s.clear:.2f} m is free; grids: {grids}")
+    lines.append(f"bodies drop on the {p['drop_on']}, where a disc of {s.clear_radius:.2f} m is free; grids: {grids}")
     return [*lines, f"{p['seconds']:.1f} s"]
 
 

@@ -127,7 +127,7 @@ def prepare_static(
         phi = np.maximum(phi, inside_box(origin, h, shape, a + 1.5 * h, b - 1.5 * h))
     ground = planes[0].height
     to = -np.array([drop[0], ground, drop[2]])
-    stage = Environment(
+    environment = Environment(
         0.0,
         tuple(map(float, drop + to)),
         tuple(map(float, eye + to)),
@@ -153,7 +153,7 @@ def prepare_static(
     report("distance", 1.0)
     grid = DistanceGrid(phi.astype(np.float16), origin + to, h)
     moved = {k: p.transformed(np.eye(3), to) for k, p in pieces.items()}
-    return Asset(g, sdf=grid, provenance=provenance, stage=stage), moved
+    return Asset(g, sdf=grid, provenance=provenance, environment=environment), moved
 
 
 def cap(areas: np.ndarray) -> float:

@@ -54,7 +54,9 @@ def test_a_rigid_motion_of_the_root_moves_all_alike():
     a, rng = some_motion(), np.random.default_rng(2)
     x = rng.normal(size=(5, 3))
     M = local_matrices((rng.normal(size=(1, 3)), unit(rng.normal(size=(1, 4))), np.ones((1, 3))))[0]
-    assert_allclose(linear_blend_skinning(x, a.joints, a.weights, np.tile(M, (3, 1, 1))), x @ M[:3, :3].T + M[:3, 3], atol=1e-6)
+    assert_allclose(
+        linear_blend_skinning(x, a.joints, a.weights, np.tile(M, (3, 1, 1))), x @ M[:3, :3].T + M[:3, 3], atol=1e-6
+    )
 
 
 def test_the_motion_begins_at_rest_and_comes_round_without_a_jump():
@@ -146,4 +148,4 @@ def test_a_damaged_motion_is_refused(tmp_path, edit, says):
 
 def test_a_motion_needs_a_cage(tmp_path):
     with pytest.raises(BadInput, match="no cage"):
-        replace(some_asset(), cage=None, embedded=None, animation=some_motion()).save(tmp_path / "a.h5")
+        replace(some_asset(), cage=None, embedding=None, animation=some_motion()).save(tmp_path / "a.h5")

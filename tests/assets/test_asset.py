@@ -69,7 +69,7 @@ def test_round_trip(tmp_path):
     for name in (*FIELDS, "object_id"):
         np.testing.assert_array_equal(getattr(read.gaussians, name), getattr(asset.gaussians, name))
         assert getattr(read.gaussians, name).dtype == getattr(asset.gaussians, name).dtype
-    for part, names in (("cage", ("vertices", "tets", "surface")), ("embedded", ("host", "weights"))):
+    for part, names in (("cage", ("vertices", "tets", "surface")), ("embedding", ("host", "weights"))):
         for name in names:
             got, expected = getattr(getattr(read, part), name), getattr(getattr(asset, part), name)
             np.testing.assert_array_equal(got, expected)
@@ -83,7 +83,7 @@ def test_round_trip(tmp_path):
 def test_optional_parts_stay_absent(tmp_path):
     Asset(some_gaussians(3)).save(tmp_path / "a.h5")
     read = Asset.load(tmp_path / "a.h5")
-    assert (read.cage, read.embedded, read.sdf, read.material, read.provenance) == (None, None, None, None, {})
+    assert (read.cage, read.embedding, read.sdf, read.material, read.provenance) == (None, None, None, None, {})
 
 
 def test_the_file_describes_itself(tmp_path):
@@ -119,7 +119,7 @@ DEFECTS = {
     "missing attribute 'version'": lambda f: f.attrs.pop("version"),
     "'version' of the file is not a number": lambda f: f.attrs.update(version="one"),
     "not JSON": lambda f: f.attrs.update(provenance="{"),
-    "provenance is not JSON": lambda f: f.attrs.update(provenance="[" * 100_000),
+    "'provenance' of the file is not JSON": lambda f: f.attrs.update(provenance="[" * 100_000),
     "not a JSON object": lambda f: f.attrs.update(provenance="[]"),
     "missing dataset 'gaussians/means'": lambda f: f.pop("gaussians/means"),
     "missing dataset 'gaussians/sh'": lambda f: f.pop("gaussians/sh"),

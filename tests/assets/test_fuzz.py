@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import vrgs
-from assets.camera_file import FOCAL, MAX_SIDE
-from assets.file_access import LOG_SCALE_MAX, MAGNITUDE_MAX
-from assets.gaussians import Gaussians, concatenate
+from assets.camera_file import FOCAL_RANGE, SIDE_MAX
+from assets.gaussians import LOG_SCALE_MAX, MAGNITUDE_MAX, Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import Camera, look_at
 from tests.support.drawing import Drawing
@@ -37,7 +36,7 @@ BAD_CAMERAS = {
 BAD_NUMBERS = [
     *[(name, v, f"{name} must be 0.001 to 1e+09") for name in ("fx", "fy") for v in (NAN, INF, 0, -5, 1e-310, 1e300)],
     *[(name, v, f"{name} must be -1e+09 to 1e+09") for name in ("cx", "cy") for v in (NAN, -INF, 1e300, -1e10)],
-    *[(name, v, f"{name} must be 1 to {MAX_SIDE}") for name in ("width", "height") for v in (NAN, INF, 0, -1, 16385)],
+    *[(name, v, f"{name} must be 1 to {SIDE_MAX}") for name in ("width", "height") for v in (NAN, INF, 0, -1, 16385)],
     *[("width", v, "width must be 1 to") for v in (1e300, 10**400)],
     *[("height", v, "height is not a number") for v in ("8", None, True, [8], {})],
     ("width", 16.5, "width and height must be whole"),
@@ -97,8 +96,8 @@ def absurd_camera(rng, side: int) -> Camera:
     pose = look_at(rng.normal(size=3), rng.normal(size=3))
     if rng.random() < 0.3:
         pose[:3, 3] += rng.choice([-1, 1], 3) * [wild(1e-40, MAGNITUDE_MAX) for _ in range(3)]
-    fx, fy = (wild(*FOCAL) if rng.random() < 0.5 else wild(1, 100) for _ in range(2))
-    cx, cy = (rng.choice([-1, 1]) * wild(1e-40, FOCAL[1]) if rng.random() < 0.3 else 0.5 * side for _ in range(2))
+    fx, fy = (wild(*FOCAL_RANGE) if rng.random() < 0.5 else wild(1, 100) for _ in range(2))
+    cx, cy = (rng.choice([-1, 1]) * wild(1e-40, FOCAL_RANGE[1]) if rng.random() < 0.3 else 0.5 * side for _ in range(2))
     return Camera(*rng.integers(1, side + 1, 2), fx, fy, cx, cy, pose)
 
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.animation import linear_blend_skinning, world_matrices
-from assets.formats.gltf import PIXELS_MAX, GlbFile, image_size
+from assets.formats.gltf import PIXELS_MAX, GlbFile
 from assets.formats.gltf_skin import read_mesh, read_rig
 from core.errors import BadInput
 from tests.support.glb import CODES, Builder, bar, packed
@@ -166,16 +166,12 @@ def refused_bytes(path, data: bytes) -> str:
 
 
 def test_a_picture_bomb_is_refused_by_its_header(tmp_path):
-    import cv2
-
     b, scene = bar()
     side = int(np.sqrt(PIXELS_MAX)) + 2
     header = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", side, side) + b"\0" * 64
     scene["images"] = [{"bufferView": b.view(header)}]
     scene["buffers"] = [{"byteLength": len(b.binary)}]
     assert "pixels" in refused(b.write(tmp_path / "bomb.glb", scene))
-    for suffix in (".png", ".jpg"):
-        assert image_size(cv2.imencode(suffix, np.zeros((7, 11, 3), np.uint8))[1].tobytes()) == (11, 7)
 
 
 def test_the_walking_man(shared):

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from assets.formats.sog import read_sog
-from assets.formats.webp import webp_size
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from tests.assets.test_splat_formats import refused
-from tests.support.samples import damaged, read_or_refuse, some_gaussians
+from tests.support.samples import damaged, read_or_refuse, riff, some_gaussians
 
 BOOK = np.sinh(np.linspace(-3, 3, 256)) / 5  # codebooks are uneven: finer near 0
 
@@ -243,25 +242,12 @@ def test_metas_that_cannot_be(tmp_path):
     assert "fits no degree" in says("shN", "files", value=["quats.webp", "shN_labels.webp"])
 
 
-def chunk(kind: bytes, body: bytes) -> bytes:
-    return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + kind + struct.pack("<I", len(body)) + body
-
-
-def test_webp_sizes_of_all_kinds():
-    image = np.zeros((7, 300, 3), np.uint8)
-    assert webp_size(webp(image.reshape(-1, 3), 300)) == (300, 7)
-    assert webp_size(cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 80])[1].tobytes()) == (300, 7)
-    extended = bytes([0x10, 0, 0, 0]) + (299).to_bytes(3, "little") + (6).to_bytes(3, "little") + bytes(8)
-    assert webp_size(chunk(b"VP8X", extended)) == (300, 7)
-    assert webp_size(b"RIFF") is None and webp_size(bytes(64)) is None and webp_size(chunk(b"ANIM", bytes(30))) is None
-
-
 def test_bombs_are_refused_without_unpacking_them(tmp_path):
     """An image of 16,384 x 16,384 in its header, an honest one of a colour all over, a gigabyte of deflated zeros."""
     path = tmp_path / "a.sog"
     files = sog_files(some_gaussians(30, 0))
     size = 16383 | 16383 << 14
-    claims = zipped(files | {"means_l.webp": chunk(b"VP8L", b"\x2f" + struct.pack("<I", size) + bytes(60))})
+    claims = zipped(files | {"means_l.webp": riff(b"VP8L", b"\x2f" + struct.pack("<I", size) + bytes(60))})
     flat = cv2.imencode(".webp", np.full((5000, 5000, 3), 7, np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     zeros = b"".join(packer.compress(bytes(1 << 20)) for _ in range(300)) + packer.flush()

@@ -4,7 +4,6 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from assets.asset import Cage
-from assets.asset_check import check_cage
 from assets.gaussians import Gaussians
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
@@ -138,7 +137,7 @@ def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
     label = (x[tets].mean(1)[:, 0] > 0.15).astype(int)
     label[7] = 1  # a tet of the left leg that is told to be the right one's hangs on nothing
     new, label, source = cut(cage, label, lambda a, b, c: c[:, 1] > 0.8)
-    check_cage(new, "cut")
+    new.check("cut")
     assert_allclose(new.volumes().sum(), cage.volumes().sum(), rtol=1e-6)
     assert_allclose(new.vertices, cage.vertices[source])
     assert len(new.vertices) > len(cage.vertices)

@@ -51,7 +51,7 @@ def test_a_stopped_run_goes_on_after_its_last_finished_stage(ti_cpu, source, tmp
     assert "went on after cage: a run before had come so far" in lines
     again = Asset.load(out)
     np.testing.assert_array_equal(again.cage.vertices, whole.cage.vertices)
-    np.testing.assert_array_equal(again.embedded.host, whole.embedded.host)
+    np.testing.assert_array_equal(again.embedding.host, whole.embedding.host)
     np.testing.assert_array_equal(again.gaussians.means, whole.gaussians.means)
     assert not list((tmp_path / "cache").rglob("*.npz"))
 

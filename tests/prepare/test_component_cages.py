@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 import vrgs
 from assets.asset import Asset, Cage, CageEmbedding
-from assets.asset_check import check, check_cage
 from assets.components import piece_of_vertices, split_components
 from assets.file_access import atomic_write_all
 from assets.gaussians import Gaussians, concatenate
@@ -73,8 +72,8 @@ def pair(ti_cpu) -> Asset:
 
 def test_each_piece_keeps_the_promises(pair):
     cage, figures = pair.cage, pair.provenance["figures"]
-    check(pair, "pair")
-    check_cage(cage, "pair")
+    pair.check("pair")
+    cage.check("pair")
     own = face_components(cage.tets)
     assert own.max() == 1 and figures["pieces"] == 2 and pair.provenance["counts"]["specks"] == 0
     assert abs(len(cage.vertices) - 800) <= 0.15 * 800
@@ -82,7 +81,7 @@ def test_each_piece_keeps_the_promises(pair):
     assert len(non_manifold_vertices(cage.surface)) == 0
     g = pair.gaussians
     assert len(g) == pair.provenance["counts"]["kept"] > 0.99 * len(two())
-    of_tet = own[pair.embedded.host]
+    of_tet = own[pair.embedding.host]
     assert (of_tet == of_tet[:, :1]).all()  # no Gaussian hangs between two bodies
     for k in range(2):
         mine = of_tet[:, 0] == k
@@ -167,7 +166,7 @@ def test_corners_in_another_piece_are_brought_home():
     g = ball(60).select(np.arange(1))
     first, second = split_components(Asset(g, cage, CageEmbedding(host, weights)))
     assert len(first.gaussians) == 1 and len(second.gaussians) == 0
-    again = np.einsum("kj,kjc->kc", first.embedded.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
+    again = np.einsum("kj,kjc->kc", first.embedding.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
     assert_allclose(again, places, atol=1e-5)
     assert split_components(first)[0] is first
 

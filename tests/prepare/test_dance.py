@@ -57,7 +57,7 @@ def test_what_he_holds_is_found_and_stays_whole(dancer):
     x[a.vertices] = a.skinned(rest[a.vertices], a.matrices(2.0))
     inner = np.setdiff1d(np.arange(len(rest)), a.vertices)
     x[inner] = hand[inner]  # what is deep inside is not looked at here
-    e = dancer.embedded
+    e = dancer.embedding
     moved = np.einsum("nkj,nkjd->nkd", e.weights[mine], x[dancer.cage.tets[e.host[mine]]]).mean(1)
     as_one = np.einsum("nkj,nkjd->nkd", e.weights[mine], hand[dancer.cage.tets[e.host[mine]]]).mean(1)
     assert np.percentile(np.linalg.norm(moved - as_one, axis=1), 97) < 0.03
@@ -91,9 +91,9 @@ def test_a_man_dances_without_tearing(dancer, shared):
     stretch = np.linalg.norm(shapes[:, ends[:, 0]] - shapes[:, ends[:, 1]], axis=2)
     stretch = (stretch / stretch[0]).max(0)
     assert stretch.max() < 4.5 and (stretch < 2).mean() > 0.99
-    corner = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, rest[cage.tets[dancer.embedded.host]])
+    corner = np.einsum("nkj,nkjd->nkd", dancer.embedding.weights, rest[cage.tets[dancer.embedding.host]])
     inverse = np.linalg.inv(corner[:, 1:] - corner[:, :1])
     for x in shapes[:: len(shapes) // 6]:
-        moved = np.einsum("nkj,nkjd->nkd", dancer.embedded.weights, x[cage.tets[dancer.embedded.host]])
+        moved = np.einsum("nkj,nkjd->nkd", dancer.embedding.weights, x[cage.tets[dancer.embedding.host]])
         growth = np.linalg.norm(inverse @ (moved[:, 1:] - moved[:, :1]), ord=2, axis=(1, 2))
         assert (growth < 2.5).mean() > 0.999

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.asset_check import check_cage
 from core.errors import BadInput
 from core.tetmesh import TET_FACES, boundary_surface, tet_volumes
 from prepare.cage.graded_lattice import graded_lattice, refined
@@ -69,7 +68,7 @@ def test_what_is_stuffed_from_changing_cells_is_sound(seed):
     want = np.kron(rng.integers(0, 3, (6, 6, 6)), np.ones((8, 8, 8), int))
     lattice = graded_lattice(want, 2)
     cage = stuff_lattice(lattice, np.full(3, -2.3), 4.6 / 96, values, origin, spacing)
-    check_cage(cage, "graded")
+    cage.check("graded")
     assert len(non_manifold_vertices(cage.surface)) == 0
     assert dihedral_angles(cage.vertices, cage.tets).min() > 2  # before it is relaxed
 
@@ -80,7 +79,7 @@ def test_a_lattice_of_many_vertices_is_sound():
     lattice = graded_lattice(np.zeros((30, 30, 30), np.int8), 0)
     assert len(lattice.at) > 46_341
     cage = stuff_lattice(lattice, np.full(3, -1.2), 2.4 / 60, values, origin, spacing)
-    check_cage(cage, "many")
+    cage.check("many")
 
 
 def test_too_fine_a_lattice_is_refused():

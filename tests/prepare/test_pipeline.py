@@ -126,7 +126,7 @@ def assert_sound(asset: Asset, vertices: int) -> None:
     assert (TetLocator(cage.vertices, cage.tets).find(opaque) >= 0).mean() >= 0.99
     low, high = cage.vertices.min(0), cage.vertices.max(0)
     assert_allclose([low[0] + high[0], low[1], low[2] + high[2]], 0, atol=1e-6)
-    assert len(asset.embedded.host) == len(g)
+    assert len(asset.embedding.host) == len(g)
 
 
 def test_a_ball_becomes_a_body(ti_cpu, tmp_path):

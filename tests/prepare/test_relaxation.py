@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from assets.asset_check import check_cage
 from core.tetmesh import tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles
 from prepare.cage.quality_energy import Stiffness
@@ -35,7 +34,7 @@ def test_relaxing_makes_longer_substeps_stable_and_keeps_the_shape(ti_cpu, dista
     values, origin, spacing = sampled(distance)
     before = stuff(values, origin, spacing, cell=cell)
     after = relax(before, values, origin, spacing)
-    check_cage(after, "relaxed")
+    after.check("relaxed")
     longer = np.sqrt(energy(before.vertices, before.tets)[2].max() / energy(after.vertices, after.tets)[2].max())
     assert longer > 1.5  # of the substep; measured 1.9 to 2.6
     assert dihedral_angles(after.vertices, after.tets).min() >= 12
@@ -63,7 +62,7 @@ def test_a_cage_gets_the_volume_asked_for(ti_cpu, growth):
     cage = stuff(values, origin, spacing, cell=0.25)
     wanted = (1 + growth) * 4 / 3 * np.pi
     after = relax(cage, values, origin, spacing, volume=wanted)
-    check_cage(after, "grown")
+    after.check("grown")
     assert_allclose(tet_volumes(after.vertices, after.tets).sum(), wanted, rtol=0.003)
     radius = np.linalg.norm(after.vertices[np.unique(after.surface)], axis=1)
     assert np.ptp(radius) < 0.01  # it grew evenly

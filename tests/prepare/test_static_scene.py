@@ -57,7 +57,7 @@ def to_code(points, matrix):
 def distance(asset: Asset, points: np.ndarray) -> np.ndarray:
     """What the colliders say at points [m] (N, 3): the least of all grids that say something."""
     found = np.full(len(points), 1e3)
-    for grid in (asset.sdf, *asset.environment.fine):
+    for grid in asset.grids:
         q = (points - grid.origin) / grid.spacing
         inside = ((q >= 0) & (q <= np.array(grid.values.shape) - 1)).all(1)
         phi = map_coordinates(grid.values.astype(np.float32), q[inside].T, order=1)
@@ -126,9 +126,9 @@ def test_the_surface_is_where_it_should_be(scene):
 def test_the_drop_is_free_and_the_user_sees_it(scene):
     name, _, asset, matrix = scene
     stage = asset.environment
-    assert stage.drop[0] == stage.drop[2] == 0.0 and stage.clear > 0.25
-    assert abs(stage.drop[1] - (0.74 if name == "room" else 0.72)) < 0.012
-    eye, drop = np.array(stage.eye), np.array(stage.drop)
+    assert stage.drop_point[0] == stage.drop_point[2] == 0.0 and stage.clear_radius > 0.25
+    assert abs(stage.drop_point[1] - (0.74 if name == "room" else 0.72)) < 0.012
+    eye, drop = np.array(stage.eye_position), np.array(stage.drop_point)
     assert 0.5 < np.linalg.norm((eye - drop)[[0, 2]]) < 1.6 and 1.2 < eye[1] < 1.8
     way = drop + np.linspace(0.1, 1, 60)[:, None] * (eye - drop)
     assert (distance(asset, way) > 0.02).all()
@@ -161,7 +161,7 @@ def test_a_ball_dropped_there_lies_on_the_table(ti_cpu, scene, tmp_path):
     lowest = []
     for _ in range(120):
         solver.step(1 / 60)
-        lowest.append(solver.bodies()[0].low[1] - asset.environment.drop[1])
+        lowest.append(solver.bodies()[0].low[1] - asset.environment.drop_point[1])
     assert min(lowest) > -0.008 and max(lowest[-30:]) < 0.008, f"{name}: {min(lowest)}, {max(lowest[-30:])}"
     assert np.linalg.norm(solver.bodies()[0].centroid[[0, 2]] - drop[[0, 2]]) < 0.01
 
@@ -181,7 +181,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
     spot = np.median(piece.means, axis=0)
     assert_allclose(np.ptp(piece.means[:, [0, 2]], axis=0), 0.1, atol=0.02)
     x, z = np.meshgrid(np.linspace(-0.06, 0.06, 13), np.linspace(-0.06, 0.06, 13))
-    at = np.stack([spot[0] + x.ravel(), np.full(x.size, asset.environment.drop[1]), spot[2] + z.ravel()], 1)
+    at = np.stack([spot[0] + x.ravel(), np.full(x.size, asset.environment.drop_point[1]), spot[2] + z.ravel()], 1)
     assert (distance(asset, at + [0, 0.01, 0]) > 0).all() and (distance(asset, at - [0, 0.01, 0]) < 0).all()
     with pytest.raises(BadInput, match="object id 9; there are: 0, 7"):
         prepare_stage_file(tmp_path / "in.h5", tmp_path / "no.h5", **{**options, "cut": (9,)})
@@ -305,15 +305,15 @@ def some_stage() -> Asset:
     grid = DistanceGrid(np.ones((3, 4, 5), np.float16), np.zeros(3), 0.1)
     g = Gaussians.of(np.zeros((1, 3)), [[1, 0, 0, 0]], [[0, 0, 0]], [0], np.zeros((1, 1, 3)))
     stage = Environment(0.0, (0.1, 0.7, 0.2), (0.0, 1.5, 1.0), 0.3, (("floor", 0.0, -1.0, -1.0, 1.0, 1.0),), (grid,))
-    return Asset(g, stage=stage)
+    return Asset(g, environment=stage)
 
 
 def test_a_stage_is_written_and_read_again(tmp_path):
     asset = some_stage()
     asset.save(tmp_path / "s.h5")
     for read in (Asset.load(tmp_path / "s.h5").environment, Environment.load(tmp_path / "s.h5")):
-        assert replace(read, fine=()) == replace(asset.environment, fine=())
-        assert (read.fine[0].values == asset.environment.fine[0].values).all() and read.fine[0].spacing == 0.1
+        assert replace(read, fine_grids=()) == replace(asset.environment, fine_grids=())
+        assert (read.fine_grids[0].values == asset.environment.fine_grids[0].values).all() and read.fine_grids[0].spacing == 0.1
 
 
 def test_a_damaged_stage_is_refused(tmp_path):

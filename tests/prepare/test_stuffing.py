@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.ndimage import gaussian_filter
 
-from assets.asset_check import check_cage
 from core.errors import BadInput
 from core.tetmesh import boundary_surface, face_components, tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
@@ -66,7 +65,7 @@ def test_a_shape_gets_a_sound_cage(name):
     """Positive volumes, good angles, a closed manifold of the right genus, one piece, the right volume."""
     distance, cell, volume, tolerance, euler = SHAPES[name]
     cage = stuff(*sampled(distance), cell=cell)
-    check_cage(cage, name)
+    cage.check(name)
     assert dihedral_angles(cage.vertices, cage.tets).min() >= 10
     assert len(non_manifold_vertices(cage.surface)) == 0
     assert euler_characteristic(cage.surface) == euler
@@ -84,7 +83,7 @@ def test_a_ring_of_few_vertices_stays_a_ring():
 def test_any_shape_stays_sound(seed):
     """Rough shapes with handles and pinches: the bounds hold for them, too."""
     cage = stuff(*sampled(lambda p: bumpy(p, seed)), cell=0.25)
-    check_cage(cage, "bumpy")
+    cage.check("bumpy")
     assert dihedral_angles(cage.vertices, cage.tets).min() >= 10
     assert len(non_manifold_vertices(cage.surface)) == 0
 
@@ -114,7 +113,7 @@ def test_all_pieces_are_kept_if_asked():
 def test_a_shape_cut_by_the_grid_is_closed_there():
     values, origin, spacing = sampled(sphere)
     cage = stuff(values[: len(values) // 2], origin, spacing, cell=0.2)
-    check_cage(cage, "half a sphere")
+    cage.check("half a sphere")
     assert euler_characteristic(cage.surface) == 2
 
 

@@ -100,8 +100,8 @@ def test_rings_are_ready_to_be_simulated(shipped, name):
     d = solids.torus(RING_MAJOR, RING_TUBE)(asset.gaussians.means)
     assert np.abs(d).max() < 0.002  # the surface lies where the torus is
     assert at(asset, [(RING_MAJOR, 0.0, 0.0)])[0] < -0.012 and at(asset, [(0.0, 0.0, 0.0)])[0] > 0.06
-    x = asset.cage.vertices[asset.cage.tets[asset.embedded.host]]  # (N, 4, 4, 3)
-    corners = np.einsum("nkj,nkjc->nkc", asset.embedded.weights, x)
+    x = asset.cage.vertices[asset.cage.tets[asset.embedding.host]]  # (N, 4, 4, 3)
+    corners = np.einsum("nkj,nkjc->nkc", asset.embedding.weights, x)
     assert_allclose(corners.mean(1), asset.gaussians.means, atol=5e-4)
 
 

@@ -1,5 +1,7 @@
 """Small made-up inputs that several test files use."""
 
+import struct
+
 import numpy as np
 
 from assets.gaussians import SH_COUNTS, Gaussians
@@ -48,3 +50,8 @@ def read_or_refuse(read, path, copies) -> dict[str, int]:
         np.testing.assert_allclose(np.linalg.norm(g.quats, axis=1), 1, atol=2e-3)
         outcomes["read"] += 1
     return outcomes
+
+
+def riff(kind: bytes, body: bytes) -> bytes:
+    """A WebP container with one chunk."""
+    return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + kind + struct.pack("<I", len(body)) + body

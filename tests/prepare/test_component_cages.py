@@ -7,15 +7,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import vrgs
-from assets.asset import Asset, Cage, CageEmbedding
-from assets.components import piece_of_vertices, split_components
+from assets.asset import Asset
+from assets.components import split_components
 from assets.file_access import atomic_write_all
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import write_gaussians
 from core.errors import BadInput
 from core.material import Material
 from core.point_location import TetLocator
-from core.tetmesh import face_components
+from core.tetmesh import face_components, vertex_components
 from display.scene_bodies import load_bodies
 from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN
 from prepare.cage.component_cages import shared_out
@@ -93,12 +93,11 @@ def test_each_piece_keeps_the_promises(pair):
 
 def test_the_distance_grid_is_that_of_both(pair):
     grid, x = pair.sdf, pair.cage.vertices.astype(np.float64)
-    piece = piece_of_vertices(pair.cage)
+    component = vertex_components(pair.cage.tets)
     for k in range(2):
-        middle = (x[piece == k].min(0) + x[piece == k].max(0)) / 2
-        away = (x[piece == k][:, 0].max() - middle[0]) * (
-            0.85 if k else 0.0
-        )  # in the ring's tube, in the ball's middle
+        mine = x[pair.cage.tets[component == k]].reshape(-1, 3)
+        middle = (mine.min(0) + mine.max(0)) / 2
+        away = (mine[:, 0].max() - middle[0]) * (0.85 if k else 0.0)  # in the ring's tube, in the ball's middle
         i = np.rint((middle + [away, 0, 0] - grid.origin) / grid.spacing).astype(int)
         assert grid.values[tuple(i)] < 0
     assert (grid.values[[0, -1]] > 0).all() and (grid.values[..., [0, -1]] > 0).all()
@@ -149,43 +148,6 @@ def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):
         assert np.median(off) < 1e-4 and off.max() < 0.02
     static, _, _ = load_bodies(Scene([replace(body, material=None)], None, (0, 1, 1), (0, 0, 0)))
     assert len(static) == 1 and len(static[0][1]) == 1  # what does not move stays whole, with the grid of all
-
-
-def test_corners_in_another_piece_are_brought_home():
-    """Two tets far apart; a Gaussian with one corner in the other one keeps its shape."""
-    tet = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    x = np.concatenate([tet, tet + [5, 0, 0]]).astype(np.float32)
-    tets = np.arange(8, dtype=np.int32).reshape(2, 4)
-    faces = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-    cage = Cage(x, tets, np.concatenate([faces, faces + 4]).astype(np.int32))
-    places = np.array([[0.1, 0.1, 0.1], [0.4, 0.1, 0.1], [0.1, 0.4, 0.1], [0.1, 0.1, 0.4]])
-    host = np.array([[0, 0, 1, 0]], np.int32)
-    base = tet + np.array([5.0, 0, 0]) * host[0][:, None, None]
-    last = np.stack([np.linalg.solve((b[1:] - b[0]).T, p - b[0]) for b, p in zip(base, places, strict=True)])
-    weights = np.concatenate([1 - last.sum(1, keepdims=True), last], 1)[None].astype(np.float32)
-    g = ball(60).select(np.arange(1))
-    first, second = split_components(Asset(g, cage, CageEmbedding(host, weights)))
-    assert len(first.gaussians) == 1 and len(second.gaussians) == 0
-    again = np.einsum("kj,kjc->kc", first.embedding.weights[0], first.cage.vertices[first.cage.tets[[0] * 4]])
-    assert_allclose(again, places, atol=1e-5)
-    assert split_components(first)[0] is first
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_pieces_are_those_of_the_faces(seed):
-    """Random chains of tets, against prepare.cage.mesh_quality.pieces; there only pieces without shared vertices count."""
-    rng = np.random.default_rng(seed)
-    tets, first = [], 0
-    for length in rng.integers(1, 60, 7):
-        tets.append(first + np.arange(length)[:, None] + np.arange(4))
-        first += length + 3
-    order = rng.permutation(first)
-    tets = order[np.concatenate(tets)]
-    found = piece_of_vertices(Cage(np.zeros((first, 3), np.float32), tets, None))
-    reference = face_components(tets)
-    for k in range(7):
-        assert len(np.unique(found[tets[reference == k]])) == 1
-    assert len(np.unique(found)) == 7 and (found[tets[:, 0]] == 0).sum() == np.bincount(reference).max()
 
 
 def test_the_command_keeps_all_pieces_and_says_how_many(ti_cpu, tmp_path, capsys, monkeypatch):

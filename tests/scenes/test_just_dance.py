@@ -1,7 +1,5 @@
 """What moves by itself among other things: rings bounce off the dancer, and hands do not carry it off."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,7 +7,6 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from assets.library import animated_height, find_asset
 from core.errors import BadInput
-from core.material import PERSON_HEIGHT, Material
 from display.protocol import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
@@ -162,12 +159,3 @@ def test_what_stands_still_cannot_dance():
         registry.load("just_dance", body="ring_red")
     assert animated_height("ring_red") is None
     assert_allclose(animated_height("dancer"), np.ptp(Asset.load(find_asset("dancer")).cage.vertices[:, 1]))
-
-
-def test_a_small_dancer_is_softer_and_a_giant_is_not_harder():
-    flesh = Material.named("flesh")
-    assert Material.animated("flesh", PERSON_HEIGHT) == Material.animated("flesh", 3.0) == flesh
-    half = Material.animated("flesh", PERSON_HEIGHT / 2)
-    assert_allclose(half.young, flesh.young / 4)
-    assert replace(half, young=flesh.young) == flesh
-    assert Material.animated("flesh", 0.01).young == 1e3

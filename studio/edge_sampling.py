@@ -98,8 +98,8 @@ def points_along(edges: HalfEdges, spacing: np.ndarray) -> EdgePoints:
     return EdgePoints(points, direction[e], edges.normals[e], half, apart, tree)
 
 
-def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of surfels just inside the faces: points, normals (N, 3), covariances (N, 3, 3) and spacings (N,).
+def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of surfels just inside the faces: points and normals (N, 3), covariances (N, 3, 3).
 
     Long edges are straight, so their points are farther apart; each end gets one additional, small surfel.
     """
@@ -118,7 +118,7 @@ def rows_along(edges: HalfEdges, spacing: np.ndarray) -> tuple[np.ndarray, np.nd
     d, i = direction[e], inward[e]
     covariance = width[:, None, None] ** 2 * d[:, :, None] * d[:, None]
     covariance += (SIGMA_OVER_EDGE_DISTANCE * ROW_INSET * spacing[e, None, None]) ** 2 * i[:, :, None] * i[:, None]
-    return points, edges.normals[e], covariance, spacing[e]
+    return points, edges.normals[e], covariance
 
 
 def distance_to_edges(edges: EdgePoints, points: np.ndarray, normals: np.ndarray, max_distance: float) -> np.ndarray:

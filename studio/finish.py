@@ -16,7 +16,7 @@ from studio.surface_sampling import EYES, Surfels
 TEXTURE_SAMPLES = 6  # under each Gaussian
 EXPOSURE, WHITE_POINT = 1.5, 3.2  # radiance times exposure that maps to 1
 WARMTH = np.array([1.0, 1.0, 1.02])
-CONTRAST, SATURATION = 0.22, 1.0
+CONTRAST = 0.22
 SHARPENING_ROUNDS = 4  # to undo the blur of overlapping Gaussians
 OPACITY = 0.97
 THICKNESS_RATIO = 0.12  # over the smaller width
@@ -31,9 +31,7 @@ def tone_map(radiance: np.ndarray) -> np.ndarray:
     x = EXPOSURE * np.maximum(radiance, 0) * WARMTH
     x = np.clip(x * (1 + x / WHITE_POINT**2) / (1 + x), 0, 1)
     x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
-    x = x + CONTRAST * x * (1 - x) * (2 * x - 0.9)
-    grey = x.mean(-1, keepdims=True)
-    return np.clip(grey + SATURATION * (x - grey), 0, 1)
+    return np.clip(x + CONTRAST * x * (1 - x) * (2 * x - 0.9), 0, 1)
 
 
 def sample_albedo(surfels: Surfels, surfaces: list[Surface], rng: np.random.Generator) -> np.ndarray:
@@ -91,9 +89,8 @@ def view_directions(at) -> tuple[np.ndarray, np.ndarray]:
     fraction = (np.arange(1, PLAYER_VIEWS + 1)[:, None] * [0.8191725, 0.6710436, 0.5497005]) % 1  # R3 sequence
     from_player = np.asarray(at) - (low + fraction * (high - low))
     from_player /= np.linalg.norm(from_player, axis=1, keepdims=True)
-    return np.concatenate([sphere, from_player]), np.concatenate(
-        [np.full(SPHERE_VIEWS, 0.25), np.full(PLAYER_VIEWS, 1.0)]
-    )
+    weights = np.repeat([0.25, 1.0], [SPHERE_VIEWS, PLAYER_VIEWS])
+    return np.concatenate([sphere, from_player]), weights
 
 
 def fit_view_dependence(normals: np.ndarray, colour: Callable, degree: int, views: tuple) -> np.ndarray:
@@ -131,7 +128,6 @@ def _weights(surfels: Surfels, neighbours: int, width: float) -> tuple[np.ndarra
     across = np.cross(surfels.normals, surfels.tangents)
     u = (offset * surfels.tangents[near]).sum(2) / (width * surfels.sigma[near, 0])
     v = (offset * across[near]).sum(2) / (width * surfels.sigma[near, 1])
-    alike = (surfels.surface[near] == surfels.surface[:, None]) & (
-        (surfels.normals[near] * surfels.normals[:, None]).sum(2) > 0.5
-    )
+    alike = (surfels.normals[near] * surfels.normals[:, None]).sum(2) > 0.5
+    alike &= surfels.surface[near] == surfels.surface[:, None]
     return np.exp(-0.5 * (u * u + v * v)) * alike, near

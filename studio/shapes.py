@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class Surface:
     roughness: float = 0.3
     translucency: float | None = None
     emission: tuple[float, float, float] | None = None
-    rotation: np.ndarray | None = None
+    rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     width: float = 1.0
     uniform: bool = False
@@ -58,10 +58,8 @@ class Surface:
     def placed(self, rotation=None, position=(0.0, 0.0, 0.0)) -> Surface:
         """The surface after a further rigid motion; its texture moves with it."""
         rotation = np.eye(3) if rotation is None else np.asarray(rotation)
-        own = np.eye(3) if self.rotation is None else self.rotation
-        return replace(
-            self, rotation=rotation @ own, position=tuple(rotation @ np.asarray(self.position) + np.asarray(position))
-        )
+        position = tuple(rotation @ np.asarray(self.position) + np.asarray(position))
+        return replace(self, rotation=rotation @ self.rotation, position=position)
 
     @property
     def world(self) -> Mesh:
@@ -70,8 +68,7 @@ class Surface:
 
     def albedo(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Linear albedo (N, 3) at world points (N, 3) with world normals (N, 3)."""
-        r = np.eye(3) if self.rotation is None else self.rotation
-        return self.colour((points - np.asarray(self.position)) @ r, normals @ r)
+        return self.colour((points - np.asarray(self.position)) @ self.rotation, normals @ self.rotation)
 
 
 def rotation_about(axis: str, degrees: float) -> np.ndarray:

@@ -63,11 +63,7 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Su
     """
     a = np.array([1.0, 0.0, 0.0])
     if surface.grain is not None:
-        a = (
-            np.asarray(surface.grain, float)
-            if surface.rotation is None
-            else surface.rotation @ np.asarray(surface.grain, float)
-        )
+        a = surface.rotation @ np.asarray(surface.grain, float)
     compress = np.eye(3) - (1 - 1 / surface.stretch) * np.outer(a, a)
     stretch = np.eye(3) + (surface.stretch - 1) * np.outer(a, a)
     world = surface.world
@@ -103,7 +99,7 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Su
         radii.append(np.full(keep.sum(), s))
     p, n, s = (np.concatenate(x) for x in (points, normals, radii))
     covariance = (surface.width * SIGMA_OVER_SPACING * s[:, None, None]) ** 2 * (np.eye(3) - n[:, :, None] * n[:, None])
-    row_p, row_n, row_covariance, _ = rows_along(edges, edge_spacing)
+    row_p, row_n, row_covariance = rows_along(edges, edge_spacing)
     p, n = np.concatenate([p, row_p]), np.concatenate([n, row_n])
     covariance = clip_to_edges(edge_points, p, n, np.concatenate([covariance, row_covariance]))
     sigma, axes = np.linalg.eigh(stretch @ covariance @ stretch)

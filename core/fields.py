@@ -32,15 +32,23 @@ class FieldGroup:
 
     def scalar(self, *shape: int, dtype=ti.f32):
         """A scalar field of this shape; no shape: a single value."""
-        return self._place(ti.field(dtype), shape)
+        return self._place([ti.field(dtype)], shape)[0]
 
-    def vector(self, *shape: int, n: int = 3, dtype=ti.f32):
-        """A field of n-vectors."""
-        return self._place(ti.Vector.field(n, dtype), shape)
+    def interleaved_scalars(self, count: int, *shape: int, dtype=ti.f32) -> list:
+        """`count` scalar fields whose entries of one index lie side by side in memory."""
+        return self._place([ti.field(dtype) for _ in range(count)], shape)
+
+    def vector(self, *shape: int, n: int = 3, dtype=ti.f32, column_major: bool = False):
+        """A field of n-vectors; `column_major` stores neighbours along the first of two axes side by side."""
+        return self._place([ti.Vector.field(n, dtype)], shape, column_major)[0]
+
+    def interleaved_vectors(self, count: int, *shape: int, n: int = 3, dtype=ti.f32) -> list:
+        """`count` fields of n-vectors whose entries of one index lie side by side in memory."""
+        return self._place([ti.Vector.field(n, dtype) for _ in range(count)], shape)
 
     def matrix(self, *shape: int, n: int = 3, m: int = 3, dtype=ti.f32):
         """A field of n x m matrices."""
-        return self._place(ti.Matrix.field(n, m, dtype), shape)
+        return self._place([ti.Matrix.field(n, m, dtype)], shape)[0]
 
     def build(self) -> None:
         """Allocate the declared fields, all zero."""
@@ -51,11 +59,14 @@ class FieldGroup:
         if self._tree is not None and not self._tree.destroyed:
             self._tree.destroy()
 
-    def _place(self, field, shape):
+    def _place(self, fields: list, shape, column_major: bool = False) -> list:
         axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
-        node = self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder
-        node.place(field)
-        return field
+        if column_major:
+            node = self._builder.dense(ti.j, shape[1]).dense(ti.i, shape[0])
+        else:
+            node = self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder
+        node.place(*fields)
+        return fields
 
 
 def destroy_fields(owner) -> None:

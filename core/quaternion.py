@@ -122,3 +122,11 @@ def _eigenvector(A, root):
     else:  # no single best rotation: two singular values vanish, or F is a reflection of a sphere
         q = ti.Vector([1.0, 0.0, 0.0, 0.0])
     return q
+
+
+@ti.func
+def rotate_inverse(q, d):
+    """R(q)^T d for a unit quaternion wxyz."""
+    u = ti.math.vec3(q[1], q[2], q[3])
+    t = 2.0 * u.cross(d)
+    return d - q[0] * t + u.cross(t)

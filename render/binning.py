@@ -1,21 +1,23 @@
-"""Which splats each tile of the picture draws, front to back."""
+"""Tile binning: the splats of each tile of the picture, front to back."""
 
 import taichi as ti
 
-from render.footprint import WINDOW_COLUMNS
+from core.fields import FieldGroup
+from render.footprint import MASK_COLUMNS, tile_box, tile_columns
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
 
-# [bits] of a tile's number, at least: pictures of common sizes share the room and the kernels. By backend, on_gpu:
-FIRST_TILE_BITS = {False: 12, True: 16}  # what the sort does in one pass (640 x 360 in tiles of 8), in two passes
+# [bits] of a tile's number, at least, so that pictures of common sizes share the capacity and the kernels; by backend:
+MIN_TILE_BITS = {"cpu": 12, "cuda": 16}  # one pass of the sort (640 x 360 in tiles of 8), two passes
 
 
 @ti.data_oriented
 class DepthOrder:
-    """Seen Gaussians from front to back, one order for all views, and where the pairs of each begin.
+    """Visible Gaussians from front to back, one order for all views, and the offset of each one's pairs.
 
-    A pair is a (tile, Gaussian) that touch. `first_pair[k]` belongs to the k-th Gaussian in order.
+    A pair is a tile and a Gaussian that touches it. `first_pair[k]` belongs to the k-th Gaussian in order; `pairs` is
+    their total.
     """
 
     def __init__(self, projection: Projection):
@@ -24,53 +26,60 @@ class DepthOrder:
         self.sorter = RadixSort(capacity, drop=True)
         self.scan = PrefixSum(capacity)
         self.pairs = self.scan.total
-        self.first_pair = ti.field(ti.i32)
-        builder = ti.FieldsBuilder()
-        builder.dense(ti.i, capacity).place(self.first_pair)
-        self.tree = builder.finalize()
+        self.fields = f = FieldGroup()
+        self.first_pair = f.scalar(capacity, dtype=ti.i32)
+        f.build()
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
+        """Free the device memory."""
         self.sorter.destroy()
         self.scan.destroy()
-        self.tree.destroy()
+        self.fields.destroy()
 
     @ti.func
-    def arrange(self):
-        """Sort by depth and count pairs; outermost level of a kernel."""
+    def gaussian(self, k: ti.i32) -> ti.i32:
+        """Index of the k-th Gaussian from the front."""
+        return value_of(self.sorter.sorted_items[k])
+
+    @ti.func
+    def sort(self):
+        """Sort visible Gaussians by depth; outermost level of a kernel."""
         self.sorter.sort()
+
+    @ti.func
+    def count_pairs(self):
+        """Count the tiles of each Gaussian in order and scan the counts; outermost level of a kernel."""
         for k in range(self.sorter.kept[None]):
-            g = value_of(self.sorter.sorted_items[k])
+            g = self.gaussian(k)
             touched = 0
             for v in range(self.projection.views):
-                touched += self.projection.touched(v, g)
+                touched += self.projection.tile_count(v, g)
             self.first_pair[k] = touched
         self.scan.exclusive(self.first_pair, self.sorter.kept, self.first_pair)
 
 
 @ti.data_oriented
 class TileBins:
-    """Room for `capacity` pairs, sorted by tile; within a tile they stay in depth order.
+    """Pairs of tile and Gaussian, sorted by tile; within a tile they stay in depth order.
 
-    `begin[t]..end[t]` of `members`, i64 of (t, Gaussian), belong to tile t; tiles of all views are numbered
-    row by row, view by view. With more pairs than room nothing is binned: the owner must look at
-    `order.pairs` and come back with larger bins.
+    `begin[t]..end[t]` of `members`, i64 items of (t, Gaussian), belong to tile t; tiles of all views are numbered
+    row by row, view by view. With more pairs than `capacity` all bins are empty: the owner must compare `order.pairs`
+    and replace the bins by larger ones. `emit_threads` of them share a splat that exceeds a tile mask.
     """
 
-    def __init__(self, order: DepthOrder, capacity: int):
+    def __init__(self, order: DepthOrder, capacity: int, *, emit_threads: int | None = None):
         self.order, self.projection, self.capacity = order, order.projection, capacity
-        bits = max(FIRST_TILE_BITS[ti.cfg.arch == ti.cuda], (self.tiles - 1).bit_length())
+        on_gpu = ti.cfg.arch == ti.cuda
+        bits = max(MIN_TILE_BITS["cuda" if on_gpu else "cpu"], (self.tiles - 1).bit_length())
         self.tile_capacity = 1 << bits
         self.sorter = RadixSort(capacity, bits=bits)
         self.members = self.sorter.sorted_items
-        self.begin, self.end = ti.field(ti.i32), ti.field(ti.i32)
-        self.large, self.large_count = ti.field(ti.i32), ti.field(ti.i32)  # places in order of what exceeds a window
-        self.crew = 32 if ti.cfg.arch == ti.cuda else 1  # threads that share a large splat
-        builder = ti.FieldsBuilder()
-        builder.dense(ti.i, self.tile_capacity).place(self.begin, self.end)
-        builder.dense(ti.i, self.projection.splats.capacity).place(self.large)
-        builder.place(self.large_count)
-        self.tree = builder.finalize()
+        self.emit_threads = emit_threads or (32 if on_gpu else 1)
+        self.fields = f = FieldGroup()
+        self.begin, self.end = f.interleaved_scalars(2, self.tile_capacity, dtype=ti.i32)
+        self.large = f.scalar(self.projection.splats.capacity, dtype=ti.i32)  # positions in order of large splats
+        self.large_count = f.scalar(dtype=ti.i32)
+        f.build()
 
     @property
     def tiles(self) -> int:
@@ -79,31 +88,39 @@ class TileBins:
         return self.projection.views * columns * rows
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
+        """Free the device memory."""
         self.sorter.destroy()
-        self.tree.destroy()
+        self.fields.destroy()
 
     @ti.func
     def tiles_per_view(self) -> ti.i32:
-        """As the device knows it."""
+        """Number of tiles in a view, from the device's `grid`."""
         return self.projection.grid[None][2] * self.projection.grid[None][3]
 
     @ti.func
-    def fill(self):
-        """Emit all pairs in depth order and sort them stably by tile; outermost level of a kernel."""
+    def emit(self):
+        """Write all pairs in depth order; outermost level of a kernel."""
         self.sorter.count[None] = 0
         self.large_count[None] = 0
         if self.order.pairs[None] <= self.capacity:
             self.sorter.count[None] = self.order.pairs[None]
         for k in range(self.order.sorter.kept[None]):
             if self.sorter.count[None] > 0:
-                larger = self._emit(value_of(self.order.sorter.sorted_items[k]), self.order.first_pair[k])
+                larger = self._emit_masked(self.order.gaussian(k), self.order.first_pair[k])
                 if larger:
                     self.large[ti.atomic_add(self.large_count[None], 1)] = k
-        for i in range(self.large_count[None] * self.crew):
-            k = self.large[i // self.crew]
-            self._emit_large(value_of(self.order.sorter.sorted_items[k]), self.order.first_pair[k], i % self.crew)
+        for i in range(self.large_count[None] * self.emit_threads):
+            k = self.large[i // self.emit_threads]
+            self._emit_large(self.order.gaussian(k), self.order.first_pair[k], i % self.emit_threads)
+
+    @ti.func
+    def sort(self):
+        """Sort the pairs stably by tile; outermost level of a kernel."""
         self.sorter.sort()
+
+    @ti.func
+    def find_ranges(self):
+        """Set `begin` and `end` of each tile; outermost level of a kernel."""
         for t in range(self.projection.views * self.tiles_per_view()):
             self.begin[t] = 0
             self.end[t] = 0
@@ -119,17 +136,17 @@ class TileBins:
         return ti.cast(key_of(self.members[i]), ti.i32)
 
     @ti.func
-    def _emit(self, g: ti.i32, slot: ti.i32):
-        """Write the pairs of a Gaussian from `slot` on; returns whether larger splats of it are left."""
+    def _emit_masked(self, g: ti.i32, slot: ti.i32):
+        """Write the pairs of a Gaussian from `slot` on; returns whether splats without a tile mask are left."""
         left_over = False
         columns = self.projection.grid[None][2]
         for v in range(self.projection.views):
-            window = self.projection.window[v, g]
-            bits = window[1]
-            corner = v * self.tiles_per_view() + (window[0] >> 16) * columns + (window[0] & 0xFFFF)
+            mask = self.projection.tile_mask[v, g]
+            bits = mask[1]
+            corner = v * self.tiles_per_view() + (mask[0] >> 16) * columns + (mask[0] & 0xFFFF)
             while bits > 0:
-                place = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)  # of the lowest bit
-                tile = corner + place // WINDOW_COLUMNS * columns + place % WINDOW_COLUMNS
+                lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
+                tile = corner + lowest // MASK_COLUMNS * columns + lowest % MASK_COLUMNS
                 self.sorter.items[slot] = item_of(tile, g)
                 slot += 1
                 bits &= bits - 1
@@ -140,17 +157,17 @@ class TileBins:
 
     @ti.func
     def _emit_large(self, g: ti.i32, slot: ti.i32, member: ti.i32):
-        """Write every `crew`-th row, from row `member` on, of the splats of a Gaussian that exceed a window."""
+        """Write every `emit_threads`-th row, from row `member` on, of a Gaussian's splats without a tile mask."""
         for v in range(self.projection.views):
-            if self.projection.window[v, g][1] >= 0:
-                slot += self.projection.touched(v, g)
+            if self.projection.tile_mask[v, g][1] >= 0:
+                slot += self.projection.tile_count(v, g)
             else:
-                place, conic = self.projection.place[v, g], self.projection.conic[v, g]
+                mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
                 box = self.projection.box[v, g]
-                left, right, top, bottom = self.projection.tile_box(place, box)
+                left, right, top, bottom = tile_box(mean2d, box, self.projection.tile, self.projection.grid)
                 for row in range(top, bottom):
-                    first, last = self.projection.tile_columns(row, left, right, place, conic, box)
-                    if (row - top) % self.crew == member:
+                    first, last = tile_columns(row, left, right, mean2d, conic, box, self.projection.tile)
+                    if (row - top) % self.emit_threads == member:
                         tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
                         for column in range(first, last):
                             self.sorter.items[slot + column - first] = item_of(tile + column, g)

@@ -1,91 +1,148 @@
-"""Where a splat's ellipse is seen: which tiles hold a pixel centre of it."""
+"""Footprint of a splat: the tiles that its ellipse touches, and the plane on which it lies along each pixel's ray.
+
+A splat is given by `mean2d`, `conic` and `box` (render/projection.py); `tile` is (width, height) of a tile [px], `grid`
+the field (width, height [px], columns, rows of tiles) of the picture.
+"""
 
 import math
 
 import taichi as ti
 
-STEPS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-STEPS
-WINDOW_COLUMNS, WINDOW_ROWS = 6, 5  # [tiles], 30 bits; larger splats are looked at again when they are binned
-SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
+CUTOFF_BITS = math.log2(255)  # a splat ends where its alpha falls below one 8-bit step, 2^-CUTOFF_BITS
+MASK_COLUMNS, MASK_ROWS = 6, 5  # [tiles], 30 bits; a larger splat has no mask and is rasterised again when binned
+CUTOFF_SLACK = 1e-3  # widens the tile test: rounding must not lose a pixel
+MAX_TILT = 0.5  # of the distance: largest change of depth within the splat; beyond it, the plane is flattened
 
-vec2, vec4 = ti.math.vec2, ti.math.vec4
-
-
-@ti.data_oriented
-class Footprint:
-    """What Projection knows of the ellipses that it writes; `place`, `conic`, `box`, `window` and `grid` are there."""
-
-    @ti.func
-    def _window(self, place: vec4, conic: vec4, box: vec4):
-        left, right, top, bottom = self.tile_box(place, box)
-        fits = right - left <= WINDOW_COLUMNS and bottom - top <= WINDOW_ROWS
-        touched, bits = 0, 0
-        for row in range(top, bottom):
-            first, last = self.tile_columns(row, left, right, place, conic, box)
-            touched += last - first
-            if fits:
-                bits |= ((1 << (last - first)) - 1) << ((row - top) * WINDOW_COLUMNS + first - left)
-        if not fits:
-            bits = -touched
-        return ti.Vector([left | top << 16, bits])
-
-    @ti.func
-    def touched(self, v: ti.i32, g: ti.i32) -> ti.i32:
-        """How many tiles of view `v` splat `g` touches."""
-        bits = self.window[v, g][1]
-        return -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
-
-    @ti.func
-    def _meets_picture(self, x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32):
-        """Whether a box around pixel position (x, y) and the picture overlap."""
-        middle_x, middle_y = 0.5 * self.grid[None][0], 0.5 * self.grid[None][1]
-        return ti.abs(x - middle_x) < half_width + middle_x and ti.abs(y - middle_y) < half_height + middle_y
-
-    @ti.func
-    def tile_box(self, place: vec4, box: vec4):
-        """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
-        left, right = self._tiles_between(place.x - box[0], place.x + box[0], 0, self.grid[None][2], self.tile[0])
-        top, bottom = self._tiles_between(place.y - box[1], place.y + box[1], 0, self.grid[None][3], self.tile[1])
-        return left, right, top, bottom
-
-    @ti.func
-    def tile_columns(self, row: ti.i32, left: ti.i32, right: ti.i32, place: vec4, conic: vec4, box: vec4):
-        """Columns of tiles [first, last) of a row that hold a pixel centre column of the ellipse's part in it.
-
-        left and right are those of the splat's box.
-        """
-        first, last = left, right
-        if right - left > 1:
-            top = row * self.tile[1] + 0.5
-            low, high = self.ends(top, top + (self.tile[1] - 1), place, conic, box)
-            first, last = self._tiles_between(low, high, left, right, self.tile[0])
-        return first, last
-
-    @ti.func
-    def ends(self, top: ti.f32, bottom: ti.f32, place: vec4, conic: vec4, box: vec4):
-        """Left and right end [px] of the ellipse's part between two heights [px], where its box has a part.
-
-        The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
-        rightmost point, clamped to the strip; likewise the left end, by symmetry.
-        """
-        left, right = place.x - box[0], place.x + box[0]
-        A, B, C, det = conic[0], conic[1], conic[2], conic[3]
-        if det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
-            low, high = ti.max(top - place.y, -box[1]), ti.min(bottom - place.y, box[1])
-            d = clamp(vec2(box[2], -box[2]), low, high)  # where the right and the left end are
-            root = ti.sqrt(ti.max(A * (place.z + STEPS + SLACK) - det * d * d, 0.0))
-            middle = place.x - B / A * d
-            left, right = middle[1] - root[1] / A, middle[0] + root[0] / A
-        return left, right
-
-    @ti.func
-    def _tiles_between(self, low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32, tile: ti.template()):
-        """Tiles [first, last) of `tile` pixels, within [left, right), with a pixel centre in [low, high]."""
-        first = ti.cast(ti.floor(clamp((low + 0.5) / tile, float(left), float(right))), ti.i32)
-        last = ti.cast(ti.floor(clamp((high + (tile - 0.5)) / tile, float(left), float(right))), ti.i32)
-        return first, ti.max(first, last)
+vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
 
 @ti.func
 def clamp(x, low, high):
+    """x within [low, high]."""
     return ti.min(ti.max(x, low), high)
+
+
+@ti.func
+def meets_picture(x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32, grid: ti.template()):
+    """Whether a box about the pixel position (x, y) and the picture overlap."""
+    middle_x, middle_y = 0.5 * grid[None][0], 0.5 * grid[None][1]
+    return ti.abs(x - middle_x) < half_width + middle_x and ti.abs(y - middle_y) < half_height + middle_y
+
+
+@ti.func
+def tile_mask_of(mean2d: vec4, conic: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
+    """The entry of `Projection.tile_mask` for a splat."""
+    left, right, top, bottom = tile_box(mean2d, box, tile, grid)
+    fits = right - left <= MASK_COLUMNS and bottom - top <= MASK_ROWS
+    touched, bits = 0, 0
+    for row in range(top, bottom):
+        first, last = tile_columns(row, left, right, mean2d, conic, box, tile)
+        touched += last - first
+        if fits:
+            bits |= ((1 << (last - first)) - 1) << ((row - top) * MASK_COLUMNS + first - left)
+    if not fits:
+        bits = -touched
+    return ti.Vector([left | top << 16, bits])
+
+
+@ti.func
+def tile_box(mean2d: vec4, box: vec4, tile: ti.template(), grid: ti.template()):
+    """Columns [left, right) and rows [top, bottom) of tiles with a pixel centre within the splat's box."""
+    left, right = tiles_between(mean2d.x - box[0], mean2d.x + box[0], 0, grid[None][2], tile[0])
+    top, bottom = tiles_between(mean2d.y - box[1], mean2d.y + box[1], 0, grid[None][3], tile[1])
+    return left, right, top, bottom
+
+
+@ti.func
+def tile_columns(row: ti.i32, left: ti.i32, right: ti.i32, mean2d: vec4, conic: vec4, box: vec4, tile: ti.template()):
+    """Columns [first, last) of tiles in a row of tiles that hold a pixel centre column of the ellipse.
+
+    left and right are those of the splat's box.
+    """
+    first, last = left, right
+    if right - left > 1:
+        top = row * tile[1] + 0.5
+        low, high = horizontal_extent(top, top + (tile[1] - 1), mean2d, conic, box)
+        first, last = tiles_between(low, high, left, right, tile[0])
+    return first, last
+
+
+@ti.func
+def horizontal_extent(top: ti.f32, bottom: ti.f32, mean2d: vec4, conic: vec4, box: vec4):
+    """Left and right end [px] of an ellipse between two heights [px], where its box has a part.
+
+    The right end x(dy) of an ellipse is concave in dy, so on a strip it is greatest at the
+    rightmost point, clamped to the strip; likewise the left end, by symmetry.
+    """
+    left, right = mean2d.x - box[0], mean2d.x + box[0]
+    A, B, C, det = conic[0], conic[1], conic[2], conic[3]
+    if det > 1e-6 * A * C:  # a thinner one would need more digits: it keeps its box
+        low, high = ti.max(top - mean2d.y, -box[1]), ti.min(bottom - mean2d.y, box[1])
+        d = clamp(vec2(box[2], -box[2]), low, high)  # dy of the right and of the left end
+        root = ti.sqrt(ti.max(A * (mean2d.z + CUTOFF_BITS + CUTOFF_SLACK) - det * d * d, 0.0))
+        middle = mean2d.x - B / A * d
+        left, right = middle[1] - root[1] / A, middle[0] + root[0] / A
+    return left, right
+
+
+@ti.func
+def tiles_between(low: ti.f32, high: ti.f32, left: ti.i32, right: ti.i32, side: ti.template()):
+    """Tiles [first, last) of `side` pixels, within [left, right), with a pixel centre in [low, high]."""
+    first = ti.cast(ti.floor(clamp((low + 0.5) / side, float(left), float(right))), ti.i32)
+    last = ti.cast(ti.floor(clamp((high + (side - 0.5)) / side, float(left), float(right))), ti.i32)
+    return first, ti.max(first, last)
+
+
+@ti.func
+def depth_slope(camera: ti.template(), v: ti.i32, p: vec3, s: ti.template(), blur: ti.f32, cutoff: ti.f32) -> vec2:
+    """Change of 1/z per pixel, (gx, gy) [1/(m px)], of a Gaussian along the rays of its pixels.
+
+    p: its mean [m] in the frame of view `v`; s: its covariance [m^2] in the world; blur: variance of the pixel filter
+    [px^2]; cutoff: where a splat ends [sigma^2].
+
+    Along a ray from the eye with unit direction d, a Gaussian with mean p (seen from the eye) and covariance Sigma is
+    densest at distance t = d^T Sigma^-1 p / d^T Sigma^-1 d.            Radl 2024 (StopThePop), per-pixel depth
+    To first order about the mean this is where the ray meets a plane through the mean,
+
+        1/t = a . d,   a = Sigma^-1 p / p^T Sigma^-1 p = (p/r - h) / r,   r = |p|,   h . p = 0.
+
+    In ray space h is the slope of the Gaussian's conditional mean: the distance of a point w beside p is r + h . w.
+    The plane is fixed in the world, so a turn of the head reorders nothing; for a flat Gaussian it is exact. A camera's
+    pixel has d = (x, y, 1) / |(x, y, 1)|. Splats of a pixel are sorted in descending order of
+
+        (x, y, 1) . a = 1/z_0 + gx dx + gy dy,   gx = a_x / fx,   gy = a_y / fy,
+
+    at (dx, dy) [px] from the splat's centre, z_0 being the camera z of the mean. Sigma is thickened by the filter of a
+    pixel at distance r: a Gaussian thinner than that gets no slope from rounding.
+    """
+    from_eye = vec3(0.0)  # p, along the world's axes
+    for k in ti.static(range(3)):
+        from_eye += p[k] * camera[v, k].xyz
+    intrinsics = camera[v, 3]  # fx, fy, cx, cy
+    a = depth_plane(from_eye, s, blur * p.dot(p) / (intrinsics.x * intrinsics.y), cutoff)
+    return vec2(a.dot(camera[v, 0].xyz) / intrinsics.x, a.dot(camera[v, 1].xyz) / intrinsics.y)
+
+
+@ti.func
+def depth_plane(p: vec3, s: ti.template(), thickness: ti.f32, cutoff: ti.f32) -> vec3:
+    """a [1/m] of the plane {x: a . x = 1} that approximates a Gaussian as seen from the eye.
+
+    p: its mean [m]; s: Sigma as (xx, xy, xz, yy, yz, zz) [m^2]; thickness: added to each variance [m^2];
+    cutoff: where a splat ends [sigma^2].
+    """
+    xx, yy, zz = s[0] + thickness, s[3] + thickness, s[5] + thickness
+    n = vec3(
+        (yy * zz - s[4] * s[4]) * p.x + (s[2] * s[4] - s[1] * zz) * p.y + (s[1] * s[4] - s[2] * yy) * p.z,
+        (s[2] * s[4] - s[1] * zz) * p.x + (xx * zz - s[2] * s[2]) * p.y + (s[1] * s[2] - xx * s[4]) * p.z,
+        (s[1] * s[4] - s[2] * yy) * p.x + (s[1] * s[2] - xx * s[4]) * p.y + (xx * yy - s[1] * s[1]) * p.z,
+    )  # det(Sigma) Sigma^-1 p
+    r = p.norm()
+    ray = p / r
+    h = vec3(0.0)
+    if n.dot(ray) > 0:
+        h = ray - n / n.dot(ray)
+    edge = xx * h.x * h.x + yy * h.y * h.y + zz * h.z * h.z
+    edge = cutoff * (edge + 2 * (s[1] * h.x * h.y + s[2] * h.x * h.z + s[4] * h.y * h.z))  # [m^2], squared
+    if not (edge <= (MAX_TILT * r) ** 2):  # also if it is not a number
+        h *= MAX_TILT * r / ti.sqrt(edge)
+    return (ray - h) / r

@@ -1,103 +1,135 @@
 """Front-to-back blending in each pixel's own order.
 
-Splats come to a tile sorted by distance. Each pixel keeps the next few in a window sorted by where its own ray meets
-them (render/ray_depth.py); when one more comes, the nearest is blended. What is out of order by fewer places than
-the window has is put right.                                      Radl 2024 (StopThePop), local resorting
+Splats come to a tile sorted by distance. Each pixel keeps the next few in a buffer (a k-buffer), sorted by the distance
+at which its own ray meets them (`footprint.depth_slope`); when one more comes, the nearest is blended. Splats out of
+order by fewer places than the buffer has are put right.             Radl 2024 (StopThePop), local resorting
 """
 
 import taichi as ti
 
 from render.binning import TileBins
-from render.blend import ACROSS, ALPHA_MAX, BATCH, CELL, CELL_BITS, CHECK, CPU_TILE, GPU_TILE, OPAQUE, QUAD, Blend, exp2
-from render.footprint import STEPS
+from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
+from render.tile_batch import (
+    ACROSS,
+    ALPHA_MAX,
+    BATCH,
+    CELL,
+    CELL_BITS,
+    CHECK_INTERVAL,
+    CPU_TILE,
+    GPU_TILE,
+    MIN_TRANSMITTANCE,
+    QUAD,
+    exp2,
+    load_member,
+    tile_origin,
+)
 
-WINDOW = 16  # splats; 8 leave twice the error in four fifths of the time (bench/NOTES.md)
-CLEARLY = 1.0 + 1e-4  # times as near overtakes: what lies in one plane keeps its order, else rounding would shuffle it
-THREADS = GPU_TILE[0] * GPU_TILE[1]  # one pixel a thread: its window takes all registers there are
-NEAREST = 1e30  # [1/m] of places in the window that hold nothing: they leave first
+BUFFER_SIZE = 16  # splats; 8 leave twice the error in four fifths of the time (bench/NOTES.md)
+OVERTAKE_RATIO = 1.0 + 1e-4  # a splat overtakes if nearer by this factor: coplanar ones keep their order under rounding
+PIXEL_THREADS = GPU_TILE[0] * GPU_TILE[1]  # one pixel per thread: its buffer takes all registers there are
+EMPTY_INV_DEPTH = 1e30  # [1/m] of empty places in the buffer: they leave first
 
 
 @ti.data_oriented
-class PerPixelSort(Blend):
-    """Draws binned splats as `Blend` does, but each pixel in the order of its own ray, within `window` splats.
+class PerPixelSort:
+    """Draws binned splats as `Blend` does, but each pixel in the order of its own ray, within `buffer_size` splats.
 
-    A place in the window is (near, veil, name): 1/z where the ray meets the splat, its alpha, which Gaussian.
+    A place of the buffer holds the inverse depth at which the ray meets the splat, its alpha, and the Gaussian's index.
     The first place is the nearest. A new splat takes the place behind all that it does not overtake; those move up,
     and the first of them leaves.
     """
 
-    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, window: int = WINDOW):
-        super().__init__(bins, with_color=with_color, with_depth=with_depth)
-        self.window = window
+    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, buffer_size: int = BUFFER_SIZE):
+        self.bins, self.projection = bins, bins.projection
+        self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
+        self.on_gpu = ti.cfg.arch == ti.cuda
+
+    @ti.func
+    def draw(self, sink: ti.template(), out: ti.template()):
+        """Blend all tiles; see `Blend.draw`."""
+        if ti.static(self.on_gpu):
+            self._draw_gpu(sink, out)
+        else:
+            self._draw_cpu(sink, out)
 
     @ti.func
     def _draw_cpu(self, sink: ti.template(), out: ti.template()):
-        """One row of a tile a loop iteration; a finished pixel is as in Blend.
+        """One row of a tile per loop iteration; a finished pixel is as in Blend.
 
-        Each place of the window is three vector registers over the row's pixels, so nothing branches: what misses
-        a pixel comes as NEAREST and leaves at once, and after the last splat come `window` empty ones behind all.
+        Each place of the buffer is three vector registers over the row's pixels, so nothing branches: a splat that
+        misses a pixel enters with EMPTY_INV_DEPTH and leaves at once; the last one is followed by `buffer_size` empty
+        splats behind all others.
         """
         ti.loop_config(block_dim=4 * CPU_TILE)
-        for line in range(self.bins.projection.views * self.bins.tiles_per_view() * CPU_TILE):
+        for line in range(self.projection.views * self.bins.tiles_per_view() * CPU_TILE):
             tile, row = line // CPU_TILE, line % CPU_TILE
-            width, height, columns = self.grid[None][0], self.grid[None][1], self.grid[None][2]
+            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y = in_view % columns * CPU_TILE, in_view // columns * CPU_TILE + row
+            x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))
+            y = y0 + row
             T, red, green, blue, depth = across(1.0), across(0.0), across(0.0), across(0.0), across(0.0)
-            near = [across(NEAREST) for _ in ti.static(range(self.window))]
-            veil = [across(0.0) for _ in ti.static(range(self.window))]
-            name = [across(0) for _ in ti.static(range(self.window))]
-            weight, who = across(0.0), across(0)  # of what leaves
+            inv_depths = [across(EMPTY_INV_DEPTH) for _ in ti.static(range(self.buffer_size))]
+            alphas = [across(0.0) for _ in ti.static(range(self.buffer_size))]
+            indices = [across(0) for _ in ti.static(range(self.buffer_size))]
+            weight, front_index = across(0.0), across(0)
             begin, end = self.bins.begin[tile], self.bins.end[tile]
-            stop = end + self.window
+            stop = end + self.buffer_size
             if begin == end or y >= height:
                 stop = begin
-            met = 0
+            visited = 0
             for i in range(begin, stop):
                 g, touches, missing = 0, True, 0.0
-                base, tilt, A, dx0, middle, slope = -2 * STEPS, 0.0, 0.0, 0.0, 0.0, 0.0
+                base, tilt, A, dx0, center, slope = -2 * CUTOFF_BITS, 0.0, 0.0, 0.0, 0.0, 0.0
                 if i < end:
-                    g, missing = value_of(self.bins.members[i]), NEAREST
-                    place, conic, box = self.place[v, g], self.conic[v, g], self.box[v, g]
-                    dx0, dy = x0 + 0.5 - place.x, y + 0.5 - place.y
+                    g, missing = value_of(self.bins.members[i]), EMPTY_INV_DEPTH
+                    mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
+                    box = self.projection.box[v, g]
+                    dx0, dy = x0 + 0.5 - mean2d.x, y + 0.5 - mean2d.y
                     touches = ti.abs(dy) <= box[1]
-                    A, tilt, base = conic[0], 2 * conic[1] * dy, place.z - conic[2] * dy * dy
-                    middle, slope = 1.0 / place.w + self.color[v, g][3] * dy, box[3]
+                    A, tilt, base = conic[0], 2 * conic[1] * dy, mean2d.z - conic[2] * dy * dy
+                    center, slope = 1.0 / mean2d.w + self.projection.color[v, g][3] * dy, box[3]
                 if touches:
                     for q in range(CPU_TILE):
                         dx = dx0 + q
                         power = base - dx * (A * dx + tilt)
                         alpha = exp2(power)
                         alpha = ti.select(alpha < ALPHA_MAX, alpha, ALPHA_MAX)
-                        alpha = ti.select(power < -STEPS, 0.0, alpha)
-                        n = ti.select(power < -STEPS, missing, middle + slope * dx)
-                        stays = n <= CLEARLY * near[0][q]  # behind all places so far
-                        leaving = ti.select(stays, veil[0][q], alpha)
-                        who[q] = ti.select(stays, name[0][q], g)
-                        for k in ti.static(range(1, self.window)):
-                            behind = stays & (n <= CLEARLY * near[k][q])
-                            near[k - 1][q] = ti.select(behind, near[k][q], ti.select(stays, n, near[k - 1][q]))
-                            veil[k - 1][q] = ti.select(behind, veil[k][q], ti.select(stays, alpha, veil[k - 1][q]))
-                            name[k - 1][q] = ti.select(behind, name[k][q], ti.select(stays, g, name[k - 1][q]))
+                        alpha = ti.select(power < -CUTOFF_BITS, 0.0, alpha)
+                        inv_depth = ti.select(power < -CUTOFF_BITS, missing, center + slope * dx)
+                        stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0][q]  # behind all entries so far
+                        front_alpha = ti.select(stays, alphas[0][q], alpha)
+                        front_index[q] = ti.select(stays, indices[0][q], g)
+                        for k in ti.static(range(1, self.buffer_size)):
+                            behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k][q])
+                            inv_depths[k - 1][q] = ti.select(
+                                behind, inv_depths[k][q], ti.select(stays, inv_depth, inv_depths[k - 1][q])
+                            )
+                            alphas[k - 1][q] = ti.select(
+                                behind, alphas[k][q], ti.select(stays, alpha, alphas[k - 1][q])
+                            )
+                            indices[k - 1][q] = ti.select(behind, indices[k][q], ti.select(stays, g, indices[k - 1][q]))
                             stays = behind
-                        near[self.window - 1][q] = ti.select(stays, n, near[self.window - 1][q])
-                        veil[self.window - 1][q] = ti.select(stays, alpha, veil[self.window - 1][q])
-                        name[self.window - 1][q] = ti.select(stays, g, name[self.window - 1][q])
+                        inv_depths[self.buffer_size - 1][q] = ti.select(
+                            stays, inv_depth, inv_depths[self.buffer_size - 1][q]
+                        )
+                        alphas[self.buffer_size - 1][q] = ti.select(stays, alpha, alphas[self.buffer_size - 1][q])
+                        indices[self.buffer_size - 1][q] = ti.select(stays, g, indices[self.buffer_size - 1][q])
                         before = T[q]
-                        after = before * (1.0 - leaving)
-                        goes_on = after > OPAQUE
-                        weight[q] = ti.select(goes_on, leaving * before, 0.0)
-                        T[q] = ti.select(goes_on, after, -ti.abs(before))
+                        after = before * (1.0 - front_alpha)
+                        visible = after > MIN_TRANSMITTANCE
+                        weight[q] = ti.select(visible, front_alpha * before, 0.0)
+                        T[q] = ti.select(visible, after, -ti.abs(before))
                     for q in range(CPU_TILE):
                         if ti.static(self.with_color):
-                            red[q] += weight[q] * self.color[v, who[q]][0]
-                            green[q] += weight[q] * self.color[v, who[q]][1]
-                            blue[q] += weight[q] * self.color[v, who[q]][2]
+                            red[q] += weight[q] * self.projection.color[v, front_index[q]][0]
+                            green[q] += weight[q] * self.projection.color[v, front_index[q]][1]
+                            blue[q] += weight[q] * self.projection.color[v, front_index[q]][2]
                         if ti.static(self.with_depth):
-                            depth[q] += weight[q] * self.place[v, who[q]][3]
-                    met += 1
-                    if met % CHECK == 0:
+                            depth[q] += weight[q] * self.projection.mean2d[v, front_index[q]][3]
+                    visited += 1
+                    if visited % CHECK_INTERVAL == 0:
                         alive = 0
                         for q in range(CPU_TILE):
                             alive += ti.cast(T[q] > 0, ti.i32)
@@ -110,23 +142,23 @@ class PerPixelSort(Blend):
 
     @ti.func
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
-        """One tile a block of threads, one pixel a thread; splats come through shared memory in batches.
+        """One tile per block of threads, one pixel per thread.
 
-        The window's places are known to the compiler, so that it stays in registers. Colours are read when a splat
-        leaves, by then its batch may be gone.
+        All indices into the buffer are compile-time constants, so that it stays in registers. Colours are read when a
+        splat leaves: by then its batch may have been replaced.
         """
-        ti.loop_config(block_dim=THREADS)
-        for thread in range(self.bins.projection.views * self.bins.tiles_per_view() * THREADS):
-            tile, lane = thread // THREADS, thread % THREADS
-            width, height, columns = self.grid[None][0], self.grid[None][1], self.grid[None][2]
+        ti.loop_config(block_dim=PIXEL_THREADS)
+        for thread in range(self.projection.views * self.bins.tiles_per_view() * PIXEL_THREADS):
+            tile, lane = thread // PIXEL_THREADS, thread % PIXEL_THREADS
+            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
-            x0, y0 = in_view % columns * GPU_TILE[0], in_view // columns * GPU_TILE[1]
+            x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
             cell, member = lane // (CELL * CELL), lane % (CELL * CELL)  # a cell is two warps
             x, y = x0 + cell % ACROSS * CELL + member % CELL, y0 + cell // ACROSS * CELL + member // CELL
             shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
             T, depth, rgb = 1.0, 0.0, ti.math.vec3(0.0)
-            near, veil = ti.Vector([NEAREST] * self.window), ti.Vector([0.0] * self.window)
-            name = ti.Vector([0] * self.window)
+            inv_depths, alphas = ti.Vector([EMPTY_INV_DEPTH] * self.buffer_size), ti.Vector([0.0] * self.buffer_size)
+            indices = ti.Vector([0] * self.buffer_size)
             done = 0
             if x >= width or y >= height:
                 done = 1
@@ -136,10 +168,10 @@ class PerPixelSort(Blend):
                 if ti.simt.block.sync_all_nonzero(done) != 0:
                     break
                 first = begin + batch * BATCH
-                for load in range((BATCH + THREADS - 1) // THREADS):
-                    j = load * THREADS + lane
+                for load in range((BATCH + PIXEL_THREADS - 1) // PIXEL_THREADS):
+                    j = load * PIXEL_THREADS + lane
                     if j < BATCH:  # the same for the whole warp
-                        self._load(shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
+                        load_member(self, shared, v, first + j, j, ti.cast(first + j < end, ti.i32), x0, y0)
                 ti.simt.block.sync()
                 for group in range((ti.min(BATCH, end - first) + 31) // 32):
                     bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
@@ -152,56 +184,58 @@ class PerPixelSort(Blend):
                             splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
                         dx, dy = x + 0.5 - splat[0], y + 0.5 - splat[1]
                         power = splat[2] - dx * (splat[4] * dx + splat[5] * dy) - splat[6] * dy * dy
-                        if power >= -STEPS:
-                            n = splat[3] + splat[7] * dx + splat[8] * dy
+                        if power >= -CUTOFF_BITS:
+                            inv_depth = splat[3] + splat[7] * dx + splat[8] * dy
                             alpha, g = ti.min(ALPHA_MAX, exp2(power)), ti.bit_cast(splat[9], ti.i32)
-                            leaving, who = alpha, g
-                            stays = n <= CLEARLY * near[0]  # behind all places so far
+                            front_alpha, front_index = alpha, g
+                            stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0]  # behind all entries so far
                             if stays:
-                                leaving, who = veil[0], name[0]
-                                for k in ti.static(range(1, self.window)):
-                                    behind = stays & (n <= CLEARLY * near[k])
-                                    near[k - 1] = ti.select(behind, near[k], ti.select(stays, n, near[k - 1]))
-                                    veil[k - 1] = ti.select(behind, veil[k], ti.select(stays, alpha, veil[k - 1]))
-                                    name[k - 1] = ti.select(behind, name[k], ti.select(stays, g, name[k - 1]))
+                                front_alpha, front_index = alphas[0], indices[0]
+                                for k in ti.static(range(1, self.buffer_size)):
+                                    behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k])
+                                    inv_depths[k - 1] = ti.select(
+                                        behind, inv_depths[k], ti.select(stays, inv_depth, inv_depths[k - 1])
+                                    )
+                                    alphas[k - 1] = ti.select(behind, alphas[k], ti.select(stays, alpha, alphas[k - 1]))
+                                    indices[k - 1] = ti.select(behind, indices[k], ti.select(stays, g, indices[k - 1]))
                                     stays = behind
                                 if stays:
-                                    near[self.window - 1], veil[self.window - 1] = n, alpha
-                                    name[self.window - 1] = g
-                            if T * (1.0 - leaving) <= OPAQUE:
+                                    inv_depths[self.buffer_size - 1], alphas[self.buffer_size - 1] = inv_depth, alpha
+                                    indices[self.buffer_size - 1] = g
+                            if T * (1.0 - front_alpha) <= MIN_TRANSMITTANCE:
                                 done = 1
-                            elif leaving > 0:
-                                rgb, depth = self._laid(rgb, depth, leaving * T, v, who)
-                                T *= 1.0 - leaving
-            for k in ti.static(range(self.window)):
-                if T * (1.0 - veil[k]) <= OPAQUE:
+                            elif front_alpha > 0:
+                                rgb, depth = self._blended(rgb, depth, front_alpha * T, v, front_index)
+                                T *= 1.0 - front_alpha
+            for k in ti.static(range(self.buffer_size)):
+                if T * (1.0 - alphas[k]) <= MIN_TRANSMITTANCE:
                     done = 1
-                if done == 0 and veil[k] > 0:
-                    rgb, depth = self._laid(rgb, depth, veil[k] * T, v, name[k])
-                    T *= 1.0 - veil[k]
+                if done == 0 and alphas[k] > 0:
+                    rgb, depth = self._blended(rgb, depth, alphas[k] * T, v, indices[k])
+                    T *= 1.0 - alphas[k]
             if x < width and y < height:
                 sink.write(out, v, y, x, rgb, depth, 1.0 - T)
 
     @ti.func
-    def _words(self, v, g, place, conic):
-        """What shared memory holds of a splat: x, y, log2 opacity, 1/z, A, 2 B, C, gx, gy, which Gaussian."""
-        x, y, log_opacity, near = place[0], place[1], place[2], 1.0 / place[3]
+    def words(self, v, g, mean2d, conic):
+        """Numbers of a splat in shared memory: x, y, log2 opacity, 1/z, A, 2 B, C, gx, gy, Gaussian index."""
+        x, y, log_opacity, inv_depth = mean2d[0], mean2d[1], mean2d[2], 1.0 / mean2d[3]
         A, B2, C = conic[0], 2 * conic[1], conic[2]
-        name = ti.bit_cast(g, ti.f32)
-        return ti.Vector([x, y, log_opacity, near, A, B2, C, self.box[v, g][3], self.color[v, g][3], name])
+        gx, gy = self.projection.box[v, g][3], self.projection.color[v, g][3]
+        return ti.Vector([x, y, log_opacity, inv_depth, A, B2, C, gx, gy, ti.bit_cast(g, ti.f32)])
 
     @ti.func
-    def _laid(self, rgb: ti.math.vec3, depth: ti.f32, weight: ti.f32, v: ti.i32, g: ti.i32):
-        """The sums with splat `g` of view `v` added."""
+    def _blended(self, rgb: ti.math.vec3, depth: ti.f32, weight: ti.f32, v: ti.i32, g: ti.i32):
+        """The sums of colour and depth, with splat `g` of view `v` added."""
         if ti.static(self.with_color):
             for k in ti.static(range(3)):
-                rgb[k] += weight * self.color[v, g][k]
+                rgb[k] += weight * self.projection.color[v, g][k]
         if ti.static(self.with_depth):
-            depth += weight * self.place[v, g][3]
+            depth += weight * self.projection.mean2d[v, g][3]
         return rgb, depth
 
 
 @ti.func
 def across(value):
-    """One number per pixel of a tile's row on the CPU."""
+    """A value for each pixel of a row of a CPU tile."""
     return ti.Vector([value] * CPU_TILE)

@@ -2,23 +2,28 @@
 
 import taichi as ti
 
-from render.shared_arrays import WORDS
+from core.fields import FieldGroup
 
-SATURATED = (1 << 30) - 1  # sums stop here: two saturated sums still fit an i32
+MAX_SUM = (1 << 30) - 1  # sums saturate here: two of them still fit an i32
 CPU_CHUNKS = 16  # more than a small machine's cores, few enough to scan one after the other
-BLOCK = 256
-ITEMS = 4  # per thread of a block
+BLOCK = 256  # threads
+SCAN_ITEMS = 4  # per thread of a block
+# Length of every block-shared array of a kernel with several loops. Taichi 1.7.4 names a shared array after its
+# statement's number, which starts anew in each top-level loop, and links all loops of a kernel together: two arrays
+# that draw the same number become one of the smaller size, and writes beyond it fault (CUDA_ERROR_ILLEGAL_ADDRESS, or
+# silent damage). With one size there is nothing to confuse.
+SHARED_WORDS = 8704  # 34 KiB: counts, and ranks, keys and values of 2048 items to sort; 6 such blocks fit an SM
 
 
 @ti.func
 def saturating_add(a: ti.i32, b: ti.i32) -> ti.i32:
-    """min(a + b, SATURATED); associative, so it can be scanned."""
-    return ti.min(a + b, SATURATED)
+    """min(a + b, MAX_SUM); associative, so it can be scanned."""
+    return ti.min(a + b, MAX_SUM)
 
 
 @ti.func
 def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
-    """Sum of `value` over the threads of a block of BLOCK before this one, CUDA only.
+    """Exclusive prefix sum of `value` over the threads of a block of BLOCK, CUDA only.
 
     Every thread of the block must call it. Hillis and Steele's scan in the first 2 BLOCK words of `shared`.
     """
@@ -43,28 +48,26 @@ def block_exclusive(shared: ti.template(), value: ti.i32, lane: ti.i32):
 class PrefixSum:
     """Prefix sums over up to `capacity` items.
 
-    Each chunk is summed, the sums are scanned, each chunk is scanned from its offset. A sum that
-    would pass 2^30 - 1 stays there, so that a caller can detect it.
+    Each chunk is summed, the sums are scanned, and each chunk is scanned from its offset. Sums saturate at MAX_SUM, so
+    that a caller can detect overflow.
     """
 
     def __init__(self, capacity: int):
         self.capacity = capacity
         self.on_gpu = ti.cfg.arch == ti.cuda
-        self.chunks = -(-capacity // (BLOCK * ITEMS)) if self.on_gpu else CPU_CHUNKS
-        self.sums = ti.field(ti.i32)
-        self.total = ti.field(ti.i32)
-        builder = ti.FieldsBuilder()
-        builder.dense(ti.i, self.chunks).place(self.sums)
-        builder.place(self.total)
-        self.tree = builder.finalize()
+        self.chunks = -(-capacity // (BLOCK * SCAN_ITEMS)) if self.on_gpu else CPU_CHUNKS
+        self.fields = f = FieldGroup()
+        self.sums = f.scalar(self.chunks, dtype=ti.i32)
+        self.total = f.scalar(dtype=ti.i32)
+        f.build()
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()
 
     @ti.func
     def exclusive(self, values: ti.template(), count: ti.template(), offsets: ti.template()):
-        """Out: offsets[i] = values[0] + ... + values[i-1] for i < count[None]; `total` = sum of all.
+        """Out: offsets[i] = values[0] + ... + values[i-1] for i < count[None]; `total` = the sum of all.
 
         To be called at the outermost level of a kernel. `offsets` may be `values`.
         """
@@ -82,13 +85,13 @@ class PrefixSum:
             for i in range(c * length, ti.min((c + 1) * length, count[None])):
                 total = saturating_add(total, values[i])
             self.sums[c] = total
-        so_far = 0
+        running = 0
         ti.loop_config(serialize=True)
         for c in range(self.chunks):
             own = self.sums[c]
-            self.sums[c] = so_far
-            so_far = saturating_add(so_far, own)
-        self.total[None] = so_far
+            self.sums[c] = running
+            running = saturating_add(running, own)
+        self.total[None] = running
         ti.loop_config(block_dim=1)
         for c in range(self.chunks):
             length = (count[None] + self.chunks - 1) // self.chunks
@@ -103,12 +106,12 @@ class PrefixSum:
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.chunks * BLOCK):
             c, lane = thread // BLOCK, thread % BLOCK
-            first = thread * ITEMS
-            if c * BLOCK * ITEMS < count[None]:  # the same for the whole block
+            first = thread * SCAN_ITEMS
+            if c * BLOCK * SCAN_ITEMS < count[None]:  # the same for the whole block
                 own = 0
-                for i in range(first, ti.min(first + ITEMS, count[None])):
+                for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
                     own = saturating_add(own, values[i])
-                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 before = block_exclusive(shared, own, lane)
                 if lane == BLOCK - 1:
                     self.sums[c] = saturating_add(before, own)
@@ -120,7 +123,7 @@ class PrefixSum:
             own = 0
             for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
                 own = saturating_add(own, self.sums[c])
-            shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+            shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
             before = block_exclusive(shared, own, lane)
             for c in range(lane * length, ti.min((lane + 1) * length, self.chunks)):
                 value = self.sums[c]
@@ -131,14 +134,14 @@ class PrefixSum:
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.chunks * BLOCK):
             c, lane = thread // BLOCK, thread % BLOCK
-            first = thread * ITEMS
-            if c * BLOCK * ITEMS < count[None]:
+            first = thread * SCAN_ITEMS
+            if c * BLOCK * SCAN_ITEMS < count[None]:
                 own = 0
-                for i in range(first, ti.min(first + ITEMS, count[None])):
+                for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
                     own = saturating_add(own, values[i])
-                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 before = saturating_add(self.sums[c], block_exclusive(shared, own, lane))
-                for i in range(first, ti.min(first + ITEMS, count[None])):
+                for i in range(first, ti.min(first + SCAN_ITEMS, count[None])):
                     value = values[i]
                     offsets[i] = before
                     before = saturating_add(before, value)

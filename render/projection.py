@@ -1,41 +1,50 @@
-"""From Gaussians to splats: EWA projection, colour, footprint and the tiles it touches, per view."""
+"""Projection of Gaussians to splats: EWA covariance, colour, and the tiles that each splat touches, per view."""
 
 import math
 
 import taichi as ti
 
-from render.color import color_of
-from render.footprint import SLACK, STEPS, Footprint, clamp
+from core.fields import FieldGroup
+from render import SORTS
+from render.footprint import (
+    CUTOFF_BITS,
+    CUTOFF_SLACK,
+    clamp,
+    depth_slope,
+    meets_picture,
+    tile_mask_of,
+)
 from render.radix_sort import DROPPED, item_of
-from render.ray_depth import slope
-from render.sort_modes import SORTS
-from render.splats import Splats
+from render.splats import Splats, color_of
 
-NEAR = 0.01  # [m] of camera z
+NEAR_PLANE = 0.01  # [m] of camera z
 DILATION = 0.3  # [px^2] added to the variance: a splat is never thinner than a pixel's filter
-EDGE = 0.3  # the Jacobian's x/z is held within the picture plus this share of tan(fov / 2)
-BRIGHTEST, WIDEST = 1e6, 1e15  # a colour, a variance [px^2] beyond is broken, and is not drawn
-MOST_REACH = 2 * math.log(255) + 0.01  # [sigma^2] where the most opaque splat ends
+GUARD_BAND = 0.3  # the Jacobian's x/z is held within the picture plus this fraction of tan(fov / 2)
+MAX_COLOR, MAX_VARIANCE = 1e6, 1e15  # a colour, a variance [px^2] beyond is broken, and is not drawn
+MAX_CUTOFF = 2 * math.log(255) + 0.01  # [sigma^2] at which an opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 
 vec3, vec4 = ti.math.vec3, ti.math.vec4
+CameraRows = ti.types.matrix(4, 4, ti.f32)
 
 
 @ti.data_oriented
-class Projection(Footprint):
-    """Splats of all `views` in pixels, and the depth by which they are sorted.
+class Projection:
+    """Splats of all `views` in pixels, and the depths by which they are sorted.
 
-    `tile`, (width, height) of a tile [px].
-    `camera`, (views, 4) of vec4: three rows of world_to_camera and (fx, fy, cx, cy); `near`, the
-    least camera z [m] that is drawn; `grid`, (width, height [px], columns, rows of tiles): on the device, so that
-    a picture of another size needs no other kernels. Out:
-    place  (x, y [px], log2 opacity, camera z [m]), (views, capacity)
-    conic  (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
-    color  (r, g, b, change of 1/z per row)
-    box    (half width, half height, dy of the rightmost point [px], change of 1/z per column) of the visible ellipse;
-           changes only for sort="pixel" [1/(m px)], see render/ray_depth.py
-    window what tiles it touches, vec2 i32: the first column | first row << 16, and, bit 6 row + column
-           for tile (column, row) from there; or, if it spans more than 6 x 5 tiles, minus their number
+    tile       (width, height) of a tile [px]
+    camera     vec4 (views, 4): three rows of world_to_camera, then (fx, fy, cx, cy)
+    near       least camera z [m] that is drawn, (views,)
+    grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
+
+    Out, of shape (views, capacity):
+    mean2d     (x, y [px], log2 opacity, camera z [m])
+    conic      (A, B, C, A C - B^2): alpha = 2^(log2 opacity - A dx^2 - 2 B dx dy - C dy^2)
+    color      (r, g, b, change of 1/z per row [1/(m px)])
+    box        (half width, half height, dy of the rightmost point [px], change of 1/z per column [1/(m px)]) of the
+               visible ellipse; the changes of 1/z are set for sort="pixel" only (`depth_slope`)
+    tile_mask  vec2 i32, the tiles it touches: the first column | first row << 16; bit MASK_COLUMNS row + column for
+               tile (column, row) from there, or minus their number if they exceed the mask
     """
 
     def __init__(
@@ -54,51 +63,37 @@ class Projection(Footprint):
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
-        self.camera = ti.Vector.field(4, ti.f32)
-        self.near = ti.field(ti.f32)
-        self.grid = ti.Vector.field(4, ti.i32)
-        self.place = ti.Vector.field(4, ti.f32)
-        self.conic = ti.Vector.field(4, ti.f32)
-        self.color = ti.Vector.field(4, ti.f32)
-        self.box = ti.Vector.field(4, ti.f32)
-        self.window = ti.Vector.field(2, ti.i32)
-        builder = ti.FieldsBuilder()
-        splat = builder.dense(ti.ij, (views, splats.capacity))
-        splat.place(self.place, self.conic, self.color, self.box)  # 64 bytes: a splat is one cache line
-        builder.dense(ti.ij, (views, 4)).place(self.camera)
-        builder.dense(ti.i, views).place(self.near)
-        builder.place(self.grid)
-        builder.dense(ti.j, splats.capacity).dense(ti.i, views).place(self.window)  # both eyes' side by side
-        self.tree = builder.finalize()
-        self.near.fill(NEAR)
+        self.fields = f = FieldGroup()
+        # 64 bytes: a splat is one cache line
+        self.mean2d, self.conic, self.color, self.box = f.interleaved_vectors(4, views, splats.capacity, n=4)
+        self.camera = f.vector(views, 4, n=4)
+        self.near = f.scalar(views)
+        self.grid = f.vector(n=4, dtype=ti.i32)
+        self.tile_mask = f.vector(
+            views, splats.capacity, n=2, dtype=ti.i32, column_major=True
+        )  # both eyes' side by side
+        f.build()
+        self.near.fill(NEAR_PLANE)
         self.set_size(width, height)
 
     def set_size(self, width: int, height: int) -> None:
-        """Pictures are width x height [px] from now on."""
+        """Set the picture size [px]."""
         self.tiles = (-(-width // self.tile[0]), -(-height // self.tile[1]))  # columns, rows
         self.grid[None] = [width, height, *self.tiles]
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()
 
     @ti.kernel
-    def set_camera(
-        self, v: ti.i32,
-        a0: ti.f32, a1: ti.f32, a2: ti.f32, a3: ti.f32,
-        b0: ti.f32, b1: ti.f32, b2: ti.f32, b3: ti.f32,
-        c0: ti.f32, c1: ti.f32, c2: ti.f32, c3: ti.f32,
-        fx: ti.f32, fy: ti.f32, cx: ti.f32, cy: ti.f32,
-    ):  # fmt: skip
-        """Rows of world_to_camera and intrinsics of view `v`; scalars reach the device without a copy to wait for."""
-        self.camera[v, 0] = vec4(a0, a1, a2, a3)
-        self.camera[v, 1] = vec4(b0, b1, b2, b3)
-        self.camera[v, 2] = vec4(c0, c1, c2, c3)
-        self.camera[v, 3] = vec4(fx, fy, cx, cy)
+    def set_camera(self, v: ti.i32, rows: CameraRows):
+        """Set view `v`; kernel arguments reach the device without a copy to wait for."""
+        for k in ti.static(range(4)):
+            self.camera[v, k] = vec4(rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3])
 
     @ti.func
     def project(self, begin: ti.i32, end: ti.i32, sorter: ti.template()):
-        """Project Gaussians begin..end-1 and hand their depths to `sorter`; outermost level of a kernel.
+        """Project Gaussians [begin, end) and give `sorter` their depths; outermost level of a kernel.
 
         Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
         with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
@@ -110,18 +105,18 @@ class Projection(Footprint):
             for v in range(self.views):
                 p = self._to_camera(v, mean)
                 depth += p.norm() if ti.static(self.radial) else p.z
-                window = ti.Vector([0, 0])
+                mask = ti.Vector([0, 0])
                 if p.z >= self.near[v] and opacity >= 1 / 255:
-                    window = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
-                self.window[v, g] = window
-                seen |= window[1]
+                    mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
+                self.tile_mask[v, g] = mask
+                seen |= mask[1]
             key = ti.u32(DROPPED)
-            if ti.static(self.with_color):  # noqa: SIM102, one is for the compiler
+            if ti.static(self.with_color):  # noqa: SIM102, the outer one is resolved at compile time
                 if seen != 0:
                     c = color_of(self.splats, g, mean - self._eye())
-                    if not (ti.abs(c).sum() < BRIGHTEST):  # nor if it is no number
+                    if not (ti.abs(c).sum() < MAX_COLOR):  # also if it is not a number
                         seen = 0
-                    c = ti.max(0.0, c) * self.splats.light[g]
+                    c = ti.max(0.0, c) * self.splats.visibility[g]
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
@@ -131,8 +126,14 @@ class Projection(Footprint):
         sorter.count[None] = ti.max(end - begin, 0)
 
     @ti.func
+    def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:
+        """Number of tiles of view `v` that splat `g` touches."""
+        bits = self.tile_mask[v, g][1]
+        return -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
+
+    @ti.func
     def _to_camera(self, v: ti.i32, x: vec3):
-        """In float64, so that the order of what is nearly as far is the same on every device."""
+        """x in the frame of view `v`, in float64, so that nearly equal depths have the same order on every device."""
         p = ti.Vector([0.0, 0.0, 0.0], dt=ti.f64)
         for k in ti.static(range(3)):
             row = ti.cast(self.camera[v, k], ti.f64)
@@ -141,7 +142,7 @@ class Projection(Footprint):
 
     @ti.func
     def _eye(self) -> vec3:
-        """The mean of the cameras' centres [m]."""
+        """Mean of the camera centres [m]."""
         eye = vec3(0.0)
         for v in range(self.views):
             for k in ti.static(range(3)):
@@ -150,23 +151,24 @@ class Projection(Footprint):
 
     @ti.func
     def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32):
-        """Write splat `g` of view `v`; returns its window."""
-        lens = self.camera[v, 3]  # fx, fy, cx, cy
+        """Write splat `g` of view `v` and return its tile mask."""
+        intrinsics = self.camera[v, 3]
+        fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
         width, height = self.grid[None][0], self.grid[None][1]
-        margin_x, margin_y = EDGE * 0.5 * width / lens[0], EDGE * 0.5 * height / lens[1]
-        x = clamp(p.x / p.z, -lens[2] / lens[0] - margin_x, (width - lens[2]) / lens[0] + margin_x)
-        y = clamp(p.y / p.z, -lens[3] / lens[1] - margin_y, (height - lens[3]) / lens[1] + margin_y)
-        fx, fy = lens[0] / p.z, lens[1] / p.z
-        mx, my = fx * p.x + lens[2], fy * p.y + lens[3]
+        margin_x, margin_y = GUARD_BAND * 0.5 * width / fx, GUARD_BAND * 0.5 * height / fy
+        x = clamp(p.x / p.z, -cx / fx - margin_x, (width - cx) / fx + margin_x)
+        y = clamp(p.y / p.z, -cy / fy - margin_y, (height - cy) / fy + margin_y)
+        scale_x, scale_y = fx / p.z, fy / p.z  # [px/m]
+        mx, my = scale_x * p.x + cx, scale_y * p.y + cy
         s = self.splats.cov[g]
-        size = s[0] + s[3] + s[5]  # at least the largest eigenvalue, so this box is at least the splat's
-        far_x = ti.sqrt(MOST_REACH * (fx * fx * (1 + x * x) * size + DILATION))
-        far_y = ti.sqrt(MOST_REACH * (fy * fy * (1 + y * y) * size + DILATION))
-        window = ti.Vector([0, 0])
-        if self._meets_picture(mx, my, far_x, far_y):
-            along = self.camera[v, 2].xyz
-            jx = fx * (self.camera[v, 0].xyz - x * along)  # the rows of J W
-            jy = fy * (self.camera[v, 1].xyz - y * along)
+        size = s[0] + s[3] + s[5]  # at least the largest eigenvalue: this box contains the splat's
+        bound_x = ti.sqrt(MAX_CUTOFF * (scale_x * scale_x * (1 + x * x) * size + DILATION))
+        bound_y = ti.sqrt(MAX_CUTOFF * (scale_y * scale_y * (1 + y * y) * size + DILATION))
+        mask = ti.Vector([0, 0])
+        if meets_picture(mx, my, bound_x, bound_y, self.grid):
+            forward = self.camera[v, 2].xyz
+            jx = scale_x * (self.camera[v, 0].xyz - x * forward)  # the rows of J W
+            jy = scale_y * (self.camera[v, 1].xyz - y * forward)
             # In float64: a needle's determinant is the small difference of large numbers.
             wide, ax, ay = ti.cast(s, ti.f64), ti.cast(jx, ti.f64), ti.cast(jy, ti.f64)
             sx = times(wide, ax)
@@ -177,21 +179,21 @@ class Projection(Footprint):
                 opacity *= ti.cast(ti.sqrt(ti.max(0.0, sharp / exact)), ti.f32)
             xx, yy = ti.cast(sharp_xx + DILATION, ti.f32), ti.cast(sharp_yy + DILATION, ti.f32)
             xy, det = ti.cast(sharp_xy, ti.f32), ti.cast(exact, ti.f32)
-            if xx < WIDEST and yy < WIDEST and exact > 0 and is_covariance(wide) and opacity >= 1 / 255:
+            if xx < MAX_VARIANCE and yy < MAX_VARIANCE and exact > 0 and is_covariance(wide) and opacity >= 1 / 255:
                 log_opacity = ti.log(opacity) * (2 * HALF_LOG2_E)
-                reach = (log_opacity + STEPS + SLACK) / HALF_LOG2_E  # squared, in sigmas
-                half_width, half_height = ti.sqrt(reach * xx), ti.sqrt(reach * yy)
-                if self._meets_picture(mx, my, half_width, half_height):
+                cutoff = (log_opacity + CUTOFF_BITS + CUTOFF_SLACK) / HALF_LOG2_E  # [sigma^2]
+                half_width, half_height = ti.sqrt(cutoff * xx), ti.sqrt(cutoff * yy)
+                if meets_picture(mx, my, half_width, half_height, self.grid):
                     A, B, C = yy * HALF_LOG2_E / det, -xy * HALF_LOG2_E / det, xx * HALF_LOG2_E / det
-                    place = vec4(mx, my, log_opacity, p.z)
+                    mean2d = vec4(mx, my, log_opacity, p.z)
                     conic = vec4(A, B, C, HALF_LOG2_E * HALF_LOG2_E / det)
                     box = vec4(half_width, half_height, -B / C * half_width, 0.0)
                     if ti.static(self.with_slope):
-                        change = slope(self.camera, v, p, s, DILATION, MOST_REACH)
+                        change = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
                         box[3], self.color[v, g][3] = change.x, change.y
-                    self.place[v, g], self.conic[v, g], self.box[v, g] = place, conic, box
-                    window = self._window(place, conic, box)
-        return window
+                    self.mean2d[v, g], self.conic[v, g], self.box[v, g] = mean2d, conic, box
+                    mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
+        return mask
 
 
 @ti.func
@@ -208,14 +210,14 @@ def times(s: ti.template(), x: ti.template()):
 
 @ti.func
 def is_covariance(s: ti.template()):
-    """Whether (xx, xy, xz, yy, yz, zz) can be one, but for rounding: no axis explains less than nothing."""
+    """Whether no principal minor up to 2 x 2 of (xx, xy, xz, yy, yz, zz) is negative, within rounding."""
     xy, xz, yz = 1.001 * s[0] * s[3] - s[1] ** 2, 1.001 * s[0] * s[5] - s[2] ** 2, 1.001 * s[3] * s[5] - s[4] ** 2
     return s[0] >= 0 and s[3] >= 0 and s[5] >= 0 and xy >= 0 and xz >= 0 and yz >= 0
 
 
 @ti.func
 def ordered_bits(x: ti.f32) -> ti.u32:
-    """Bits of x that compare as unsigned integers the way floats compare."""
+    """Bits of x, mapped so that they compare as unsigned integers as the floats do."""
     bits = ti.bit_cast(x, ti.u32)
     flip = ti.u32(0x80000000)
     if x < 0:

@@ -2,40 +2,39 @@
 
 import taichi as ti
 
-from render.prefix_sum import CPU_CHUNKS, block_exclusive
-from render.shared_arrays import WORDS
+from core.fields import FieldGroup
+from render.prefix_sum import BLOCK, CPU_CHUNKS, SHARED_WORDS, block_exclusive
 
-DROPPED = 0xFFFFFFFF  # a key that says: leave this item out
-CPU_DIGIT = 12  # [bits] 4096 buckets: their write positions stay in a core's L2 cache
-GPU_DIGIT = 8  # [bits] one thread of a block per bucket
-BLOCK = 256
+DROPPED = 0xFFFFFFFF  # key of an item that is to be left out
+CPU_DIGIT_BITS = 12  # 4096 buckets: their write positions stay in a core's L2 cache
+GPU_DIGIT_BITS = 8  # one thread of a block per bucket
 WARPS = BLOCK // 32
-ITEMS = 8  # per thread of a block
-TILE = BLOCK * ITEMS  # items per block
-RANK_BITS = TILE.bit_length() - 1
-# Places in a block's shared memory. The first 2 BLOCK words are block_exclusive's until offsets take them.
+SORT_ITEMS = 8  # per thread of a block
+BLOCK_ITEMS = BLOCK * SORT_ITEMS
+RANK_BITS = BLOCK_ITEMS.bit_length() - 1
+# Offsets in a block's shared memory. The first 2 BLOCK words belong to block_exclusive until OFFSETS take them.
 OFFSETS, KEPT = 0, BLOCK
 COUNTS = 2 * BLOCK
 KEYS = COUNTS + WARPS * BLOCK
-VALUES = KEYS + TILE
-RANKS = VALUES + TILE  # of an item in its warp, and its digit above RANK_BITS
+VALUES = KEYS + BLOCK_ITEMS
+RANKS = VALUES + BLOCK_ITEMS  # rank of an item in its warp, and its digit above RANK_BITS
 
 
 @ti.func
 def item_of(key: ti.u32, value: ti.i32) -> ti.i64:
-    """What is sorted, in one word."""
+    """Key and value in one word."""
     return ti.cast(key, ti.i64) | (ti.cast(value, ti.i64) << 32)
 
 
 @ti.func
 def key_of(item: ti.i64) -> ti.u32:
-    """The lower half."""
+    """The key: the lower half."""
     return ti.cast(item, ti.u32)
 
 
 @ti.func
 def value_of(item: ti.i64) -> ti.i32:
-    """The upper half."""
+    """The value: the upper half."""
     return ti.cast(item >> 32, ti.i32)
 
 
@@ -45,8 +44,8 @@ class RadixSort:
 
     Fill `items`, i64 of `item_of(key, value)`, and `count`; call `sort()` at the outermost level of a kernel;
     read the first `kept[None]` of `sorted_items` with `key_of` and `value_of`.
-    With `drop`, items whose key is DROPPED vanish in the first pass, so sorting compacts too.
-    Every pass counts digits per block, turns the counts into write positions, and moves the items
+    With `drop`, the first pass removes items whose key is DROPPED.
+    Each pass counts digits per block, scans the counts into write positions, and moves the items
     in order: equal keys keep their order on every backend.
     """
 
@@ -54,46 +53,40 @@ class RadixSort:
         self.capacity = capacity
         self.drop = drop
         self.on_gpu = ti.cfg.arch == ti.cuda
-        widest = GPU_DIGIT if self.on_gpu else CPU_DIGIT
-        self.passes = -(-bits // widest)
-        self.digit = GPU_DIGIT if self.on_gpu else -(-bits // self.passes)
-        self.buckets = 1 << self.digit
-        self.blocks = -(-capacity // TILE) if self.on_gpu else CPU_CHUNKS
-        self.item = [ti.field(ti.i64) for _ in range(2)]  # one word: half the accesses of two
-        self.count = ti.field(ti.i32)
-        self.kept = ti.field(ti.i32)
-        self.position = ti.field(ti.i32)  # counts, then write positions; CPU: block-major, GPU: digit-major
-        self.bucket_total = ti.field(ti.i32)
-        builder = ti.FieldsBuilder()
-        for f in self.item:
-            builder.dense(ti.i, capacity).place(f)
-        builder.dense(ti.i, self.blocks * self.buckets).place(self.position)
-        builder.dense(ti.i, self.buckets).place(self.bucket_total)
-        builder.place(self.count)
-        builder.place(self.kept)
-        self.tree = builder.finalize()
+        self.passes = -(-bits // (GPU_DIGIT_BITS if self.on_gpu else CPU_DIGIT_BITS))
+        self.digit_bits = GPU_DIGIT_BITS if self.on_gpu else -(-bits // self.passes)
+        self.buckets = 1 << self.digit_bits
+        self.blocks = -(-capacity // BLOCK_ITEMS) if self.on_gpu else CPU_CHUNKS
+        self.fields = f = FieldGroup()
+        self.item = [f.scalar(capacity, dtype=ti.i64) for _ in range(2)]  # one word: half the accesses of two
+        # counts, then write positions; CPU: block-major, GPU: digit-major
+        self.position = f.scalar(self.blocks * self.buckets, dtype=ti.i32)
+        self.bucket_total = f.scalar(self.buckets, dtype=ti.i32)
+        self.count = f.scalar(dtype=ti.i32)
+        self.kept = f.scalar(dtype=ti.i32)
+        f.build()
         self.items, self.sorted_items = self.item[0], self.item[self.passes % 2]
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()
 
     @ti.func
     def sort(self):
-        """Sort the pairs; to be called at the outermost level of a kernel."""
+        """Sort the items; to be called at the outermost level of a kernel."""
         for p in ti.static(range(self.passes)):
             if ti.static(self.on_gpu):
                 self._count_gpu(p)
-                self._place_gpu(p)
+                self._scan_gpu(p)
                 self._move_gpu(p)
             else:
                 self._count_cpu(p)
-                self._place_cpu(p)
+                self._scan_cpu(p)
                 self._move_cpu(p)
 
     @ti.func
     def _length(self, p: ti.template()) -> ti.i32:
-        """Items that pass `p` reads: later passes read what the first one kept."""
+        """Number of items that pass `p` reads: later passes read those that the first one kept."""
         return self.count[None] if ti.static(p == 0) else self.kept[None]
 
     @ti.func
@@ -102,14 +95,14 @@ class RadixSort:
 
     @ti.func
     def _bucket(self, key: ti.u32, p: ti.template()) -> ti.i32:
-        return ti.cast((key >> (p * self.digit)) & ti.u32(self.buckets - 1), ti.i32)
+        return ti.cast((key >> (p * self.digit_bits)) & ti.u32(self.buckets - 1), ti.i32)
 
     @ti.func
     def _is_kept(self, key: ti.u32, p: ti.template()):
         """Whether pass `p` moves an item of this key."""
         return key != ti.u32(DROPPED) if ti.static(self.drop and p == 0) else True
 
-    # ---- CPU: a block is one loop iteration over a long run of items
+    # ---- CPU: a block is one loop iteration over a long span of items
 
     @ti.func
     def _count_cpu(self, p: ti.template()):
@@ -117,31 +110,31 @@ class RadixSort:
         for b in range(self.blocks):
             for d in range(self.buckets):
                 self.position[b * self.buckets + d] = 0
-            run = (self._length(p) + self.blocks - 1) // self.blocks
-            for i in range(b * run, ti.min((b + 1) * run, self._length(p))):
+            span = (self._length(p) + self.blocks - 1) // self.blocks
+            for i in range(b * span, ti.min((b + 1) * span, self._length(p))):
                 key = self._key(p, i)
                 if self._is_kept(key, p):
                     slot = b * self.buckets + self._bucket(key, p)
                     self.position[slot] = self.position[slot] + 1  # `+=` would be atomic, four times slower
 
     @ti.func
-    def _place_cpu(self, p: ti.template()):
-        so_far = 0
+    def _scan_cpu(self, p: ti.template()):
+        running = 0
         ti.loop_config(serialize=True)
         for d in range(self.buckets):
             for b in range(self.blocks):
                 own = self.position[b * self.buckets + d]
-                self.position[b * self.buckets + d] = so_far
-                so_far += own
+                self.position[b * self.buckets + d] = running
+                running += own
         if ti.static(p == 0):
-            self.kept[None] = so_far
+            self.kept[None] = running
 
     @ti.func
     def _move_cpu(self, p: ti.template()):
         ti.loop_config(block_dim=1)
         for b in range(self.blocks):
-            run = (self._length(p) + self.blocks - 1) // self.blocks
-            for i in range(b * run, ti.min((b + 1) * run, self._length(p))):
+            span = (self._length(p) + self.blocks - 1) // self.blocks
+            for i in range(b * span, ti.min((b + 1) * span, self._length(p))):
                 item = self.item[p % 2][i]
                 if self._is_kept(key_of(item), p):
                     slot = b * self.buckets + self._bucket(key_of(item), p)
@@ -149,11 +142,11 @@ class RadixSort:
                     self.position[slot] = to + 1
                     self.item[1 - p % 2][to] = item
 
-    # ---- CUDA: a block of threads holds TILE items; a warp goes through 32 at a time
+    # ---- CUDA: a block of threads holds BLOCK_ITEMS items; a warp goes through 32 at a time
 
     @ti.func
     def _used_blocks(self, p: ti.template()) -> ti.i32:
-        return (self._length(p) + TILE - 1) // TILE
+        return (self._length(p) + BLOCK_ITEMS - 1) // BLOCK_ITEMS
 
     @ti.func
     def _count_gpu(self, p: ti.template()):
@@ -161,12 +154,12 @@ class RadixSort:
         for thread in range(self.blocks * BLOCK):
             b, lane = thread // BLOCK, thread % BLOCK
             if b < self._used_blocks(p):  # the same for the whole block
-                counts = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                counts = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 ti.simt.block.sync()
                 counts[lane] = 0
                 ti.simt.block.sync()
-                for j in range(ITEMS):
-                    i = b * TILE + j * BLOCK + lane
+                for j in range(SORT_ITEMS):
+                    i = b * BLOCK_ITEMS + j * BLOCK + lane
                     if i < self._length(p):
                         key = self._key(p, i)
                         if self._is_kept(key, p):
@@ -175,18 +168,18 @@ class RadixSort:
                 self.position[lane * self.blocks + b] = counts[lane]
 
     @ti.func
-    def _place_gpu(self, p: ti.template()):
+    def _scan_gpu(self, p: ti.template()):
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.buckets * BLOCK):
             d, lane = thread // BLOCK, thread % BLOCK
             used = self._used_blocks(p)
-            run = (used + BLOCK - 1) // BLOCK
+            span = (used + BLOCK - 1) // BLOCK
             own = 0
-            for b in range(lane * run, ti.min((lane + 1) * run, used)):
+            for b in range(lane * span, ti.min((lane + 1) * span, used)):
                 own += self.position[d * self.blocks + b]
-            shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+            shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
             before = block_exclusive(shared, own, lane)
-            for b in range(lane * run, ti.min((lane + 1) * run, used)):
+            for b in range(lane * span, ti.min((lane + 1) * span, used)):
                 count = self.position[d * self.blocks + b]
                 self.position[d * self.blocks + b] = before
                 before += count
@@ -197,7 +190,7 @@ class RadixSort:
     def _move_gpu(self, p: ti.template()):
         """Rank of an item = items of its digit before it: in earlier blocks, warps, rounds, lanes.
 
-        A block first brings its items in order in shared memory: then runs of a digit go out side by side.
+        A block first sorts its items in shared memory: then the items of a digit are written side by side.
         """
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.blocks * BLOCK):
@@ -206,15 +199,15 @@ class RadixSort:
                 everyone = ti.u32(0xFFFFFFFF)
                 warp, warp_lane = lane // 32, lane % 32
                 below_me = (ti.u32(1) << ti.cast(warp_lane, ti.u32)) - ti.u32(1)
-                shared = ti.simt.block.SharedArray((WORDS,), ti.i32)
+                shared = ti.simt.block.SharedArray((SHARED_WORDS,), ti.i32)
                 start = block_exclusive(shared, self.bucket_total[lane], lane)  # of the digit `lane`; synchronises
                 if b == 0 and lane == BLOCK - 1:  # later passes write the same number again
                     self.kept[None] = start + self.bucket_total[lane]
                 for w in range(WARPS):
                     shared[COUNTS + w * BLOCK + lane] = 0
                 ti.simt.block.sync()
-                first = b * TILE + warp * 32 * ITEMS + warp_lane
-                for j in range(ITEMS):
+                first = b * BLOCK_ITEMS + warp * 32 * SORT_ITEMS + warp_lane
+                for j in range(SORT_ITEMS):
                     digit = BLOCK  # an item that does not exist matches no bucket
                     if first + j * 32 < self._length(p):
                         key = self._key(p, first + j * 32)
@@ -240,20 +233,20 @@ class RadixSort:
                 if lane == BLOCK - 1:
                     shared[KEPT] = at + own
                 for w in range(WARPS):
-                    of_warp = shared[COUNTS + w * BLOCK + lane]
+                    warp_count = shared[COUNTS + w * BLOCK + lane]
                     shared[COUNTS + w * BLOCK + lane] = at
-                    at += of_warp
+                    at += warp_count
                 ti.simt.block.sync()
-                for j in range(ITEMS):
+                for j in range(SORT_ITEMS):
                     rank = shared[RANKS + j * BLOCK + lane]
                     digit = rank >> RANK_BITS
                     if digit < BLOCK:
-                        to = shared[COUNTS + warp * BLOCK + digit] + (rank & (TILE - 1))
+                        to = shared[COUNTS + warp * BLOCK + digit] + (rank & (BLOCK_ITEMS - 1))
                         item = self.item[p % 2][first + j * 32]
                         shared[KEYS + to] = ti.cast(key_of(item), ti.i32)
                         shared[VALUES + to] = value_of(item)
                 ti.simt.block.sync()
-                for j in range(ITEMS):
+                for j in range(SORT_ITEMS):
                     i = j * BLOCK + lane
                     if i < shared[KEPT]:
                         key = ti.cast(shared[KEYS + i], ti.u32)

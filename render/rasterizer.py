@@ -1,4 +1,4 @@
-"""The whole way from Gaussians to pixels, with room for pairs that grows when a frame needs more."""
+"""The pipeline from Gaussians to pixels, stage by stage, with a pair capacity that grows on demand."""
 
 import numpy as np
 import taichi as ti
@@ -7,19 +7,25 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.fields import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
-from render.blend import CPU_TILE, GPU_TILE, Blend
-from render.per_pixel_sort import WINDOW, PerPixelSort
-from render.projection import Projection
+from render.blend import Blend
+from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
+from render.projection import CameraRows, Projection
 from render.splats import Splats
+from render.tile_batch import CPU_TILE, GPU_TILE
 
-PAIRS_PER_SPLAT = 8  # room at the start; scenes were seen to need 3 to 6
-FIRST_PAIRS = 1 << 24  # but not more than 256 MiB until they are needed
-MOST_PAIRS = 1 << 28  # 4 GiB of sort buffers
+PAIRS_PER_GAUSSIAN = 8  # initial capacity per view; scenes were seen to need 3 to 6
+MAX_INITIAL_PAIRS = 1 << 24  # 256 MiB of sort buffers, until more are needed
+MAX_PAIRS = 1 << 28  # 4 GiB of sort buffers
 
 
 @ti.data_oriented
 class Rasterizer:
-    """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see Blend.draw)."""
+    """Draws Gaussians of `splats` from `views` cameras of equal size into a sink (see `Blend.draw`).
+
+    A frame is three kernels: `_order` (project, sort by depth, count pairs), `TilePass._bin` (emit pairs, sort them by
+    tile, find each tile's range) and the blending of all tiles. Only the last two depend on the capacity for pairs of
+    tile and Gaussian: more pairs need a new `TilePass`, not a new rasterizer.
+    """
 
     def __init__(
         self,
@@ -33,95 +39,116 @@ class Rasterizer:
         color=True,
         depth=True,
         sort: str = "z",
-        window: int = WINDOW,
+        buffer_size: int = BUFFER_SIZE,
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
-        self.blend, self.wants = Blend, {"with_color": color, "with_depth": depth}
-        if sort == "pixel":
-            self.blend, self.wants = PerPixelSort, {**self.wants, "window": window}
         self.projection = Projection(
             splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
         )
         self.order = DepthOrder(self.projection)
-        self.stage = None
-        self._cameras = {}  # numbers on the device, by view
-        self._make_room(min(PAIRS_PER_SPLAT * views * splats.capacity, FIRST_PAIRS))
+        self._sums = {"with_color": color, "with_depth": depth}
+        self._buffer_size = buffer_size if sort == "pixel" else None
+        self._camera_rows = {}  # on the device, by view
+        self.tile_pass = self._tile_pass(min(PAIRS_PER_GAUSSIAN * views * splats.capacity, MAX_INITIAL_PAIRS))
 
-    def _make_room(self, pairs: int) -> None:
-        if pairs > MOST_PAIRS:
-            raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MOST_PAIRS}: draw it smaller")
-        if self.stage is not None:
-            with keep_compiled_kernels():
-                self.stage.bins.destroy()
-        capacity = min(MOST_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
-        self.stage = TilePass(self.blend(TileBins(self.order, capacity), **self.wants), self.sink)
+    def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
+        """Draw Gaussians [begin, end) through the cameras that were set; `out` is passed to the sink.
+
+        Without `wait` the result is final only after `finish`.
+        """
+        self._order(begin, self.splats.count if end is None else end)
+        self.tile_pass.draw(out)
+        if wait:
+            self.finish(out)
+
+    @ti.kernel
+    def _order(self, begin: ti.i32, end: ti.i32):
+        self.projection.project(begin, end, self.order.sorter)
+        self.order.sort()
+        self.order.count_pairs()
+
+    def finish(self, out) -> bool:
+        """Wait for the last `draw` and repeat it if its pairs exceeded the capacity; returns whether they did."""
+        pairs = self.pairs
+        if pairs <= self.pair_capacity:
+            return False
+        self.reserve(pairs)
+        self.tile_pass.draw(out)
+        return True
+
+    @property
+    def pairs(self) -> int:
+        """Pairs of tile and Gaussian in the last `draw`; waits for the device."""
+        return self.order.pairs[None]
+
+    @property
+    def pair_capacity(self) -> int:
+        """Most pairs that can be drawn without growing."""
+        return self.tile_pass.bins.capacity
+
+    def reserve(self, pairs: int) -> None:
+        """Replace the tile pass by one for so many pairs and a margin. Raises BadInput above MAX_PAIRS."""
+        if pairs > MAX_PAIRS:
+            raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MAX_PAIRS}: draw it smaller")
+        with keep_compiled_kernels():
+            self.tile_pass.bins.destroy()
+        self.tile_pass = self._tile_pass(pairs)
+
+    def _tile_pass(self, pairs: int) -> "TilePass":
+        capacity = min(MAX_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
+        bins = TileBins(self.order, capacity)
+        if self._buffer_size is None:
+            return TilePass(Blend(bins, **self._sums), self.sink)
+        return TilePass(PerPixelSort(bins, **self._sums, buffer_size=self._buffer_size), self.sink)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
         self.projection.set_size(width, height)
-        if self.stage.bins.tiles > self.stage.bins.tile_capacity:
-            self._make_room(self.stage.bins.capacity * 4 // 5)
-
-    def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.stage.bins.destroy()
-        self.order.destroy()
-        self.projection.destroy()
+        bins = self.tile_pass.bins
+        if bins.tiles > bins.tile_capacity:
+            self.reserve(bins.capacity * 4 // 5)
 
     def set_camera(self, view: int, camera: Camera) -> None:
-        """Camera of a view; its size must be the raster's."""
-        rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel().tolist()
-        numbers = [*rows, camera.fx, camera.fy, camera.cx, camera.cy]
-        if self._cameras.get(view) != numbers:
-            self.projection.set_camera(view, *numbers)
-            self._cameras[view] = numbers
+        """Set the camera of a view; its size must be the rasterizer's."""
+        rows = [*np.asarray(camera.world_to_camera, np.float64)[:3].tolist()]
+        rows.append([camera.fx, camera.fy, camera.cx, camera.cy])
+        if self._camera_rows.get(view) != rows:
+            self.projection.set_camera(view, CameraRows(rows))
+            self._camera_rows[view] = rows
 
-    def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
-        """Draw Gaussians begin..end-1 through the cameras that were set. `out` is handed to the sink. Without `wait` it
-        only counts once `settle` was called."""
-        self._arrange(begin, self.splats.count if end is None else end)
-        self.stage.draw(out)
-        if wait:
-            self.settle(out)
-
-    def settle(self, out) -> bool:
-        """Wait for what was drawn last. Was there no room for it? Then it is drawn again."""
-        pairs = self.order.pairs[None]  # the one number that is read back
-        if pairs <= self.stage.bins.capacity:
-            return False
-        self._make_room(pairs)
-        self.stage.draw(out)
-        return True
-
-    @ti.kernel
-    def _arrange(self, begin: ti.i32, end: ti.i32):
-        self.projection.project(begin, end, self.order.sorter)
-        self.order.arrange()
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.tile_pass.bins.destroy()
+        self.order.destroy()
+        self.projection.destroy()
 
 
 @ti.data_oriented
 class TilePass:
-    """The kernels that know the room for pairs; a larger room is a new object, compiled anew."""
+    """The kernels that depend on the capacity for pairs; a larger capacity is a new object, compiled anew."""
 
-    def __init__(self, blend: Blend, sink):
+    def __init__(self, blend: Blend | PerPixelSort, sink):
         self.bins, self.blend, self.sink = blend.bins, blend, sink
 
     def draw(self, out) -> None:
-        self._fill()
+        """Bin and blend; `out` is an ndarray of pixels or a number."""
+        self._bin()
         if isinstance(out, ti.Ndarray):
-            self._draw_ndarray(out)
+            self._blend_to_ndarray(out)
         else:
-            self._draw_number(out)
+            self._blend_to_fields(out)
 
     @ti.kernel
-    def _fill(self):
-        self.bins.fill()
+    def _bin(self):
+        self.bins.emit()
+        self.bins.sort()
+        self.bins.find_ranges()
 
     @ti.kernel
-    def _draw_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
+    def _blend_to_ndarray(self, out: ti.types.ndarray(ti.u32, ndim=2)):
         self.blend.draw(self.sink, out)
 
     @ti.kernel
-    def _draw_number(self, out: ti.i32):
+    def _blend_to_fields(self, out: ti.i32):
         self.blend.draw(self.sink, out)

@@ -1,55 +1,51 @@
-"""Draws a scene's Gaussians for the screen, the headset or a measurement."""
+"""Pictures of a scene's Gaussians for the screen, the headset or a measurement."""
 
 import numpy as np
 import taichi as ti
 
 from core.camera import Camera
-from render.per_pixel_sort import WINDOW
+from core.fields import FieldGroup
+from render.per_pixel_sort import BUFFER_SIZE
 from render.rasterizer import Rasterizer
 from render.splats import Splats
 
-NEAR, FAR = 0.2, 100.0  # [m] of a depth of 0 and of 1; what is nearer counts as at NEAR
-SOLID = 0.5  # opacity from which a pixel is something that has a depth; what is less is at FAR
+DEPTH_NEAR, DEPTH_FAR = 0.2, 100.0  # [m] of a depth of 0 and of 1; nearer surfaces are stored at DEPTH_NEAR
+MIN_SURFACE_ALPHA = 0.5  # opacity from which a pixel has a depth; a pixel below it is stored at DEPTH_FAR
 
 
 @ti.data_oriented
 class Picture:
-    """Sink of 8-bit pixels over a background colour, R | G << 8 | B << 16 | A << 24, views one below the other."""
+    """Sink of 8-bit pixels over a background colour, R | G << 8 | B << 16 | A << 24, views one below the other.
 
-    def __init__(self, views: int, background):
-        self.views = views
-        self.background = tuple(float(c) for c in background)
+    A is 255, or with `depth` the depth of the surface:
 
-    def destroy(self) -> None:
-        """Nothing to give back: the picture is the renderer's, and lives as long as someone shows it."""
-
-    @ti.func
-    def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
-        c = rgb + (1.0 - alpha) * ti.Vector(self.background)
-        packed = ti.u32(4278190080)  # alpha 255
-        for k in ti.static(range(3)):
-            level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
-            packed |= level << (8 * k)
-        out[v * (out.shape[0] // self.views) + y, x] = packed
-
-
-@ti.data_oriented
-class DeepPicture(Picture):
-    """The same, with the depth of what is seen in place of alpha, which is 255 anyway and would be sent along in vain.
-
-    A = 255 d,   d = FAR / (FAR - NEAR) (1 - NEAR / z),   z = (sum w z) / (sum w)          as OpenGL's depth buffer
+    A = 255 d,   d = far / (far - near) (1 - near / z),   z = (sum w z) / (sum w)          as OpenGL's depth buffer
 
     One step of 8 bits is 0.02 in 1 / z: for a head that has moved by 2 cm half a step shifts a point by 0.0002 of the
     distance to the picture's plane, 0.2 px where an eye has 1000 px to it. More bits would show nothing more.
     """
 
+    def __init__(self, views: int, background, *, depth: bool = False):
+        self.views, self.with_depth = views, depth
+        self.background = tuple(float(c) for c in background)
+
+    def destroy(self) -> None:
+        """Free nothing: the picture is the renderer's, and lives as long as it is shown."""
+
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
         c = rgb + (1.0 - alpha) * ti.Vector(self.background)
-        d = 1.0
-        if alpha >= SOLID:
-            d = ti.min(ti.max(FAR / (FAR - NEAR) * (1.0 - NEAR * alpha / ti.max(depth, NEAR * alpha)), 0.0), 1.0)
-        packed = ti.cast(d * 255.0 + 0.5, ti.u32) << ti.u32(24)
+        packed = ti.u32(4278190080)  # alpha 255
+        if ti.static(self.with_depth):
+            d = 1.0
+            if alpha >= MIN_SURFACE_ALPHA:
+                d = (
+                    DEPTH_FAR
+                    / (DEPTH_FAR - DEPTH_NEAR)
+                    * (1.0 - DEPTH_NEAR * alpha / ti.max(depth, DEPTH_NEAR * alpha))
+                )
+                d = ti.min(ti.max(d, 0.0), 1.0)
+            packed = ti.cast(d * 255.0 + 0.5, ti.u32) << ti.u32(24)
         for k in ti.static(range(3)):
             level = ti.cast(ti.min(ti.max(c[k], 0.0), 1.0) * 255.0 + 0.5, ti.u32)
             packed |= level << (8 * k)
@@ -58,19 +54,17 @@ class DeepPicture(Picture):
 
 @ti.data_oriented
 class FloatImages:
-    """Sink of unclamped float32 images without a background: rgb, alpha, and depth [m], 0 where nothing is."""
+    """Sink of unclamped float32 images without a background: rgb, alpha, and depth [m], 0 where alpha is 0."""
 
     def __init__(self, views: int, height: int, width: int):
-        self.rgb = ti.Vector.field(3, ti.f32)
-        self.alpha, self.depth = ti.field(ti.f32), ti.field(ti.f32)
-        builder = ti.FieldsBuilder()
-        for f in (self.rgb, self.alpha, self.depth):
-            builder.dense(ti.ijk, (views, height, width)).place(f)
-        self.tree = builder.finalize()
+        self.fields = f = FieldGroup()
+        self.rgb = f.vector(views, height, width)
+        self.alpha, self.depth = f.scalar(views, height, width), f.scalar(views, height, width)
+        f.build()
 
     def destroy(self) -> None:
-        """Give the device memory back; the images must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()
 
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
@@ -82,12 +76,12 @@ class FloatImages:
 class Renderer:
     """Renders `splats` at width x height [px] from `views` cameras.
 
-    `sort`: what puts Gaussians in order (render/sort_modes.py); for "pixel", `window` is how many splats of a pixel are.
+    `sort`: the order of blending, one of render.SORTS; for "pixel", `buffer_size` splats are sorted in each pixel.
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
     outputs="rgba8": `picture`, ti.ndarray u32 (views * height, width), row 0 on top, over `background`.
-    outputs="deep": the same with depth in place of alpha, see DeepPicture.
+    outputs="deep": the same with depth in place of alpha, see `Picture`.
     outputs="float": fields `rgb` vec3, `alpha`, `depth` [m] of shape (views, height, width), no background.
     """
 
@@ -102,31 +96,31 @@ class Renderer:
         background=(0.0, 0.0, 0.0),
         outputs: str = "rgba8",
         sort: str = "z",
-        window: int = WINDOW,
+        buffer_size: int = BUFFER_SIZE,
     ):
         if outputs not in ("rgba8", "deep", "float"):
             raise ValueError(f"outputs must be 'rgba8', 'deep' or 'float', not {outputs!r}")
         self.width, self.height, self.views = width, height, views
         if outputs != "float":
             self.picture = ti.ndarray(ti.u32, (views * height, width))
-            self.sink = (DeepPicture if outputs == "deep" else Picture)(views, background)
+            self.sink = Picture(views, background, depth=outputs == "deep")
             self._out = self.picture
         else:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
-        how = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "window": window}
-        self.raster = Rasterizer(splats, width, height, views=views, sink=self.sink, **how)
+        options = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "buffer_size": buffer_size}
+        self.rasterizer = Rasterizer(splats, width, height, views=views, sink=self.sink, **options)
 
     def resize(self, width: int, height: int) -> None:
-        """Draw another size [px] from now on; not for outputs="float". `picture` is a new array."""
+        """Draw another size [px] from now on, into a new `picture`; not for outputs="float"."""
         if not isinstance(self.sink, Picture):
             raise ValueError("float images keep the size they were made with")
         self.width, self.height = width, height
         self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
-        self.raster.resize(width, height)
+        self.rasterizer.resize(width, height)
 
     def render(self, cameras: list[Camera]) -> None:
-        """Draw one picture per camera. The result is complete when this returns."""
+        """Draw one picture per camera; it is complete on return."""
         if len(cameras) != self.views:
             raise ValueError(f"expected {self.views} cameras, got {len(cameras)}")
         for v, camera in enumerate(cameras):
@@ -134,12 +128,12 @@ class Renderer:
                 raise ValueError(
                     f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
                 )
-            self.raster.set_camera(v, camera)
-        self.raster.draw(self._out)
+            self.rasterizer.set_camera(v, camera)
+        self.rasterizer.draw(self._out)
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.raster.destroy()
+        """Free the device memory."""
+        self.rasterizer.destroy()
         self.sink.destroy()
 
     def pixels(self) -> np.ndarray:

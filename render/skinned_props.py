@@ -1,8 +1,8 @@
-"""Things that are drawn but not simulated, such as hands and controllers: Gaussians that parts carry.
+"""Skinned props: Gaussians that are drawn but not simulated, such as hands and controllers.
 
-Each Gaussian follows a few parts by linear blend skinning, with A = sum_k w_k A_k and t = sum_k w_k t_k:
+Each Gaussian follows up to four parts by linear blend skinning, with A = sum_k w_k A_k and t = sum_k w_k t_k:
 
-    mu = A mu_0 + t,   Sigma = A Sigma_0 A^T,   n ~ cof(A) n_0,   colour = base (AMBIENT + ...), by the light and n
+    mu = A mu_0 + t,   Sigma = A Sigma_0 A^T,   n ~ cof(A) n_0,   colour = base * brightness(light, n)
 """
 
 from dataclasses import dataclass
@@ -10,23 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 import taichi as ti
 
-from assets.gaussians import Gaussians
+from assets.gaussians import Gaussians, concatenate
+from core.fields import FieldGroup, Upload
+from core.spherical_harmonics import C0
 from render.splats import Splats, covariances
 from scenes.scene import Light
 
-AWAY = 1e6  # [m] from the origin: hidden, and no caster of shadows
-C0 = 0.28209479  # SH of degree 0
-AMBIENT, SKY, SUN = 0.56, 0.14, 0.46  # shares of the colour: from everywhere, from above, from the light
-NEAREST = 0.15  # [m]; a light is at least so far away
-HIDDEN = np.tile(np.float32([0.0, 0.0, 0.0, 1e3 * AWAY]), (3, 1))  # no NaN: compilers may think that there is none
+HIDDEN_DISTANCE = 1e6  # [m] from the origin: hidden, and casts no shadow
+AMBIENT, SKY, SUN = 0.56, 0.14, 0.46  # brightness from everywhere, from above, from the light
+MIN_LIGHT_DISTANCE = 0.15  # [m]
+HIDDEN_POSE = np.tile(
+    np.float32([0.0, 0.0, 0.0, 1e3 * HIDDEN_DISTANCE]), (3, 1)
+)  # no NaN: fast-math assumes that there is none
 
 
 @dataclass(frozen=True)
 class Skin:
-    """Gaussians in the frame in which their parts are bound; colours of degree 0.
+    """Gaussians in the bind pose of their parts; colours of SH degree 0.
 
-    normal (N, 3) outward, 0 for what glows and is not shaded;   part (N, 4) and weight (N, 4), sums 1: what carries it
-    solid: casts shadows
+    normal  outward, 0 for emissive Gaussians, which are not shaded, (N, 3)
+    part    indices of the parts that carry it, (N, 4)
+    weight  of each part, sum 1, (N, 4)
+    solid   whether it casts shadows
     """
 
     gaussians: Gaussians
@@ -38,47 +43,43 @@ class Skin:
 
 @ti.data_oriented
 class SkinnedProps:
-    """Moves the Gaussians of skins, which lie one after the other in the splats from `begin` on. Their parts are
-    numbered across all of them."""
+    """Moves the Gaussians of skins, which occupy the splats from `begin` on; parts are numbered across all skins."""
 
     def __init__(self, splats: Splats, skins: list[Skin], begin: int):
         self.splats, self.parts = splats, 1 + max(int(s.part.max()) for s in skins)
         self.count = sum(len(s.gaussians) for s in skins)
         N = max(self.count, 1)
-        self.target, self.part = ti.field(ti.i32), ti.Vector.field(4, ti.i32)
-        self.weight, self.cov = ti.Vector.field(4, ti.f32), ti.Vector.field(6, ti.f32)
-        self.mean, self.normal, self.base = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.opacity = ti.field(ti.f32)
-        builder = ti.FieldsBuilder()
-        fields = (self.target, self.part, self.weight, self.cov, self.mean, self.normal, self.base, self.opacity)
-        for f in fields:
-            builder.dense(ti.i, N).place(f)
-        self.tree = builder.finalize()
-        columns = {f: [] for f in fields}
-        for skin in skins:
-            g = skin.gaussians
-            values = (begin + np.arange(len(g)), skin.part, skin.weight, covariances(g), g.means, skin.normal)
-            for f, value in zip(fields, (*values, 0.5 + C0 * g.sh[:, 0], g.opacities), strict=True):
-                columns[f].append(value)
-            begin += len(g)
-        for f, values in columns.items():
-            kind = np.int32 if f.dtype == ti.i32 else np.float32
-            f.from_numpy(np.concatenate(values).astype(kind) if self.count else np.zeros((N, *f.shape[1:]), kind))
-        self.shown = None  # what was placed last
-        self.place(np.tile(HIDDEN, (self.parts, 1, 1)), None)
+        self.fields = f = FieldGroup()
+        self.target = f.scalar(N, dtype=ti.i32)
+        self.part = f.vector(N, n=4, dtype=ti.i32)
+        self.weight, self.cov = f.vector(N, n=4), f.vector(N, n=6)
+        self.mean, self.normal, self.base = f.vector(N), f.vector(N), f.vector(N)
+        self.opacity = f.scalar(N)
+        f.build()
+        if self.count:
+            g = concatenate([s.gaussians for s in skins])
+            part, weight, normal = (
+                np.concatenate(a) for a in zip(*((s.part, s.weight, s.normal) for s in skins), strict=True)
+            )
+            color = 0.5 + C0 * g.sh[:, 0]
+            Upload([self.target, self.part, self.weight, self.cov, self.mean, self.normal, self.base, self.opacity])(
+                [begin + np.arange(N), part, weight, covariances(g), g.means, normal, color, g.opacities]
+            )
+        self._placed = None  # poses of the last call of `place`
+        self.place(np.tile(HIDDEN_POSE, (self.parts, 1, 1)), None)
 
     def place(self, poses: np.ndarray, light: Light | None) -> bool:
-        """Put part k at x = poses[k] [x_bound, 1], (parts, 3, 4) [m]; not a number hides it. Whether that is new."""
+        """Move part k to x = poses[k] [x_bound, 1], (parts, 3, 4) [m]; NaN hides it. Returns whether a pose changed."""
         poses = np.array(poses, np.float32)
-        poses[~(np.abs(poses) < AWAY).all(axis=(1, 2))] = HIDDEN
+        poses[~(np.abs(poses) < HIDDEN_DISTANCE).all(axis=(1, 2))] = HIDDEN_POSE
         poses = poses.reshape(self.parts, 12)
-        if self.shown is not None and np.array_equal(self.shown, poses):
+        if self._placed is not None and np.array_equal(self._placed, poses):
             return False
-        self.shown = poses
-        at = (0.0, 1e3, 0.0) if light is None else light.position
+        self._placed = poses
+        position = (0.0, 1e3, 0.0) if light is None else light.position
         if light is not None and light.kind == "directional":
-            at = np.subtract(light.position, light.target) * 1e3
-        self._place(poses, ti.Vector([float(c) for c in at]))
+            position = np.subtract(light.position, light.target) * 1e3
+        self._place(poses, ti.Vector([float(c) for c in position]))
         return True
 
     @ti.kernel
@@ -94,28 +95,31 @@ class SkinnedProps:
                             A[r, c] += w * poses[p, 4 * r + c]
                         t[r] += w * poses[p, 4 * r + 3]
             mean = A @ self.mean[k] + t
-            if ti.abs(mean).max() < AWAY:
+            if ti.abs(mean).max() < HIDDEN_DISTANCE:
                 s = self.cov[k]
                 S = A @ ti.Matrix([[s[0], s[1], s[2]], [s[1], s[3], s[4]], [s[2], s[4], s[5]]]) @ A.transpose()
                 self.splats.mean[g], self.splats.opacity[g] = mean, self.opacity[k]
                 self.splats.cov[g] = ti.Vector([S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]])
-                self.splats.sh[g, 0] = (self.base[k] * self._shade(A, self.normal[k], mean, light) - 0.5) / C0
+                self.splats.sh[g, 0] = (self.base[k] * self._brightness(A, self.normal[k], mean, light) - 0.5) / C0
             else:
-                self.splats.mean[g], self.splats.opacity[g] = ti.Vector([AWAY, AWAY, AWAY]), 0.0
+                self.splats.mean[g], self.splats.opacity[g] = (
+                    ti.Vector([HIDDEN_DISTANCE, HIDDEN_DISTANCE, HIDDEN_DISTANCE]),
+                    0.0,
+                )
 
     @ti.func
-    def _shade(self, A, n0, mean, light):
-        """How bright a surface is that looks along cof(A) n0: soft, so that no side is black."""
+    def _brightness(self, A, n0, mean, light):
+        """Brightness of a surface of normal cof(A) n0: wrapped diffuse light, so that no side is black."""
         result = 1.0
         a, b, c = A[:, 0], A[:, 1], A[:, 2]
         n = b.cross(c) * n0[0] + c.cross(a) * n0[1] + a.cross(b) * n0[2]
         if n.norm() > 0.0:
             n = n.normalized()
-            way = light - mean
-            facing = n.dot(way / ti.max(way.norm(), NEAREST))
+            to_light = light - mean
+            facing = n.dot(to_light / ti.max(to_light.norm(), MIN_LIGHT_DISTANCE))
             result = AMBIENT + SKY * (0.5 + 0.5 * n.y) + SUN * (0.5 + 0.5 * facing) ** 2
         return result
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()

@@ -1,90 +1,97 @@
-"""The Gaussians as the device holds them: what the embedding moves and the renderer draws."""
+"""Gaussians on the device: the embedding moves them, the renderer draws them."""
 
 import numpy as np
 import taichi as ti
 
 from assets.gaussians import Gaussians
-from core.fields import round_up_capacity
+from core import spherical_harmonics as harmonics
+from core.fields import FieldGroup, round_up_capacity
+from core.quaternion import rotate_inverse
 from core.rotation import matrices_from_quaternions
+
+vec3 = ti.math.vec3
 
 
 @ti.data_oriented
 class Splats:
     """Device fields of N Gaussians, flat over all bodies; entries from `count` to `capacity` are unused.
 
-    mean      world position [m], vec3
-    cov       world covariance [m^2], vec6 = (xx, xy, xz, yy, yz, zz)
-    opacity   0..1
-    sh        spherical harmonics, vec3, (capacity, coefficients)
-    rotation  quaternion wxyz that turns the frame of `sh` into the world; identity at the start
-    light     multiplier of the colour, 1 at the start
+    mean        world position [m], vec3
+    cov         world covariance [m^2], vec6 = (xx, xy, xz, yy, yz, zz)
+    opacity     0..1
+    sh          spherical harmonics, vec3, (capacity, coefficients)
+    rotation    quaternion wxyz that turns the frame of `sh` into the world; identity at the start
+    visibility  of the light, 0..1: factor of the colour; 1 at the start
 
-    `banded` = [begin, end) holds all Gaussians whose colour depends on the view: a room of degree 0
-    that was padded for the sake of a shiny body is not evaluated to the body's degree. `room`: for at least so many.
+    `sh_range` = [begin, end) contains all Gaussians whose colour depends on the view: a room of degree 0 that was
+    padded to the degree of a shiny body is not evaluated to it. `capacity`: for at least this many Gaussians.
     """
 
-    def __init__(self, gaussians: Gaussians, *, room: int = 0):
+    def __init__(self, gaussians: Gaussians, *, capacity: int = 0):
         self.count = len(gaussians)
-        self.capacity = round_up_capacity(max(self.count, room))
+        self.capacity = round_up_capacity(max(self.count, capacity))
         self.coefficients = gaussians.sh.shape[1]
-        self.mean = ti.Vector.field(3, ti.f32)
-        self.cov = ti.Vector.field(6, ti.f32)
-        self.opacity = ti.field(ti.f32)
-        self.sh = ti.Vector.field(3, ti.f32)
-        self.rotation = ti.Vector.field(4, ti.f32)
-        self.light = ti.field(ti.f32)
-        builder = ti.FieldsBuilder()
-        for f in (self.mean, self.cov, self.opacity, self.rotation, self.light):
-            builder.dense(ti.i, self.capacity).place(f)
-        if ti.cfg.arch == ti.cuda:  # neighbouring threads read neighbouring words
-            builder.dense(ti.j, self.coefficients).dense(ti.i, self.capacity).place(self.sh)
-        else:
-            builder.dense(ti.ij, (self.capacity, self.coefficients)).place(self.sh)
-        self.tree = builder.finalize()
-        self.mean.from_numpy(self._padded(gaussians.means))
-        self.cov.from_numpy(self._padded(covariances(gaussians)))
-        self.opacity.from_numpy(self._padded(gaussians.opacities))
-        self.sh.from_numpy(self._padded(gaussians.sh))
-        colored_by_view = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
-        self.banded = (int(colored_by_view[0]), int(colored_by_view[-1]) + 1) if colored_by_view.size else (0, 0)
-        if room > self.count and self.banded[1]:
-            self.banded = (self.banded[0], self.capacity)
-        self._start = gaussians.means  # where they were at the start [m], for the host
+        self.fields = f = FieldGroup()
+        self.mean = f.vector(self.capacity)
+        self.cov = f.vector(self.capacity, n=6)
+        self.opacity = f.scalar(self.capacity)
+        self.rotation = f.vector(self.capacity, n=4)
+        self.visibility = f.scalar(self.capacity)
+        on_gpu = ti.cfg.arch == ti.cuda  # neighbouring threads read neighbouring words
+        self.sh = f.vector(self.capacity, self.coefficients, column_major=on_gpu)
+        f.build()
+        for field, values in (
+            (self.mean, gaussians.means),
+            (self.cov, covariances(gaussians)),
+            (self.opacity, gaussians.opacities),
+            (self.sh, gaussians.sh),
+        ):
+            field.from_numpy(self.padded(values))
+        view_dependent = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
+        self.sh_range = (int(view_dependent[0]), int(view_dependent[-1]) + 1) if view_dependent.size else (0, 0)
+        if capacity > self.count and self.sh_range[1]:
+            self.sh_range = (self.sh_range[0], self.capacity)
+        self._initial_means = gaussians.means  # [m], on the host
         self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
-        self.light.fill(1.0)
+        self.visibility.fill(1.0)
 
-    def _padded(self, values: np.ndarray) -> np.ndarray:
+    def padded(self, values: np.ndarray) -> np.ndarray:
+        """Values (count, ...) as float32 (capacity, ...), zero beyond `count`."""
         out = np.zeros((self.capacity, *values.shape[1:]), np.float32)
         out[: self.count] = values
         return out
 
-    def reach(self, center) -> float:
+    def radius_about(self, center) -> float:
         """Distance from `center` within which 95% of the Gaussians lay at the start [m]; at least 1 mm."""
         if self.count == 0:
             return 1.0
-        return max(1e-3, float(np.percentile(np.linalg.norm(self._start - np.asarray(center), axis=1), 95)))
+        return max(1e-3, float(np.percentile(np.linalg.norm(self._initial_means - np.asarray(center), axis=1), 95)))
 
     def read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Opacities (count,) and harmonics (count, coefficients, 3) of some, on the host."""
+        """Opacities (count,) and harmonics (count, coefficients, 3) of the Gaussians from `first` on, on the host."""
         opacity = np.zeros(max(count, 1), np.float32)  # Taichi takes no empty arrays
         sh = np.zeros((max(count, 1), self.coefficients, 3), np.float32)
         self._read(first, count, opacity, sh)
         return opacity[:count], sh[:count]
 
-    def put(self, first: int, opacity: np.ndarray, sh: np.ndarray) -> None:
-        """Write what `read` gave to other places; the embedding writes the rest."""
+    def write(self, first: int, opacity: np.ndarray, sh: np.ndarray) -> None:
+        """Write the result of `read` to the Gaussians from `first` on; the embedding writes the other fields."""
         if len(opacity):
-            self._put(first, opacity, sh)
+            self._write(first, opacity, sh)
 
-    def larger(self, room: int) -> "Splats":
-        """The same Gaussians with room for more, of which any may have a colour that depends on the view."""
+    def set_count(self, count: int) -> None:
+        """Use the first `count` entries, up to `capacity`."""
+        self.count = count
+
+    def enlarged(self, capacity: int) -> "Splats":
+        """A copy of greater capacity; the colour of any Gaussian added later may depend on the view."""
         none = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.zeros((0, self.coefficients, 3)))
-        other = Splats(none, room=max(room, self.count))
-        other.count, other._start = self.count, self._start
-        if self.coefficients > 1:
-            other.banded = (self.banded[0], other.capacity) if self.banded[1] else (0, 0)
-        other._take(
-            self.count, self.mean, self.cov, self.opacity, self.sh, self.rotation, self.light,
+        other = Splats(none, capacity=max(capacity, self.count))
+        other.count, other._initial_means = self.count, self._initial_means
+        if self.sh_range[1]:
+            other.sh_range = (self.sh_range[0], other.capacity)
+        other._copy(
+            self.count, self.mean, self.cov, self.opacity, self.sh, self.rotation, self.visibility,
         )  # fmt: skip
         return other
 
@@ -99,7 +106,7 @@ class Splats:
                     sh[i, k, c] = self.sh[first + i, k][c]
 
     @ti.kernel
-    def _put(self, first: ti.i32, opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3)):
+    def _write(self, first: ti.i32, opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3)):
         for i in range(opacity.shape[0]):
             self.opacity[first + i] = opacity[i]
             for k in range(self.coefficients):
@@ -107,19 +114,19 @@ class Splats:
                     self.sh[first + i, k][c] = sh[i, k, c]
 
     @ti.kernel
-    def _take(
+    def _copy(
         self, count: ti.i32, mean: ti.template(), cov: ti.template(), opacity: ti.template(), sh: ti.template(),
-        rotation: ti.template(), light: ti.template(),
+        rotation: ti.template(), visibility: ti.template(),
     ):  # fmt: skip
         for i in range(count):
             self.mean[i], self.cov[i], self.rotation[i] = mean[i], cov[i], rotation[i]
-            self.opacity[i], self.light[i] = opacity[i], light[i]
+            self.opacity[i], self.visibility[i] = opacity[i], visibility[i]
             for k in range(self.coefficients):
                 self.sh[i, k] = sh[i, k]
 
     def destroy(self) -> None:
-        """Give the device memory back; the object must not be used after."""
-        self.tree.destroy()
+        """Free the device memory."""
+        self.fields.destroy()
 
 
 def covariances(gaussians: Gaussians) -> np.ndarray:
@@ -128,3 +135,35 @@ def covariances(gaussians: Gaussians) -> np.ndarray:
     sigma = axes @ axes.transpose(0, 2, 1)
     i, j = np.triu_indices(3)
     return sigma[:, i, j].astype(np.float32)
+
+
+@ti.func
+def color_of(splats: ti.template(), g: ti.i32, ray: vec3) -> vec3:
+    """0.5 + SH(R^T d) as seen from a direction; d is that of `ray`, from the eye to the Gaussian's mean."""
+    value = harmonics.C0 * splats.sh[g, 0]
+    if ti.static(splats.coefficients > 1):
+        view_dependent = g >= splats.sh_range[0] and g < splats.sh_range[1]
+        if view_dependent:
+            value += higher_degrees(splats, g, rotate_inverse(splats.rotation[g], ray.normalized(1e-12)))
+    return 0.5 + value
+
+
+@ti.func
+def higher_degrees(splats: ti.template(), g: ti.i32, d: vec3) -> vec3:
+    """Degrees 1 to 3 of the harmonics at unit direction d, in the basis of core/spherical_harmonics.py."""
+    sh = ti.static(splats.sh)
+    x, y, z = d.x, d.y, d.z
+    value = harmonics.C1 * (z * sh[g, 2] - y * sh[g, 1] - x * sh[g, 3])
+    if ti.static(splats.coefficients > 4):
+        xx, yy, zz = x * x, y * y, z * z
+        C2 = ti.static(harmonics.C2)
+        value += C2[0] * x * y * sh[g, 4] + C2[1] * y * z * sh[g, 5] + C2[2] * (2 * zz - xx - yy) * sh[g, 6]
+        value += C2[3] * x * z * sh[g, 7] + C2[4] * (xx - yy) * sh[g, 8]
+        if ti.static(splats.coefficients > 9):
+            C3 = ti.static(harmonics.C3)
+            value += C3[0] * y * (3 * xx - yy) * sh[g, 9] + C3[1] * x * y * z * sh[g, 10]
+            value += C3[2] * y * (4 * zz - xx - yy) * sh[g, 11]
+            value += C3[3] * z * (2 * zz - 3 * xx - 3 * yy) * sh[g, 12]
+            value += C3[4] * x * (4 * zz - xx - yy) * sh[g, 13]
+            value += C3[5] * z * (xx - yy) * sh[g, 14] + C3[6] * x * (xx - 3 * yy) * sh[g, 15]
+    return value

@@ -13,12 +13,13 @@ import numpy as np
 from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
+from assets.level_planes import LEVEL_COS
 from assets.up_axis import robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cleaning import FEWEST, cut_out, largest_piece
 from prepare.room.spawn_points import drop_place, stand_place
-from prepare.room.support_planes import LEVEL, Support, floor_under, gravity, on_floor, supports
+from prepare.room.support_planes import Support, floor_under, gravity, on_floor, supports
 from prepare.room.surfels import OPAQUE, Surfels, haze, normals_and_areas, surfels, without_floaters
 from prepare.room.visibility import Cells, cells_of, open_space, oriented, viewers_in
 from prepare.room.winding_number import COARSENING, signed_distance, winding
@@ -193,7 +194,7 @@ def level_surface(solid: Gaussians, low, high, h: float, viewers, room: Cells) -
     origin, shape = box_of(low, high, step)
     found = seen_by(room, surfels(solid, origin, step, shape))
     occupied = cells_of(found, origin, step, shape)
-    found = oriented(found.select(np.abs(found.normals[:, 1]) > LEVEL), viewers, occupied, room)
+    found = oriented(found.select(np.abs(found.normals[:, 1]) > LEVEL_COS), viewers, occupied, room)
     return found.points, found.normals
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from core.errors import BadInput
-from core.rotation import multiply_quaternions, quaternions_from_matrices
+from core.rotation import matrices_from_quaternions, multiply_quaternions, quaternions_from_matrices
 from core.spherical_harmonics import rotate_sh
 
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
@@ -69,6 +69,13 @@ class Gaussians:
     def opacities(self) -> np.ndarray:
         """Opacity in 0..1, (N,)."""
         return 1.0 / (1.0 + np.exp(-self.logit_opacities.clip(-80, 80)))
+
+    @property
+    def covariances(self) -> np.ndarray:
+        """Sigma = R S S^T R^T [m^2] as (xx, xy, xz, yy, yz, zz), float64 (N, 6)."""
+        axes = matrices_from_quaternions(self.quats) * np.exp(self.log_scales.astype(np.float64))[:, None, :]
+        sigma = axes @ axes.transpose(0, 2, 1)
+        return sigma[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
     def select(self, which: np.ndarray) -> Gaussians:
         """The Gaussians of an index array or boolean mask."""

@@ -19,7 +19,7 @@ import numpy as np
 from core.camera import Camera
 from display.run_stats import write_stats
 from display.viewer import camera_around, upright
-from render.sort_modes import SORTS
+from render import SORTS
 
 DEGREES, STEPS, SHARPER = 1.0, 20, 3
 SIZE = (480, 360)  # [px] of the pictures that are compared
@@ -62,7 +62,7 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
     from render.splats import Splats
 
     ways = {sort: {"sort": sort} for sort in SORTS} if ways is None else ways
-    ways = {"reference": {"sort": "pixel", "window": REFERENCE}, **ways}
+    ways = {"reference": {"sort": "pixel", "buffer_size": REFERENCE}, **ways}
     splats = Splats(gaussians)
     renderers = [Renderer(splats, camera.width, camera.height, outputs="float", **how) for how in ways.values()]
     times, changes, popping, errors, before = [], [], [], [], None
@@ -71,7 +71,7 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
         pictures = []
         for renderer in renderers:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SyntaxWarning)  # of a window that takes long to compile
+                warnings.simplefilter("ignore", SyntaxWarning)  # of a buffer that takes long to compile
                 begin = perf_counter()
                 renderer.render([now])
                 ti.sync()

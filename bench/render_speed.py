@@ -42,7 +42,7 @@ def measure(count: int, width: int, height: int, *, rounds: int) -> dict:
     """One row: a room of `count` Gaussians, SH of degree 3, two eyes of width x height [px]."""
     renderer = Renderer(Splats(room(count)), width, height, views=2)
     took = times(lambda cameras: renderer.render(cameras), ti.sync, width, height, rounds)
-    pairs = int(renderer.raster.order.pairs[None])
+    pairs = renderer.rasterizer.pairs
     renderer.destroy()
     return {
         "bench": "render",

@@ -97,8 +97,8 @@ def measure(splats, sizes, views: int, rounds: int) -> list[dict]:
         took = times(
             lambda eyes, draw=draw: draw(eyes[:views]), ti.sync, width, height, rounds, warm=WARM, most=SECONDS
         )
-        pairs = int(renderer.raster.order.pairs[None])
-        if pairs > renderer.raster.stage.bins.capacity:
+        pairs = renderer.rasterizer.pairs
+        if pairs > renderer.rasterizer.pair_capacity:
             raise BadInput(f"{pairs} pairs of tile and Gaussian did not fit: a picture of {width}x{height} lacks some")
         row = {"width": width, "height": height, "views": views, "pairs": pairs, "rounds": len(took)}
         rows.append({**row, "median_ms": 1e3 * median(took), "best_ms": 1e3 * min(took)})

@@ -9,7 +9,7 @@ from pathlib import Path
 from assets.library import SHIPPED_FOLDER
 from commands.argument_types import elevation, positive, share, size
 from core.runtime import start_taichi
-from render.sort_modes import MOVING_SORT, SORTS
+from render import MOVING_SORT, SORTS
 
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")

@@ -59,6 +59,11 @@ class FieldGroup:
         if self._tree is not None and not self._tree.destroyed:
             self._tree.destroy()
 
+    @property
+    def destroyed(self) -> bool:
+        """Whether the device memory has been freed."""
+        return self._tree is not None and self._tree.destroyed
+
     def _place(self, fields: list, shape, column_major: bool = False) -> list:
         axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
         if column_major:

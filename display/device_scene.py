@@ -21,13 +21,13 @@ from core.morton import morton_order
 from core.runtime import is_out_of_memory
 from display.animation_targets import AnimationTargets
 from display.scene_bodies import load_bodies
+from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap
 from render.skinned_props import Skin, SkinnedProps
-from render.sort_modes import MOVING_SORT
 from render.splats import Splats
 from scenes.scene import Light, Scene
-from sim.embedding import Embedding, Run
+from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.model import MAX_BODIES, Capacity
 from sim.solver import Solver
 
@@ -73,7 +73,7 @@ class DeviceScene:
         self.gaussian_counts = [len(embedded.gaussians) for _, embedded in moving]  # of each body of the scene
         self.splats = Splats(
             concatenate([still, *(s.gaussians for s in props), *(embedded.gaussians for _, embedded in moving)]),
-            room=self.first + math.ceil(factor * sum(self.gaussian_counts)),
+            capacity=self.first + math.ceil(factor * sum(self.gaussian_counts)),
         )
         self.props = SkinnedProps(self.splats, props, len(still)) if props else None
         self._solver_options = {
@@ -107,12 +107,12 @@ class DeviceScene:
             replace(body, vertex_offset=v, gaussian_offset=int(g))
             for body, v, g in zip(bodies, self.solver.vertex_offset, begins, strict=False)
         ]
-        return Embedding(placed, scheme=scheme, with_rotation=self.splats.coefficients > 1, room=factor)
+        return Embedding(placed, scheme=scheme, with_rotation=self.splats.coefficients > 1, headroom=factor)
 
     def _new_shadow(self, splats: Splats) -> ShadowMap | None:
         return None if self.light is None else ShadowMap(splats, self.light, (self._first_caster, splats.count))
 
-    def grow(self, bodies: list, packed: list[dict]) -> None:
+    def grow(self, bodies: list, packed: list[PackedBody]) -> None:
         """Replace everything by what has capacity for more bodies, in the same state but that it shows no body yet.
 
         It takes seconds, for kernels are compiled. `bodies` are the scene's own for a solver, and `packed`
@@ -130,9 +130,9 @@ class DeviceScene:
             )
             made.append(solver)
             solver.restore(snapshot)
-            splats = self.splats.larger(self.first + math.ceil(GROWTH * sum(self.gaussian_counts)))
+            splats = self.splats.enlarged(self.first + math.ceil(GROWTH * sum(self.gaussian_counts)))
             made.append(splats)
-            embedding = self.embedding.larger(packed, GROWTH)
+            embedding = self.embedding.enlarged(packed, GROWTH)
             made.append(embedding)
             shadow = self._new_shadow(splats)
             made.append(shadow)
@@ -150,12 +150,12 @@ class DeviceScene:
         self.solver, self.splats, self.embedding = solver, splats, embedding
         self.shadow, self.renderer, self.grown = shadow, renderer, True
 
-    def show(self, runs: list[Run], packed: list[dict], count: int) -> None:
-        """Let the embedding carry these runs, and draw the first `count` Gaussians alone."""
-        self.embedding.load(runs, packed)
-        self.splats.count = count
+    def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
+        """Let the embedding carry these spans, and draw the first `count` Gaussians alone."""
+        self.embedding.load(spans, packed)
+        self.splats.set_count(count)
         if self.shadow is not None:
-            self.shadow.end = count
+            self.shadow.set_end(count)
 
     def deform(self) -> None:
         """Move the bodies' Gaussians to where the solver has the vertices."""
@@ -180,7 +180,7 @@ class DeviceScene:
     def render(self, cameras: Sequence[Camera]) -> None:
         """Draw the picture for these cameras, one a view."""
         self.renderer.render(cameras)
-        if self.shadow is not None and self.shadow.settle():
+        if self.shadow is not None and self.shadow.finish():
             self.renderer.render(cameras)
 
     def resize(self, width: int, height: int) -> None:

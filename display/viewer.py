@@ -20,7 +20,7 @@ from core.runtime import start_taichi
 from display.headless.headless import Headless
 from display.protocol import Frame, WorldView
 from display.timing import Timings
-from render.sort_modes import MOVING_SORT
+from render import MOVING_SORT
 from scenes.scene import Scene
 
 FOV_Y = 0.9  # [rad]

@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
 import taichi as ti
 
+from core.camera import Camera
 from core.fields import FieldGroup
 from render import SORTS
 from render.footprint import (
@@ -25,7 +27,6 @@ MAX_CUTOFF = 2 * math.log(255) + 0.01  # [sigma^2] at which an opaque splat ends
 HALF_LOG2_E = 0.5 * math.log2(math.e)  # exp(-q/2) = 2^(-HALF_LOG2_E q)
 
 vec3, vec4 = ti.math.vec3, ti.math.vec4
-CameraRows = ti.types.matrix(4, 4, ti.f32)
 
 
 @ti.data_oriented
@@ -85,11 +86,23 @@ class Projection:
         """Free the device memory."""
         self.fields.destroy()
 
+    def set_camera(self, v: int, values: list[float]) -> None:
+        """Set the camera of view `v` to the result of `camera_values`."""
+        self._set_camera(v, *values)
+
     @ti.kernel
-    def set_camera(self, v: ti.i32, rows: CameraRows):
-        """Set view `v`; kernel arguments reach the device without a copy to wait for."""
-        for k in ti.static(range(4)):
-            self.camera[v, k] = vec4(rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3])
+    def _set_camera(
+        self, v: ti.i32,
+        a0: ti.f32, a1: ti.f32, a2: ti.f32, a3: ti.f32,
+        b0: ti.f32, b1: ti.f32, b2: ti.f32, b3: ti.f32,
+        c0: ti.f32, c1: ti.f32, c2: ti.f32, c3: ti.f32,
+        fx: ti.f32, fy: ti.f32, cx: ti.f32, cy: ti.f32,
+    ):  # fmt: skip
+        """Write `camera`: scalars need no copy to wait for, and a matrix argument takes four times as long to pass."""
+        self.camera[v, 0] = vec4(a0, a1, a2, a3)
+        self.camera[v, 1] = vec4(b0, b1, b2, b3)
+        self.camera[v, 2] = vec4(c0, c1, c2, c3)
+        self.camera[v, 3] = vec4(fx, fy, cx, cy)
 
     @ti.func
     def project(self, begin: ti.i32, end: ti.i32, sorter: ti.template()):
@@ -194,6 +207,12 @@ class Projection:
                     self.mean2d[v, g], self.conic[v, g], self.box[v, g] = mean2d, conic, box
                     mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
         return mask
+
+
+def camera_values(camera: Camera) -> list[float]:
+    """Three rows of world_to_camera, then fx, fy, cx, cy: 16 numbers."""
+    rows = np.asarray(camera.world_to_camera, np.float64)[:3].ravel().tolist()
+    return [*rows, camera.fx, camera.fy, camera.cx, camera.cy]
 
 
 @ti.func

@@ -1,6 +1,5 @@
 """The pipeline from Gaussians to pixels, stage by stage, with a pair capacity that grows on demand."""
 
-import numpy as np
 import taichi as ti
 
 from core.camera import Camera
@@ -9,7 +8,7 @@ from core.fields import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
 from render.blend import Blend
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
-from render.projection import CameraRows, Projection
+from render.projection import Projection, camera_values
 from render.splats import Splats
 from render.tile_batch import CPU_TILE, GPU_TILE
 
@@ -49,7 +48,7 @@ class Rasterizer:
         self.order = DepthOrder(self.projection)
         self._sums = {"with_color": color, "with_depth": depth}
         self._buffer_size = buffer_size if sort == "pixel" else None
-        self._camera_rows = {}  # on the device, by view
+        self._cameras: dict[int, list[float]] = {}  # on the device, by view
         self.tile_pass = self._tile_pass(min(PAIRS_PER_GAUSSIAN * views * splats.capacity, MAX_INITIAL_PAIRS))
 
     def draw(self, out, begin: int = 0, end: int | None = None, *, wait: bool = True) -> None:
@@ -111,11 +110,10 @@ class Rasterizer:
 
     def set_camera(self, view: int, camera: Camera) -> None:
         """Set the camera of a view; its size must be the rasterizer's."""
-        rows = [*np.asarray(camera.world_to_camera, np.float64)[:3].tolist()]
-        rows.append([camera.fx, camera.fy, camera.cx, camera.cy])
-        if self._camera_rows.get(view) != rows:
-            self.projection.set_camera(view, CameraRows(rows))
-            self._camera_rows[view] = rows
+        values = camera_values(camera)
+        if self._cameras.get(view) != values:
+            self.projection.set_camera(view, values)
+            self._cameras[view] = values
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -6,10 +6,10 @@ VR-GS, Sec. 4.5: the map is drawn by the same alpha blending; Gaussians behind i
 import numpy as np
 import taichi as ti
 
-from core.camera import look_at
+from core.camera import Camera, look_at
 from core.fields import FieldGroup
 from render.footprint import clamp
-from render.projection import NEAR_PLANE, CameraRows, vec3, vec4
+from render.projection import NEAR_PLANE, camera_values, vec3, vec4
 from render.rasterizer import Rasterizer
 from render.splats import Splats
 from scenes.scene import Light
@@ -99,11 +99,12 @@ class ShadowMap:
         """
         light, distance = self.light, self._distance
         if not self._static_is_drawn:
-            view = look_at(self._eye, light.target)[:3]
-            tangent = min(self._radius / distance, MAX_TANGENT)
-            self._aim_static(
-                self._camera_rows(view, tangent), distance - CASTING_FRACTION * min(distance, self._radius)
-            )
+            half = 0.5 * self.resolution
+            focal = half / min(self._radius / distance, MAX_TANGENT)
+            view = look_at(self._eye, light.target)
+            camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
+            self.rasterizer.projection.set_camera(0, camera_values(camera))
+            self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
             self.rasterizer.draw(STATIC, 0, self.begin)
             self._expose(light.softness)
             self._static_is_drawn = True
@@ -126,16 +127,11 @@ class ShadowMap:
             self._receive(self.light.strength, self.light.softness, self.end)
         return again
 
-    def _camera_rows(self, view: np.ndarray, tangent: float):
-        """Kernel argument of a view (3, 4) whose half cone has this tangent."""
-        half = 0.5 * self.resolution
-        return CameraRows([*view.tolist(), [half / tangent, half / tangent, half, half]])
-
     @ti.kernel
-    def _aim_static(self, rows: CameraRows, near: ti.f32):
-        """Set the camera of the static layer, which draws from `near` [m] on."""
+    def _aim_static(self, near: ti.f32):
+        """Keep the rasterizer's camera as that of the static layer, which draws from `near` [m] on."""
         for k in ti.static(range(4)):
-            self._set_camera_row(STATIC, k, vec4(rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]))
+            self.camera[STATIC, k] = self.rasterizer.projection.camera[0, k]
         self.rasterizer.projection.near[0] = near
 
     @ti.kernel

@@ -13,7 +13,7 @@ import taichi as ti
 from assets.gaussians import Gaussians, concatenate
 from core.fields import FieldGroup, Upload
 from core.spherical_harmonics import C0
-from render.splats import Splats, covariances
+from render.splats import Splats
 from scenes.scene import Light
 
 HIDDEN_DISTANCE = 1e6  # [m] from the origin: hidden, and casts no shadow
@@ -63,7 +63,7 @@ class SkinnedProps:
             )
             color = 0.5 + C0 * g.sh[:, 0]
             Upload([self.target, self.part, self.weight, self.cov, self.mean, self.normal, self.base, self.opacity])(
-                [begin + np.arange(N), part, weight, covariances(g), g.means, normal, color, g.opacities]
+                [begin + np.arange(N), part, weight, g.covariances, g.means, normal, color, g.opacities]
             )
         self._placed = None  # poses of the last call of `place`
         self.place(np.tile(HIDDEN_POSE, (self.parts, 1, 1)), None)

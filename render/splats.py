@@ -7,7 +7,6 @@ from assets.gaussians import Gaussians
 from core import spherical_harmonics as harmonics
 from core.fields import FieldGroup, round_up_capacity
 from core.quaternion import rotate_inverse
-from core.rotation import matrices_from_quaternions
 
 vec3 = ti.math.vec3
 
@@ -42,7 +41,7 @@ class Splats:
         f.build()
         for field, values in (
             (self.mean, gaussians.means),
-            (self.cov, covariances(gaussians)),
+            (self.cov, gaussians.covariances),
             (self.opacity, gaussians.opacities),
             (self.sh, gaussians.sh),
         ):
@@ -127,14 +126,6 @@ class Splats:
     def destroy(self) -> None:
         """Free the device memory."""
         self.fields.destroy()
-
-
-def covariances(gaussians: Gaussians) -> np.ndarray:
-    """Sigma = R S S R^T [m^2] as (N, 6) = (xx, xy, xz, yy, yz, zz), float64 inside."""
-    axes = matrices_from_quaternions(gaussians.quats) * np.exp(gaussians.log_scales.astype(np.float64))[:, None, :]
-    sigma = axes @ axes.transpose(0, 2, 1)
-    i, j = np.triu_indices(3)
-    return sigma[:, i, j].astype(np.float32)
 
 
 @ti.func

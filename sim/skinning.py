@@ -1,4 +1,4 @@
-"""Driven vertices that follow a skeleton: linear blend skinning on the device, into where the solver is to move them.
+"""Linear blend skinning of kinematic vertices, on the device.
 
 x_i = sum_k w_ik  M_j(i,k)  X_i,    M = world_from_body  world_j  inverse_bind_j; its twin: assets/animation.py, skin.
 """
@@ -9,10 +9,13 @@ import taichi as ti
 
 @ti.data_oriented
 class Skinning:
-    """Driven vertices of one body.
+    """Kinematic vertices of one body that follow a skeleton.
 
-    first     global index of the body's first vertex;  vertices (D,) those driven, counted from it
-    points    where they are at rest [m], (D, 3);  joints (D, 4);  weights (D, 4);  count  number of joints
+    first     index of the body's first vertex among the solver's
+    vertices  indices of the kinematic vertices, from the body's first, (D,)
+    points    their rest positions [m], (D, 3)
+    joints    that move each, (D, 4); weights of these, (D, 4)
+    count     number of joints
     """
 
     def __init__(self, first: int, vertices, points, joints, weights, count: int):
@@ -27,8 +30,10 @@ class Skinning:
         self.weight.from_numpy(np.asarray(weights, np.float32))
 
     def pose(self, matrices: np.ndarray, targets, first: int | None = None) -> None:
-        """Write where the vertices are by matrices (J, 4, 4) to the field `targets` vec3[V]; `first`: of a copy of the
-        body, its first vertex."""
+        """Out: positions [m] of the vertices in the field `targets`, vec3 (V,), by the joints' matrices (J, 4, 4).
+
+        `first`: first vertex of a copy of the body.
+        """
         first = self.first if first is None else first
         self._pose(np.ascontiguousarray(matrices[:, :3], np.float32), first, targets)
 

@@ -74,7 +74,7 @@ def compare(count: int, rounds: int) -> dict:
         "gsplat_ms": 1e3 * median(took[best]),
         "gsplat_packed": best,
         "ratio": median(took["ours"]) / median(took[best]),
-        "ours_pairs": int(ours.raster.order.pairs[None]),
+        "ours_pairs": ours.rasterizer.pairs,
         "gsplat_pairs": theirs[True].pairs,
         "difference": float(np.abs(picture - reference).mean()),
         "device": torch.cuda.get_device_name(),

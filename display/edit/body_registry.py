@@ -17,7 +17,7 @@ from core.material import Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from scenes.scene import BodyState, Hand
-from sim.embedding import Run
+from sim.embedding import BodySpan
 from sim.model import MAX_BODIES, CapacityError
 
 FULL_NOTICE = "There is no room for that: remove something first."
@@ -155,7 +155,7 @@ class BodyRegistry:
         """Compile what the first edit needs; nothing is changed."""
         splats, first = self.device.splats, self.device.first
         if self.members:
-            splats.put(first, *splats.read(first, 1))
+            splats.write(first, *splats.read(first, 1))
             self.device.embedding.warm_up()
         for animation in self.animations:
             animation.rebased(self.device.solver)
@@ -190,24 +190,24 @@ class BodyRegistry:
         """Let the picture show these members where the solver has them."""
         device, before = self.device, self._begins(self.members)
         models, vertices, begins = device.solver.parts, device.solver.vertex_offset, self._begins(members)
-        runs = [
-            Run(m.source, v, g, model.shape.factor)
+        spans = [
+            BodySpan(m.source, v, g, model.shape.factor)
             for m, v, g, model in zip(members, vertices, begins, models, strict=False)
         ]
-        if runs != device.embedding.runs:
+        if spans != device.embedding.spans:
             self._read()
-            device.show(runs, self._packed, begins[-1])
+            device.show(spans, self._packed, begins[-1])
             for k, (m, g) in enumerate(zip(members, begins, strict=False)):
                 if not (k < len(self.members) and self.members[k].source == m.source and before[k] == g):
-                    device.splats.put(g, *self._looks[m.source])
+                    device.splats.write(g, *self._looks[m.source])
         self.members = members
 
     def _check(self, members: tuple[Member, ...]) -> None:
         """Raise CapacityError if the splats or the embedding have no capacity for these members."""
         self._read()
-        runs = [Run(m.source, 0, 0) for m in members]
+        spans = [BodySpan(m.source, 0, 0) for m in members]
         device = self.device
-        if self._begins(members)[-1] > device.splats.capacity or not device.embedding.fits(runs, self._packed):
+        if self._begins(members)[-1] > device.splats.capacity or not device.embedding.fits(spans, self._packed):
             raise CapacityError("no capacity for Gaussians")
 
     def _begins(self, members: tuple[Member, ...]) -> list[int]:

@@ -13,7 +13,7 @@ from display.protocol import Command, Frame
 from display.record.command_text import from_text
 from display.record.packing import size_of, unpack
 from display.record.recording import CAMERA, OPTIONS
-from render.sort_modes import SORTS
+from render import SORTS
 
 LONGEST = 10.0  # [s] of a frame
 HANDS, CAMERAS, SIDE = 16, 2, 16384  # of a frame; [px]

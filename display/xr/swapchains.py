@@ -5,7 +5,7 @@ runtime decodes them. A runtime without sRGB textures gets them decoded. Rows: t
 first is the bottom.
 
 Depth (XR_KHR_composition_layer_depth) lets a runtime shift late pictures to where the head is by now: a depth texture
-for each eye beside its picture, drawn in the same pass (gl_FragDepth). 0 is at render.renderer.NEAR, 1 at FAR, between
+for each eye beside its picture, drawn in the same pass (gl_FragDepth). 0 is at render.renderer.NEAR, 1 at DEPTH_FAR, between
 them as in OpenGL's depth buffer; nearer is less.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from core.errors import BadInput
 from display.xr.poses import position_rotation
-from render.renderer import FAR, NEAR
+from render.renderer import DEPTH_FAR, DEPTH_NEAR
 
 DEPTH_EXTENSION = "XR_KHR_composition_layer_depth"
 SRGB8_ALPHA8, RGBA8 = 0x8C43, 0x8058  # OpenGL's names of formats, best first
@@ -135,7 +135,7 @@ class DepthSwapchain:
         self._attach = kind(gl.extra("glFramebufferTexture2D"))  # moderngl attaches no foreign depth texture
         self.handle = create_swapchain(xr, session, size, texture_format, depth=True)
         self._textures = image_names(xr, self.handle)
-        self._info = xr.CompositionLayerDepthInfoKHR(min_depth=0.0, max_depth=1.0, near_z=NEAR, far_z=FAR)
+        self._info = xr.CompositionLayerDepthInfoKHR(min_depth=0.0, max_depth=1.0, near_z=DEPTH_NEAR, far_z=DEPTH_FAR)
         self._info.sub_image.swapchain = self.handle
 
     @contextlib.contextmanager

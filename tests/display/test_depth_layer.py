@@ -6,7 +6,7 @@ import pytest
 from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from render.renderer import FAR, NEAR, SOLID
+from render.renderer import DEPTH_FAR, DEPTH_NEAR, MIN_SURFACE_ALPHA
 from tests.support.fake_xr import DEPTH, FakeXr
 
 WIDTH, HEIGHT = 24, 16
@@ -14,7 +14,7 @@ WIDTH, HEIGHT = 24, 16
 
 def depth_of(z):
     """What stands in a depth buffer for a distance z [m] along the view."""
-    return np.clip(FAR / (FAR - NEAR) * (1 - NEAR / np.maximum(z, 1e-9)), 0, 1)
+    return np.clip(DEPTH_FAR / (DEPTH_FAR - DEPTH_NEAR) * (1 - DEPTH_NEAR / np.maximum(z, 1e-9)), 0, 1)
 
 
 def wall(rng, count=400):
@@ -38,12 +38,12 @@ def test_the_alpha_byte_is_the_depth_of_what_is_seen(ti_cpu):
     for renderer in (exact, deep):
         renderer.render(cameras)
     rgb, alpha, z = exact.rgb.to_numpy(), exact.alpha.to_numpy(), exact.depth.to_numpy()
-    solid = alpha >= SOLID
-    assert 0.3 < solid.mean() < 0.8 and (z[solid] < NEAR).any() and (z[solid] > 3).any()
+    solid = alpha >= MIN_SURFACE_ALPHA
+    assert 0.3 < solid.mean() < 0.8 and (z[solid] < DEPTH_NEAR).any() and (z[solid] > 3).any()
     colours = 255 * np.clip(rgb + (1 - alpha[..., None]) * [0.2, 0.4, 0.6], 0, 1)
     assert np.abs(deep.pixels()[..., :3] - colours).max() <= 0.5 + 1e-3
     expected = np.where(solid, 255 * depth_of(z), 255)
-    doubtful = np.abs(alpha - SOLID) < 1e-3
+    doubtful = np.abs(alpha - MIN_SURFACE_ALPHA) < 1e-3
     assert np.abs(deep.pixels()[..., 3] - expected)[~doubtful].max() <= 0.5 + 1e-3  # rounded to a byte
     deep.resize(10, 10)
     deep.render([perspective(10, 10, 0.9, look_at((0, 0, 0), (0, 0, -1)))] * 2)
@@ -51,10 +51,10 @@ def test_the_alpha_byte_is_the_depth_of_what_is_seen(ti_cpu):
 
 
 def test_nearer_is_less_and_the_ends_are_the_runtimes():
-    z = np.array([0.05, NEAR, 0.5, 1.0, 10.0, FAR, 1e6])
+    z = np.array([0.05, DEPTH_NEAR, 0.5, 1.0, 10.0, DEPTH_FAR, 1e6])
     d = depth_of(z)
     assert d[0] == d[1] == 0 and d[-2] == pytest.approx(1) and d[-1] == 1 and (np.diff(d) >= 0).all()
-    near_far = NEAR * FAR / (FAR - d[2:-1] * (FAR - NEAR))  # as a runtime reads it: near_z, far_z, 0 to 1
+    near_far = DEPTH_NEAR * DEPTH_FAR / (DEPTH_FAR - d[2:-1] * (DEPTH_FAR - DEPTH_NEAR))  # as a runtime reads it: near_z, far_z, 0 to 1
     np.testing.assert_allclose(near_far, z[2:-1], rtol=1e-9)
 
 

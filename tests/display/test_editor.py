@@ -85,7 +85,7 @@ class Play:
 
     def shown(self, k):
         """Means of the Gaussians that show body k, as the device has them."""
-        run = self.world.device.embedding.runs[k]
+        run = self.world.device.embedding.spans[k]
         count = self.world.device.gaussian_counts[run.part]
         return self.world.device.splats.mean.to_numpy()[run.gaussian : run.gaussian + count]
 
@@ -165,7 +165,7 @@ def test_a_copy_looks_like_its_original_and_stands_above_it(play):
     aside = copy.centroid - original.centroid
     assert copy.name == original.name and copy.low[1] > original.high[1]
     assert_allclose(play.shown(2), play.shown(BLUE) + aside, atol=2e-6)
-    a, b = world.device.embedding.runs[BLUE].gaussian, world.device.embedding.runs[2].gaussian
+    a, b = world.device.embedding.spans[BLUE].gaussian, world.device.embedding.spans[2].gaussian
     for one, other in zip(world.device.splats.read(a, own), world.device.splats.read(b, own), strict=True):
         assert_array_equal(one, other)
     assert_allclose(
@@ -205,7 +205,7 @@ def test_what_is_taken_away_is_not_drawn_and_comes_back(play):
 def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     play.step(20)
     before, cov, foot = play.shown(BLUE), play.world.device.splats.cov.to_numpy(), play.world.bodies()[BLUE]
-    first, count = play.world.device.embedding.runs[BLUE].gaussian, play.world.device.gaussian_counts[BLUE]
+    first, count = play.world.device.embedding.spans[BLUE].gaussian, play.world.device.gaussian_counts[BLUE]
     about = np.array([foot.centroid[0], foot.low[1], foot.centroid[2]])
     for factor, size in ((1.5, 1.5), (1.4, 2.1)):
         play.do(Rescale(BLUE, factor))

@@ -5,7 +5,7 @@ import pytest
 
 from display.adaptive_resolution import DynamicResolution
 from display.xr.wrist_panel import PIXELS
-from render.renderer import FAR, NEAR
+from render.renderer import DEPTH_FAR, DEPTH_NEAR
 from tests.support.fake_xr import CLOCK, DEPTH, EXTENSIONS, PERIOD, FakeXr
 from tests.support.worn import DEPTH32, lines, worn
 
@@ -26,8 +26,8 @@ def test_an_ordinary_play_from_the_first_frame_to_the_last(wear, capsys):
     assert shown[0][0][0] == {
         "rectangle": (0, 0, 64, 48),
         "depth": (0, 0, 64, 48),
-        "near": pytest.approx(NEAR),
-        "far": FAR,
+        "near": pytest.approx(DEPTH_NEAR),
+        "far": DEPTH_FAR,
     }
     assert world.timings.to_light == pytest.approx(PERIOD * 1e-9 + 0.005)
 

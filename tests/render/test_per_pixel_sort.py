@@ -6,12 +6,12 @@ import pytest
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians
 from core.camera import Camera
-from tests.render.test_render import Stage, cloud
 from tests.render.test_sort_modes import turned
 from tests.support import reference_render as reference
+from tests.support.drawing import Drawing
 
 EYE = Camera(61, 45, 60.0, 64.0, 33.5, 20.25, np.eye(4))  # at the origin, along +z
-WINDOW = 16
+BUFFER_SIZE = 16
 
 
 def planes(g: Gaussians, camera: Camera, *, steepest: float = 0.5) -> np.ndarray:
@@ -65,92 +65,102 @@ RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.9, 0.1)
 
 
 @pytest.fixture(scope="module")
-def stage(ti_cpu):
-    return Stage(300, EYE, sort="pixel", window=WINDOW)
+def pixel(ti_cpu):
+    """A drawing for all pictures of this file: its kernels compile for seconds."""
+    return Drawing(23_500, 1, 384, degree=3, sort="pixel", buffer_size=BUFFER_SIZE)
 
 
 @pytest.fixture(scope="module")
 def radial(ti_cpu):
-    return Stage(300, EYE, sort="radial")
+    return Drawing(300, 1, EYE.width, degree=0, sort="radial")
+
+
+def draw(drawing, g: Gaussians, camera: Camera = EYE) -> list[np.ndarray]:
+    """rgb, alpha, depth of one view."""
+    return [image[0] for image in drawing.draw(g, [camera])]
 
 
 def crowd(count: int, seed=0, size=0.08) -> Gaussians:
     """Before the eye, long and flat ones among them."""
-    return cloud(np.random.default_rng(seed), count, size=size).transformed(np.eye(3), (0.0, 0.0, 1.2))
+    rng = np.random.default_rng(seed)
+    sh = rng.normal(0, 0.4, (count, 1, 3))
+    scales = np.log(size) + rng.normal(0, 0.7, (count, 3))
+    means, quats = rng.normal(0, 0.3, (count, 3)) + [0.0, 0.0, 1.2], rng.normal(size=(count, 4))
+    return Gaussians.of(means, quats, scales, rng.normal(0, 2, count), sh)
 
 
-def test_a_window_that_holds_all_equals_sorting_each_pixel(stage, radial):
+def test_a_buffer_that_holds_all_equals_sorting_each_pixel(pixel, radial):
     g = crowd(35)
-    rgb, alpha, depth = stage.draw(g)
+    rgb, alpha, depth = draw(pixel, g)
     expected_rgb, expected_alpha, expected_depth, met = sorted_by_pixel(g, EYE)
-    assert 8 < met.max() <= WINDOW
+    assert 8 < met.max() <= BUFFER_SIZE
     close = np.abs(rgb - expected_rgb).max(axis=-1) < 1e-3
     assert close.mean() > 0.998  # where two planes cross, or at a threshold, a pixel may fall on either side in float32
     np.testing.assert_allclose(np.median(np.abs(alpha - expected_alpha)), 0, atol=1e-5)
     np.testing.assert_allclose(np.median(np.abs(depth - expected_depth)), 0, atol=1e-4)
-    other = np.abs(radial.draw(g)[0] - expected_rgb).max(axis=-1)
+    other = np.abs(draw(radial, g)[0] - expected_rgb).max(axis=-1)
     assert (other > 0.02).mean() > 0.02  # it is not all the same anyway
 
 
-def test_more_than_the_window_holds_are_nearly_sorted(stage, radial):
+def test_more_than_the_buffer_holds_are_nearly_sorted(pixel, radial):
     g = crowd(250)
     expected, _, _, met = sorted_by_pixel(g, EYE)
-    assert met.max() > 2 * WINDOW
-    error = np.abs(stage.draw(g)[0] - expected).mean()
-    assert error < 0.2 * np.abs(radial.draw(g)[0] - expected).mean()
+    assert met.max() > 2 * BUFFER_SIZE
+    error = np.abs(draw(pixel, g)[0] - expected).mean()
+    assert error < 0.2 * np.abs(draw(radial, g)[0] - expected).mean()
 
 
-def test_what_lies_apart_looks_the_same_however_it_is_sorted(stage, radial):
+def test_what_lies_apart_looks_the_same_however_it_is_sorted(pixel, radial):
     """Balls one behind the other, each nearer than any point of the next."""
     g = concatenate(
         [slab((0.02 * k, 0.01 * k, 0.6 + 0.3 * k, 0), 0.02, 0.02, 0.02, (k % 3 / 2, 0.5, 0.7)) for k in range(9)]
     )
-    for a, b in zip(stage.draw(g), radial.draw(g), strict=True):
+    for a, b in zip(draw(pixel, g), draw(radial, g), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
 
 
-def test_two_crossing_planks_change_places_where_they_cross(stage, radial):
+def test_two_crossing_planks_change_places_where_they_cross(pixel, radial):
     """Seen from above an X: on the left the red one is nearer, on the right the green one."""
     red = slab((0.0, 0.0, 2.0, np.radians(-35)), 0.5, 0.1, 0.002, RED)
     green = slab((0.0, 0.0, 2.0, np.radians(35)), 0.5, 0.1, 0.002, GREEN)
     for pair in ([red, green], [green, red]):
-        rgb = stage.draw(concatenate(pair))[0]
+        rgb = draw(pixel, concatenate(pair))[0]
         left, right = rgb[20, 26], rgb[20, 41]
         assert left[0] > 2 * left[1] and right[1] > 2 * right[0]
-    once = radial.draw(concatenate([red, green]))[0]
+    once = draw(radial, concatenate([red, green]))[0]
     assert (once[20, 26, 0] > once[20, 26, 1]) == (once[20, 41, 0] > once[20, 41, 1])
 
 
-def test_what_lies_in_one_plane_keeps_its_order(stage, radial):
+def test_what_lies_in_one_plane_keeps_its_order(pixel, radial):
     """Rounding must not shuffle a wall's Gaussians from pixel to pixel."""
     a = np.radians(50)
     middles = [(k * np.cos(a) * 0.05, 0.01 * k, 2.0 - k * np.sin(a) * 0.05, a) for k in range(-3, 4)]
     g = concatenate([slab(m, 0.1, 0.1, 1e-4, RED if k % 2 else GREEN) for k, m in enumerate(middles)])
-    np.testing.assert_allclose(stage.draw(g)[0], radial.draw(g)[0], atol=1e-5)
+    np.testing.assert_allclose(draw(pixel, g)[0], draw(radial, g)[0], atol=1e-5)
 
 
-def device_planes(stage, g: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def device_planes(pixel, g: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """a (N, 3) in the camera's frame as the splats hold it, and which are drawn."""
-    stage.draw(g, camera)
-    p = stage.renderer.raster.projection
-    place, color, box, window = (
-        f.to_numpy()[0, : len(g)].astype(np.float64) for f in (p.place, p.color, p.box, p.window)
+    draw(pixel, g, camera)
+    p = pixel.rasterizer.projection
+    mean2d, color, box, mask = (
+        f.to_numpy()[0, : len(g)].astype(np.float64) for f in (p.mean2d, p.color, p.box, p.tile_mask)
     )
-    drawn = window[:, 1] != 0
-    place[~drawn, 3] = 1
+    drawn = mask[:, 1] != 0
+    mean2d[~drawn, 3] = 1
     gx, gy = box[:, 3], color[:, 3]
-    back = 1 / place[:, 3] - gx * (place[:, 0] - camera.cx) - gy * (place[:, 1] - camera.cy)
+    back = 1 / mean2d[:, 3] - gx * (mean2d[:, 0] - camera.cx) - gy * (mean2d[:, 1] - camera.cy)
     return np.stack([gx * camera.fx, gy * camera.fy, back], axis=1), drawn
 
 
-def test_the_planes_equal_the_twin_and_stay_when_the_head_turns(stage):
+def test_the_planes_equal_the_twin_and_stay_when_the_head_turns(pixel):
     g = crowd(250)
-    a, drawn = device_planes(stage, g, EYE)
+    a, drawn = device_planes(pixel, g, EYE)
     size = np.linalg.norm(a, axis=1, keepdims=True)
     np.testing.assert_allclose((a / size)[drawn], (planes(g, EYE) / size)[drawn], atol=1e-3)
     turn = turned(15.0).world_to_camera @ np.linalg.inv(turned(0.0).world_to_camera)
     other = Camera(EYE.width, EYE.height, EYE.fx, EYE.fy, EYE.cx, EYE.cy, turn)
-    b, drawn_too = device_planes(stage, g, other)
+    b, drawn_too = device_planes(pixel, g, other)
     both = drawn & drawn_too
     assert both.sum() > 100
     np.testing.assert_allclose((b @ turn[:3, :3] / size)[both], (a / size)[both], atol=1e-3)
@@ -175,17 +185,12 @@ def test_the_plane_is_where_a_gaussian_is_densest_along_a_ray():
 
 
 @pytest.mark.shared
-def test_alpha_is_that_of_gsplat_and_colour_where_order_matters_little(ti_cpu, shared):
+def test_alpha_is_that_of_gsplat_and_colour_where_order_matters_little(pixel, shared):
     """gsplat sorts by camera z; how opaque a pixel becomes does not depend on the order."""
-    from render.renderer import Renderer
-    from render.splats import Splats
-
     truth = np.load(shared / "reference" / "toy_cat.npz")
     K, width, height = truth["K"], int(truth["width"]), int(truth["height"])
-    splats = Splats(read_gaussians(shared / "data" / "splats" / "toy_cat.ply"))
-    renderer = Renderer(splats, width, height, outputs="float", sort="pixel")
-    renderer.render([Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], truth["world_to_camera"][0])])
-    alpha_error = np.abs(renderer.alpha.to_numpy()[0] - truth["alpha"][0])
-    error = np.abs(renderer.rgb.to_numpy()[0] - truth["rgb"][0]).max(axis=-1)
+    camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2], truth["world_to_camera"][0])
+    rgb, alpha, _ = draw(pixel, read_gaussians(shared / "data" / "splats" / "toy_cat.ply"), camera)
+    alpha_error, error = np.abs(alpha - truth["alpha"][0]), np.abs(rgb - truth["rgb"][0]).max(axis=-1)
     assert alpha_error.mean() <= 1e-3 and (alpha_error <= 2 / 255).mean() >= 0.999
     assert error.mean() <= 5e-3 and np.median(error) <= 1e-3

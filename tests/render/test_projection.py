@@ -6,6 +6,7 @@ import pytest
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at
 from tests.support import reference_render as reference
+from tests.support.drawing import Drawing
 
 CAMERA = Camera(150, 97, 130.0, 120.0, 60.0, 55.0, look_at((0.3, 0.4, -1.5), (0.1, 0.0, 0.0)))
 
@@ -19,23 +20,16 @@ def gaussians(count: int, degree: int) -> Gaussians:
     return Gaussians.of(means, rng.normal(size=(count, 4)), scales, rng.normal(0, 2.5, count), sh)
 
 
-def project(g: Gaussians, *, antialias=False, crew=None):
-    """A raster that has arranged and binned `g`, and one list of Gaussians per tile.
+@pytest.fixture(scope="module")
+def drawings(ti_cpu):
+    """A drawing each, plain and antialiased."""
+    return {antialias: Drawing(1500, 1, CAMERA.width, degree=0, antialias=antialias) for antialias in (False, True)}
 
-    `crew` threads share each large splat; as many as the backend likes if None.
-    """
-    from render.rasterizer import Rasterizer
-    from render.renderer import FloatImages
-    from render.splats import Splats
 
-    sink = FloatImages(1, CAMERA.height, CAMERA.width)
-    raster = Rasterizer(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, antialias=antialias)
-    raster.set_camera(0, CAMERA)
-    raster.stage.bins.crew = crew or raster.stage.bins.crew
-    raster.draw(0)
-    bins = raster.stage.bins
+def members_of_tiles(bins) -> list[np.ndarray]:
+    """Indices of the Gaussians of each tile, front to back."""
     members, begin, end = bins.members.to_numpy() >> 32, *(f.to_numpy()[: bins.tiles] for f in (bins.begin, bins.end))
-    return raster, [members[b:e] for b, e in zip(begin, end, strict=True)]
+    return [members[b:e] for b, e in zip(begin, end, strict=True)]
 
 
 def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
@@ -51,21 +45,21 @@ def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: tuple[int, int], shape:
 
 
 @pytest.mark.parametrize("antialias", [False, True])
-def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
-    g = gaussians(1500, 0)
-    raster, lists = project(g, antialias=antialias)
-    p = raster.projection
-    place, conic, window = (f.to_numpy()[0, : len(g)] for f in (p.place, p.conic, p.window))
+def test_splats_and_their_tiles_equal_the_twin(drawings, antialias):
+    g, rasterizer = gaussians(1500, 0), drawings[antialias].rasterizer
+    drawings[antialias].draw(g, [CAMERA])
+    p, lists = rasterizer.projection, members_of_tiles(rasterizer.tile_pass.bins)
+    mean2d, conic, mask = (f.to_numpy()[0, : len(g)] for f in (p.mean2d, p.conic, p.tile_mask))
     cov = reference.covariances(g)
     uv, sigma, opacity, z, kept = reference.project(g.means, cov, g.opacities, CAMERA, antialias=antialias)
-    tiles = np.where(window[:, 1] < 0, -window[:, 1], np.bitwise_count(np.maximum(window[:, 1], 0)))
+    tiles = np.where(mask[:, 1] < 0, -mask[:, 1], np.bitwise_count(np.maximum(mask[:, 1], 0)))
     drawn = tiles > 0
-    assert (window[:, 1] < 0).any() and (window[:, 1] > 0).sum() > 200
+    assert (mask[:, 1] < 0).any() and (mask[:, 1] > 0).sum() > 200
     assert 200 < drawn.sum() < len(g)
     assert not drawn[~kept].any()
-    np.testing.assert_allclose(place[drawn][:, :2], uv[drawn], rtol=2e-5, atol=2e-3)  # float32 of hundreds of px
-    np.testing.assert_allclose(place[drawn][:, 3], z[drawn], rtol=1e-5)
-    np.testing.assert_allclose(2 ** place[drawn][:, 2], opacity[drawn], rtol=2e-3)
+    np.testing.assert_allclose(mean2d[drawn][:, :2], uv[drawn], rtol=2e-5, atol=2e-3)  # float32 of hundreds of px
+    np.testing.assert_allclose(mean2d[drawn][:, 3], z[drawn], rtol=1e-5)
+    np.testing.assert_allclose(2 ** mean2d[drawn][:, 2], opacity[drawn], rtol=2e-3)
     inverse = np.linalg.inv(sigma)[drawn][:, [0, 0, 1], [0, 1, 1]]
     size = np.linalg.norm(inverse, axis=1, keepdims=True)
     np.testing.assert_allclose(conic[drawn][:, :3] / (0.5 * np.log2(np.e)) / size, inverse / size, atol=1e-4)
@@ -83,35 +77,48 @@ def test_splats_and_their_tiles_equal_the_twin(ti_cpu, antialias):
     assert binned.sum() < 1.1 * needed.sum()  # a strip's span counts between pixel centres, too
 
 
-def test_threads_may_share_a_large_splat(ti_cpu):
-    g = gaussians(1500, 0)
-    alone, shared = project(g, crew=1)[1], project(g, crew=32)[1]
-    for a, b in zip(alone, shared, strict=True):
+def test_threads_may_share_a_large_splat(drawings):
+    import taichi as ti
+
+    from render.binning import TileBins
+
+    rasterizer = drawings[False].rasterizer
+    drawings[False].draw(gaussians(1500, 0), [CAMERA])
+    alone, shared = (TileBins(rasterizer.order, rasterizer.pair_capacity, emit_threads=n) for n in (1, 32))
+
+    @ti.kernel
+    def fill(bins: ti.template()):
+        bins.emit()
+        bins.sort()
+        bins.find_ranges()
+
+    for bins in (alone, shared):
+        fill(bins)
+    for a, b in zip(members_of_tiles(alone), members_of_tiles(shared), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_colors_equal_the_twin(ti_cpu, degree):
+    import taichi as ti
+
+    from render.splats import Splats, color_of
+
     g = gaussians(400, degree)
-    g.sh[:100, 1:] = g.sh[-50:, 1:] = 0  # parts of a scene without bands, which the renderer may know
-    raster, _ = project(g)
-    assert raster.splats.banded == ((100, 350) if degree else (0, 0))
-    drawn = raster.projection.window.to_numpy()[0, : len(g), 1] != 0
-    color = raster.projection.color.to_numpy()[0, : len(g), :3]
-    np.testing.assert_allclose(color[drawn], reference.colors(g, CAMERA)[drawn], atol=2e-5)
+    g.sh[:100, 1:] = g.sh[-50:, 1:] = 0  # parts of a scene without harmonics, which the renderer may know
+    splats = Splats(g)
+    assert splats.sh_range == ((100, 350) if degree else (0, 0))
+    eye, found = CAMERA.position, np.zeros((len(g), 3), np.float32)
 
+    @ti.kernel
+    def colors(eye: ti.types.vector(3, ti.f32), out: ti.types.ndarray(ti.f32, ndim=2)):
+        for i in range(splats.count):
+            c = color_of(splats, i, splats.mean[i] - eye)
+            for k in ti.static(range(3)):
+                out[i, k] = c[k]
 
-def test_covariances_are_those_of_scales_and_rotations(ti_cpu):
-    from core.fields import round_up_capacity
-    from render.splats import Splats
-
-    g = gaussians(50, 0)
-    cov = Splats(g).cov.to_numpy()[:50]
-    expected = reference.covariances(g)
-    i, j = np.triu_indices(3)
-    np.testing.assert_allclose(cov, expected[:, i, j], rtol=1e-5, atol=1e-7 * np.abs(expected).max())
-    for count in (0, 1, 255, 256, 257, 100_000, 262_144, 262_145):
-        assert count <= round_up_capacity(count) <= count + max(256, count // 4)
+    colors(ti.Vector(eye.tolist()), found)
+    np.testing.assert_allclose(np.maximum(found, 0.0), reference.colors(g, CAMERA), atol=2e-5)
 
 
 def test_depth_keys_compare_like_floats(ti_cpu):

@@ -76,14 +76,14 @@ def test_scan_is_the_sum_of_all_before(machines, count):
 
 
 def test_scan_stops_at_its_largest_number_instead_of_turning_negative(machines):
-    from render.prefix_sum import SATURATED
+    from render.prefix_sum import MAX_SUM
 
     machines.numbers.from_numpy(np.full(CAPACITY, 100_000, np.int32))
     machines.count[None] = CAPACITY
     machines.run_scan()
-    assert machines.scan.total[None] == SATURATED
+    assert machines.scan.total[None] == MAX_SUM
     offsets = machines.offsets.to_numpy()
-    np.testing.assert_array_equal(offsets, np.minimum(np.arange(CAPACITY) * 100_000, SATURATED))
+    np.testing.assert_array_equal(offsets, np.minimum(np.arange(CAPACITY) * 100_000, MAX_SUM))
 
 
 @pytest.mark.parametrize("name", KEYS)

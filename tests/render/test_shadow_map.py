@@ -46,7 +46,7 @@ def cast(stage, light: Light):
     floor, _, splats, shadow = stage
     shadow.set_light(light)
     shadow.cast()
-    values = splats.light.to_numpy()[: splats.count]
+    values = splats.visibility.to_numpy()[: splats.count]
     return values[: len(floor)], values[len(floor) :]
 
 
@@ -101,9 +101,9 @@ def test_a_moving_ball_takes_its_shadow_along_at_the_next_cast(stage):
     moved = means.copy()
     moved[len(floor) : splats.count, 0] += 0.5
     splats.mean.from_numpy(moved)
-    np.testing.assert_array_equal(splats.light.to_numpy()[: len(floor)], before)  # nothing happens by itself
+    np.testing.assert_array_equal(splats.visibility.to_numpy()[: len(floor)], before)  # nothing happens by itself
     shadow.cast()
-    after = splats.light.to_numpy()[: len(floor)]
+    after = splats.visibility.to_numpy()[: len(floor)]
     splats.mean.from_numpy(means)
     assert shadow_center(floor, after)[0] == pytest.approx(0.5 * 2.0 / 1.6, abs=0.02)
 
@@ -118,7 +118,7 @@ def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
     parts = [len(floor), len(floor) + len(roof)]
     shadow = ShadowMap(splats, LIGHT, (parts[1], splats.count))
     shadow.cast()
-    on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], parts)
+    on_floor, on_roof, on_blob = np.split(splats.visibility.to_numpy()[: splats.count], parts)
     np.testing.assert_allclose(on_blob, 1 - LIGHT.strength, atol=0.02)
     np.testing.assert_allclose(on_floor, 1, atol=0.02)
     np.testing.assert_allclose(on_roof, 1, atol=1e-3)
@@ -128,7 +128,7 @@ def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
     splats.mean.from_numpy(means)
     shadow.set_light(LIGHT)
     shadow.cast()
-    on_floor, on_roof, on_blob = np.split(splats.light.to_numpy()[: splats.count], parts)
+    on_floor, on_roof, on_blob = np.split(splats.visibility.to_numpy()[: splats.count], parts)
     assert on_blob.max() == 1 and on_floor.min() < 0.5
     np.testing.assert_allclose(on_roof, 1, atol=1e-3)
 
@@ -138,17 +138,17 @@ def test_nothing_that_moves_means_no_shadow(ti_cpu):
     from render.splats import Splats
 
     splats = Splats(sheet(0.2, 0.0, 0.02))
-    splats.light.fill(0.5)
+    splats.visibility.fill(0.5)
     ShadowMap(splats, LIGHT, (splats.count, splats.count)).cast()
-    np.testing.assert_array_equal(splats.light.to_numpy()[: splats.count], 1)
+    np.testing.assert_array_equal(splats.visibility.to_numpy()[: splats.count], 1)
 
 
 def test_a_cast_without_room_is_made_again_when_it_is_settled(stage):
     floor, _, splats, shadow = stage
     expected = np.concatenate(cast(stage, LIGHT))
-    assert not shadow.settle()
-    shadow.raster._make_room(16)
+    assert not shadow.finish()
+    shadow.rasterizer.reserve(16)
     shadow.cast()
-    assert (splats.light.to_numpy()[: len(floor)] == 1.0).all()  # nothing was drawn
-    assert shadow.settle() and not shadow.settle()
-    np.testing.assert_array_equal(splats.light.to_numpy()[: splats.count], expected)
+    assert (splats.visibility.to_numpy()[: len(floor)] == 1.0).all()  # nothing was drawn
+    assert shadow.finish() and not shadow.finish()
+    np.testing.assert_array_equal(splats.visibility.to_numpy()[: splats.count], expected)

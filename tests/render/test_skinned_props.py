@@ -5,12 +5,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.gaussians import concatenate
+from core.spherical_harmonics import C0
 from display.xr import avatar, hand_mesh
 from display.xr.actions import Controller
 from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, posed, rotation_about
 from display.xr.poses import pose_matrix
-from render.skinned_props import AWAY, C0, SkinnedProps
-from render.splats import Splats, covariances
+from render.skinned_props import HIDDEN_DISTANCE, SkinnedProps
+from render.splats import Splats
 from scenes.scene import Light
 
 LIGHT = Light(position=(0.5, 2.0, 0.3))
@@ -41,7 +42,7 @@ def test_what_is_hidden_is_away_and_transparent(drawn):
     splats, props = drawn
     props.place(avatar.hidden(), LIGHT)
     mean, _, opacity, _ = values(splats)
-    assert (mean >= AWAY).all() and (opacity == 0.0).all()
+    assert (mean >= HIDDEN_DISTANCE).all() and (opacity == 0.0).all()
 
 
 def test_gaussians_follow_their_parts_as_the_formula_says(drawn, all_skins):
@@ -57,7 +58,7 @@ def test_gaussians_follow_their_parts_as_the_formula_says(drawn, all_skins):
     g = concatenate([s.gaussians for s in all_skins])
     part, weight = (np.concatenate([getattr(s, n) for s in all_skins]) for n in ("part", "weight"))
     A = np.einsum("nk,nkrc->nrc", weight, poses[part])
-    c0, (i, j) = covariances(g), np.triu_indices(3)
+    c0, (i, j) = g.covariances, np.triu_indices(3)
     S = np.zeros((len(g), 3, 3))
     S[:, i, j] = S[:, j, i] = c0
     assert_allclose(mean, np.einsum("nrc,nc->nr", A[..., :3], g.means) + A[..., 3], atol=2e-6)

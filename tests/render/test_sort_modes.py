@@ -1,4 +1,4 @@
-"""By what Gaussians are sorted: what a turn of the head changes, and what the pictures are."""
+"""Order of Gaussians by depth or by distance: what a turn of the head changes, and the pictures."""
 
 import numpy as np
 import pytest
@@ -6,22 +6,19 @@ import pytest
 from core.camera import Camera
 from tests.render.test_projection import CAMERA, gaussians
 from tests.support import reference_render as reference
+from tests.support.drawing import Drawing
 
 
-def raster_of(g, sort):
-    from render.rasterizer import Rasterizer
-    from render.renderer import FloatImages
-    from render.splats import Splats
-
-    sink = FloatImages(1, CAMERA.height, CAMERA.width)
-    return Rasterizer(Splats(g), CAMERA.width, CAMERA.height, views=1, sink=sink, sort=sort)
+@pytest.fixture(scope="module")
+def drawings(ti_cpu):
+    """A drawing for each order that is the same in all pixels."""
+    return {sort: Drawing(3000, 1, CAMERA.width, degree=0, sort=sort) for sort in ("z", "radial")}
 
 
-def order(raster, camera) -> np.ndarray:
+def order(drawing, camera) -> np.ndarray:
     """Gaussians front to back."""
-    raster.set_camera(0, camera)
-    raster.draw(0)
-    return raster.order.sorter.sorted_items.to_numpy()[: raster.order.sorter.kept[None]] >> 32
+    drawing.draw(gaussians(3000, 0), [camera])
+    return drawing.depth_order()
 
 
 def turned(degrees: float) -> Camera:
@@ -32,10 +29,9 @@ def turned(degrees: float) -> Camera:
     return Camera(CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, matrix)
 
 
-def changes(sort) -> int:
-    """How many neighbours in order change places when the head turns by five degrees."""
-    raster = raster_of(gaussians(3000, 0), sort)
-    before, after = order(raster, turned(0.0)), order(raster, turned(5.0))
+def changes(drawing) -> int:
+    """Number of neighbours in order that change places when the head turns by five degrees."""
+    before, after = order(drawing, turned(0.0)), order(drawing, turned(5.0))
     both = np.intersect1d(before, after)
     assert len(both) > 1000
     before, after = before[np.isin(before, both)], after[np.isin(after, both)]
@@ -44,38 +40,29 @@ def changes(sort) -> int:
     return int((np.diff(rank[before]) < 0).sum())
 
 
-def test_turning_the_head_keeps_the_order_by_distance_but_not_by_depth(ti_cpu):
-    assert changes("radial") <= 3  # of what is equally far but for rounding
-    assert changes("z") > 100
+def test_turning_the_head_keeps_the_order_by_distance_but_not_by_depth(drawings):
+    assert changes(drawings["radial"]) <= 3  # of Gaussians equally far but for rounding
+    assert changes(drawings["z"]) > 100
 
 
-def test_the_order_is_by_distance(ti_cpu):
-    g = gaussians(3000, 0)
-    found = order(raster_of(g, "radial"), CAMERA)
-    distance = np.linalg.norm(g.means[found] - CAMERA.position, axis=1)
+def test_the_order_is_by_distance(drawings):
+    found = order(drawings["radial"], CAMERA)
+    distance = np.linalg.norm(gaussians(3000, 0).means[found] - CAMERA.position, axis=1)
     assert (np.diff(distance) > -1e-6).all()
 
 
-def test_one_gaussian_before_another_looks_the_same_either_way(ti_cpu):
+def test_one_gaussian_before_another_looks_the_same_either_way(drawings):
     """Where both orders agree, so do the pictures, and with the twin."""
-    from render.renderer import Renderer
-    from render.splats import Splats
-
     g = gaussians(3000, 0)
     g = g.select(np.flatnonzero(np.linalg.norm(g.means - CAMERA.position, axis=1) > 0.5)[:6])
-    pictures = []
-    for sort in ("z", "radial"):
-        renderer = Renderer(Splats(g), CAMERA.width, CAMERA.height, outputs="float", sort=sort)
-        renderer.render([CAMERA])
-        pictures.append(renderer.rgb.to_numpy()[0])
-    rgb = reference.render(g, CAMERA)[0]
-    np.testing.assert_allclose(pictures[0], rgb, atol=1e-4)
-    np.testing.assert_allclose(pictures[1], pictures[0], atol=1e-6)
+    by_z, by_distance = (drawing.draw(g, [CAMERA])[0][0] for drawing in drawings.values())
+    np.testing.assert_allclose(by_z, reference.render(g, CAMERA)[0], atol=1e-4)
+    np.testing.assert_allclose(by_distance, by_z, atol=1e-6)
 
 
-def test_what_it_does_not_know_is_refused(ti_cpu):
+def test_an_unknown_order_is_refused(ti_cpu):
     with pytest.raises(ValueError, match="sort must be one of"):
-        raster_of(gaussians(10, 0), "sideways")
+        Drawing(10, 1, 8, degree=0, sort="sideways")
 
 
 def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
@@ -84,7 +71,7 @@ def test_a_camera_that_looks_elsewhere_is_still_the_same_eye():
 
 @pytest.mark.long
 def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
-    """Large translucent Gaussians of many colours, where the order matters."""
+    """Large translucent Gaussians of many colours, for which the order matters."""
     from assets.gaussians import Gaussians
     from bench import popping
     from display.viewer import camera_around

@@ -157,30 +157,30 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
 @pytest.mark.parametrize("larger", [False, True])
 def test_parts_come_go_move_and_grow(ti_cpu, larger):
     """A copy five times as large carries Gaussians five times as large, farther than stretch alone may go."""
-    from sim.embedding import EmbeddedBody, Embedding, Run
+    from sim.embedding import BodySpan, EmbeddedBody, Embedding
 
     ti, rng = ti_cpu, np.random.default_rng(4)
     a, b = random_gaussians(rng, 37), random_gaussians(rng, 50)
-    n, room = len(BAR[0]), 1.0 if larger else 4.0
+    n, headroom = len(BAR[0]), 1.0 if larger else 4.0
     parts = [EmbeddedBody(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
     parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
-    stage = Embedding(parts, with_rotation=False, room=room)
+    stage = Embedding(parts, with_rotation=False, headroom=headroom)
     packed = stage.read()
     if larger:
-        assert not stage.fits([Run(0, 0, 10), Run(1, n, 47), Run(1, 2 * n, 97)] * 3, packed)
-        stage = stage.larger(packed, 4.0)
+        assert not stage.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 3, packed)
+        stage = stage.enlarged(packed, 4.0)
     bodies = [BAR[0], BAR[0] + [0, 2, 0], 5 * BAR[0] - [3, 0, 0]]
     x = ti.Vector.field(3, ti.f32, 3 * n)
     mean, cov = ti.Vector.field(3, ti.f32, 150), ti.Vector.field(6, ti.f32, 150)
 
     def check(*carried):
         """(Gaussians, body, size): which parts are where."""
-        runs, first, wanted = [], 10, [np.full((10, 3), -7.0)]
+        spans, first, wanted = [], 10, [np.full((10, 3), -7.0)]
         for k, (g, _, size) in enumerate(carried):
-            runs.append(Run(0 if g is a else 1, k * n, first, size))
+            spans.append(BodySpan(0 if g is a else 1, k * n, first, size))
             first += len(g)
-        assert stage.fits(runs, packed)
-        stage.load(runs, packed)
+        assert stage.fits(spans, packed)
+        stage.load(spans, packed)
         points = [bodies[body] for _, body, _ in carried]
         x.from_numpy(np.concatenate([*points, *[BAR[0]] * (3 - len(points))]).astype(np.float32))
         mean.fill(-7.0)

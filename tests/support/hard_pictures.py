@@ -1,7 +1,4 @@
-"""Gaussians that are hard to draw right, each set with the two eyes that look at it.
-
-`tests/sim/test_exactness.py` compares them with the float64 twin, `tests/support/parity.py` CUDA with the CPU.
-"""
+"""Gaussians that are hard to draw right, each set with the two eyes that look at it."""
 
 from __future__ import annotations
 

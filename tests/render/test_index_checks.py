@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.render.test_projection import CAMERA, gaussians
+from tests.render.test_projection import gaussians
 from tests.support.drawing import Drawing
 from tests.support.hard_pictures import DEGREE, SIDE, hard_pictures
 from tests.support.runtime import runtime
@@ -16,31 +16,10 @@ def checked():
         yield ti
 
 
-@pytest.mark.parametrize(("views", "sort"), [(1, "z"), (2, "z"), (2, "pixel")])
-def test_every_index_is_within_its_field(checked, views, sort):
-    from dataclasses import replace
-
-    from render.renderer import Renderer
-    from render.splats import Splats
-
-    g = gaussians(2000, 3)
-    eyes = [CAMERA]
-    if views == 2:
-        matrix = CAMERA.world_to_camera.copy()
-        matrix[0, 3] -= 0.064
-        eyes.append(replace(CAMERA, world_to_camera=matrix))
-    renderer = Renderer(Splats(g), CAMERA.width, CAMERA.height, views=views, sort=sort)
-    renderer.render(eyes)
-    pixels = renderer.pixels()[..., :3]
-    assert pixels.shape == (views, CAMERA.height, CAMERA.width, 3) and np.ptp(pixels) > 100
-    if views == 2:
-        assert (pixels[0] != pixels[1]).any()
-    renderer.destroy()
-
-
-def test_every_index_is_within_its_field_in_hard_pictures(checked):
-    """Odd sizes, nothing at all, the whole sky, thousands in a pixel; two eyes."""
-    drawing = Drawing(4100, 2, SIDE, degree=DEGREE)
+@pytest.mark.parametrize("options", [{}, {"sort": "pixel", "buffer_size": 3}], ids=["z", "pixel"])
+def test_every_index_is_within_its_field(checked, options):
+    """Odd sizes, nothing at all, the whole sky, thousands in a pixel, splats that exceed a tile mask; two eyes."""
+    drawing = Drawing(4100, 2, SIDE, degree=DEGREE, **options)
     for g, eyes in hard_pictures().values():
         images = drawing.draw(g, eyes)
         assert all(np.isfinite(image).all() for image in images)
@@ -57,11 +36,11 @@ def test_every_index_of_a_shadow_is_within_its_field(checked):
     splats = Splats(g)
     shadow = ShadowMap(splats, Light((0.0, 3.0, 0.5), (0.0, 0.0, 0.0)), (150, 400))
     shadow.cast()
-    light = splats.light.to_numpy()[: len(g)]
+    light = splats.visibility.to_numpy()[: len(g)]
     assert light.min() < 0.8 and light.max() > 0.9
     shadow.set_light(Light((0.1, 0.2, 0.0), (3.0, 0.2, 0.0)))
     shadow.cast()
-    assert np.isfinite(splats.light.to_numpy()).all()
+    assert np.isfinite(splats.visibility.to_numpy()).all()
 
 
 def test_the_checks_are_on(checked):

@@ -10,13 +10,13 @@ import pytest
 
 from assets.splat_files import write_gaussians
 from core.errors import BadInput
-from tests.render.test_render import single
+from tests.support.hard_pictures import round_ones
 
 
 def test_the_command_writes_pictures_and_arrays(ti_cpu, tmp_path):
     from commands.render import run
 
-    write_gaussians(tmp_path / "g.ply", single())
+    write_gaussians(tmp_path / "g.ply", round_ones((0.0, 0.0, 1.0)))
     view = {"width": 16, "height": 8, "fx": 20, "fy": 20, "cx": 8, "cy": 4, "world_to_camera": np.eye(4).tolist()}
     (tmp_path / "one.json").write_text(json.dumps(view))
     (tmp_path / "two.json").write_text(json.dumps([view, view]))

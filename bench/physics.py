@@ -86,7 +86,7 @@ def statics() -> list[dict]:
     ]
     bodies.append(bar("cantilever", 4 * young, 0.3, 60.0, position=(0, 0, 3), pinned=LEFT))
     bodies.append(bar("twist", young, 0.3, 200.0, position=(0, 0, 6), pinned=np.r_[LEFT, RIGHT]))
-    solver = Solver(bodies, contacts=False, path="jacobi")
+    solver = Solver(bodies, contacts=False, integrator="xpbd")
     start = [b.start() for b in bodies]
     c, s = np.cos(angle), np.sin(angle)
     twisted = [x.copy() for x in start]

@@ -47,7 +47,7 @@ class Soak:
     def __init__(self, seed: int, ranges: Ranges = Ranges()):
         self.seed, self.ranges = seed, ranges
         first = body(generator(seed, 0), ranges, np.array([0.0, 0.5, 0.0]))
-        self.solver = Solver([first], arena(), gravity=GRAVITY, room=ROOM)
+        self.solver = Solver([first], arena(), gravity=GRAVITY, capacity=ROOM)
 
     def episode(self, number: int) -> tuple[float, str]:
         """Simulated seconds and a line about them. Raises Failure."""
@@ -61,7 +61,7 @@ class Soak:
         except Failure as failure:
             raise Failure(f"seed {self.seed}, episode {number}, at {self.time:.2f} s: {failure}") from None
         stats = self.solver.stats
-        line = f"{begin} to {len(self.solver.bodies())} bodies, {stats['path']}, dt {stats['dt']:.2g} s"
+        line = f"{begin} to {len(self.solver.bodies())} bodies, {stats['integrator']}, dt {stats['dt']:.2g} s"
         return self.time, f"{line}; whole again after {away:.1f} s"
 
     def _populate(self, bodies) -> None:

@@ -29,7 +29,7 @@ class Watch:
         self.solver, self.budget, self.edited = solver, 0.0, []
         self.led: set[int] = set()
         self.put, self.frames = 0.0, 0  # [m] behind floor or wall by the last edit; frames since
-        self.rescued = solver.stats["rescued"]
+        self.recovered = solver.stats["recovered"]
         self.moving, self.potential, self.weight = energies(solver)
 
     def hands(self, joules: float) -> None:
@@ -38,7 +38,7 @@ class Watch:
     def stepped(self) -> None:
         """A frame has passed: what is led to its shape, lying, may be lifted by its own height (sim/elastic/untangling.py)."""
         self.frames += 1
-        limp = self.solver._mending.status[0] > 0.0
+        limp = self.solver.untangling.active
         self.led |= {k for k, soft in enumerate(limp) if soft}
 
     def hands_off(self) -> None:
@@ -57,9 +57,9 @@ class Watch:
         q = self.solver.snapshot()
         if not (np.isfinite(q["x"]).all() and np.isfinite(q["v"]).all()):
             raise Failure(f"not finite; edits so far: {', '.join(self.edited) or 'none'}")
-        if rescued := self.solver.stats["rescued"] - self.rescued:
-            self.rescued += rescued
-            raise Failure(f"{rescued} bodies were not finite; edits so far: {', '.join(self.edited) or 'none'}")
+        if recovered := self.solver.stats["recovered"] - self.recovered:
+            self.recovered += recovered
+            raise Failure(f"{recovered} bodies were not finite; edits so far: {', '.join(self.edited) or 'none'}")
         out = behind(self.solver, q)
         if out > DEEPEST + max(self.put - OUT * self.frames * FRAME, 0.0):
             raise Failure(f"{1000 * out:.0f} mm behind floor or wall; edits so far: {', '.join(self.edited) or 'none'}")

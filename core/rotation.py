@@ -44,6 +44,12 @@ def quaternions_from_matrices(matrices) -> np.ndarray:
     return np.moveaxis(q / np.linalg.norm(q, axis=0), 0, -1)
 
 
+def best_fit_rotation(A: np.ndarray) -> np.ndarray:
+    """Rotation R (3, 3) that maximises tr(R^T A), for A = sum m x (rest - its centre)^T (Kabsch 1976)."""
+    U, _, Vt = np.linalg.svd(A)
+    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+
+
 def multiply_quaternions(a, b) -> np.ndarray:
     """Hamilton product a b of quaternions wxyz (..., 4): the rotation b, then a. Not normalised."""
     aw, ax, ay, az = np.moveaxis(np.asarray(a, np.float64), -1, 0)

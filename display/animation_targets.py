@@ -7,11 +7,10 @@ from copy import copy
 import numpy as np
 
 from assets.animation import Animation
-from core.rotation import matrices_from_quaternions
+from core.rotation import best_fit_rotation, matrices_from_quaternions
 from scenes.scene import Body
-from sim.reductions import best_rotation
 from sim.skinning import Skinning
-from sim.solver import LONGEST_FRAME, Solver
+from sim.solver import MAX_FRAME_DT, Solver
 
 ROUNDING = 1e-4  # [m]; a body that is nearer to its targets has not been moved
 
@@ -44,7 +43,7 @@ class AnimationTargets:
         """Give the solver the targets at the end of the next frame of dt [s]; none while it simulates no time."""
         if solver.interaction == "transform":
             return
-        self.time += min(dt, LONGEST_FRAME)
+        self.time += min(dt, MAX_FRAME_DT)
         self._pose(solver)
         solver.drive_surface(self.body)
 
@@ -73,6 +72,6 @@ class AnimationTargets:
         if np.abs(here - there).max() < ROUNDING:
             return self
         by = np.eye(4)
-        by[:3, :3] = best_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
+        by[:3, :3] = best_fit_rotation((here - here.mean(0)).T @ (there - there.mean(0)))
         by[:3, 3] = here.mean(0) - by[:3, :3] @ there.mean(0)
         return self.moved(by)

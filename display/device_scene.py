@@ -86,7 +86,7 @@ class DeviceScene:
         }
         capacity = GROWN_CAPACITY if self.grown else None
         self.solver = Solver(
-            [body for body, _ in moving], interaction=interaction, room=capacity, **self._solver_options
+            [body for body, _ in moving], interaction=interaction, capacity=capacity, **self._solver_options
         )
         self.embedding = self._embed([embedded for _, embedded in moving], embedding, factor) if moving else None
         self.animations = [
@@ -125,7 +125,7 @@ class DeviceScene:
             solver = Solver(
                 bodies,
                 interaction=old.interaction,
-                room=GROWN_CAPACITY,
+                capacity=GROWN_CAPACITY,
                 **self._solver_options,
             )
             made.append(solver)

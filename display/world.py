@@ -122,7 +122,7 @@ class World(WorldView):
 
     def _two_hand_scaling(self) -> list[Command]:
         """The command that keeps the size which two hands have given a body, once they have let go of it."""
-        scaled = self.device.solver.stretched()
+        scaled = self.device.solver.take_scaling()
         return [] if scaled is None else [Rescale(*scaled)]
 
     def _deform(self) -> None:
@@ -279,5 +279,5 @@ class World(WorldView):
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`."""
         s = self.device.solver.stats
-        names = ("vertices", "tets", "substeps", "dt", "path", "iterations", "collision_passes", "finite")
+        names = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes", "finite")
         return {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}

@@ -11,7 +11,7 @@ import numpy as np
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.tetmesh import tet_volumes
-from sim.elastic.time_step import bearable, stiffness_bounds, wave_speed
+from sim.elastic.time_step import clamp_stiffness, stiffness_bounds, wave_speed
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 
@@ -147,7 +147,7 @@ class BodyModel:
     @cached_property
     def material(self) -> Material:
         """The body's, as it is simulated (sim/elastic/time_step.py)."""
-        return self.body.material if self.body.rigid else bearable(self.body.material, self.shape.length)
+        return self.body.material if self.body.rigid else clamp_stiffness(self.body.material, self.shape.length)
 
     @cached_property
     def crossing(self) -> float:
@@ -185,7 +185,6 @@ def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
-
 
 
 def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:

@@ -1,84 +1,100 @@
-"""Prescribed vertices that are moved: in each frame to given places, evenly over its substeps.
+"""Kinematic targets: prescribed vertices and kinematic rigid bodies are moved to given places at the end of a frame.
 
-Vertices with w = 0 move on at their v (sim/elastic/xpbd.py), so all there is to do is to set v = (target - x) / frame
-before the first substep, and v = 0 after the last one: then they stand still, exactly at the target but for rounding.
+In between, positions are interpolated evenly over the substeps, with the velocity that friction feels; after the frame
+they stand still, unless they are driven again. Vertices of inverse mass 0 move on at their v (sim/state.py), so all there
+is to do is to set v = (target - x) / frame before the first substep, and v = 0 after the last one.
 """
 
 import numpy as np
 import taichi as ti
 
+from core.errors import BadInput
+from core.fields import FieldGroup
+from scenes.scene import IDENTITY
+from sim.model import Model
+from sim.rigid.rigid_bodies import RigidBodies
 from sim.state import State
 
 
 @ti.data_oriented
 class KinematicTargets:
-    """target vec3[V] [m]: where each vertex is to be;   wanted i32[V]: 1 if it is driven in this frame."""
+    """target vec3[V]: place of each vertex at the end of the next frame [m];   driven i32[V]: 1 if it goes there."""
 
-    def __init__(self, state: State):
-        self.state = state
-        self.target, self.wanted = ti.Vector.field(3, ti.f32), ti.field(ti.i32)
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, state.V).place(self.target)
-        self.builder.dense(ti.i, state.V).place(self.wanted)
-        self.tree = self.builder.finalize()
-        self.busy = False
-        self.bodies: set[int] = set()  # whose vertices are driven in this frame
+    def __init__(self, state: State, rigid: RigidBodies | None):
+        self.state, self.rigid = state, rigid
+        g = self._group = FieldGroup()
+        self.target, self.driven = g.vector(state.V), g.scalar(state.V, dtype=ti.i32)
+        g.build()
+        self.bodies: set[int] = set()  # those whose vertices are driven in the next frame
 
-    def drive(self, vertices: np.ndarray, targets: np.ndarray) -> None:
-        """Move these vertices (n,), global indices, to targets (n, 3) [m] in the next frame."""
+    def load(self, model: Model) -> None:
+        """Take other bodies."""
+        self.model, self.vertex_begin = model, model.vertex_begin.tolist()
+
+    def drive(self, body: int, position, rotation=IDENTITY) -> None:
+        """Move a kinematic rigid body to x = R(rotation) rest + position."""
+        body = self.model.index(body)
+        if self.rigid is None:
+            raise BadInput(f"{self.model.bodies[body].body.name}: only a kinematic rigid body can be driven")
+        self.rigid.drive(body, position, rotation)
+
+    def drive_vertices(self, body: int, vertices, positions) -> None:
+        """Move pinned vertices (n,) of a soft body to positions (n, 3) [m]."""
+        p = self.model.bodies[self.model.index(body)]
+        name, n = p.body.name, len(p.inv_mass)
+        vertices, x = np.asarray(vertices, np.int64).reshape(-1), np.asarray(positions, np.float64)
+        if len(vertices) and not 0 <= vertices.min() <= vertices.max() < n:
+            raise BadInput(f"{name}: driven vertices must be in 0..{n - 1}")
+        if p.body.rigid or (p.inv_mass[vertices] > 0.0).any():
+            raise BadInput(f"{name}: only pinned vertices of a soft body can be driven")
+        if x.shape != (len(vertices), 3) or not np.isfinite(x).all():
+            raise BadInput(f"{name}: targets of {len(vertices)} vertices must be finite and (n, 3), not {x.shape}")
         if len(vertices):
-            self._set(np.ascontiguousarray(vertices, np.int32), np.ascontiguousarray(targets, np.float32))
-            self.busy = True
+            self._set(np.ascontiguousarray(vertices + self.vertex_begin[body], np.int32), x.astype(np.float32))
+            self.bodies.add(body)
 
-    def drive_range(self, first: int, last: int) -> None:
-        """Move the prescribed ones of vertices first..last-1 to what is in `target` when the next frame begins."""
-        self._mark(first, last)
-        self.busy = True
+    def drive_surface(self, body: int) -> None:
+        """Move all pinned vertices of a body to what `target` holds when the next frame begins."""
+        body = self.model.index(body)
+        self._mark(self.vertex_begin[body], self.vertex_begin[body + 1])
+        self.bodies.add(body)
 
     def begin_frame(self, dt: float) -> None:
-        """Start for a frame of dt [s]."""
-        if self.busy:
+        """Set the vertices off for a frame of dt [s]."""
+        if self.bodies:
             self._start(dt)
 
     def end_frame(self) -> None:
-        """Stand still."""
-        if self.busy:
+        """Let the vertices stand still, and forget their targets."""
+        if self.bodies:
             self._stop()
-        self.busy = False
-        self.bodies.clear()
-
-    def reset(self) -> None:
-        """Forget what is to be driven."""
-        if self.busy:
-            self._stop()
-        self.busy = False
         self.bodies.clear()
 
     @ti.kernel
     def _set(self, vertices: ti.types.ndarray(ti.i32, 1), targets: ti.types.ndarray(ti.f32, 2)):
         for k in range(vertices.shape[0]):
             self.target[vertices[k]] = ti.Vector([targets[k, c] for c in range(3)])
-            self.wanted[vertices[k]] = 1
+            self.driven[vertices[k]] = 1
 
     @ti.kernel
     def _mark(self, first: ti.i32, last: ti.i32):
         for i in range(first, last):
-            self.wanted[i] = 1 if self.state.inv_mass[i] == 0.0 else 0
+            self.driven[i] = 1 if self.state.inv_mass[i] == 0.0 else 0
 
     @ti.kernel
     def _start(self, dt: ti.f32):
         s = self.state
         for i in range(s.V):
-            if self.wanted[i] != 0:
+            if self.driven[i] != 0:
                 s.v[i] = ((self.target[i] - s.x[i]) - s.x_lo[i]) / dt
                 s.v_lo[i] = 0.0
 
     @ti.kernel
     def _stop(self):
         for i in range(self.state.V):
-            if self.wanted[i] != 0:
+            if self.driven[i] != 0:
                 self.state.v[i] = 0.0
-                self.wanted[i] = 0
+                self.driven[i] = 0
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self._group.destroy()

@@ -1,43 +1,47 @@
-"""The last line of defence: a body that is no longer finite is put back where it was, at rest.
+"""Last line of defence: a body with non-finite state is restored to its last good positions, at rest.
 
-Nothing is known by which a body comes to this. Should one all the same, the fault stays with it: at the end of the
-frame it gets the positions back that it last had and that make a shape, and no velocity, and it is then led to its rest
-shape (sim/elastic/untangling.py). Contacts are forgotten, for they know its infinities. How often this was is in the solver's
-stats as `rescued`.
+No cause is known. Should a body become non-finite all the same, the others go on: at the end of the frame it gets its
+last good positions back and no velocity, and is then led to its rest shape (sim/elastic/untangling.py). Contacts are
+forgotten, because they hold its infinities. The solver's stats count such bodies as `recovered`.
 """
 
 import taichi as ti
 
+from core.fields import FieldGroup
 from sim.model import MAX_BODIES
 from sim.reductions import finite
 from sim.state import State
 
-SANE = 10.0  # times as far from one another as at rest: what is farther apart is not worth going back to
-LOST = 2  # in state.inverted, beside the 1 of a tet that is inside out
-STRANGE, BROKEN = 1, 2  # states of a body
+MAX_GROWTH = 10.0  # times the distance at rest: positions farther apart are not worth going back to
+RECOVERED = 2  # bit of state.inverted, beside the 1 of an inverted tet
+OVERSTRETCHED, NON_FINITE = 1, 2  # conditions of a body
 
 
 @ti.data_oriented
 class NonFiniteRecovery:
-    """good vec3[V] [m]: where the vertices last were in good order;   mark i32[B] of each body;   count i32[]"""
+    """good vec3[V]: last good positions [m];   condition i32[B], 0 if good;   count: bodies restored so far."""
 
     def __init__(self, state: State):
         self.state = state
-        self.good = ti.Vector.field(3, ti.f32)
-        self.mark, self.count = ti.field(ti.i32), ti.field(ti.i32)
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, state.V).place(self.good)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.mark)
-        self.builder.place(self.count)
-        self.tree = self.builder.finalize()
+        g = self._group = FieldGroup()
+        self.good = g.vector(state.V)
+        self.condition, self.count = g.scalar(MAX_BODIES, dtype=ti.i32), g.scalar(dtype=ti.i32)
+        g.build()
+
+    def begin(self) -> None:
+        """Take all finite positions as good: after bodies were loaded or moved."""
+        self._run(1)
+
+    def recover(self) -> None:
+        """Restore non-finite bodies, and keep the positions of good ones: after a frame."""
+        self._run(0)
 
     @ti.kernel
-    def run(self, begin: ti.i32):
-        """Put back what is not finite, and learn where the rest is; at the `begin`, where everything is."""
+    def _run(self, begin: ti.i32):
         s = self.state
         ti.loop_config(serialize=s.serial)
         for b in range(MAX_BODIES):
-            self.mark[b] = 0
+            self.condition[b] = 0
         ti.loop_config(serialize=s.serial)
         for i in range(s.V):
             if i < s.vertex_count[None]:
@@ -46,21 +50,21 @@ class NonFiniteRecovery:
                 for k in ti.static(range(3)):
                     low = finite(s.x_lo[i][k]) and finite(s.v_lo[i][k])
                     if not (finite(s.x[i][k]) and finite(s.v[i][k]) and low):
-                        ti.atomic_max(self.mark[b], BROKEN)
-                far = SANE**2 * ((s.rest[i] - s.rest[j]).norm_sqr() + s.max_step[b] ** 2)
+                        ti.atomic_max(self.condition[b], NON_FINITE)
+                far = MAX_GROWTH**2 * ((s.rest[i] - s.rest[j]).norm_sqr() + s.max_step[b] ** 2)
                 if begin == 0 and (s.x[i] - s.x[j]).norm_sqr() > far:
-                    ti.atomic_max(self.mark[b], STRANGE)
+                    ti.atomic_max(self.condition[b], OVERSTRETCHED)
         ti.loop_config(serialize=s.serial)
         for i in range(s.V):
             if i < s.vertex_count[None]:
-                b, none = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
-                if self.mark[b] == BROKEN:
-                    s.x[i], s.x_lo[i], s.v[i], s.v_lo[i] = self.good[i], none, none, none
+                b, zero = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
+                if self.condition[b] == NON_FINITE:
+                    s.x[i], s.x_lo[i], s.v[i], s.v_lo[i] = self.good[i], zero, zero, zero
                     if i == s.vertex_begin[b]:
-                        s.inverted[b] |= LOST
+                        s.inverted[b] |= RECOVERED
                         ti.atomic_add(self.count[None], 1)
-                elif self.mark[b] == 0:
+                elif self.condition[b] == 0:
                     self.good[i] = s.x[i]
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self._group.destroy()

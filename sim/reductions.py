@@ -6,6 +6,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload, round_up_capacity
+from core.rotation import best_fit_rotation
 from scenes.scene import BodyState
 from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
@@ -80,12 +81,12 @@ class Reductions:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rest_center])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Tell of these bodies."""
-        self.names = [p.body.name for p in assembly.parts]
-        self.driven = [p.body.pinned is not None for p in assembly.parts]
-        self.flattest = [s.flattest for s in assembly.shapes]
-        self._upload([stacked([s.center[None] for s in assembly.shapes], 3)])
+        self.names = [p.body.name for p in model.bodies]
+        self.driven = [p.body.pinned is not None for p in model.bodies]
+        self.flattest = [s.flattest for s in model.shapes]
+        self._upload([stacked([s.center[None] for s in model.shapes], 3)])
 
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
@@ -95,7 +96,7 @@ class Reductions:
     def _states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
         total, states = total[: len(self.names)].astype(np.float64), []
         for name, t, n, holds, driven in zip(self.names, total, self.flattest, held, self.driven, strict=True):
-            axis = best_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
+            axis = best_fit_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
             states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
         return states
 
@@ -230,9 +231,3 @@ class Reductions:
         for j in range(s.S):
             if j < s.triangle_count[None] and self._distance(j, origin, direction) <= self.distance[None]:
                 ti.atomic_min(self.hit[None], s.body_of_triangle[j])
-
-
-def best_rotation(A: np.ndarray) -> np.ndarray:
-    """The rotation R that maximises tr(R^T A), for A = sum m x (rest - its centre)^T."""
-    U, _, Vt = np.linalg.svd(A)
-    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt

@@ -1,25 +1,30 @@
-"""The solver: all elastic bodies of a scene, stepped a frame at a time (VR-GS, Sec. 4.1)."""
+"""The solver: all bodies of a scene, stepped a frame at a time (VR-GS, Sec. 4.1)."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import taichi as ti
 
 from core.errors import BadInput
-from core.fields import destroy_fields
-from scenes.scene import BodyState, Hand
-from sim.body_editing import Editing
+from core.fields import Download, Upload, destroy_fields
+from core.material import Material
+from scenes.scene import IDENTITY, BodyState, Hand
+from sim import body_editing
+from sim.body_editing import MovingBodies
 from sim.body_model import BodyModel
-from sim.boundaries import Boundaries
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
-from sim.elastic.time_step import LIMIT, Plan, choose_plan
+from sim.elastic.time_step import STABILITY_LIMIT, Integration, Schedule, choose_integration
 from sim.elastic.untangling import Untangling
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.xpbd import XPBDSubsteps
+from sim.hands.grasp_state import Grips
 from sim.hands.transform import Transform
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Capacity, Model
@@ -30,26 +35,26 @@ from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.state import State
 
-LONGEST_FRAME = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
+MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
+MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
 
 
-class Solver(Editing, Boundaries):
-    """Simulates `bodies`.
+class Solver:
+    """Simulates `bodies` among static `colliders`.
 
-    substep [s] and iterations (full sweeps a substep) are forced, or None for what suits the path: "jacobi", "descent",
-    or by "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is how often a frame contacts are searched; hands
-    is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the hand
-    rigidly and nothing else moves.
-    room says how much more than `bodies` there may come to be (see sim/model.py, and sim/body_editing.py for how).
-    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
-    a body passes through itself. With fingers, what hands touch with (`Hand.touch`) pushes the bodies.
+    substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or by
+    "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is the number of searches for contacts a frame;
+    hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the
+    hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/model.py). Without
+    contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact a body
+    passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies.
     """
 
     def __init__(
         self,
         bodies: list[SoftBody | RigidBody],
-        colliders: list[Shape] = (),
+        colliders: Sequence[Shape] = (),
         *,
         gravity=(0.0, -9.81, 0.0),
         substep: float | None = None,
@@ -60,180 +65,93 @@ class Solver(Editing, Boundaries):
         contacts: bool = True,
         self_contact: bool = True,
         frame_dt: float = 1 / 60,
-        path: str = "auto",
-        room: Capacity | float | None = None,
+        integrator: str = "auto",
+        capacity: Capacity | float | None = None,
         fingers: bool = False,
     ):
-        room = Capacity.of(room)
-        if not bodies and not room.grows:
+        capacity = Capacity.of(capacity)
+        if not bodies and not capacity.grows:
             raise BadInput("nothing to simulate: no body has a cage and a material")
         if collision_passes < 1:
             raise BadInput(f"collision_passes must be at least 1, not {collision_passes}")
-        self._wanted = {"frame_dt": frame_dt, "path": path, "substep": substep, "iterations": iterations}
+        self._wanted = {"frame_dt": frame_dt, "integrator": integrator, "substep": substep, "iterations": iterations}
         self.collision_passes, self.interaction = collision_passes, interaction
         self.gravity = tuple(float(g) for g in gravity)
-        self._parts: list[BodyModel] = []
+        models: list[BodyModel] = []
         for b in bodies:
-            self._parts.append(BodyModel.of(b, self._parts))
-        first = Model(self._parts)
-        self._movers: RigidBodies | None = None
-        self._with_rigid = first.rigid or room.rigid
-        plan = self._choose(first)
-        s = self.state = State(first.sizes, room)
-        self.x, self.v, self.rest, self.inv_mass, self.tets, self.body_of_vertex = (
-            s.x, s.v, s.rest, s.inv_mass, s.tets, s.body_of_vertex,
-        )  # fmt: skip
-        self._elastic, self._chunks = Elasticity(s), ReductionBlocks(s)
-        self._damping, self._summary, self._transform = (
-            Damping(s, self._chunks),
-            Reductions(s, self._chunks),
-            Transform(s),
-        )
-        self._mending, self._driven = Untangling(s, self._summary, self._damping), KinematicTargets(s)
-        self._rescue = NonFiniteRecovery(s)
-        if self._with_rigid:
-            passes = min(max(math.ceil(plan.substep / PASS), 1), MOST_PASSES)
-            self._movers = RigidBodies(s, hands=hands if contacts else 0, passes=passes)
-        options = {"hands": hands, "self_contact": self_contact, "room": room, "movers": self._movers}
-        options["fingers"] = fingers
-        contact = [Contacts(s, first, list(colliders), self._chunks, **options)] if contacts else []
-        self._contacts, self._constraints = contact, [*contact, *([self._movers] if self._with_rigid else [])]
-        self._paths, self._taken = {}, set()
-        self._last = (0, 0.0)  # substeps and their length in the last frame
-        self._open()
+            models.append(BodyModel.of(b, models))
+        first = Model(models)
+        self._with_rigid = first.rigid or capacity.rigid
+        s = self.state = State(first.sizes, capacity)
+        self.x, self.v = s.x, s.v
+        blocks = self._blocks = ReductionBlocks(s)
+        self._reductions = Reductions(s, blocks)
+        self.rigid_bodies = self._make_rigid_bodies(first, hands if contacts else 0) if self._with_rigid else None
+        self.contacts: Contacts | None = None
+        if contacts:
+            options = {"hands": hands, "self_contact": self_contact, "capacity": capacity, "fingers": fingers}
+            self.contacts = Contacts(s, first, list(colliders), blocks, movers=self.rigid_bodies, **options)
+        self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
+        self.elasticity, self.damping = Elasticity(s), Damping(s, blocks)
+        self.untangling = Untangling(s, self._reductions, self.damping)
+        self._targets = KinematicTargets(s, self.rigid_bodies)
+        self._recovery = NonFiniteRecovery(s)
+        self._transform = Transform(s)
+        self._integrators: dict = {}
+        self._compiled: set[str] = set()  # integrators that have made a substep
+        self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
+        motion = [getattr(s, name) for name in MOTION]
+        self._read_motion, self._write_motion = Download(motion), Upload(motion)
         self._load(first)
         self.reset()
 
-    def _choose(self, assembly: Model) -> Plan:
-        """Path, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
-        kappas = assembly.kappas
-        stiffest = assembly.parts[int(np.argmax(kappas))].body.name if assembly.parts else "nothing"
-        how = {"stiffest": stiffest, "crossing": assembly.crossing}
-        plan = choose_plan(float(kappas.max(initial=0.0)), **how, **self._wanted)
-        return replace(plan, substep=min(plan.substep, LONGEST_SUBSTEP)) if self._with_rigid else plan
+    # Stepping
 
-    def _take(self, plan: Plan) -> None:
-        """Step by this plan from now on; a path is compiled when it is first taken."""
-        self._plan = plan
-        if plan.path not in self._paths:
-            parts = self.state, self._elastic, self._constraints, self._movers
-            if plan.path == "descent":
-                substeps = VBDSubsteps(*parts, self._chunks, iterations=plan.iterations)
-            elif ti.cfg.arch == ti.cuda and plan.iterations == 1 and self._movers is None:
-                from sim.elastic.xpbd_persistent import PersistentXPBD
-
-                substeps = PersistentXPBD(self.state, self._constraints)
-            else:
-                substeps = XPBDSubsteps(*parts, iterations=plan.iterations)
-            self._paths[plan.path] = substeps
-        self._substeps = self._paths[plan.path]
-
-    def _load(self, assembly: Model) -> None:
-        """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
-        plan = self._choose(assembly)
-        self.state.check_capacity(assembly.sizes)
-        for c in self._constraints:
-            c.check_capacity(assembly)
-        self._parts = assembly.parts
-        self._kappa = float(assembly.kappas.max(initial=0.0))
-        self.vertex_offset = assembly.vertex_begin.tolist()
-        self._take(plan)
-        parts = (self.state, self._elastic, self._chunks, self._summary, self._substeps, self._mending)
-        for part in (*parts, *self._constraints):
-            part.load(assembly)
-
-    def step(self, dt: float, hands: list[Hand] = ()) -> None:
-        """Advance by a frame of dt [s], clamped to [0, LONGEST_FRAME]."""
-        dt = min(max(float(dt), 0.0), LONGEST_FRAME)
+    def step(self, dt: float, hands: Sequence[Hand] = ()) -> None:
+        """Advance by a frame of dt [s], clamped to [0, MAX_FRAME_DT], at whose end the hands are as given."""
+        dt = min(max(float(dt), 0.0), MAX_FRAME_DT)
         if self.interaction == "transform":
             self._step_transform(dt, hands)
             return
-        if self._transform.stretch.pairs:
-            self._transform.stretch.end()
-        if dt == 0.0 or not self._parts:
+        self._transform.end()
+        if dt == 0.0 or not self._model.bodies:
             return
-        n = max(self.collision_passes, math.ceil(dt / self._plan.substep - 1e-6))
-        pieces = max(self.collision_passes, -(-n // self._substeps.max_substeps))
-        length = -(-n // pieces)
-        n = pieces * length
-        self.state.begin_frame(dt / n, dt / self.collision_passes, n, ti.Vector(self.gravity))
-        self._driven.begin_frame(dt)
+        schedule = Schedule.of(dt / self._integration.substep, self.collision_passes, self.integrator.max_substeps)
+        self._begin_frame(dt, hands, schedule.total_substeps)
+        launch_dt = dt / sum(schedule.launches)
+        for launches in schedule.launches:
+            self._find_contacts()
+            for _ in range(launches):
+                self.untangling.run(launch_dt)
+                self.damping.run(launch_dt)
+                self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
+        self._recovery.recover()
+        self._targets.end_frame()
+        self._compiled.add(self._integration.integrator)
+
+    def _begin_frame(self, dt: float, hands: Sequence[Hand], substeps: int) -> None:
+        self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, ti.Vector(self.gravity))
+        self._last_schedule = (substeps, dt / substeps)
+        self._targets.begin_frame(dt)
         for c in self._constraints:
-            c.begin_frame(hands, dt, n)
-        if self._mending.begin_frame(self._gripped(), self._driven.bodies, dt):
-            self._forget()
-        for p in range(pieces):
-            if p == 0 or p * self.collision_passes // pieces != (p - 1) * self.collision_passes // pieces:
-                for c in self._constraints:
-                    c.detect()
-            self._mending.run(dt / pieces)
-            self._damping.run(dt / pieces)
-            self._substeps.run(length)
-        self._taken.add(self._plan.path)
-        self._rescue.run(0)
-        self._driven.end_frame()
-        self._last = (n, dt / n)
+            c.begin_frame(hands, dt, substeps)
+        if self.untangling.begin_frame(self._grasped_bodies(), self._targets.bodies, dt):
+            self._restart_contacts(self._grasps())
 
-    def _step_transform(self, dt: float, hands: list[Hand]) -> None:
-        gripped = []
-        for c in self._contacts:
-            c.begin_frame(hands, dt, 0)
-            gripped, hands = c.grasped_bodies(), c.tracked_hands()
-        self._transform.step(hands, gripped)
-        if any(b >= 0 and self._parts[b].body.rigid for b in gripped):
-            self._fit()
-        self._last = (0, 0.0)
+    def _find_contacts(self) -> None:
+        for c in self._constraints:
+            c.detect()
 
-    @property
-    def fresh(self) -> bool:
-        """Whether the next step takes a path for the first time, and compiles it for seconds."""
-        return self._plan.path not in self._taken
-
-    def hand_forces(self) -> list[np.ndarray]:
-        """Force of each hand on what it holds [N], (3,) each, in the last substep; zero for an open hand."""
-        return [force for c in self._contacts for force in c.hand_forces()]
-
-    def touch_forces(self) -> list[np.ndarray]:
-        """Force of each hand's `touch` on what it does not hold [N], (3,), in the last substep; [] without fingers."""
-        return [force for c in self._contacts for force in c.touch_forces()]
-
-    def stretched(self) -> tuple[int, float] | None:
-        """With interaction "transform": a body that two hands have just made larger or smaller, and how many times, for
-        `rescale`; None if there is none, and each only once."""
-        return self._transform.stretch.take_finished()
-
-    def bodies(self) -> list[BodyState]:
-        """Centroid, velocity, bounds, axis of each body, and whether a hand holds it."""
-        held = self._gripped()
-        return self._summary.bodies([b in held for b in range(len(self._parts))])
-
-    def contact_forces(self) -> np.ndarray:
-        """Force of all contacts on each body in the last substep [N], (B, 3)."""
-        total = np.zeros((len(self._parts), 3))
-        for c in self._contacts:
-            total += c.forces.per_body(c.rows)
-        return total
-
-    def _gripped(self) -> set[int]:
-        return {b for c in self._contacts for b in c.grasped_bodies()}
-
-    def pick(self, origin, direction) -> tuple[float, int] | None:
-        """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""
-        return self._summary.pick(origin, direction)
-
-    def moved(self) -> bool:
-        """Whether any vertex moved more than 1e-5 m since this last returned True."""
-        return self._summary.moved()
-
-    def observe(self) -> tuple[bool, list[BodyState]]:
-        """`moved` and `bodies`, with one wait for the device instead of two."""
-        held = self._gripped()
-        moved, bodies, self._mending.seen = self._summary.observe([b in held for b in range(len(self._parts))])
-        return moved, bodies
-
-    def destroy(self) -> None:
-        """Give the device memory back; the solver must not be used after."""
-        destroy_fields(self)
+    def _step_transform(self, dt: float, hands: Sequence[Hand]) -> None:
+        """Let gripped bodies follow the hands, while time stands still."""
+        grasped, tracked = [], hands
+        if self.contacts is not None:
+            self.contacts.begin_frame(hands, dt, 0)
+            grasped, tracked = self.contacts.grasped_bodies(), self.contacts.tracked_hands()
+        self._transform.step(tracked, grasped)
+        if any(b >= 0 and self._model.bodies[b].body.rigid for b in grasped):
+            self._fit_rigid_bodies()
+        self._last_schedule = (0, 0.0)
 
     @property
     def interaction(self) -> str:
@@ -246,22 +164,268 @@ class Solver(Editing, Boundaries):
             raise BadInput(f"interaction must be one of {', '.join(INTERACTIONS)}, not {value!r}")
         self._interaction = value
 
+    # Kinematic targets
+
+    def drive(self, body: int, position, rotation=IDENTITY) -> None:
+        """Move a kinematic rigid body in the next frame to x = R(rotation) rest + position."""
+        self._targets.drive(body, position, rotation)
+
+    def drive_vertices(self, body: int, vertices, positions) -> None:
+        """Move pinned vertices (n,) of a soft body in the next frame to positions (n, 3) [m]."""
+        self._targets.drive_vertices(body, vertices, positions)
+
+    def drive_surface(self, body: int) -> None:
+        """Move all pinned vertices of a body in the next frame to their `targets`."""
+        self._targets.drive_surface(body)
+
+    @property
+    def targets(self):
+        """Targets of `drive_surface` [m], vec3[V], of a body from vertex_offset[body] on, for a kernel to write."""
+        return self._targets.target
+
+    # Observing
+
+    def bodies(self) -> list[BodyState]:
+        """Centroid, velocity, bounds and axis of each body, and whether a hand holds it."""
+        return self._reductions.bodies(self._held())
+
+    def moved(self) -> bool:
+        """Return whether any vertex moved more than 1e-5 m since this last returned True."""
+        return self._reductions.moved()
+
+    def observe(self) -> tuple[bool, list[BodyState]]:
+        """`moved` and `bodies`, with one wait for the device instead of two."""
+        moved, bodies, inverted = self._reductions.observe(self._held())
+        self.untangling.note_inverted(inverted)
+        return moved, bodies
+
+    def pick(self, origin, direction) -> tuple[float, int] | None:
+        """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""
+        return self._reductions.pick(origin, direction)
+
+    def hand_forces(self) -> list[np.ndarray]:
+        """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
+        return [] if self.contacts is None else self.contacts.hand_forces()
+
+    def touch_forces(self) -> list[np.ndarray]:
+        """Force of each hand's finger capsules on bodies it does not grasp, in the last substep [N], (3,) each.
+
+        Empty without fingers.
+        """
+        return [] if self.contacts is None else self.contacts.touch_forces()
+
+    def contact_forces(self) -> np.ndarray:
+        """Force of all contacts on each body in the last substep [N], (B, 3)."""
+        if self.contacts is None:
+            return np.zeros((len(self._model.bodies), 3))
+        return self.contacts.forces.per_body(self.contacts.rows)
+
+    def take_scaling(self) -> tuple[int, float] | None:
+        """Body and factor for `rescale`, if two hands have just scaled a body in "transform"; each only once."""
+        return self._transform.stretch.take_finished()
+
+    @property
+    def body_models(self) -> tuple[BodyModel, ...]:
+        """The bodies, with their shapes."""
+        return self._model.bodies
+
+    @property
+    def vertex_offset(self) -> list[int]:
+        """First vertex of each body, and the end of the last, (B+1,)."""
+        return self._model.vertex_begin.tolist()
+
+    @property
+    def needs_compilation(self) -> bool:
+        """True if the next step uses an integrator for the first time, and compiles it for seconds."""
+        return self._integration.integrator not in self._compiled
+
     @property
     def stats(self) -> dict:
-        """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back;
-        `rescued`: how often a body that was not finite was put back (sim/recovery.py)."""
-        n, dt = self._last
-        dt_or_planned = float(dt or self._plan.substep)
+        """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back.
+
+        `recovered` counts the bodies that were not finite and were put back (sim/recovery.py).
+        """
+        substeps, dt = self._last_schedule
+        dt = float(dt or self._integration.substep)
         return {
             "vertices": self.state.sizes.vertices,
             "tets": self.state.sizes.tets,
-            "substeps": n,
-            "dt": dt_or_planned,
-            "stability": dt_or_planned * math.sqrt(self._kappa),
-            "stability_limit": LIMIT,
-            "path": self._plan.path,
-            "iterations": self._plan.iterations,
+            "substeps": substeps,
+            "dt": dt,
+            "stability": dt * math.sqrt(self._model.kappas.max(initial=0.0)),
+            "stability_limit": STABILITY_LIMIT,
+            "integrator": self._integration.integrator,
+            "iterations": self._integration.iterations,
             "collision_passes": self.collision_passes,
-            "finite": self._summary.finite(),
-            "rescued": int(self._rescue.count[None]),
+            "finite": self._reductions.finite(),
+            "recovered": int(self._recovery.count[None]),
         }
+
+    # Editing. BadInput, and nothing has changed, if a body cannot be simulated or the capacity is exceeded.
+    # Contacts begin without impulses.
+
+    def add(self, body: SoftBody | RigidBody) -> int:
+        """Add a body at its start; return its index."""
+        return self._change(body_editing.added(self._moving_bodies(), body))
+
+    def remove(self, i: int) -> None:
+        """Remove body i; a hand that holds it opens, and the later bodies move up by one."""
+        self._change(body_editing.removed(self._moving_bodies(), i))
+
+    def duplicate(self, i: int, *, position=None, rotation=None, offset=None) -> int:
+        """Copy body i as it is deformed and moves now; return the copy's index.
+
+        Its frame is put at `position` [m] with `rotation` (wxyz), where None is body i's; with neither given the copy
+        stands beside it, along x, or by `offset` (3,) [m]. The frame of a deformed body is that of the rotation nearest
+        to its shape.
+        """
+        copy = {"position": position, "rotation": rotation, "offset": offset}
+        return self._change(body_editing.duplicated(self._moving_bodies(), i, **copy))
+
+    def rescale(self, i: int, factor: float, *, about=None) -> None:
+        """Make body i `factor` times as large about its centre of mass, or a point; velocities stay.
+
+        Mass, stiffness bounds, distance grid and contact samples follow. Hands go on holding the same vertices.
+        """
+        self._change(body_editing.rescaled(self._moving_bodies(), i, factor, about=about))
+
+    def displace(self, i: int, matrix: np.ndarray) -> None:
+        """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn with it."""
+        self._change(body_editing.displaced(self._moving_bodies(), i, matrix))
+
+    def set_material(self, i: int, material: Material) -> None:
+        """Give body i another material."""
+        self._change(body_editing.with_material(self._moving_bodies(), i, material))
+
+    def reset(self, body_models: Sequence[BodyModel] | None = None) -> None:
+        """Put all bodies, or these instead, back at their starts; grasps and contacts are forgotten."""
+        models = self._model.bodies if body_models is None else tuple(body_models)
+        self._change(MovingBodies(models, tuple(m.start for m in models), None))
+        self.untangling.reset()
+
+    def snapshot(self) -> dict:
+        """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling.
+
+        Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts find their
+        loads anew in the first substeps.
+        """
+        motion = dict(zip(MOTION, self._read_motion(self.state.sizes.vertices), strict=True))
+        return {
+            **motion,
+            "bodies": self._model.bodies,
+            "grasps": self._grasps(),
+            "untangling": self.untangling.snapshot(),
+        }
+
+    def restore(self, snapshot: dict) -> None:
+        """Go on from a snapshot.
+
+        Only "x" and "v" are needed. Without "bodies" these are as now, without "grasps" hands are open, and what fp32
+        cannot hold of float64 values goes to x_lo and v_lo.
+        """
+        models = tuple(snapshot.get("bodies", self._model.bodies))
+        n, motion = sum(len(m.shape.vertices) for m in models), []
+        for name, low in (("x", "x_lo"), ("v", "v_lo")):
+            value = np.asarray(snapshot[name])
+            if value.shape != (n, 3) or not np.isfinite(value).all():
+                raise BadInput(f"snapshot: {name} must be finite and of shape {(n, 3)}, not {value.shape}")
+            high = value.astype(np.float32)
+            motion += [high, snapshot.get(low, value - high)]
+        self._set_bodies(models, motion, snapshot.get("grasps"))
+        self.untangling.restore(snapshot.get("untangling"))
+        self._transform.reset()
+
+    def warm_up(self) -> None:
+        """Compile what a first grasp, throw, pick or edit needs, so that the user does not wait in the midst of play."""
+        self._read_motion(0)
+        for part in (self._transform, self.untangling, *self._constraints):
+            part.warm_up()
+        self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+
+    def destroy(self) -> None:
+        """Give the device memory back; the solver must not be used after."""
+        destroy_fields(self)
+
+    # Internals
+
+    def _make_rigid_bodies(self, first: Model, hands: int) -> RigidBodies:
+        passes = min(max(math.ceil(self._choose(first).substep / PASS), 1), MOST_PASSES)
+        return RigidBodies(self.state, hands=hands, passes=passes)
+
+    def _choose(self, model: Model) -> Integration:
+        """Choose integrator, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
+        kappas = model.kappas
+        stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
+        options = {"stiffest": stiffest, "crossing": model.crossing, **self._wanted}
+        chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
+        return replace(chosen, substep=min(chosen.substep, LONGEST_SUBSTEP)) if self._with_rigid else chosen
+
+    def _make_integrator(self, name: str, iterations: int):
+        parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
+        if name == "vbd":
+            return VBDSubsteps(*parts, self._blocks, iterations=iterations)
+        if ti.cfg.arch == ti.cuda and iterations == 1 and self.rigid_bodies is None:
+            from sim.elastic.xpbd_persistent import PersistentXPBD  # needs the CUDA driver
+
+            return PersistentXPBD(self.state, self._constraints)
+        return XPBDSubsteps(*parts, iterations=iterations)
+
+    def _load(self, model: Model) -> None:
+        """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
+        integration = self._choose(model)
+        self.state.check_capacity(model.sizes)
+        for c in self._constraints:
+            c.check_capacity(model)
+        self._model, self._integration = model, integration
+        name = integration.integrator
+        if name not in self._integrators:
+            self._integrators[name] = self._make_integrator(name, integration.iterations)
+        self.integrator = self._integrators[name]
+        parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
+        for part in (*parts, self._targets, *self._constraints):
+            part.load(model)
+
+    def _set_bodies(self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: Grips | None) -> None:
+        if self._model.bodies != models:
+            self._load(Model(models))
+        self._write_motion(list(motion))
+        self._recovery.begin()
+        self._targets.end_frame()
+        self._restart_contacts(grasps)
+
+    def _change(self, bodies: MovingBodies) -> int:
+        """Take edited bodies; return the index of the last one."""
+        motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *bodies.motions], axis=1)
+        self._set_bodies(bodies.models, motion, bodies.grasps)
+        self._transform.reset(held=True)
+        return len(bodies.models) - 1
+
+    def _moving_bodies(self) -> MovingBodies:
+        motion = self._read_motion(self.state.sizes.vertices)
+        motions = np.split(motion, self._model.vertex_begin[1:-1], axis=1) if self._model.bodies else ()
+        return MovingBodies(self._model.bodies, tuple(motions), self._grasps())
+
+    def _restart_contacts(self, grasps: Grips | None) -> None:
+        """Forget all contacts; hands hold `grasps`, or nothing."""
+        if self.rigid_bodies is not None:
+            self._fit_rigid_bodies()
+        for c in self._constraints:
+            c.reset()
+        if self.contacts is not None and grasps is not None:
+            self.contacts.restore_grasps(grasps)
+        self.integrator.reset()
+
+    def _fit_rigid_bodies(self) -> None:
+        """Put the rigid bodies where their vertices are."""
+        x, x_lo, v, v_lo = self._read_motion(self.state.sizes.vertices).astype(np.float64)
+        self.rigid_bodies.fit(x + x_lo, v + v_lo)
+
+    def _grasps(self) -> Grips | None:
+        return None if self.contacts is None else self.contacts.grasps()
+
+    def _grasped_bodies(self) -> set[int]:
+        return set() if self.contacts is None else set(self.contacts.grasped_bodies())
+
+    def _held(self) -> list[bool]:
+        grasped = self._grasped_bodies()
+        return [b in grasped for b in range(len(self._model.bodies))]

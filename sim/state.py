@@ -36,7 +36,7 @@ class State:
         self.V, self.T, self.S = (round_up_capacity(n) for n in (vertices, tets, triangles))
         self.sizes = Sizes(0, 0, 0, 0)
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES
-        g = self._group = FieldGroup()
+        g = self.fields = FieldGroup()
         # Motion of the vertices
         self.x = g.vector(V)  # position [m]
         self.v = g.vector(V)  # velocity [m/s]
@@ -138,4 +138,4 @@ class State:
 
     def destroy(self) -> None:
         """Free the device memory; no kernel may touch this state afterwards."""
-        self._group.destroy()
+        self.fields.destroy()

@@ -57,7 +57,7 @@ class BodyRegistry:
     def __init__(self, device: DeviceScene):
         self.device = device
         self.animations = [a.at(0.0) for a in device.animations]
-        self._scene_models = device.solver.parts
+        self._scene_models = device.solver.body_models
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self._scene_models)))
         self._growth_announced = device.grown
         self._packed: list[dict] | None = None
@@ -66,7 +66,7 @@ class BodyRegistry:
     @property
     def changed(self) -> bool:
         """Is any body not the scene's, as it was?"""
-        return self.members != self._scene_members or self.device.solver.parts != self._scene_models
+        return self.members != self._scene_members or self.device.solver.body_models != self._scene_models
 
     def scene_states(self, bodies: list[BodyState]) -> list[BodyState]:
         """The states of the scene's own bodies, in its order: all that its game sees. A removed one is far away."""
@@ -105,7 +105,7 @@ class BodyRegistry:
 
         def copy() -> int:
             self._check(members)
-            return self.device.solver.duplicate(k, aside=offset)
+            return self.device.solver.duplicate(k, offset=offset)
 
         new = self._with_capacity(copy)
         by = np.eye(4)
@@ -143,7 +143,7 @@ class BodyRegistry:
         """The state of all bodies; hands count as open."""
         self.rebase_animations()
         animations = tuple(a.at(a.time) for a in self.animations)
-        return BodiesSnapshot({**self.device.solver.snapshot(), "grips": ()}, self.members, animations)
+        return BodiesSnapshot({**self.device.solver.snapshot(), "grasps": None}, self.members, animations)
 
     def restore(self, snapshot: BodiesSnapshot) -> None:
         """Bring a state back."""
@@ -189,7 +189,7 @@ class BodyRegistry:
     def _show(self, members: tuple[Member, ...]) -> None:
         """Let the picture show these members where the solver has them."""
         device, before = self.device, self._begins(self.members)
-        models, vertices, begins = device.solver.parts, device.solver.vertex_offset, self._begins(members)
+        models, vertices, begins = device.solver.body_models, device.solver.vertex_offset, self._begins(members)
         spans = [
             BodySpan(m.source, v, g, model.shape.factor)
             for m, v, g, model in zip(members, vertices, begins, models, strict=False)

@@ -101,7 +101,7 @@ class Editor:
                 except GrowthPending:
                     self._tell(GROWTH_NOTICE)
                     self._pending.append(command)
-        if any(isinstance(c, SIMULATED) for c in commands) and self._bodies.device.solver.fresh and self._frame > 1:
+        if any(isinstance(c, SIMULATED) for c in commands) and self._bodies.device.solver.needs_compilation and self._frame > 1:
             self._holding = True
             self._tell(COMPILING_NOTICE)
 
@@ -151,7 +151,7 @@ class Editor:
         self.selected = self._edit("duplicate", lambda: self._bodies.duplicate(k, offset))
 
     def _rescale(self, k: int, wanted: float) -> None:
-        now, body = self._bodies.device.solver.parts[k].shape.factor, self._world.bodies()[k]
+        now, body = self._bodies.device.solver.body_models[k].shape.factor, self._world.bodies()[k]
         if abs(wanted - 1.0) < SCALE_ROUNDING:
             return
         if not np.isfinite(wanted) or wanted <= 0.0:

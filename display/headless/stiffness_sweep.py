@@ -122,8 +122,8 @@ def dropped(world, cage: np.ndarray, young: float) -> Drop:
         at_rest=quiet >= RESTS_FOR,
         substeps=round(1 / 60 / stats["dt"]),
         dt=stats["dt"],
-        path=stats["path"],
-        finite=stats["finite"] and stats["rescued"] == 0,
+        path=stats["integrator"],
+        finite=stats["finite"] and stats["recovered"] == 0,
         pictures=pictures,
     )
 

@@ -136,11 +136,11 @@ class ContactSamples:
     host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: State, first: Model, spacing: float, room: Capacity = Capacity()):
+    def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity = Capacity()):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
-        inner = sum(len(p.shape.once(inner_of).ids) for p in first.parts if limp(p))
-        self.capacity = round_up_capacity(room.sized("samples", count + inner))
+        inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if limp(p))
+        self.capacity = round_up_capacity(capacity.sized("samples", count + inner))
         self.builder = ti.FieldsBuilder()
         self.ids, self.weight = ti.Vector.field(3, ti.i32), ti.Vector.field(3, ti.f32)
         self.body, self.single, self.skin = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.f32)
@@ -154,28 +154,28 @@ class ContactSamples:
             [self.ids, self.weight, self.single, self.of_vertex, self.body, self.skin, self.count],
         )
 
-    def _points(self, assembly: Model) -> list[SurfacePoints]:
-        return [s.once(points_of, self.spacing) for s in assembly.shapes]
+    def _points(self, model: Model) -> list[SurfacePoints]:
+        return [s.once(points_of, self.spacing) for s in model.shapes]
 
-    def check_capacity(self, assembly: Model) -> None:
-        fit("samples", sum(len(p.ids) for p in self._points(assembly)), self.capacity)
+    def check_capacity(self, model: Model) -> None:
+        fit("samples", sum(len(p.ids) for p in self._points(model)), self.capacity)
 
-    def triangle_points(self, assembly: Model) -> int:
+    def triangle_points(self, model: Model) -> int:
         """How many samples are not vertices."""
-        return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(assembly))
+        return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(model))
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the samples of these bodies; inner vertices of limp ones too, as far as there is room."""
-        points = self._points(assembly)
-        skins = [s.once(skin_of, self.spacing) for s in assembly.shapes]
+        points = self._points(model)
+        skins = [s.once(skin_of, self.spacing) for s in model.shapes]
         left = self.capacity - sum(len(p.ids) for p in points)
-        for k, part in enumerate(assembly.parts):
+        for k, part in enumerate(model.bodies):
             inner = part.shape.once(inner_of)
             if limp(part) and len(inner.ids) <= left:
                 left -= len(inner.ids)
                 points[k] = points[k].joined(inner)
                 skins[k] = np.r_[skins[k], np.zeros(len(inner.ids))]
-        ids = [p.ids + o for p, o in zip(points, assembly.vertex_begin, strict=False)]
+        ids = [p.ids + o for p, o in zip(points, model.vertex_begin, strict=False)]
         self.host_ids, self.host_weights = stacked(ids, 3), stacked([p.weights for p in points], 3)
         single = self.host_weights[:, 0] == 1.0
         of_vertex = np.full(self.state.V, -1)

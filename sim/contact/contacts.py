@@ -49,24 +49,24 @@ class Contacts(Constraint):
         hands: int = 2,
         self_contact: bool = True,
         spacing: float | None = None,
-        room: Capacity = Capacity(),
+        capacity: Capacity = Capacity(),
         movers: RigidBodies | None = None,
         fingers: bool = False,
     ):
         self.state = state
-        self.samples = ContactSamples(state, first, spacing_for(shapes) if spacing is None else spacing, room)
+        self.samples = ContactSamples(state, first, spacing_for(shapes) if spacing is None else spacing, capacity)
         self.colliders = StaticShapes(shapes)
         self.hands = Grasps(state, self.samples, hands)
         self.bounds = BodyBounds(state, blocks)
         self.foresight = SweptBounds(state, self.hands, self.bounds)
-        meets = [foldable(p.shape) for p in first.parts if p.body.rigid or not p.body.loose]
-        folds = self_contact and (room.grows or any(meets))
+        meets = [foldable(p.shape) for p in first.bodies if p.body.rigid or not p.body.loose]
+        folds = self_contact and (capacity.grows or any(meets))
         self.folding = SelfCollision(state, blocks, self.bounds) if folds else None
-        self.pairs = DeformableContact(state, first, self.samples, shapes, self.bounds, self.folding, room, fingers)
+        self.pairs = DeformableContact(state, first, self.samples, shapes, self.bounds, self.folding, capacity, fingers)
         self.anything = bool(shapes) or self.pairs.needed
-        points = room.grows or self.samples.triangle_points(first) > 0
+        points = capacity.grows or self.samples.triangle_points(first) > 0
         self.has_pairs = self.pairs.needed or (bool(shapes) and points)
-        self.coupled, self.soft = movers is not None, first.soft or room.grows
+        self.coupled, self.soft = movers is not None, first.soft or capacity.grows
         size = self.samples.capacity + self.pairs.size
         self.begin_rigid, later, self.rigid = size, 0, None
         if self.coupled:
@@ -89,20 +89,20 @@ class Contacts(Constraint):
         self.phase_sizes = (self.rows.capacity,) + (later,) * self.rows.passes
         self.nearby = StaticContact(state, self.samples, self.colliders, self.rows, self.forces, self.bounds.pace)
 
-    def check_capacity(self, assembly: Model) -> None:
-        self.pairs.check_capacity(assembly)
-        self.samples.check_capacity(assembly)
+    def check_capacity(self, model: Model) -> None:
+        self.pairs.check_capacity(model)
+        self.samples.check_capacity(model)
         if self.anything and not self.has_pairs:
-            fit("samples on triangles", self.samples.triangle_points(assembly), 0)
+            fit("samples on triangles", self.samples.triangle_points(model), 0)
 
-    def load(self, assembly: Model) -> None:
-        self.samples.load(assembly)
-        self.pairs.load(assembly)
+    def load(self, model: Model) -> None:
+        self.samples.load(model)
+        self.pairs.load(model)
         if self.coupled:
-            self.rigid.load(assembly)
-        self.hands.load(assembly)
+            self.rigid.load(model)
+        self.hands.load(model)
         if self.folding is not None:
-            self.folding.load(assembly)
+            self.folding.load(model)
         self.reset()
 
     def grasps(self) -> Grips:

@@ -48,17 +48,17 @@ class DeformableContact:
         shapes: list[Shape],
         bounds: BodyBounds,
         folding: SelfCollision | None,
-        room: Capacity = Capacity(),
+        capacity: Capacity = Capacity(),
         fingers: bool = False,
     ):
         self.folding, self.folds = folding, folding is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
         self.spots = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
-        self.rigid = first.rigid or room.rigid
-        self.needed = room.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
+        self.rigid = first.rigid or capacity.rigid
+        self.needed = capacity.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
         self.needed = self.needed or fingers  # these look for tets and distances, too
-        self.needed = self.needed and (first.soft or room.grows)  # rigid bodies alone have no tets to be in
-        self.grids = DistanceGrids(self._grids(first), room)
+        self.needed = self.needed and (first.soft or capacity.grows)  # rigid bodies alone have no tets to be in
+        self.grids = DistanceGrids(self._grids(first), capacity)
         self.hosts = NearestTets(state, samples, self.spots, bounds, folding)
         self.normals = VertexNormals(state)
         self.rim = ti.field(ti.f32)
@@ -67,23 +67,23 @@ class DeformableContact:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rim])
 
-    def _grids(self, assembly: Model) -> list[DistanceGrid]:
-        return [s.once(grid_of) for s in assembly.shapes] if self.needed or self.rigid else []
+    def _grids(self, model: Model) -> list[DistanceGrid]:
+        return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []
 
-    def check_capacity(self, assembly: Model) -> None:
-        if assembly.soft:
-            fit("bodies in contact", assembly.sizes.bodies, MAX_BODIES if self.needed else 1)
-        if assembly.rigid:
+    def check_capacity(self, model: Model) -> None:
+        if model.soft:
+            fit("bodies in contact", model.sizes.bodies, MAX_BODIES if self.needed else 1)
+        if model.rigid:
             fit("rigid bodies", 1, int(self.rigid))
-        self.grids.check_capacity(self._grids(assembly))
+        self.grids.check_capacity(self._grids(model))
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the grids and tets of these bodies."""
         if self.needed or self.rigid:
-            self.grids.load(self._grids(assembly))
+            self.grids.load(self._grids(model))
         if self.needed:
-            self.hosts.load(assembly)
-            self._upload([[s.once(rim_of) for s in assembly.shapes]])
+            self.hosts.load(model)
+            self._upload([[s.once(rim_of) for s in model.shapes]])
 
     @property
     def size(self) -> int:

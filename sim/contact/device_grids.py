@@ -27,8 +27,8 @@ class DistanceGrids:
     dims     vec3i[G] nodes per axis;   origin vec3[G] [m];   spacing f32[G] [m]
     """
 
-    def __init__(self, first: list[DistanceGrid], room: Capacity = Capacity()):
-        self.size = round_up_capacity(room.sized("nodes", sum(g.values.size for g in distinct(first))))
+    def __init__(self, first: list[DistanceGrid], capacity: Capacity = Capacity()):
+        self.size = round_up_capacity(capacity.sized("nodes", sum(g.values.size for g in distinct(first))))
         self.builder = ti.FieldsBuilder()
         self.values = ti.field(ti.f32)
         self.builder.dense(ti.i, self.size).place(self.values)

@@ -59,9 +59,9 @@ class NearestTets:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.neighbor, self.hash.cell])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the tets of these bodies."""
-        shapes, begin = assembly.shapes, assembly.tet_begin
+        shapes, begin = model.shapes, model.tet_begin
         near = [s.root.once(neighbors_of) for s in shapes]
         near = stacked([np.where(n < 0, n, n + o) for n, o in zip(near, begin, strict=False)], 4)
         edge = float(np.median([s.edge for s in shapes])) if shapes else 0.0

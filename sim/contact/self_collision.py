@@ -53,9 +53,9 @@ class SelfCollision:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.loose])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take which of these bodies pass through themselves."""
-        self._upload([np.array([not p.body.rigid and p.body.loose for p in assembly.parts])])
+        self._upload([np.array([not p.body.rigid and p.body.loose for p in model.bodies])])
 
     @ti.func
     def apart(self, b):

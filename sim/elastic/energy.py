@@ -113,16 +113,16 @@ class Elasticity:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
-        a, shapes = assembly, assembly.shapes
+        a, shapes = model, model.shapes
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
         first = 4 * a.tet_begin
         self._upload(
             [
                 stacked([s.inverse.reshape(-1, 9) for s in shapes], 9),
                 stacked([s.volumes for s in shapes]),
-                stacked([p.kappa for p in a.parts]),
+                stacked([p.kappa for p in a.bodies]),
                 stacked([slot + o for (slot, _), o in zip(slots, first, strict=False)], 4),
                 stacked([*(begin[:-1] + o for (_, begin), o in zip(slots, first, strict=False)), first[-1:]]),
             ]

@@ -55,9 +55,9 @@ class ModalCorrection:
         self.turn = self.turning.turn
         self._upload = Upload([self.shape, self.square])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the modes of these bodies."""
-        modes = [p.shape.once(modes_of, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in assembly.parts]
+        modes = [p.shape.once(modes_of, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:

@@ -1,149 +1,162 @@
-"""Bodies that were turned inside out get their shape back.
+"""Untangling: a body that was inverted is led back to its rest shape by shape matching (Mueller et al. 2005).
 
 Without contact with itself, a body that is squeezed through itself can be left in a kink: all tets upright again, but
 wound around one another, in a true minimum of the energy from where no force leads home. So when a hand lets go of a
-body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is limp, and
-its vertices are led to its rest shape, where the rest shape fits best (Mueller et al. 2005):
+body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is soft, and its
+vertices are led to its rest shape, where the rest shape fits best:
 
-    v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME - v_i),
+    v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME_CONSTANT - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
 
-It stiffens again by and by, and is led meanwhile: a limp body sags a little under its weight, and were it itself again
-at once, the 1.6 mm by which one of 0.1 m and 1e8 Pa does so would throw it at 9 m/s.
+It stiffens again gradually, and is led meanwhile: a soft body sags under its weight, and full stiffness at once would
+turn that into speed: 9 m/s from the 1.6 mm by which a body of 0.1 m and 1e8 Pa sags.
 """
 
 import numpy as np
 import taichi as ti
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
 from core.quaternion import polar_quaternion
 from sim.elastic.damping import Damping
 from sim.elastic.time_step import lame
 from sim.model import MAX_BODIES, Model
-from sim.recovery import LOST
+from sim.recovery import RECOVERED
 from sim.reductions import Reductions
 from sim.state import State
 
 DURATION = 0.6  # [s] from the last inverted tet on
 STIFFENING = 0.2  # [s] of them, at the end: each frame of 60 Hz three times as stiff, for 1e8 Pa
-TIME = 0.04  # [s] in which what is left to go shrinks to a third
-FASTEST = 2.0  # [m/s] at which it does: a hand may drop a body that it drew out by metres. With 0.4, kinks hold out
-PATIENCE = 0.02  # [s] that tets may be inverted: more than a frame of 60 Hz
-LIMP = 200.0  # [Pa] Young's modulus of a limp body: g and kinks must not hold out against 1/TIME^2
+TIME_CONSTANT = 0.04  # [s] in which the remaining distance shrinks to a third
+MAX_SPEED = 2.0  # [m/s] towards the rest shape: a hand may drop a body that it drew out by metres. 0.4 leaves kinks
+MAX_INVERTED_TIME = 0.02  # [s] that tets may be inverted by themselves: more than a frame of 60 Hz
+SOFT_YOUNG = 200.0  # [Pa] meanwhile: gravity and kinks must not hold out against 1/TIME_CONSTANT^2
 
 
 @ti.data_oriented
 class Untangling:
-    """`begin_frame` learns what is tangled, `run` leads it. Both do nothing, and cost nothing, where nothing is."""
+    """`begin_frame` learns which bodies are tangled, `run` leads them; both are free where none is.
 
-    def __init__(self, state: State, summary: Reductions, damping: Damping):
-        self.state, self.summary, self.damping = state, summary, damping
-        self.limp = ti.field(ti.i32)
-        self.quaternion = ti.Vector.field(4, ti.f32)
-        self.longest = ti.field(ti.f32)  # way [m] of a vertex to the rest shape
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, MAX_BODIES).place(self.limp, self.quaternion, self.longest)
-        self.tree = self.builder.finalize()
-        self._set = Upload([self.limp, state.inverted, state.mu, state.lam])
-        self.seen: np.ndarray | None = None  # `inverted` after the last frame, if the host knows it already
-        self.parts = []
-        self.status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; whether it is tangled and held
+    soft i32[B]: 1 if the body is led;   quaternion vec4[B]: R;   farthest f32[B]: largest distance to the rest shape [m]
+    """
 
-    def load(self, assembly: Model) -> None:
-        """Other bodies from now on; those that stay go on mending."""
-        known = dict(zip(map(id, self.parts), self.kept().T, strict=True))
-        self.parts = assembly.parts
-        self.hold(np.array([known.get(id(p), np.zeros(4)) for p in self.parts]).reshape(-1, 4).T)
+    def __init__(self, state: State, reductions: Reductions, damping: Damping):
+        self.state, self.reductions, self.damping = state, reductions, damping
+        g = self._group = FieldGroup()
+        self.soft = g.scalar(MAX_BODIES, dtype=ti.i32)
+        self.quaternion = g.vector(MAX_BODIES, n=4)
+        self.farthest = g.scalar(MAX_BODIES)
+        g.build()
+        self._upload = Upload([self.soft, state.inverted, state.mu, state.lam])
+        self._inverted: np.ndarray | None = None  # state.inverted after the last frame, if the host knows it already
+        self.bodies = ()
+        self._status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; tangled while a hand holds it
+
+    @property
+    def active(self) -> np.ndarray:
+        """Bodies that are led now, (B,) bool."""
+        return self._status[0] > 0.0
+
+    def load(self, model: Model) -> None:
+        """Take other bodies; those that stay are led on."""
+        known = dict(zip(map(id, self.bodies), self.snapshot().T, strict=True))
+        self.bodies = model.bodies
+        self.restore(np.array([known.get(id(p), np.zeros(4)) for p in self.bodies]).reshape(-1, 4).T)
 
     def reset(self) -> None:
-        """All bodies are sound."""
-        self.hold(np.zeros((4, len(self.parts))))
+        """Lead no body."""
+        self.restore(None)
 
-    def kept(self) -> np.ndarray:
-        """What `hold` needs to go on from here, (4, B)."""
-        return np.vstack([self.status, self._inverted()])
+    def snapshot(self) -> np.ndarray:
+        """Return what `restore` needs to go on from here, (4, B)."""
+        return np.vstack([self._status, self._read_inverted()])
 
-    def hold(self, kept: np.ndarray) -> None:
-        """Go on from what was `kept` of these bodies."""
-        self.status = np.array(kept[:3])
-        self.damping.omega.fill(0.0)  # of a time that is over; bodies may be others now
-        self._soften(kept[3])
+    def restore(self, snapshot: np.ndarray | None) -> None:
+        """Go on from a snapshot of these bodies; None: no body is led."""
+        values = np.zeros((4, len(self.bodies))) if snapshot is None else np.array(snapshot)
+        self._status = values[:3]
+        self.damping.omega.fill(0.0)  # of another time; bodies may be others now
+        self._set_stiffness(values[3])
 
-    def _inverted(self) -> np.ndarray:
-        return self.state.inverted.to_numpy()[: len(self.parts)]
+    def note_inverted(self, inverted: np.ndarray) -> None:
+        """Take state.inverted after the last frame, (B,), to save a look at the device."""
+        self._inverted = inverted
 
     def begin_frame(self, held: set[int], driven: set[int], dt: float) -> bool:
-        """Before a frame of dt [s]: which bodies had inverted tets in the last one, and which does a hand hold?
+        """Learn which bodies are tangled, before a frame of dt [s]; return whether any was recovered (sim/recovery.py).
 
-        Those whose vertices are driven have no other shape to go to than where these lead them.
-        Whether any was lost (sim/recovery.py).
+        `held` by hands, `driven` by prescribed vertices: such a body has no other shape to go to than where these lead.
         """
-        marks, self.seen = self._inverted() if self.seen is None else self.seen, None
-        if not marks.any() and not self.status.any():
+        flags = self._read_inverted() if self._inverted is None else self._inverted
+        self._inverted = None
+        if not flags.any() and not self._status.any():
             return False
-        lost = marks & LOST != 0
-        inverted = (marks & ~LOST != 0) & ~np.isin(np.arange(len(self.parts)), list(driven))
-        held_now = np.isin(np.arange(len(self.parts)), list(held))
-        left, since, tangled = self.status
+        index = np.arange(len(self.bodies))
+        recovered = flags & RECOVERED != 0
+        inverted = (flags & ~RECOVERED != 0) & ~np.isin(index, list(driven))
+        held_now = np.isin(index, list(held))
+        left, since, tangled = self._status
         since = np.where(inverted, since + dt, 0.0)
-        tangled = (tangled > 0) | (inverted & held_now) | (since > PATIENCE) | lost
+        tangled = (tangled > 0) | (inverted & held_now) | (since > MAX_INVERTED_TIME) | recovered
         left = np.where(tangled & ~held_now, DURATION, np.where(held_now, 0.0, np.maximum(left - dt, 0.0)))
-        self.status = np.stack([left, since, tangled & held_now])
-        self._soften(np.zeros(len(self.parts)))
-        return bool(lost.any())
-
-    def _soften(self, inverted: np.ndarray) -> None:
-        limp = self.status[0] > 0.0
-        materials = [p.material for p in self.parts]
-        softest = np.array([min(1.0, LIMP / m.young) for m in materials])
-        scale = np.where(limp, softest ** np.clip(self.status[0] / STIFFENING, 0.0, 1.0), 1.0)
-        self.seen = None
-        constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
-        self._set([limp, inverted, constants[:, 0], constants[:, 1]])
+        self._status = np.stack([left, since, tangled & held_now])
+        self._set_stiffness(np.zeros(len(self.bodies)))
+        return bool(recovered.any())
 
     def run(self, t: float) -> None:
-        """Lead the limp bodies for t [s], before the damping."""
-        if self.status[0].any():
-            self.summary.sum_up()
+        """Lead the bodies for t [s], before the damping."""
+        if self.active.any():
+            self.reductions.sum_up()
             self.damping.run(0.0)  # omega of now: the last one would spin a body that has grown since
             self._lead(t)
 
     def warm_up(self) -> None:
-        """See Solver.warm_up."""
+        """Compile, see Solver.warm_up."""
         self._lead(0.0)
+
+    def _read_inverted(self) -> np.ndarray:
+        return self.state.inverted.to_numpy()[: len(self.bodies)]
+
+    def _set_stiffness(self, inverted: np.ndarray) -> None:
+        """Set `soft`, state.inverted and the Lame constants of the bodies as they are now."""
+        materials = [p.material for p in self.bodies]
+        softest = np.array([min(1.0, SOFT_YOUNG / m.young) for m in materials])
+        scale = np.where(self.active, softest ** np.clip(self._status[0] / STIFFENING, 0.0, 1.0), 1.0)
+        self._inverted = None
+        constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
+        self._upload([self.active, inverted, constants[:, 0], constants[:, 1]])
 
     @ti.kernel
     def _lead(self, t: ti.f32):
         s = self.state
-        total = ti.static(self.summary.total)
+        total = ti.static(self.reductions.total)
         for b in range(MAX_BODIES):
-            if b < s.body_count[None] and self.limp[b]:
+            if b < s.body_count[None] and self.soft[b]:
                 A = ti.Matrix([[total[b, 6 + 3 * k + l] for l in range(3)] for k in range(3)])
                 self.quaternion[b] = polar_quaternion(A)
-                self.longest[b] = 0.0
+                self.farthest[b] = 0.0
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.limp[b] and s.inv_mass[i] > 0.0:
-                    ti.atomic_max(self.longest[b], self._way(i, b).norm())
+                if self.soft[b] and s.inv_mass[i] > 0.0:
+                    ti.atomic_max(self.farthest[b], self._to_rest_shape(i, b).norm())
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.limp[b] and s.inv_mass[i] > 0.0:
+                if self.soft[b] and s.inv_mass[i] > 0.0:
                     center = ti.Vector([total[b, k] for k in range(3)])
                     goal = ti.Vector([total[b, 3 + k] for k in range(3)])
                     goal += self.damping.omega[b].cross(s.x[i] - center)
-                    # one time for the whole body: ways that were cut one by one would push it to a side
-                    goal += self._way(i, b) / ti.max(TIME, self.longest[b] / FASTEST)
-                    s.v[i] += (1.0 - ti.exp(-t / (0.1 * TIME))) * (goal - s.v[i])
+                    # one time for the whole body: displacements that were cut one by one would push it aside
+                    goal += self._to_rest_shape(i, b) / ti.max(TIME_CONSTANT, self.farthest[b] / MAX_SPEED)
+                    s.v[i] += (1.0 - ti.exp(-t / (0.1 * TIME_CONSTANT))) * (goal - s.v[i])
 
     @ti.func
-    def _way(self, i: ti.i32, b: ti.i32):
-        """From vertex i to where it is in the rest shape of body b, laid over the body."""
+    def _to_rest_shape(self, i: ti.i32, b: ti.i32):
+        """Displacement [m] of vertex i to its place in the rest shape of body b, fitted to the body."""
         s, q = self.state, self.quaternion[b]
-        u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.summary.rest_center[b]
-        center = ti.Vector([ti.static(self.summary.total)[b, k] for k in range(3)])
+        u, r = ti.Vector([q[1], q[2], q[3]]), s.rest[i] - self.reductions.rest_center[b]
+        center = ti.Vector([ti.static(self.reductions.total)[b, k] for k in range(3)])
         return center + r + 2.0 * (q[0] * u.cross(r) + u.cross(u.cross(r))) - s.x[i]
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self._group.destroy()

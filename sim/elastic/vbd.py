@@ -82,17 +82,17 @@ class VBDSubsteps:
         self.kernels: tuple | None = None
         self.graphs: dict[int, ti.graph.Graph] = {}
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the colours and modes of these bodies."""
-        parts = assembly.parts
+        parts = model.bodies
         colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in parts]
         order, begin = color_ranges(stacked(colors))
         if len(begin) > MOST_COLORS + 1:
             raise BadInput(f"a vertex has too many neighbours: {len(begin) - 1} colours, the limit is {MOST_COLORS}")
         slots = [p.shape.root.once(corners_of) for p in parts]
-        corners = stacked([c + o for c, o in zip(slots, 4 * assembly.tet_begin, strict=False)])
+        corners = stacked([c + o for c, o in zip(slots, 4 * model.tet_begin, strict=False)])
         self._upload([order, corners, np.r_[begin, np.full(MOST_COLORS + 1 - len(begin), begin[-1])]])
-        self.coarse.load(assembly)
+        self.coarse.load(model)
         if self.colors != len(begin) - 1:
             self.colors = len(begin) - 1
             self.graphs.clear()

@@ -49,9 +49,9 @@ class VertexGather:
         self.tree = self.builder.finalize()
         self._upload = Upload([*self.other, *self.gradient, self.corner, self.kappa, self.begin])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
-        a, shapes = assembly, assembly.shapes
+        a, shapes = model, model.shapes
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
         slot = stacked([slot + 4 * o for (slot, _), o in zip(slots, a.tet_begin, strict=False)], 4)
         begin = [begin[:-1] + 4 * o for (_, begin), o in zip(slots, a.tet_begin, strict=False)]
@@ -62,7 +62,7 @@ class VertexGather:
         for c, others in enumerate(OTHERS):
             other[slot[:, c]], gradient[slot[:, c]] = a.tets[:, others], gradients
             corner[slot[:, c]] = 4 * np.arange(n) + c
-        kappa = stacked([p.kappa for p in a.parts])
+        kappa = stacked([p.kappa for p in a.bodies])
         self._upload([*other.T, *gradient.T, corner, kappa, stacked([*begin, [4 * n]])])
 
     @ti.func

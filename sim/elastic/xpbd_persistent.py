@@ -54,9 +54,9 @@ class PersistentXPBD:
         self.builder.dense(ti.i, 32).place(self.released)
         self.tree = self.builder.finalize()
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take other bodies."""
-        self.gather.load(assembly)
+        self.gather.load(model)
 
     def run(self, substeps: int) -> None:
         self._run(substeps)

@@ -57,10 +57,10 @@ class Grasps:
         self.tree = self.builder.finalize()
         self._motion = Download([state.x, state.v])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Other bodies from now on."""
-        self.assembly, self.offsets = assembly, assembly.vertex_begin
-        self.masses = stacked([p.mass for p in assembly.parts])
+        self.model, self.offsets = model, model.vertex_begin
+        self.masses = stacked([p.mass for p in model.bodies])
         self.reset()
 
     def reset(self) -> None:
@@ -128,7 +128,7 @@ class Grasps:
 
     def _throw(self, body: int, trail: Trail) -> None:
         """Let a body move on as the hand did that has held it."""
-        part = self.assembly.parts[body]
+        part = self.model.bodies[body]
         first, last = (int(o) for o in self.offsets[body : body + 2])
         if (part.inv_mass > 0.0).all():
             x, v = self._motion(last)[:, first:].astype(np.float64)

@@ -49,6 +49,10 @@ class Transform:
         self.stretch.reset()
         self._held = self._poses if held else {}
 
+    def end(self) -> None:
+        """Let two hands go of all that they scale."""
+        self.stretch.end()
+
     def warm_up(self) -> None:
         """See Solver.warm_up."""
         self.moved.warm_up()

@@ -16,12 +16,11 @@ import taichi as ti
 from core import quaternion
 from core.errors import BadInput
 from core.fields import Upload
-from core.rotation import matrices_from_quaternions, quaternions_from_matrices
+from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
 from sim.body_model import BodyModel
 from sim.constraint import Constraint
 from sim.contact.constraints import LENGTH, SHARE
 from sim.model import MAX_BODIES, Model
-from sim.reductions import best_rotation
 from sim.rigid.rigid_body import RigidBody
 from sim.rigid.rigid_grasp import RigidGrasp
 from sim.rigid.rigid_motion import DRIVEN, FREE, SOFT, follow, move, place, predict, refresh
@@ -73,9 +72,9 @@ class RigidBodies(Constraint):
         self.parts: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take these bodies, of which those that are rigid move here; poses and momenta come by `fit`."""
-        self.parts, self.begin = assembly.parts, assembly.vertex_begin
+        self.parts, self.begin = model.bodies, model.vertex_begin
         B = len(self.parts)
         kind, w, restitution, max_step = np.zeros(B), np.zeros(B), np.zeros(B), np.zeros(B)
         center, inertia, inverse = np.zeros((B, 3)), np.zeros((B, 3, 3)), np.zeros((B, 3, 3))
@@ -100,7 +99,7 @@ class RigidBodies(Constraint):
             mass, center, inertia = body.inertia
             at, speed = (m * x[mine]).sum(0) / mass, (m * v[mine]).sum(0) / mass
             r = x[mine] - at
-            R = best_rotation((m * r).T @ (np.asarray(body.vertices, np.float64) - center))
+            R = best_fit_rotation((m * r).T @ (np.asarray(body.vertices, np.float64) - center))
             lumped = (m * (r**2)).sum() * np.eye(3) - (m * r).T @ r
             omega = np.linalg.lstsq(lumped, (m * np.cross(r, v[mine] - speed)).sum(0), rcond=1e-9)[0]
             for value, precise in ((values[0], at), (values[2], speed), (values[4], quaternions_from_matrices(R))):

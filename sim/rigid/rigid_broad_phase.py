@@ -56,8 +56,8 @@ class RigidSearch:
         self.builder.place(self.total)
         self.tree = self.builder.finalize()
 
-    def load(self, assembly: Model) -> None:
-        self.shapes.load(assembly)
+    def load(self, model: Model) -> None:
+        self.shapes.load(model)
 
     def reset(self) -> None:
         """Forget all contacts."""

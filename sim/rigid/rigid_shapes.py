@@ -31,9 +31,9 @@ class RigidShapes:
         self.tree = self.builder.finalize()
         self._upload = Upload([self.boxed, self.half, self.outward])
 
-    def load(self, assembly: Model) -> None:
+    def load(self, model: Model) -> None:
         """Take the shapes of these bodies."""
-        shapes = assembly.shapes
+        shapes = model.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
         outward = [s.once(outward_of, self.samples.spacing) for s in shapes]
         self._upload([[s.boxed for s in shapes], half, np.concatenate([np.zeros((0, 3)), *outward])])

@@ -220,7 +220,7 @@ def test_a_body_grows_with_its_gaussians_and_stays_on_the_floor(play):
     assert_allclose(play.shown(BLUE), before, atol=2e-6)
     play.do(Rescale(BLUE, 0.05))
     play.do(Rescale(BLUE, 0.05))
-    assert_allclose(play.world.device.solver.parts[BLUE].shape.factor, 0.2)
+    assert_allclose(play.world.device.solver.body_models[BLUE].shape.factor, 0.2)
     assert play.world.notice == "It is as small as it can be."
 
 
@@ -249,7 +249,7 @@ def test_a_drag_is_one_action_two_keys_are_two(play):
     assert play.world.light == light
     equal(motion, play.motion())  # the light alone went back
     play.do(Undo())
-    assert_allclose(play.world.device.solver.parts[RED].shape.factor, 1.02**4)
+    assert_allclose(play.world.device.solver.body_models[RED].shape.factor, 1.02**4)
 
 
 def test_reset_gives_the_scene_and_can_be_taken_back(play):
@@ -266,8 +266,8 @@ def test_reset_gives_the_scene_and_can_be_taken_back(play):
     assert not play.world.registry.changed
     play.do(Undo())
     equal(changed, play.motion())
-    assert [p.body.name for p in play.world.device.solver.parts] == ["ring_blue", "ring_red"]
-    assert play.world.device.solver.parts[0].shape.factor == 1.5
+    assert [p.body.name for p in play.world.device.solver.body_models] == ["ring_blue", "ring_red"]
+    assert play.world.device.solver.body_models[0].shape.factor == 1.5
 
 
 def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
@@ -333,7 +333,7 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
     assert len(play.world.editor.history.done) == steps
     play.do(Remove(RED))
     play.do(Duplicate(0))
-    assert len(play.world.bodies()) == len(motion[0]) // len(play.world.device.solver.parts[0].shape.vertices)
+    assert len(play.world.bodies()) == len(motion[0]) // len(play.world.device.solver.body_models[0].shape.vertices)
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ class Play:
 def unchanged(world, before: dict, means: np.ndarray) -> None:
     """Bodies and what is seen of them are as they were."""
     after = world.device.solver.snapshot()
-    for name in ("x", "x_lo", "v", "v_lo", "mending"):
+    for name in ("x", "x_lo", "v", "v_lo", "untangling"):
         np.testing.assert_array_equal(before[name], after[name])
     world.refresh()
     np.testing.assert_array_equal(world.device.splats.mean.to_numpy(), means)
@@ -148,5 +148,5 @@ def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
     assert frame(SetMaterial(0, "plush")) == (False, False)
     assert frame(SetMaterial(0, "wood")) == (True, True)
     assert frame() == (False, True)
-    solver.fresh = False
+    solver.needs_compilation = False
     assert frame(Undo()) == (False, False)

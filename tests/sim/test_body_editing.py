@@ -37,7 +37,7 @@ FINE = cube("fine", 0.06, 3, position=(0.3, 0.1, 0.0))
 
 @pytest.fixture(scope="module")
 def shared_solver(ti_cpu) -> Solver:
-    return Solver([CUBE, FINE], [TABLE], room=ROOM)
+    return Solver([CUBE, FINE], [TABLE], capacity=ROOM)
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
         materialize(self, key, args, arg_features)
 
     monkeypatch.setattr(Kernel, "materialize", counted)
-    trees, graphs = impl.get_runtime().prog.get_snode_tree_size(), len(getattr(solver._substeps, "graphs", ()))
+    trees, graphs = impl.get_runtime().prog.get_snode_tree_size(), len(getattr(solver.integrator, "graphs", ()))
     solver.reset()
     start = motions(solver)
     for k in range(200):
@@ -100,10 +100,10 @@ def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
         if k % 20 == 0:
             edit_everything(solver)
         solver.remove(i)
-        assert len(solver._parts) == 2
+        assert len(solver.body_models) == 2
     assert compiled == []
     assert impl.get_runtime().prog.get_snode_tree_size() == trees
-    assert len(getattr(solver._substeps, "graphs", ())) <= max(graphs, 16)
+    assert len(getattr(solver.integrator, "graphs", ())) <= max(graphs, 16)
     solver.reset()
     for a, b in zip(start, motions(solver), strict=True):
         equal(a, b)
@@ -173,9 +173,9 @@ def test_a_copy_can_be_put_elsewhere_and_turned(solver):
 
 def test_scaling_multiplies_masses_and_grid_and_leaves_free_fall(solver):
     run(solver, 3)
-    before, grid = solver.bodies()[0], solver._parts[0].shape.once(grid_of())
+    before, grid = solver.bodies()[0], solver.body_models[0].shape.once(grid_of())
     solver.rescale(0, 2.0)
-    part = solver._parts[0]
+    part = solver.body_models[0]
     assert_allclose(part.mass.sum(), 8 * 0.06**3 * 1000)
     assert_allclose(part.shape.once(grid_of()).values, 2 * grid.values)
     after = solver.bodies()[0]
@@ -183,7 +183,7 @@ def test_scaling_multiplies_masses_and_grid_and_leaves_free_fall(solver):
     assert_allclose(after.velocity, before.velocity, atol=1e-6)
     assert_allclose(after.high - after.low, 2 * (before.high - before.low), rtol=1e-4)
     solver.rescale(0, 0.5)
-    assert part.shape.root is solver._parts[0].shape  # not merely as large as it was
+    assert part.shape.root is solver.body_models[0].shape  # not merely as large as it was
     solver.rescale(0, 2.0, about=(0.0, 1.0, 0.0))
     assert_allclose(solver.bodies()[0].centroid, 2 * before.centroid - [0.0, 1.0, 0.0], atol=1e-5)
     v = solver.bodies()[0].velocity[1]
@@ -213,7 +213,7 @@ def test_a_scaled_body_hangs_four_times_as_far_and_rests_on_its_own_skin(ti_cpu)
         for _ in range(25):
             solver.step(1 / 20)
         length = solver.bodies()[0].high[1] - solver.bodies()[0].low[1]
-        rest = np.ptp(solver._parts[0].shape.vertices[:, 0])
+        rest = np.ptp(solver.body_models[0].shape.vertices[:, 0])
         assert length - rest == pytest.approx(1000 * 9.81 * rest**2 / (2 * young), rel=0.02)
 
 
@@ -314,13 +314,13 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(solver):
 def test_without_room_for_several_a_second_body_is_refused(ti_cpu):
     """Whether bodies can touch is decided when the kernels are compiled."""
     lonely = Solver([CUBE], [TABLE], hands=0)
-    assert not lonely._constraints[0].pairs.needed
+    assert not lonely.contacts.pairs.needed
     with pytest.raises(BadInput, match="bodies"):
         lonely.add(cube("single", cells=1))
 
 
 def test_a_script_of_edits_repeats_bit_for_bit_in_another_solver(solver):
-    other = Solver([CUBE, FINE], [TABLE], room=ROOM)
+    other = Solver([CUBE, FINE], [TABLE], capacity=ROOM)
     for s in (solver, other):
         edit_everything(s)
         run(s, 20)
@@ -343,7 +343,7 @@ def test_grids_fill_gaps_that_others_left(ti_cpu):
             assert_array_equal(values[begin : begin + grid.values.size], grid.values.ravel())
     other = replace(large, values=large.values + 1)
     with pytest.raises(BadInput):
-        grids.check_room([small, large, other])
+        grids.check_capacity([small, large, other])
 
 
 def test_a_part_shares_the_shape_of_an_equal_mesh():

@@ -51,7 +51,7 @@ def speed(solver):
 
 def rows(solver):
     """Point, distance, normal and impulse of the listed pair rows."""
-    contacts = solver._constraints[0]
+    contacts = solver.contacts
     r, n = contacts.rows.listed.to_numpy(), contacts.rows.listed_count[None]
     r = np.sort(r[:n][r[:n] >= contacts.pairs.begin])
     table = (contacts.rows.phi, contacts.rows.normal, contacts.rows.impulse)
@@ -82,7 +82,7 @@ def test_a_stack_comes_to_rest_and_stays(cubes):
 def test_a_stack_carries_its_weight(cubes):
     run(cubes, 6)
     p, phi, _, impulse = rows(cubes)
-    body = cubes._constraints[0].samples.body.to_numpy()[p]
+    body = cubes.contacts.samples.body.to_numpy()[p]
     force = (impulse * np.where(body == 1, 1, -1)[:, None]).sum(0) / cubes.state.dt[None] ** 2
     weight = SIDE**3 * 1000 * 9.81
     assert_allclose(force, [0, weight, 0], atol=0.02 * weight)
@@ -127,14 +127,14 @@ def test_a_collision_conserves_momentum(cubes):
 def test_distance_and_normal_in_a_deformed_host(cubes):
     """For x = A X + t: phi = phi_0 / |A^-T N| and n = A^-T N / |A^-T N| at the host's upper face."""
     A = np.array([[1.1, 0.2, 0.0], [0.1, 0.9, 0.05], [0.0, -0.1, 1.05]])
-    rest = cubes.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
+    rest = cubes.state.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
     n = cubes.vertex_offset[1]
     x = np.concatenate([rest[:n] @ A.T, (0.5 * rest[n:] + (0, 0.0615, 0)) @ A.T]) + (0, 1, 0)
     cubes.gravity = (0.0, 0.0, 0.0)
     cubes.restore({"x": x, "v": np.zeros_like(x)})
     cubes.step(1e-6, [])
     p, phi, normal, _ = rows(cubes)
-    samples = cubes._constraints[0].samples
+    samples = cubes.contacts.samples
     at = (x[samples.host_ids[p]] * samples.host_weights[p][..., None]).sum(1) - (0, 1, 0)
     X = at @ np.linalg.inv(A).T
     above = (samples.body.to_numpy()[p] == 1) & (np.abs(X[:, 0]) < 0.03) & (np.abs(X[:, 2]) < 0.03) & (X[:, 1] < 0.045)

@@ -8,7 +8,7 @@ from bench.physics import fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
 from sim.body_model import BodyModel, RestShape
-from sim.elastic.time_step import LIMIT, lame, largest_substep, stiffness_bounds
+from sim.elastic.time_step import STABILITY_LIMIT, lame, largest_substep, stiffness_bounds
 from sim.model import Model
 from sim.soft_body import SoftBody
 
@@ -102,7 +102,7 @@ class OneMesh:
         self.dt = largest_substep(self.kappa.max())
         body = SoftBody("mesh", self.x, self.tets, self.tets[:1, :3], MATERIAL)
         part = BodyModel(body, RestShape.of(body))
-        part.w = self.w
+        part.inv_mass = self.w
         self.mu, self.lam = lame(MATERIAL)
         bodies = Model([part])
         self.state = s = State(bodies.sizes)
@@ -249,7 +249,7 @@ def test_the_rule_keeps_the_jacobi_sum_stable():
         A = root @ fem_stiffness(x, tets, material.young, nu) @ root
         largest = spla.eigsh(A, k=1, return_eigenvectors=False)[0]
         dt = largest_substep(stiffness_bounds(x, tets, w, material).max())
-        assert dt * np.sqrt(stiffness_bounds(x, tets, w, material).max()) == pytest.approx(LIMIT)
+        assert dt * np.sqrt(stiffness_bounds(x, tets, w, material).max()) == pytest.approx(STABILITY_LIMIT)
         assert dt**2 * largest < 4 / 3
 
 

@@ -32,7 +32,7 @@ def begin(solver):
 
 
 def contacts(solver):
-    return solver._constraints[0]
+    return solver.contacts
 
 
 def play(solver, seconds, *paths, grip=True, reach=0.04, turn=None):

@@ -81,13 +81,13 @@ def run(solver, seconds, hands=()):
 
 def momentum(solver, bodies):
     """Linear momentum, and angular momentum about the origin, of some bodies [SI], from all their vertices."""
-    p, L, m = np.zeros(3), np.zeros(3), solver._movers
+    p, L, m = np.zeros(3), np.zeros(3), solver.rigid_bodies
     x, v, mass = (f.to_numpy().astype(np.float64) for f in (solver.x, solver.v, solver.state.mass))
     for b in range(bodies.start, bodies.stop):
         mine = slice(solver.vertex_offset[b], solver.vertex_offset[b + 1])
         q = mass[mine, None] * v[mine]
         p += q.sum(0)
-        if solver._parts[b].body.rigid:
+        if solver.body_models[b].body.rigid:
             at = m.x.to_numpy()[b].astype(np.float64)
             L += np.cross(at, q.sum(0)) + m.spin.to_numpy()[b]
         else:

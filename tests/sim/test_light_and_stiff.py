@@ -7,7 +7,14 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Plane
 from sim.body_model import BodyModel
-from sim.elastic.time_step import CROSSINGS, DESCENT_SUBSTEPS, SHORTEST, bearable, choose_plan, wave_speed
+from sim.elastic.time_step import (
+    MIN_VBD_SUBSTEP,
+    VBD_SUBSTEPS,
+    WAVE_CROSSINGS,
+    choose_integration,
+    clamp_stiffness,
+    wave_speed,
+)
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -16,14 +23,16 @@ FRAME = 1 / 60
 
 
 def test_what_is_light_and_stiff_gets_shorter_substeps_or_is_softer():
-    usual = FRAME / DESCENT_SUBSTEPS
-    assert choose_plan(1e12, frame_dt=FRAME, crossing=usual).substep == usual
-    assert choose_plan(1e12, frame_dt=FRAME, crossing=usual / 20).substep == pytest.approx(CROSSINGS * usual / 20)
+    usual = FRAME / VBD_SUBSTEPS
+    assert choose_integration(1e12, frame_dt=FRAME, crossing=usual).substep == usual
+    assert choose_integration(1e12, frame_dt=FRAME, crossing=usual / 20).substep == pytest.approx(
+        WAVE_CROSSINGS * usual / 20
+    )
     wood = Material(1e8, 0.3, 500.0)
-    assert bearable(wood, 0.2) is wood
-    straw = bearable(Material(1e8, 0.49, 10.0), 0.06)
+    assert clamp_stiffness(wood, 0.2) is wood
+    straw = clamp_stiffness(Material(1e8, 0.49, 10.0), 0.06)
     assert straw.young < 1e8 and straw.density == 10.0
-    assert wave_speed(straw) * SHORTEST == pytest.approx(CROSSINGS * 0.06)
+    assert wave_speed(straw) * MIN_VBD_SUBSTEP == pytest.approx(WAVE_CROSSINGS * 0.06)
     assert wave_speed(Material(1e6, 0.0, 1000.0)) == pytest.approx(np.sqrt(1e6 / 1000))  # then lambda_L + 2 mu = E
 
 
@@ -46,7 +55,7 @@ def test_it_does_not_jump_from_the_floor(ti_cpu):
         place["velocity"] = (v[0], -abs(v[1]), v[2])
         bodies.append(SoftBody(f"body {k}", x - x.mean(0), tets, surface, materials[k // 8], **place))
     solver = Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))])
-    assert solver.stats["path"] == "descent" and solver.stats["dt"] == pytest.approx(SHORTEST, rel=0.05)
+    assert solver.stats["integrator"] == "vbd" and solver.stats["dt"] == pytest.approx(MIN_VBD_SUBSTEP, rel=0.05)
     mass, owner = solver.state.mass.to_numpy(), np.repeat(range(16), [len(b.vertices) for b in bodies])
     weight = np.bincount(owner, mass[: len(owner)])
     for _ in range(20):
@@ -60,5 +69,5 @@ def test_a_part_tells_how_it_is_simulated():
     x, tets, surface = box((0.06, 0.06, 0.06), (1, 1, 1))
     part = BodyModel.of(SoftBody("straw", x, tets, surface, Material(1e8, 0.49, 10.0)), [])
     assert part.material.young < part.body.material.young
-    assert part.crossing == pytest.approx(SHORTEST / CROSSINGS)
+    assert part.crossing == pytest.approx(MIN_VBD_SUBSTEP / WAVE_CROSSINGS)
     assert part.scaled(10.0).material.young == 1e8  # ten times as long to cross

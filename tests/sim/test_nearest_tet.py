@@ -40,7 +40,7 @@ def found(rings, speed):
     v[:half, 0], v[half:, 0] = speed, -speed
     rings.restore({"x": q["x"], "v": v})
     rings.step(1e-7)  # searches, and hardly moves
-    contacts = rings._constraints[0]
+    contacts = rings.contacts
     n = contacts.samples.count[None]
     rings.state.detect_dt[None] = DT
     contacts.detect()
@@ -58,7 +58,7 @@ def found(rings, speed):
 @pytest.mark.parametrize("speed", [3.0, 12.0])
 def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed):
     points, body, host, cell, x = found(rings, speed)
-    tets, of = rings.tets.to_numpy()[: rings.state.sizes.tets], rings.state.body_of_tet.to_numpy()
+    tets, of = rings.state.tets.to_numpy()[: rings.state.sizes.tets], rings.state.body_of_tet.to_numpy()
     far_and_found = 0
     for b in range(2):
         mine, others = np.flatnonzero(body == b), np.flatnonzero(of[: len(tets)] != b)

@@ -28,7 +28,7 @@ def free(ti_cpu):
 
 def momentum(solver, b=0):
     """Spin momentum and energy of a body."""
-    m = solver._movers
+    m = solver.rigid_bodies
     L, omega = (f.to_numpy()[b].astype(np.float64) for f in (m.spin, m.omega))
     return L, 0.5 * L @ omega
 
@@ -45,7 +45,7 @@ def test_a_free_spin_about_the_middle_axis_flips_and_keeps_momentum_and_energy(f
     (L0, E0), sides = momentum(free), []
     for _ in range(300):
         free.step(FRAME)
-        sides.append(free._movers.R.to_numpy()[0][1, 1])
+        sides.append(free.rigid_bodies.R.to_numpy()[0][1, 1])
     L, E = momentum(free)
     assert_allclose(L, L0, rtol=0, atol=1e-6 * np.linalg.norm(L0))
     assert_allclose(E, E0, rtol=1e-4)

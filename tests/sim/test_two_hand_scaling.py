@@ -161,7 +161,7 @@ def test_a_throw_is_the_mean_of_the_last_moments(solver):
     expected = [0, 3.0, 0] + np.cross([2.0, 0, 0], body.centroid - hand)
     assert_allclose(body.velocity, expected, atol=0.02)
     x, v = (solver.snapshot()[n][: len(X)].astype(np.float64) for n in ("x", "v"))
-    m = solver._parts[0].mass
+    m = solver.body_models[0].mass
     r = x - m @ x / MASS
     assert m @ (r[:, 1] * v[:, 2] - r[:, 2] * v[:, 1]) / (m @ (r[:, 1:] ** 2).sum(1)) == pytest.approx(2.0, rel=0.02)
 

@@ -59,7 +59,7 @@ def test_random_starts_leave_no_kinks(tangled):
     solver.restore(start)
     for _ in range(90):
         solver.step(1 / 60)
-    assert solver.stats["finite"] and not solver._mending.status.any()
+    assert solver.stats["finite"] and not solver.untangling.active.any()
     x = np.split(solver.snapshot()["x"].astype(np.float64), solver.vertex_offset[1:-1])
     for body, at in zip(solver._bodies, x, strict=True):
         volumes, rest = tet_volumes(at, body.tets), tet_volumes(body.vertices, body.tets)
@@ -74,7 +74,7 @@ def test_a_snapshot_knows_what_is_mending(tangled):
     solver.restore(start)
     for _ in range(12):
         solver.step(1 / 60)
-    assert solver._mending.status[0].any()
+    assert solver.untangling.active.any()
     middle, ends = solver.snapshot(), []
     for _ in range(2):
         solver.remove(0)  # forgets nothing of the others
@@ -83,7 +83,7 @@ def test_a_snapshot_knows_what_is_mending(tangled):
             solver.step(1 / 60)
         ends.append(solver.snapshot()["x"])
         solver.reset()
-        assert not solver._mending.status.any()
+        assert not solver.untangling.active.any()
     np.testing.assert_array_equal(*ends)
     young = np.array([b.material.young / (2 * (1 + b.material.poisson)) for b in solver._bodies])
     np.testing.assert_allclose(solver.state.mu.to_numpy()[: len(young)], young, rtol=1e-6)

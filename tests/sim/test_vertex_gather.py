@@ -36,7 +36,7 @@ def test_the_sums_are_those_of_the_two_loops():
     gather.load(Model([BodyModel.of(b, []) for b in given]))
     rng = np.random.default_rng(1)
     start = np.concatenate([b.start() for b in given])
-    s, e, n = solver.state, solver._elastic, len(start)
+    s, e, n = solver.state, solver.elasticity, len(start)
     one, other = ti.Vector.field(3, ti.f32, n), ti.Vector.field(3, ti.f32, n)
 
     @ti.kernel
@@ -57,7 +57,7 @@ def test_the_sums_are_those_of_the_two_loops():
     for strain in (0.01, 0.3, 3.0):
         solver.restore({"x": start + strain * 0.05 * rng.normal(size=start.shape), "v": rng.normal(size=start.shape)})
         s.begin_frame(1e-4, 1e-2, 16, ti.Vector(solver.gravity))
-        solver._damping.run(0.0)
+        solver.damping.run(0.0)
         both()
         expected = one.to_numpy()
         assert np.abs(expected).max() > 1e-9
@@ -66,7 +66,7 @@ def test_the_sums_are_those_of_the_two_loops():
     free = slice(0, len(given[0].vertices))
     solver.restore({"x": start + 1e-5 * rng.normal(size=start.shape), "v": np.zeros_like(start)})
     s.begin_frame(1e-4, 1e-2, 16, ti.Vector(solver.gravity))
-    solver._damping.run(0.0)
+    solver.damping.run(0.0)
     both()
     push = s.mass.to_numpy()[free, None] * other.to_numpy()[free]
     assert np.abs(push.sum(0)).max() < 3e-7 * np.abs(push).sum()
@@ -84,8 +84,8 @@ def test_the_persistent_kernel_agrees_with_the_loops():
         upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
         solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], substep=1e-4)
         if form:
-            solver._substeps = form(solver.state, solver._elastic, solver._constraints, iterations=1)
-        solver._substeps.piece = 16  # damping acts between pieces
+            solver.integrator = form(solver.state, solver.elasticity, solver._constraints, iterations=1)
+        solver.integrator.piece = 16  # damping acts between pieces
         for _ in range(3):
             solver.step(1 / 180)
             moved.append(solver.snapshot()["x"])

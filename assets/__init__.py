@@ -1,4 +1,4 @@
-"""What files hold, and how it is read, written and checked (NumPy, h5py).
+"""Contents of files: how they are read, checked and written (NumPy, h5py).
 
-In: files from anywhere. Out: checked Gaussians, assets, animations; and files that are whole or not there.
+In: files from untrusted sources. Out: checked Gaussians, assets, animations; and files that are complete or absent.
 """

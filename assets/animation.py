@@ -176,7 +176,7 @@ def world_matrices(parents: np.ndarray, local: Pose) -> np.ndarray:
 
 
 def decompose(m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation wxyz and scale of T R S (n, 4, 4), and the largest deviation of each from that form (n,)."""
+    """Translation, rotation wxyz and scale of T R S (n, 4, 4), and the largest deviation from that form (n,)."""
     scale = np.linalg.norm(m[:, :3, :3], axis=1)
     R = m[:, :3, :3] / np.maximum(scale, 1e-12)[:, None]
     u, _, vt = np.linalg.svd(R)

@@ -104,7 +104,7 @@ class Hdf5Reader:
             self._check_chunks(name, data, chunk)
 
     def _check_chunks(self, name: str, data: h5py.Dataset, chunk: int) -> None:
-        """Refuse chunks that inflate to more than their size: HDF5 inflates a chunk to its end whatever it should hold."""
+        """Refuse chunks that inflate to more than their size: HDF5 would inflate all of them."""
         for i in range(data.id.get_num_chunks()):
             info = data.id.get_chunk_info(i)
             if info.size > self._size:

@@ -1,4 +1,4 @@
-"""Which way is up, by shape: floor and ceiling are a pair of parallel planes, furniture is level; a cup is open above.
+"""Shape cues for the up axis: parallel planes of floor and ceiling, level furniture, hollows that open upwards.
 
 Normals are those of the Gaussians' discs and have no sign.
 """
@@ -10,18 +10,18 @@ import numpy as np
 from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
 
-NARROWING = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # how far normals may lean from an axis, ever less
-LEVEL_COS = np.cos(np.radians(25.0))  # a Gaussian's normal may lean so far and still belong to a level plane
-BINS = 300  # of the scene's height, for the search of the floor
-LOWER = 0.45  # of the scene's height, in which the floor is: above are tables and the ceiling
-BELOW = 2.0  # weight of what lies under a floor: nothing should
-OTHER = 0.3  # weight of the smaller plane of a pair: a ceiling may be missing, or not seen
-FURNITURE = 1.5  # weight of what is level between the two
-HEAVY = 0.5  # weight of what is level between floor and ceiling and lies in the lower half
+NARROWING_COS = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # largest angle of normals to the axis, step by step
+LEVEL_COS = np.cos(np.radians(25.0))  # smallest cosine to the vertical of the normals of a level plane
+HEIGHT_BINS = 300  # of the histogram in which the floor is searched
+FLOOR_HEIGHT_MAX = 0.45  # of the scene's height: above are tables and the ceiling
+BELOW_WEIGHT = 2.0  # of the area under a floor: there should be none
+SECOND_PLANE_WEIGHT = 0.3  # of the smaller plane of a pair: a ceiling may be missing, or not seen
+FURNITURE_WEIGHT = 1.5  # of the level area between the two
+LOW_FURNITURE_WEIGHT = 0.5  # of how far below the middle that level area lies
 
 
 def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Shortest axis (N, 3) of each Gaussian and the area pi s1 s2 of its disc (N,)."""
+    """Shortest axis (N, 3) of each Gaussian and the area pi s1 s2 of its disc [m^2], (N,)."""
     scales = np.exp(g.log_scales.astype(np.float64))
     order = np.argsort(scales, 1)
     axes = matrices_from_quaternions(g.quats)
@@ -31,9 +31,9 @@ def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 
 def refine_direction(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """The direction near `axis` (3,) about which the most area has its normals; their signs do not count."""
-    for least in NARROWING:
-        mine = np.abs(normals @ axis) > least
+    """Area-weighted mean direction (3,) of the normals near `axis` (3,), whatever their signs."""
+    for cosine in NARROWING_COS:
+        mine = np.abs(normals @ axis) > cosine
         if areas[mine].sum() <= 0:
             return axis
         n = normals[mine]
@@ -42,17 +42,17 @@ def refine_direction(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -
     return axis
 
 
-def floor_of(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple[float, float, float]:
-    """Height of the largest level plane in the lower half, its share of all area, and the share below it.
+def find_floor_plane(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple[float, float, float]:
+    """Height of the largest level plane in the lower half, and the fractions of all area in it and below it.
 
-    heights (N,), level (N,) bool: whether the normal is about vertical, areas (N,).
+    heights (N,), level (N,) bool: the normal is about vertical, areas (N,).
     """
     low, high = weighted_percentile(heights, areas, (0.2, 99.8))
-    step = max((high - low) / BINS, 1e-9)
-    bins = np.floor((heights - low) / step).clip(-1, BINS).astype(int) + 1
-    weight = np.bincount(bins[level], areas[level], BINS + 2)
+    step = max((high - low) / HEIGHT_BINS, 1e-9)
+    bins = np.floor((heights - low) / step).clip(-1, HEIGHT_BINS).astype(int) + 1
+    weight = np.bincount(bins[level], areas[level], HEIGHT_BINS + 2)
     smooth = np.convolve(weight, np.ones(5), "same")
-    first = int(smooth[: round(LOWER * BINS)].argmax())
+    first = int(smooth[: round(FLOOR_HEIGHT_MAX * HEIGHT_BINS)].argmax())
     near = level & (np.abs(bins - first) <= 4)
     if not areas[near].sum():
         return float(low), 0.0, 0.0
@@ -62,7 +62,7 @@ def floor_of(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple
 
 
 def weighted_percentile(values: np.ndarray, weights: np.ndarray, percents) -> np.ndarray:
-    """Percentiles (K,) of values (N,) that count by their weights (N,)."""
+    """Percentiles (K,) of values (N,) with weights (N,)."""
     order = np.argsort(values, kind="stable")
     total = weights[order].cumsum()
     at = np.searchsorted(total, np.asarray(percents) / 100 * total[-1])
@@ -70,11 +70,11 @@ def weighted_percentile(values: np.ndarray, weights: np.ndarray, percents) -> np
 
 
 def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> dict[str, float]:
-    """How much speaks for each axis of the file, "+x" to "-z", to point up in a scene; larger is more likely.
+    """Evidence for each axis of the file, "+x" to "-z", to point up in a scene; larger is more likely.
 
-    The vertical is the axis with the largest planes at its ends, of which a missing ceiling leaves one, and with the
-    most level area between them: tables and seats are level, what stands on a wall is not. Of its two ends the floor is
-    that with the larger plane, with nothing behind it, and with the furniture.
+    The vertical is the axis with the largest planes at its ends (without a ceiling, one) and with the most level area
+    between them: tables and seats are level, things on a wall are not. Of its two ends the floor has the larger plane,
+    nothing behind it, and the furniture.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights
     """
@@ -82,40 +82,40 @@ def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> d
     for axis in range(3):
         direction = refine_direction(np.eye(3)[axis], normals, areas)
         heights, level = points @ direction, np.abs(normals @ direction) > LEVEL_COS
-        ends = [floor_of(sign * heights, level, areas) for sign in (1, -1)]
+        ends = [find_floor_plane(sign * heights, level, areas) for sign in (1, -1)]
         low, high = ends[0][0], -ends[1][0]
-        clear = 0.04 * max(high - low, 1e-9)
-        between = level & (heights > low + clear) & (heights < high - clear)
-        share = areas[between].sum() / areas.sum()
-        at = (areas[between] @ (heights[between] - low)) / max((high - low) * areas[between].sum(), 1e-12)
-        planes = sorted(max(0.0, e[1] - BELOW * e[2]) for e in ends)
-        upright = planes[1] + OTHER * planes[0] + FURNITURE * share
+        margin = 0.04 * max(high - low, 1e-9)
+        between = level & (heights > low + margin) & (heights < high - margin)
+        furniture = areas[between].sum() / areas.sum()
+        mean_height = (areas[between] @ (heights[between] - low)) / max((high - low) * areas[between].sum(), 1e-12)
+        planes = sorted(max(0.0, e[1] - BELOW_WEIGHT * e[2]) for e in ends)
+        upright = planes[1] + SECOND_PLANE_WEIGHT * planes[0] + FURNITURE_WEIGHT * furniture
         for sign, (_, plane, below) in zip((1, -1), ends, strict=True):
-            middle = at if sign > 0 else 1 - at
-            floor = plane - BELOW * below + HEAVY * (0.5 - middle) * bool(between.any())
+            height = mean_height if sign > 0 else 1 - mean_height
+            floor = plane - BELOW_WEIGHT * below + LOW_FURNITURE_WEIGHT * (0.5 - height) * bool(between.any())
             votes[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"] = upright, floor
-    # The axis first, then its end: an end's vote decides between the two of one axis alone.
+    # The axis comes first: the evidence for its ends only decides between the two.
     best = {k[1]: max(votes[f"+{k[1]}"][1], votes[f"-{k[1]}"][1]) for k in votes}
     return {k: upright + min(0.0, floor - best[k[1]]) for k, (upright, floor) in votes.items()}
 
 
-CORE = 4.0  # times the median distance from the middle: a backdrop lies farther
-MAP = 16, 48  # columns on the longer side of the map of a floor: so many that each holds
-HELD = 30  # points
-COVERED = 0.7  # of what a scene stands on is floor, seen or under furniture
-CONTENT = 0.03, 0.8  # least and most share of the map's inner part over which something stands
+CORE_RADIUS = 4.0  # median distances from the middle: a backdrop lies farther
+MAP_COLUMNS = 16, 48  # least and most on the longer side of the map of a floor
+POINTS_PER_COLUMN = 30
+FLOOR_COVER_MIN = 0.7  # of the map: a scene has a floor under most of it, seen or under furniture
+CONTENT_RANGE = 0.03, 0.8  # of the map's inner part has something above the floor
 
 
 def scene_votes(g: Gaussians) -> dict[str, float] | None:
-    """`plane_votes` of a room, a garden, a thing on a ground plate; None for a body by itself.
+    """`plane_votes` of a scene: a room, a garden, an object on a ground plate; None for an object by itself.
 
-    A scene has a plane under nearly all of it, and things between that and its upper end, away from the walls: a box or
-    a cup has nothing inside.
+    A scene has a plane under nearly all of it, and objects between that and its upper end, away from the walls: a box
+    or a cup has nothing inside.
     """
     points = g.means.astype(np.float64)
     middle = np.median(points, axis=0)
     away = np.linalg.norm(points - middle, axis=1)
-    core = (away < CORE * np.median(away)) & (g.opacities > 0.3)
+    core = (away < CORE_RADIUS * np.median(away)) & (g.opacities > 0.3)
     if core.sum() < 100:
         return None
     points = points[core]
@@ -128,7 +128,7 @@ def scene_votes(g: Gaussians) -> dict[str, float] | None:
     slab = 0.06 * (high - low)
     across = np.linalg.svd(direction[None])[2][1:]  # two directions in the plane
     flat = points @ across.T
-    side = int(np.clip(np.sqrt(len(points) / HELD), *MAP))
+    side = int(np.clip(np.sqrt(len(points) / POINTS_PER_COLUMN), *MAP_COLUMNS))
     corner, end = np.percentile(flat, [0.5, 99.5], axis=0)
     column = np.floor((flat - corner) / max((end - corner).max(), 1e-12) * side).astype(int)
     within = ((column >= 0) & (column <= side)).all(1)
@@ -138,45 +138,49 @@ def scene_votes(g: Gaussians) -> dict[str, float] | None:
         grid[tuple(column[within & mask].T)] = True
         return grid
 
-    under, all_of_it = seen(heights < low + slab), seen(np.ones(len(points), bool))
-    inner = all_of_it.copy()
-    for _ in range(side // 12):  # columns from the rim: walls lean, and are thick
+    floor, covered = seen(heights < low + slab), seen(np.ones(len(points), bool))
+    inner = covered.copy()
+    for _ in range(side // 12):  # columns from the border: walls lean, and are thick
         inner[1:-1, 1:-1] &= inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:]
         inner[[0, -1]] = inner[:, [0, -1]] = False
     between = seen((heights > low + 2 * slab) & (heights < high - 2 * slab)) & inner
     content = between.sum() / max(inner.sum(), 1)
-    return votes if under.sum() > COVERED * all_of_it.sum() and CONTENT[0] < content < CONTENT[1] else None
+    return (
+        votes
+        if floor.sum() > FLOOR_COVER_MIN * covered.sum() and CONTENT_RANGE[0] < content < CONTENT_RANGE[1]
+        else None
+    )
 
 
-DEEP = 0.2  # of the extent: so far under its rim a hollow is one
-SECTORS, SLABS = 24, 6  # in which its wall is looked at
-GAP = 0.025  # of the extent, between the inner and the outer face of a wall
+HOLLOW_DEPTH = 0.2  # of the extent, from the rim to the bottom
+SECTORS, LAYERS = 24, 6  # around and along the axis, in which the wall is examined
+WALL_GAP = 0.025  # of the extent, at least, between the inner and the outer face of a wall
 
 
 def hollow_columns(points: np.ndarray, top: np.ndarray, axis: int, sign: int, longest: float) -> np.ndarray:
-    """Mask (C,) of the columns over a hollow that was looked into along an axis: a cup's inside.
+    """Mask (C,) of the columns over a hollow that opens along an axis, as the inside of a cup.
 
-    Its wall has two faces. A body whose underside nobody saw is hollow from below, too, but its wall has one.
+    Its wall has two faces. An object whose underside was not captured is hollow from below, too, but its wall has one.
 
-    points (N, 3); top (C, 3) the first point of each column as seen from the end `sign` of `axis`
+    points (N, 3); top (C, 3) the first point of each column seen from the end `sign` of `axis`
     """
     others = [i for i in range(3) if i != axis]
     height, rim = sign * top[:, axis], np.percentile(sign * top[:, axis], 95)
-    deep = height < rim - DEEP * longest
+    deep = height < rim - HOLLOW_DEPTH * longest
     none = np.zeros(len(top), bool)
     if deep.mean() < 0.05:
         return none
     centre, floor = np.median(top[deep][:, others], axis=0), np.median(height[deep])
     away = points[:, others] - centre
     sector = ((np.arctan2(*away.T) / (2 * np.pi) + 0.5) * SECTORS).astype(int).clip(0, SECTORS - 1)
-    slab = np.floor(((sign * points[:, axis] - floor) / (rim - floor) - 0.2) / 0.7 * SLABS).astype(int)
+    layer = np.floor(((sign * points[:, axis] - floor) / (rim - floor) - 0.2) / 0.7 * LAYERS).astype(int)
     r = np.hypot(*away.T)
-    inside = (slab >= 0) & (slab < SLABS)
-    order = np.lexsort([r[inside], sector[inside] * SLABS + slab[inside]])
-    place, r = (sector[inside] * SLABS + slab[inside])[order], r[inside][order]
-    double = 0
-    for k in range(SECTORS * SLABS):
+    inside = (layer >= 0) & (layer < LAYERS)
+    order = np.lexsort([r[inside], sector[inside] * LAYERS + layer[inside]])
+    place, r = (sector[inside] * LAYERS + layer[inside])[order], r[inside][order]
+    double_walled = 0
+    for k in range(SECTORS * LAYERS):
         own = r[np.searchsorted(place, k) : np.searchsorted(place, k, side="right")]
-        wide = np.flatnonzero(np.diff(own) > GAP * longest)
-        double += any(0.2 * len(own) <= i + 1 <= 0.8 * len(own) for i in wide)
-    return deep if double > 0.6 * SECTORS * SLABS else none
+        wide = np.flatnonzero(np.diff(own) > WALL_GAP * longest)
+        double_walled += any(0.2 * len(own) <= i + 1 <= 0.8 * len(own) for i in wide)
+    return deep if double_walled > 0.6 * SECTORS * LAYERS else none

@@ -38,7 +38,7 @@ def asset_material(name: str) -> Material | None:
 
 
 def default_material(name: str) -> str | None:
-    """Name of the material of an asset if the user names none: flesh for an animated one, else None. Raises BadInput."""
+    """Material name for an asset if the user gives none: flesh for an animated one, else None. Raises BadInput."""
     with open_hdf5(find_asset(name)) as file:
         return ANIMATED_MATERIAL if file.has("animation") else None
 

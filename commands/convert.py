@@ -1,4 +1,4 @@
-"""`vrgs.py convert IN OUT`: from any splat file that is read to any that is written."""
+"""`vrgs.py convert IN OUT`: convert between splat file formats."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-LONG = 20 << 20  # [bytes] of input from which on progress is shown; less takes about a second
+PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
 
 
 def run(args: argparse.Namespace) -> None:
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> None:
     exist = [os.path.isfile(path) for path in (source, target)]  # False where Path.exists may raise
     if all(exist) and source.samefile(target):
         raise BadInput(f"{target}: is the input itself; choose another name")
-    long = exist[0] and source.stat().st_size >= LONG
+    long = exist[0] and source.stat().st_size >= PROGRESS_SIZE_MIN
 
     def progress(stage: str) -> None:
         if long:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 def losses(before: Gaussians, after: Gaussians) -> list[str]:
-    """What a reader of the new file no longer finds, measured: the largest errors in words, [] if none."""
+    """Measured losses of a conversion: the largest errors in words, [] if none."""
     if len(before) != len(after):
         return [f"{len(before) - len(after)} Gaussians"]
     lost = []

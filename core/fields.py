@@ -144,7 +144,7 @@ class Download:
 
 
 class Upload:
-    """A kernel that fills several fields at once (single values, or of one dimension); one each takes long to compile."""
+    """A kernel that fills several fields (single values, or one-dimensional) at once: one each takes long to compile."""
 
     def __init__(self, fields: list):
         self.fields = fields

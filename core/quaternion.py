@@ -1,4 +1,4 @@
-"""Device functions of unit quaternions wxyz: products, rotation vectors, float32-safe increments, polar decomposition."""
+"""Device functions of unit quaternions wxyz: products, rotation vectors, small increments, polar decomposition."""
 
 import taichi as ti
 

@@ -1,4 +1,4 @@
-"""One module for each splat file format.
+"""One module for each file format of splats and skinned meshes.
 
-In: bytes that may come from anywhere. Out: checked Gaussians, and the way back where the format is written.
+In: bytes from untrusted sources. Out: checked Gaussians (or rigs and meshes), and files of the formats that are written.
 """

@@ -1,4 +1,4 @@
-"""What a .glb holds of a skinned body: its nodes, the skin, one animation, and the mesh with its colours.
+"""The skinned body of a .glb: its nodes, the skin, one animation, and the mesh with its colours.
 
 Khronos, glTF 2.0 Specification: 3.5.3 transformations, 3.7.3 skins, 3.11 animations, appendix C interpolation.
 """
@@ -10,18 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.animation import decompose, slerp
 from assets.formats.gltf import GlbFile
 
 NODES_MAX = 4096
 TRIANGLES_MAX = 5_000_000
-FPS = 60.0  # [1/s] at which keyframes are sampled: a headset's or a screen's frame, where nothing is lost to blending
-LONGEST = 600.0  # [s] of an animation
-WEIGHT_SUM = 0.05  # that the weights of a vertex may be off 1; they are normalised
+SAMPLE_RATE = 60.0  # [1/s] of keyframes: about the frame rate of a screen, so interpolation loses nothing
+DURATION_MAX = 600.0  # [s] of an animation
+WEIGHT_SUM_TOLERANCE = 0.05  # of a vertex's weights before they are normalised
 
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """A skinned mesh as it lies in the file, before any joint moves it.
+    """A skinned mesh in its bind pose, as stored.
 
     vertices (V, 3) [m]; faces (F, 3) int64; joints (V, K) int64, into the skin's list; weights (V, K), rows sum to 1
     colours  linear RGB in 0..1 of each corner of each face, (F, 3, 3), by which a texture is multiplied
@@ -41,7 +42,7 @@ class SkinnedMesh:
 
 @dataclass(frozen=True)
 class Rig:
-    """A skeleton and its motion. Nodes are ordered so that parents come first.
+    """A skeleton and its motion. Parents come before their children.
 
     names     of the nodes, [J];  parents (J,) int64, -1 for none
     joints    node of each joint of the skin, (S,);  inverse_bind (S, 4, 4)
@@ -60,7 +61,7 @@ class Rig:
     animation: str
 
 
-def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, GlbFile, int]:
+def read_rig(path: str | Path, fps: float = SAMPLE_RATE) -> tuple[Rig, GlbFile, int]:
     """The first skin of a .glb and its first animation, sampled, with the open file and the skin's index.
 
     Raises BadInput.
@@ -97,7 +98,7 @@ def read_rig(path: str | Path, fps: float = FPS) -> tuple[Rig, GlbFile, int]:
 
 
 def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """An order in which parents come before their children, and the parent of each node, -1 for none."""
+    """Node indices with parents before their children, and the parent of each node, -1 for none."""
     parents = np.full(count, -1, np.int64)
     children = [file.list(file.item("nodes", k), "children") for k in range(count)]
     for k, mine in enumerate(children):
@@ -116,8 +117,6 @@ def _order(file: GlbFile, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Translation, rotation wxyz and scale of a node."""
-    from assets.animation import decompose
-
     if "matrix" in node:
         m = file.numbers(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         t, q, s, off = decompose(m[None])
@@ -132,7 +131,7 @@ def _local(file: GlbFile, node: dict) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: float):
-    """The first animation at a whole number of frames of about 1/fps: (t, q, s), its rate and name."""
+    """The first animation, sampled at a whole number of frames at about `fps`: (t, q, s), its rate and name."""
     animations = file.list(file.json, "animations")
     if not animations:
         raise file.error("has no animation")
@@ -144,7 +143,7 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
             raise file.error("an animation's channel is damaged")
         path = target.get("path")
         if path not in ("translation", "rotation", "scale") or "node" not in target:
-            continue  # the weights of morph targets
+            continue  # weights of morph targets
         file.item("nodes", target["node"])
         s = file.whole(c, "sampler", len(samplers) - 1)
         if not isinstance(samplers[s], dict):
@@ -154,10 +153,10 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
         raise file.error("its animation moves no node")
     times = {id(s): _times(file, s) for _, _, s in channels}
     begin, end = min(t[0] for t in times.values()), max(t[-1] for t in times.values())
-    if not 0 < end - begin <= LONGEST:
-        raise file.error(f"its animation lasts {end - begin:.3g} s; more than 0 to {LONGEST:g} s can be played")
+    if not 0 < end - begin <= DURATION_MAX:
+        raise file.error(f"its animation lasts {end - begin:.3g} s; more than 0 to {DURATION_MAX:g} s can be played")
     count = max(round((end - begin) * fps), 2)
-    at = begin + (end - begin) * np.arange(count + 1) / count  # the last is where the first should come round again
+    at = begin + (end - begin) * np.arange(count + 1) / count  # the last repeats the first, if the motion is periodic
     frames = [np.tile(x, (count + 1, 1, 1)) for x in rest]
     for node, path, sampler in channels:
         kind = ("translation", "rotation", "scale").index(path)
@@ -166,23 +165,22 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
 
 
 def _times(file: GlbFile, sampler: dict) -> np.ndarray:
+    """Ascending times [s] of a sampler."""
     times = file.accessor(sampler.get("input"), kinds=("SCALAR",))[:, 0]
     if (np.diff(times) <= 0).any():
         raise file.error("the times of an animation do not rise")
     return times
 
 
-def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, turns: bool) -> np.ndarray:
+def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, rotation: bool) -> np.ndarray:
     """A channel's values at the times `at`: (n, 3), or quaternions wxyz (n, 4)."""
-    from assets.animation import slerp
-
     kind = sampler.get("interpolation", "LINEAR")
     if kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise file.error(f"interpolation {str(kind)[:20]!r} is unknown")
     cubic = kind == "CUBICSPLINE"
-    values = file.accessor(sampler.get("output"), kinds=("VEC4",) if turns else ("VEC3",),
+    values = file.accessor(sampler.get("output"), kinds=("VEC4",) if rotation else ("VEC3",),
                            count=len(times) * (3 if cubic else 1))  # fmt: skip
-    if turns:
+    if rotation:
         values = values[:, [3, 0, 1, 2]]
     before = np.searchsorted(times, at, "right").clip(1, max(len(times) - 1, 1)) - 1
     after = np.minimum(before + 1, len(times) - 1)
@@ -195,13 +193,13 @@ def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, tu
         found = found + h[2] * points[after] + h[3] * step[:, None] * into[after]
     elif kind == "STEP":
         found = values[np.where(u[:, 0] >= 1, after, before)]
-    elif turns:
+    elif rotation:
         norm = np.linalg.norm(values, axis=1, keepdims=True)
         values = values / np.maximum(norm, 1e-12)
         found = slerp(values[before], values[after], u)
     else:
         found = (1 - u) * values[before] + u * values[after]
-    if turns:
+    if rotation:
         norm = np.linalg.norm(found, axis=1, keepdims=True)
         if (norm < 1e-6).any():
             raise file.error("an animation's rotation is no quaternion")
@@ -210,22 +208,22 @@ def _channel(file: GlbFile, sampler: dict, times: np.ndarray, at: np.ndarray, tu
 
 
 def read_mesh(file: GlbFile, skin: int, joints: int) -> SkinnedMesh:
-    """All triangles that are bound to the skin of `joints` joints, with their colours. Raises BadInput."""
-    parts, textures, known, faces, vertices = [], [], {}, 0, 0
+    """All triangles bound to the skin of `joints` joints, with their colours. Raises BadInput."""
+    found, textures, known, faces, vertices = [], [], {}, 0, 0
     for node in file.list(file.json, "nodes"):
         if node.get("skin") != skin or "mesh" not in node:
             continue
         for p in file.list(file.item("meshes", node["mesh"]), "primitives"):
-            part = _primitive(file, p, joints, textures, known)
-            faces += len(part[1])
-            part[1] += vertices
-            vertices += len(part[0])
+            arrays = _primitive(file, p, joints, textures, known)
+            faces += len(arrays[1])
+            arrays[1] += vertices
+            vertices += len(arrays[0])
             if faces > TRIANGLES_MAX:
                 raise file.error(f"has more than {TRIANGLES_MAX} triangles")
-            parts.append(part)
-    if not parts:
+            found.append(arrays)
+    if not found:
         raise file.error("no mesh is bound to its skin")
-    return SkinnedMesh(*(np.concatenate(x) for x in zip(*parts, strict=True)), textures)
+    return SkinnedMesh(*(np.concatenate(x) for x in zip(*found, strict=True)), textures)
 
 
 def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> list[np.ndarray]:
@@ -242,14 +240,14 @@ def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> li
     if len(index) % 3 or index.max() >= n:
         raise file.error("the triangles of a mesh name a vertex that is not there")
     faces = index.reshape(-1, 3)
-    which = file.accessor(attributes.get("JOINTS_0"), kinds=("VEC4",), integer=True, count=n)
+    vertex_joints = file.accessor(attributes.get("JOINTS_0"), kinds=("VEC4",), integer=True, count=n)
     weights = file.accessor(attributes.get("WEIGHTS_0"), kinds=("VEC4",), count=n)
     total = weights.sum(1, keepdims=True)
-    if (weights < 0).any() or (np.abs(total - 1) > WEIGHT_SUM).any():
+    if (weights < 0).any() or (np.abs(total - 1) > WEIGHT_SUM_TOLERANCE).any():
         raise file.error("the skin's weights of a vertex are negative or do not sum to 1")
-    if which[weights > 0].max() >= joints:
+    if vertex_joints[weights > 0].max() >= joints:
         raise file.error(f"a vertex follows a joint outside 0..{joints - 1}")
-    which = np.where(weights > 0, which, 0)
+    vertex_joints = np.where(weights > 0, vertex_joints, 0)
     material = file.item("materials", p["material"]) if "material" in p else {}
     pbr = material.get("pbrMetallicRoughness", {})
     if not isinstance(pbr, dict):
@@ -268,15 +266,15 @@ def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> li
             known[source] = len(textures) - 1
         uv = file.accessor(attributes[f"TEXCOORD_{base.get('texCoord', 0)}"], kinds=("VEC2",), count=n)[faces]
         texture[:] = known[source]
-    return [x, faces, which, weights / total, colours, uv, texture]
+    return [x, faces, vertex_joints, weights / total, colours, uv, texture]
 
 
 def srgb_from_linear(linear: np.ndarray) -> np.ndarray:
-    """Display values of linear light in 0..1 (IEC 61966-2-1, sRGB)."""
+    """Display values in 0..1 of linear light in 0..1 (IEC 61966-2-1, sRGB)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
 def linear_from_srgb(display: np.ndarray) -> np.ndarray:
-    """Linear light of display values in 0..1, the inverse of `encoded`."""
+    """Linear light in 0..1 of display values in 0..1, the inverse of `srgb_from_linear`."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)

@@ -28,16 +28,16 @@ SECTION = struct.Struct("<IIIIfHxxIIIIH")  # counts, buckets, degree of SH
 DEGREE_MAX = 2
 SH_RANGE = (-1.5, 1.5)  # where the header gives none
 OFFSET_RANGE = 32767  # of a 16-bit offset, where the section gives none
-HALF_LEAST = 2.0**-24  # the least float16 above 0: standard deviations below it were rounded to 0
+HALF_MIN = 2.0**-24  # the least float16 above 0: standard deviations below it were rounded to 0
 CENTER_SIZE = 12  # [bytes] of a bucket's centre
 
 
 @dataclass(frozen=True)
 class Section:
-    """What the header of a section says."""
+    """The header of a section."""
 
     count: int
-    room: int  # Gaussians that there is space for
+    capacity: int  # Gaussians that there is space for
     bucket_size: int  # Gaussians of a full bucket
     buckets: int
     block: float  # side of the cube that a bucket covers [m]
@@ -54,7 +54,7 @@ class Section:
         return np.dtype(fields + [("sh", sh, (3 * (SH_COUNTS[self.degree] - 1),))])
 
     def bucket_storage(self) -> int:
-        """Size of what comes before the Gaussians [bytes]."""
+        """Size of the bucket table before the Gaussians [bytes]."""
         return 4 * self.partial + self.bucket_bytes * self.buckets
 
 
@@ -66,41 +66,42 @@ def read_ksplat(path: str | Path, report: Report = print) -> Gaussians:
     level, sh_range, sections = _headers(path, data)
     at = HEADER_SIZE + SECTION_SIZE * len(sections)
     degree = max(s.degree for s in sections)
-    parts = []
+    columns = []
     for i, section in enumerate(sections):
         start = at + section.bucket_storage()
-        at = start + section.room * section.row(level).itemsize
+        at = start + section.capacity * section.row(level).itemsize
         if at > len(data):
-            raise BadInput(f"{path}: truncated; section {i} of {section.room} Gaussians ends beyond the file")
+            raise BadInput(f"{path}: truncated; section {i} of {section.capacity} Gaussians ends beyond the file")
         if section.count:
             rows = np.frombuffer(data, section.row(level), section.count, start)
             means = rows["mean"] if level == 0 else _centers(path, section, rows["mean"], data, start)
-            parts.append(_decode(rows, means, level, sh_range, degree))
-    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return drawable_gaussians(path, *columns, report)
+            columns.append(_decode(rows, means, level, sh_range, degree))
+    return drawable_gaussians(path, *(np.concatenate(c) for c in zip(*columns, strict=True)), report)
 
 
 def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Section]]:
     """Compression level, least and greatest SH coefficient, sections."""
     if len(data) < HEADER_SIZE + SECTION_SIZE:
         raise BadInput(f"{path}: truncated, or not a .ksplat file")
-    major, minor, places, _, _, count, level, *_, low, high = HEADER.unpack_from(data)
+    major, minor, section_count, _, _, count, level, *_, low, high = HEADER.unpack_from(data)
     if (major, minor) != (0, 1):
         raise BadInput(f"{path}: not a .ksplat file, or of version {major}.{minor}; read is 0.1")
     if level > 2:
         raise BadInput(f"{path}: compression level {level} of .ksplat, read are 0 to 2")
-    if not 1 <= places <= (len(data) - HEADER_SIZE) // SECTION_SIZE:
-        raise BadInput(f"{path}: truncated; the header claims {places} sections")
+    if not 1 <= section_count <= (len(data) - HEADER_SIZE) // SECTION_SIZE:
+        raise BadInput(f"{path}: truncated; the header claims {section_count} sections")
     sections = []
-    for i in range(places):
+    for i in range(section_count):
         fields = SECTION.unpack_from(data, HEADER_SIZE + SECTION_SIZE * i)
-        held, room, size, buckets, block, bucket_bytes, offset_range, _, full, partial, degree = fields
+        held, capacity, size, buckets, block, bucket_bytes, offset_range, _, full, partial, degree = fields
         if degree > DEGREE_MAX:
             raise BadInput(f"{path}: section {i} has SH degree {degree}, a .ksplat has at most {DEGREE_MAX}")
-        if held > room:
-            raise BadInput(f"{path}: section {i} claims {held} Gaussians in the space of {room}")
+        if held > capacity:
+            raise BadInput(f"{path}: section {i} claims {held} Gaussians in the space of {capacity}")
         offset_range = offset_range or OFFSET_RANGE
-        sections.append(Section(held, room, size, buckets, block, bucket_bytes, offset_range, full, partial, degree))
+        sections.append(
+            Section(held, capacity, size, buckets, block, bucket_bytes, offset_range, full, partial, degree)
+        )
     total = sum(s.count for s in sections)
     if total != count:
         raise BadInput(f"{path}: claims {count} Gaussians, its sections {total}")
@@ -133,7 +134,7 @@ def _decode(rows: np.ndarray, means: np.ndarray, level: int, sh_range: tuple[flo
     """Means, quaternions, log-scales, logits and SH of the given degree."""
     scales = rows["scale"].astype(np.float32)
     if level > 0:
-        scales = np.where(scales == 0, np.float32(HALF_LEAST), scales)
+        scales = np.where(scales == 0, np.float32(HALF_MIN), scales)
     with np.errstate(divide="ignore", invalid="ignore"):  # a scale of 0 or less has no logarithm and is dropped
         log_scales = np.log(scales)
     sh = np.zeros((len(rows), SH_COUNTS[degree], 3), np.float32)

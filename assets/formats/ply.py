@@ -23,7 +23,7 @@ from core.errors import BadInput
 MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
 SCALES, ROTATION = ["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]
 REQUIRED = [*MEANS, *DC, "opacity", *SCALES, *ROTATION]
-LOGIT_MOST = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for +-inf, which tools write for opacities of just 1 and 0
+LOGIT_MAX = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for infinities, which tools write for opacities 1 and 0
 REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
 
 
@@ -44,7 +44,9 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         else:
             rows = binary_rows(path, file, file.tell(), elements, vertex, order)
 
-    plain = rows.dtype == np.dtype([(name, np.float32) for name in vertex.names])  # as most are: a matrix
+    plain = rows.dtype == np.dtype(
+        [(name, np.float32) for name in vertex.names]
+    )  # all float32, as in most files: a matrix
 
     def columns(names: list[str]) -> np.ndarray:
         if plain:
@@ -58,12 +60,12 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         channels = columns([f"f_rest_{i}" for i in range(rest)]).reshape(n, 3, rest // 3)
         sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
     opacity = columns(["opacity"])[:, 0]
-    opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MOST, opacity), opacity)
+    opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MAX, opacity), opacity)
     return drawable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
 
 
 def _check_vertex(path: Path, vertex: Element) -> None:
-    """Raise BadInput unless the element that holds the Gaussians has all that is required of it."""
+    """Raise BadInput unless the vertex element has all properties of a Gaussian."""
     missing = [name for name in REQUIRED if name not in vertex.names]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
@@ -75,6 +77,7 @@ def _check_vertex(path: Path, vertex: Element) -> None:
 
 
 def _rest_count(path: Path, vertex: Element) -> int:
+    """Number of f_rest properties. Raises BadInput unless they belong to an SH degree."""
     names = {name for name in vertex.names if re.fullmatch(r"f_rest_\d+", name)}
     if len(names) not in REST_COUNTS:
         raise BadInput(f"{path}: {len(names)} f_rest properties, expected 0, 9, 24 or 45 (SH degree 0 to 3)")
@@ -85,11 +88,12 @@ def _rest_count(path: Path, vertex: Element) -> int:
 
 
 def _text_rows(path: Path, file, vertex: Element, before: list[Element]) -> np.ndarray:
+    """Rows of the vertex element of a text file, (count,) float64 fields."""
     start = file.tell()
-    room = file.seek(0, 2) - start
+    size = file.seek(0, 2) - start
     file.seek(start)
     skipped = sum(element.count for element in before)
-    if skipped + 2 * vertex.count * len(vertex.names) > room + 1:  # a number is a digit and a blank at least
+    if skipped + 2 * vertex.count * len(vertex.names) > size + 1:  # a number is a digit and a blank at least
         raise BadInput(f"{path}: truncated; the header claims {vertex.count} Gaussians, too many for the file's size")
     lines = islice(file, skipped, skipped + vertex.count)
     try:

@@ -1,4 +1,4 @@
-"""What all .ply files share: the header, and elements whose rows are binary."""
+"""The header of .ply files, and elements with binary rows."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LINES_MAX = 4096  # of a header; splats have about 70
 
 @dataclass
 class Element:
-    """One `element` of the header; `types` of its properties are NumPy's, "list" for lists."""
+    """An element of the header, with names and NumPy types ("list" for lists) of its properties."""
 
     name: str
     count: int

@@ -1,4 +1,4 @@
-"""Quantised attributes that several splat formats share: 8-bit opacities, and quaternions by their three smaller parts."""
+"""Quantisation that several splat formats share: 8-bit opacities, quaternions by their three smaller components."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
-from assets.level_planes import LEVEL_COS, floor_of, plane_votes, refine_direction, weighted_percentile
+from assets.level_planes import LEVEL_COS, find_floor_plane, plane_votes, refine_direction, weighted_percentile
 from assets.up_axis import SCENE_VOTE_UNIT, UP_PRIOR, most_likely, rotation_to_up
 from core.errors import BadInput
 
@@ -70,7 +70,7 @@ def gravity(
     turn = rotation_to_up(up)
     direction = refine_direction(turn[1], normals, areas)
     heights = points @ direction
-    floor = floor_of(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
+    floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
     floor, direction = fitted(points, normals, areas, floor, direction)
     return up, floor, turn_between(turn @ direction) @ turn, sure
 

@@ -8,11 +8,11 @@ from assets.gaussians import Gaussians
 from assets.level_planes import hollow_columns, normals_and_areas, plane_votes, scene_votes
 from assets.up_axis import (
     AXES,
+    convex_hull,
     describe_guess,
-    first_hits,
     guess_up_axis,
-    hull,
     most_likely,
+    outermost_points,
     robust_bounds,
     rotation_to_up,
 )
@@ -65,7 +65,7 @@ def test_what_was_not_looked_into_is_not_hollow(made):
     points = made().means.astype(np.float64)
     low, high = robust_bounds(points)
     for axis in range(3):
-        hits = first_hits(points, axis, low, float((high - low).max()))
+        hits = outermost_points(points, axis, low, float((high - low).max()))
         for sign, hit in zip((-1, 1), hits, strict=True):
             assert not hollow_columns(points, points[hit], axis, sign, float((high - low).max())).any()
 
@@ -86,7 +86,7 @@ def test_corners_are_those_of_scipy_and_run_counterclockwise(seed):
     points = rng.normal(size=(500, 2)) * (1.0, 0.01)
     if seed % 2:  # many on the same lines, many twice
         points = np.round(points * (3, 300)) / 8
-    corners = hull(points)
+    corners = convex_hull(points)
     reference = points[ConvexHull(points).vertices]
     assert {tuple(p) for p in corners} == {tuple(p) for p in reference} and len(corners) == len(reference)
     ahead, back = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
@@ -95,5 +95,5 @@ def test_corners_are_those_of_scipy_and_run_counterclockwise(seed):
 
 @pytest.mark.parametrize("count", [0, 1, 2, 9])
 def test_a_line_or_less_has_fewer_than_three_corners(count):
-    assert len(hull(np.arange(count)[:, None] * np.array([[1.0, 2.0]]))) < 3
-    assert len(hull(np.ones((count, 2)))) < 3
+    assert len(convex_hull(np.arange(count)[:, None] * np.array([[1.0, 2.0]]))) < 3
+    assert len(convex_hull(np.ones((count, 2)))) < 3

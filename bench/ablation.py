@@ -1,6 +1,6 @@
-"""One level of embedding against two: what each makes of twists and stretches that are given by formula.
+"""One-level against two-level embedding under prescribed twists and stretches.
 
-The cages of prepared bodies are deformed; each Gaussian is compared with what the formula's own gradient makes of it.
+The cages of prepared bodies are deformed; each Gaussian is compared with its image under the formula's own gradient.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from tests.support.sample_scenes import brick
 
 SCHEMES = ("one-level", "two-level")
 DEFORMATIONS = {"90 degrees": 0.5 * np.pi, "180 degrees": np.pi, "360 degrees": 2 * np.pi, "stretch 1.5": None}
-SPIKE = 2.0  # a Gaussian is a spike if its axis ratio is so many times the one that it should have
+SPIKE = 2.0  # a Gaussian is a spike if its axis ratio exceeds the correct one by this factor
 VERTICES = 800  # of the cages: tets of a tenth of the body
 WHITE = (0.96, 0.96, 0.95)
-ROOM = 1.25  # of the body, what a picture shows
+FRAMING = 1.25  # extent of a picture over that of the body
 
 
 def arch() -> str:
-    """Where kernels run: "cuda", "x64" ..."""
+    """Name of the Taichi backend: "cuda", "x64" ..."""
     return str(ti.cfg.arch).removeprefix("Arch.")
 
 
 def body(source) -> tuple[str, Asset]:
-    """Name and prepared asset: "bar" is made here, 8 x 30 x 8 cm of flat Gaussians with stripes; or a file's."""
+    """Name and prepared asset: "bar" is built here, 8 x 30 x 8 cm of flat, striped Gaussians; other names are files."""
     if source == "bar":
         g = brick(np.random.default_rng(0), (-0.04, 0, -0.04), (0.04, 0.3, 0.04), 0.003, 0.0003)
         stripes = 0.9 * np.sign(np.sin(2 * np.pi * g.means[:, 1] / 0.03))[:, None] * [1.0, 0.5, -0.4]
@@ -49,8 +49,8 @@ def body(source) -> tuple[str, Asset]:
 
 
 def moved(x: np.ndarray, turn: float | None, axis: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) of a body twisted about an axis by `turn` [rad] from its one end to the other, or for None ever
-    more stretched along it, to 1.5 of its length; and the gradients F (N, 3, 3)."""
+    """Points (N, 3) of a body twisted about an axis by `turn` [rad] from one end to the other, or for None
+    stretched along it progressively to 1.5 times its length; and the gradients F (N, 3, 3)."""
     x = np.asarray(x, np.float64)
     low, high = x.min(0), x.max(0)
     length, centre = high[axis] - low[axis], (low + high) / 2
@@ -72,14 +72,14 @@ def moved(x: np.ndarray, turn: float | None, axis: int = 1) -> tuple[np.ndarray,
 
 @dataclass(frozen=True)
 class Carried:
-    """What became of the Gaussians: covariances (N, 3, 3) and those that the formula asks for [m^2]."""
+    """Deformed Gaussians: covariances (N, 3, 3) [m^2] and the exact ones of the formula."""
 
     cov: np.ndarray
     truth: np.ndarray
     means: np.ndarray  # at rest [m]
 
     def excess(self) -> np.ndarray:
-        """Each Gaussian's axis ratio over the one that it should have, (N,)."""
+        """Axis ratio of each Gaussian over the exact one, (N,)."""
         found, wanted = (np.linalg.eigvalsh(S) for S in (self.cov, self.truth))
         found, wanted = (np.sqrt(w[:, 2] / np.maximum(w[:, 0], 1e-6 * w[:, 2])) for w in (found, wanted))
         return found / wanted
@@ -98,10 +98,10 @@ def full(six: np.ndarray) -> np.ndarray:
 
 
 def carried(g: Gaussians, embedded, cage, turn, scheme: str, splats=None) -> Carried:
-    """Deform the cage (vertices, tets) and let it carry the Gaussians; their splats too, if given."""
+    """Deform the cage (vertices, tets) and its Gaussians; also their splats, if given."""
     n = len(g)
     vertices, tets = cage
-    both = np.concatenate([vertices, g.means]).astype(np.float64)  # the formula goes by the extent of all
+    both = np.concatenate([vertices, g.means]).astype(np.float64)  # the formula depends on the extent of both
     y, F = moved(both, turn)
     x = ti.Vector.field(3, ti.f32, len(vertices))
     x.from_numpy(y[: len(vertices)].astype(np.float32))
@@ -115,7 +115,7 @@ def carried(g: Gaussians, embedded, cage, turn, scheme: str, splats=None) -> Car
 
 
 def ablation(name: str, asset: Asset, title: str, turn, scheme: str, *, draw: bool) -> tuple[dict, np.ndarray | None]:
-    """A row of the table, and the picture."""
+    """One row of the table, and the picture."""
     g, cage = asset.gaussians, (asset.cage.vertices, asset.cage.tets)
     splats = Splats(g) if draw else None
     found = carried(g, asset.embedding, cage, turn, scheme, splats)
@@ -128,7 +128,7 @@ def ablation(name: str, asset: Asset, title: str, turn, scheme: str, *, draw: bo
 
 
 def jump(g: Gaussians, embedded, cage, turn, scheme: str) -> float:
-    """95th percentile of how much neighbours differ beyond the formula, if all had the same shape at rest."""
+    """95th percentile of the difference between neighbours beyond the formula, for equal rest shapes."""
     from scipy.spatial import cKDTree
 
     n = len(g)
@@ -143,7 +143,7 @@ def jump(g: Gaussians, embedded, cage, turn, scheme: str) -> float:
 
 def picture(splats: Splats, g: Gaussians, turn) -> np.ndarray:
     """Picture (PANEL, PANEL, 3) uint8 of a deformed body."""
-    extent = ROOM * np.ptp(g.means, axis=0) * ([1, 1.5, 1] if turn is None else [1, 1, 1])
+    extent = FRAMING * np.ptp(g.means, axis=0) * ([1, 1.5, 1] if turn is None else [1, 1, 1])
     camera = framing(np.array([0.0, 0.0, 0.0]), extent, PANEL, PANEL)
     renderer = Renderer(splats, PANEL, PANEL, background=WHITE)
     renderer.render([camera])
@@ -153,7 +153,7 @@ def picture(splats: Splats, g: Gaussians, turn) -> np.ndarray:
 
 
 def page(pages: list) -> np.ndarray:
-    """All pictures: for each body two rows, one scheme each, and a column for each deformation."""
+    """Contact sheet: two rows for each body, one per scheme, and a column for each deformation."""
     width = 2 * MARGIN + len(DEFORMATIONS) * (PANEL + GAP)
     paper = np.full((HEAD + 2 * len(pages) * (PANEL + FOOT) + MARGIN, width, 3), PAPER, np.uint8)
     write(paper, "One level and two: Gaussians carried by a coarse cage", (MARGIN, 34), 22, weight=600)

@@ -1,7 +1,7 @@
 """`vrgs.py check`: the physics table, each row with its reference, measured value, tolerance and verdict.
 
-A measurement is a function of physics.py or physics_contact.py that uses the public Solver. The quick form runs fewer
-substeps, throws and seconds; the tests run it as well.
+A measurement is a function of bench/physics.py or bench/physics_contact.py that uses the public Solver. The quick form
+runs fewer substeps, throws and seconds; the tests run it as well.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ MEASUREMENTS = (
 def run(args) -> int:
     """Run the command; returns the exit status, 1 if a row fails."""
     if args.json:
-        claim(args.json, args.json.with_name(f".{args.json.name}.part"))  # before minutes are spent
+        claim(args.json, args.json.with_name(f".{args.json.name}.part"))  # fail before minutes are spent
     begin = perf_counter()
     rows = list(show(measured(MEASUREMENTS, quick=args.quick)))
     if args.json:
@@ -68,7 +68,7 @@ def measured(measurements: Iterable[Measurement], *, quick: bool) -> Iterator[di
 
 
 def show(rows: Iterable[dict], out=None) -> Iterator[dict]:
-    """Yield rows on, printing each as a line of an aligned table."""
+    """Pass rows through, printing each as a line of an aligned table."""
     print(line(*HEAD), file=out, flush=True)
     for r in rows:
         numbers = ["-" if r[key] is None else f"{r[key]:.6g}" for key in HEAD[1:4]]

@@ -1,8 +1,8 @@
-"""`vrgs.py bench embedding`: how long hosts take to find and Gaussians to carry, and what the second level is good for.
+"""`vrgs.py bench embedding`: time to find host tets and to deform Gaussians, and the benefit of the second level.
 
-Speed: Gaussians in a bar of 10,985 vertices. What it is good for, the paper's ablation (VR-GS, Sec. 4.3.2): the cages
-of prepared bodies are twisted and stretched by formula; each Gaussian is compared with what the formula's own gradient
-makes of it. `--out` draws both as a strip of pictures.
+Speed: Gaussians in a bar of 10,985 vertices. Benefit, the paper's ablation (VR-GS, Sec. 4.3.2): the cages of prepared
+bodies are twisted and stretched by formula; each Gaussian is compared with its image under the formula's own gradient.
+`--out` draws both as a strip of pictures.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ KS, FLOORS = (0.0, 1 / 6, 1 / 3, 0.5, 1.0), (0.05, 0.1, 0.15, 0.2, 0.3)
 
 
 def run(args) -> None:
-    """The command: measure, print tables, write --json and --out."""
+    """Run the command: measure, print tables, write --json and --out."""
     for file in filter(None, (args.json, args.out)):
         claim(file, file.with_name(f".{file.name}.part"))
     rows = [hosts(args.count), deform(args.count, args.rounds)]
@@ -57,13 +57,13 @@ def run(args) -> None:
 
 
 def some(count: int) -> Gaussians:
-    """Gaussians of 3 mm in and round the bar."""
+    """Random Gaussians of 3 mm in and around the bar."""
     rng = np.random.default_rng(0)
     return random_gaussians(rng, count, low=(-0.02, -0.02, -0.02), high=(1.02, 0.22, 0.22), sigma=0.003)
 
 
 def hosts(count: int) -> dict:
-    """Time to find all hosts, the search's tables and the transfers included, compiling not."""
+    """Time to find all host tets, including the search's tables and transfers, excluding compilation."""
     bar, few = tet_bar(*BAR), some(1000)
     embed_on_device(few.means, few.quats, np.exp(few.log_scales), *bar)
     g = some(count)
@@ -87,9 +87,9 @@ def hosts(count: int) -> dict:
 
 
 def deform(count: int, rounds: int) -> dict:
-    """Time to carry all Gaussians, a call of `Embedding.deform` and waiting for it, with and without rotations."""
+    """Time to deform all Gaussians: a synchronous call of `Embedding.deform`, with and without rotations."""
     (vertices, tets), g = tet_bar(*BAR), some(count)
-    order = np.lexsort(np.floor(g.means / 0.02).T)  # neighbours beside one another, as in a loaded body
+    order = np.lexsort(np.floor(g.means / 0.02).T)  # spatially sorted, as in a loaded body
     g = g.select(order)
     e = embed_on_device(g.means, g.quats, np.exp(g.log_scales), vertices, tets)
     x, mean = ti.Vector.field(3, ti.f32, len(vertices)), ti.Vector.field(3, ti.f32, count)
@@ -116,7 +116,7 @@ def deform(count: int, rounds: int) -> dict:
 
 
 def choice() -> list[dict]:
-    """How k and the floor of the local tetrahedra were chosen: jumps and errors of a twist by 180 degrees."""
+    """Jumps and errors of a twist by 180 degrees against k and the floor of the local tetrahedra."""
     rng, rows = np.random.default_rng(3), []
     bar = tet_bar((20, 4, 4), (1.0, 0.2, 0.2))
     g = random_gaussians(rng, 20_000, sigma=0.006, spread=0.8)

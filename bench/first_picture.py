@@ -1,9 +1,9 @@
-"""Seconds from the start of `vrgs.py view` to the first picture of a room on the screen of an Xvfb.
+"""Seconds from the start of `vrgs.py view` to the first picture of a room on an Xvfb screen.
 
     python -m bench.first_picture [--gaussians 100000] [--degree 3] [--rounds 5] [--arch cpu]
 
-What is looked at is the screen's own memory, every 10 ms. A first window, which closes by itself, is not counted: it
-compiles, and Taichi keeps kernels only when a program ends well.
+The screen's memory is polled every 10 ms. A first window, which closes by itself, is not counted: it compiles, and
+Taichi caches kernels only when a program ends normally.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from tests.support.xvfb import XServer
 
 PROGRAM = Path(__file__).resolve().parents[1] / "vrgs.py"
 SIZE = (960, 540)
-COLORS = 2000  # different ones in every seventh pixel: a picture has more, a line of text far fewer
+COLORS = 2000  # distinct ones in every seventh pixel: a picture has more, a line of text far fewer
 LONGEST = 120.0  # [s]
 
 
 def first_picture(screen: XServer, command: list) -> tuple[float, float]:
-    """Wall and CPU seconds until there is a picture. The window is closed then."""
+    """Wall and CPU seconds until a picture is shown; then close the window."""
     begin = perf_counter()
     process = subprocess.Popen(command, env=screen.env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:

@@ -1,9 +1,9 @@
-"""`vrgs.py bench frame`: a headset's frame without a headset: ring toss in stereo, scripted hands, on to the textures.
+"""`vrgs.py bench frame`: a headset's frame without a headset: ring toss in stereo, scripted hands, up to the textures.
 
-Both eyes of 1800x1920, the player's hands drawn, fingers that touch. As in a headset the head is located when the world
-has moved, so a picture shows it as it was when its drawing began; from there to the picture in the eyes' textures is
-what the program adds from motion to light. The runtime then waits for its next refresh, half a period on average.
-Stages are waited for one by one, which takes longer than the frame without.
+Both eyes of 1800x1920, with the player's hands and finger contact. As in a headset, the head is located after the
+simulation, at the start of drawing; the time from there until the picture is in the eyes' textures is the program's
+part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Per-stage
+synchronise after each stage, which takes longer than the frame itself.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ SIZE = (1800, 1920)  # [px] of an eye
 APART = 0.064  # [m] between the eyes
 RATE = 90.0  # [Hz]
 FRAMES = 1000
-WARM = 2  # frames before: kernels are compiled, and everything is in motion
+WARM = 2  # warm-up frames: kernels are compiled, and everything is in motion
 
 
 def run(args) -> None:
-    """The command: measure, print a table, write --json."""
+    """Run the command: measure, print a table, write --json."""
     rows = [measure(exact) for exact in (False, True)]
     for row in rows:
         print("stage by stage" if row["exact"] else "as it runs")
@@ -57,7 +57,7 @@ def eyes(k: int) -> list[Camera]:
 
 
 def controllers(k: int) -> list[Controller]:
-    """Both hands before the player, in motion."""
+    """Both hands in front of the player, in motion."""
     result = []
     for side in (-1, 1):
         c = Controller()

@@ -26,10 +26,10 @@ DENSITY, G = 1000.0, 9.81
 BAR, TETS, SURFACE = box((1.0, 0.2, 0.2), (10, 2, 2), mirror=False)
 BAR = BAR - [0.0, 0.1, 0.1]
 LEFT, RIGHT = np.flatnonzero(BAR[:, 0] < 1e-9), np.flatnonzero(BAR[:, 0] > 1 - 1e-9)
-AGREEMENT_SUBSTEPS = 128  # both devices take these in whole launches; of 100 the CPU makes 105 shorter ones
+AGREEMENT_SUBSTEPS = 128  # a whole number of launches on both devices; 100 become 105 shorter ones on the CPU
 BENT_BAR_LENGTH = 0.3  # [m]
-MOST_APART = 1e-5  # of that length: a hundred roundings of float32 in another order
-MOST_APART_CONTACTS = 1e-3  # roundings decide which contacts stick: starts 3e-8 m apart end 1.3e-4 apart on one device
+MOST_APART = 1e-5  # of that length: a hundred float32 roundings in a different order
+MOST_APART_CONTACTS = 1e-3  # roundings decide which contacts stick: starts 3e-8 m apart end 1.3e-4 m apart
 DOWN = (np.sqrt(0.5), 0.0, 0.0, -np.sqrt(0.5))  # turns +x to -y
 
 
@@ -46,7 +46,7 @@ def row(check: str, reference: float, measured: float, tolerance: float, *, erro
 
 
 def bar(name: str, young: float, poisson: float, damping: float, **place) -> SoftBody:
-    """The bar, of some material."""
+    """The bar, made of `material`."""
     return SoftBody(name, BAR, TETS, SURFACE, Material(young, poisson, DENSITY, damping=damping), **place)
 
 

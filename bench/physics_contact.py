@@ -1,6 +1,6 @@
 """Rows of the physics table for bodies in contact, in the form of bench/physics.py.
 
-Functions of rigid bodies take a `playground()`, or make one. Taichi must be initialised.
+Functions on rigid bodies take a `playground()` or create one. Taichi must be initialised.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def rigid_bodies() -> list[dict]:
 
 
 def ring_throws(count: int = 100, **options) -> list[dict]:
-    """Rings thrown on their pegs at up to 5 m/s, none of which may get loose."""
+    """Rings thrown on their pegs at up to 5 m/s, none of which may come off."""
     return [row(f"rings that stay on their peg, of {count}", count, linked_throws(count, 5.0, **options), 0.0)]
 
 
@@ -30,7 +30,7 @@ def pile_at_rest(seconds: float = 60.0) -> list[dict]:
 
 
 def run(solver, seconds: float) -> None:
-    """Step a solver for some seconds, hands idle."""
+    """Step a solver for some seconds without hands."""
     for _ in range(round(seconds / FRAME)):
         solver.step(FRAME)
 

@@ -1,6 +1,6 @@
-"""A small picture of curves on two logarithmic axes, written by hand as SVG: no plotting package is needed.
+"""Curves on two logarithmic axes as SVG, without a plotting package.
 
-Text and lines are of middle brightness and the ground is clear, so that it can be read on white and on black.
+Text and lines have medium brightness on a transparent background, readable on white and on black.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Panel:
 
 
 def svg(panels: list[Panel]) -> str:
-    """The picture: panels side by side with one scale of y, a curve's colour the same in all of them."""
+    """SVG text: panels side by side with a common y scale; a curve has the same colour in all of them."""
     names = list(dict.fromkeys(name for p in panels for name in p.curves))
     ys = [y for p in panels for curve in p.curves.values() for _, y in curve]
     low, high = math.floor(math.log10(min(ys))), math.ceil(math.log10(max(ys)))
@@ -78,7 +78,7 @@ def _panel(panel: Panel, names: list[str], low: int, high: int) -> list[str]:
 
 
 def _legend(names: list[str], width: int) -> list[str]:
-    """A dot and a name for each curve, in the middle of the last row."""
+    """A dot and a name for each curve, centred in the last row."""
     room = [28 + LETTER * len(name) for name in names]
     x, y, parts = 0.5 * (width - sum(room)), HEIGHT + 8, []
     for k, name in enumerate(names):

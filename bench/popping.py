@@ -1,10 +1,10 @@
-"""`vrgs.py bench popping`: how much a picture flickers when the head turns, for each way to sort, and what it costs.
+"""`vrgs.py bench popping`: flicker of a picture when the head turns, and cost, for each sort order.
 
-A head turns by one degree about its eye, in small steps. What lies in a direction stays there, so pictures are drawn
-SHARPER times as fine, brought to the directions of the first one, and each is compared with the one before. Their
-mean absolute difference is the change: what pops, what projecting splats to a plane changes slowly, and what is finer
-than the pixels that are drawn. A reference whose pixels sort (almost) all splats changes by the last two alone.
-Popping is the mean absolute difference between a way's change and the reference's.
+A head turns by one degree about its eye, in small steps. The scene is fixed in direction, so
+pictures are drawn SHARPER times as fine, resampled to the directions of the first one, and each is compared with its
+predecessor. Their mean absolute difference is the change: popping, the slow change of projecting splats to a plane, and
+detail finer than the pixels. A reference whose pixels sort (almost) all splats changes by the last two alone. Popping
+is the mean absolute difference between the change of a sort order and that of the reference.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from render import SORTS
 
 DEGREES, STEPS, SHARPER = 1.0, 20, 3
 SIZE = (480, 360)  # [px] of the pictures that are compared
-EDGE = 0.1  # of a side that is left out: the turn brings in what was not seen
-REFERENCE = 64  # splats that its pixels put in order; more changed the dining room by less than 1e-4 of 255
+EDGE = 0.1  # of a side, left out: the rotation reveals what was not seen
+REFERENCE = 64  # splats that its pixels sort; more changed the dining room by less than 1e-4 of 255
 
 
 def run(args) -> None:
-    """The command: measure every way to sort, print a table, write --json."""
+    """Run the command: measure every sort order, print a table, write --json."""
     gaussians, _ = upright(args.splats, None)
     camera = camera_around(gaussians, SHARPER * SIZE[0], SHARPER * SIZE[1], 0.4)
     rows = measure(gaussians, camera)
@@ -42,7 +42,7 @@ def run(args) -> None:
 
 
 def turned(camera: Camera, degrees: float) -> Camera:
-    """The camera after a turn to the side about its own centre."""
+    """The camera, rotated sideways about its own centre."""
     a = np.radians(degrees)
     turn = np.eye(4)
     turn[0, [0, 2]], turn[2, [0, 2]] = (np.cos(a), np.sin(a)), (-np.sin(a), np.cos(a))
@@ -50,11 +50,11 @@ def turned(camera: Camera, degrees: float) -> Camera:
 
 
 def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> list[dict]:
-    """One row per way, the reference first: options of Renderer by name, all ways to sort if None.
+    """One row per sort order, the reference first: options of Renderer by name, all sort orders if None.
 
     All differences in 1/255, means over pixels, channels and steps: popping, beyond the reference's change; change,
-    from step to step; worst, that of the worst step; error, against the reference. ms: the median time of a picture;
-    all ways draw a step before the next, so that they share what else the machine does.
+    from step to step; worst, that of the worst step; error, against the reference. ms: the median time of a picture.
+    All draw one step before the next, so that other load on the machine affects them alike.
     """
     import taichi as ti
 
@@ -102,14 +102,14 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
 
 
 def compared(picture: np.ndarray, camera: Camera, now: Camera) -> np.ndarray:
-    """A picture of `now`, brought to the directions of `camera`, at SIZE and without its edge."""
+    """A picture of `now`, resampled to the directions of `camera`, at SIZE and without its margin."""
     import cv2
 
     K = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
     back = camera.world_to_camera[:3, :3] @ now.world_to_camera[:3, :3].T  # from its rays to the first one's
     H = K @ back.T @ np.linalg.inv(K)
     flat = cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
-    picture = cv2.GaussianBlur(picture, (0, 0), SHARPER / 2)  # so that it matters little where between pixels it lands
+    picture = cv2.GaussianBlur(picture, (0, 0), SHARPER / 2)  # makes the resampling insensitive to subpixel positions
     picture = cv2.warpPerspective(picture, H, (camera.width, camera.height), flags=flat)
     left, top = (round(EDGE * side) for side in SIZE)
     return cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)[top:-top, left:-left]

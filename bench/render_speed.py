@@ -1,7 +1,7 @@
-"""`vrgs.py bench render`: how long a headset's picture takes, both eyes, for rooms of several sizes.
+"""`vrgs.py bench render`: time of a headset's picture, both eyes, for rooms of several sizes.
 
-Medians of whole calls of `Renderer.render`, waiting for the device included; the head turns a little between them.
-`bench/peers/gsplat_peer.py` puts gsplat beside it.
+Medians of synchronous calls of `Renderer.render`; the head turns slightly between them. For gsplat see
+`bench/peers/gsplat_peer.py`.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from render.renderer import Renderer
 from render.splats import Splats
 
 TURN = 0.002  # [rad] between two frames: 10 degrees a second at 90 Hz
-WARM = 5  # frames that are not counted: they compile, and find out how much room is needed
+WARM = 5  # uncounted frames: they compile and determine the capacity
 
 
 def run(args) -> None:
-    """The command: measure every room, print a table, write --json."""
+    """Run the command: measure every room, print a table, write --json."""
     if args.json:
         claim(args.json, args.json.with_name(f".{args.json.name}.part"))
     rows = []
@@ -67,7 +67,7 @@ def times(
     warm: int = WARM,
     most: float = math.inf,
 ) -> list[float]:
-    """Wall times [s] of `rounds` pictures from a slowly turning head; fewer, but three, where they took `most` [s]."""
+    """Wall times [s] of `rounds` pictures of a slowly turning head; at least three, then no more after `most` [s]."""
     result = []
     for k in range(warm + rounds):
         cameras = eyes(width, height, turn=TURN * k)

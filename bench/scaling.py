@@ -1,8 +1,8 @@
-"""`vrgs.py bench scaling`: the time of a picture against the number of Gaussians, and against that of pixels.
+"""`vrgs.py bench scaling`: time of a picture against the number of Gaussians and of pixels.
 
 Rooms of 0.1 to 10 million Gaussians, SH of degree 3, seen by two eyes of 1800 x 1920; and one room of 1.313 million in
-a single picture of 0.5 to 16 megapixels. Medians of whole calls of `Renderer.render`. A Markdown table, a plot
-(--plot), rows (--json); --from draws table and plot of several devices from the rows that each of them wrote.
+a single picture of 0.5 to 16 megapixels. Medians of synchronous calls of `Renderer.render`. Output: a Markdown
+table, a plot (--plot), rows (--json); --from draws table and plot of several devices from the rows that each wrote.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from display.run_stats import write_stats
 MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
 EYE = (1800, 1920)  # [px]
 MEGAPIXELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-ROOM = 1_313_000  # Gaussians, while pixels are counted
-SECONDS = 12.0  # of a row: a device that is slow draws fewer pictures than --rounds, but at least three
-WARM = 2  # pictures that are not counted: the first compiles, and finds out how much room is needed
-# By what a row was measured: the title of its panel, the label of its axis, where that is labelled
+ROOM_GAUSSIANS = 1_313_000  # in the sweep over pixels
+SECONDS = 12.0  # for a row: a slow device draws fewer pictures than --rounds, but at least three
+WARM = 2  # uncounted pictures: the first compiles and determines the capacity
+# Panel title, axis label and axis ticks of each sweep
 SWEEPS = {
     "gaussians": (f"Two eyes of {EYE[0]}×{EYE[1]}", "million Gaussians", MILLIONS),
-    "pixels": (f"{ROOM / 1e6:g} million Gaussians, one picture", "megapixels", MEGAPIXELS),
+    "pixels": (f"{ROOM_GAUSSIANS / 1e6:g} million Gaussians, one picture", "megapixels", MEGAPIXELS),
 }
 
 
 def run(args) -> None:
-    """The command: measure, or read what was measured; print the tables, write --json and --plot. Raises BadInput."""
+    """Run the command: measure, or read measurements; print the tables, write --json and --plot. Raises BadInput."""
     if args.plot and args.plot.suffix.lower() != ".svg":
         raise BadInput(f"{args.plot}: the plot's name must end in .svg")
     for out in (args.json, args.plot):
@@ -67,15 +67,15 @@ def measure_all(rounds: int) -> list[dict]:
         splats = Splats(room(count))
         add(by="gaussians", x=million, gaussians=count, **measure(splats, [EYE], 2, rounds)[0])
         splats.destroy()
-    splats = Splats(room(ROOM))
+    splats = Splats(room(ROOM_GAUSSIANS))
     for megapixels, row in zip(MEGAPIXELS, measure(splats, map(sides, MEGAPIXELS), 1, rounds), strict=True):
-        add(by="pixels", x=megapixels, gaussians=ROOM, **row)
+        add(by="pixels", x=megapixels, gaussians=ROOM_GAUSSIANS, **row)
     splats.destroy()
     return rows
 
 
 def sides(megapixels: float) -> tuple[int, int]:
-    """Width and height [px] of a 4:3 picture; no care is taken that tiles divide them."""
+    """Width and height [px] of a 4:3 picture, not necessarily multiples of a tile."""
     width = round((1e6 * megapixels * 4 / 3) ** 0.5)
     return width, round(1e6 * megapixels / width)
 
@@ -107,7 +107,7 @@ def measure(splats, sizes, views: int, rounds: int) -> list[dict]:
 
 
 def device_name() -> str:
-    """Of what draws: the GPU's own name, or the number of CPU cores that this process may use."""
+    """Name of the GPU, or the number of CPU cores that this process may use."""
     import taichi as ti
 
     if ti.cfg.arch != ti.cuda:
@@ -139,7 +139,7 @@ def read_rows(path: Path) -> list[dict]:
 
 
 def is_row(row) -> bool:
-    """Whether everything that is drawn of a row is there, and numbers can stand on a logarithmic axis."""
+    """Check that a row has all plotted entries and that its numbers are positive, as logarithmic axes require."""
     if not isinstance(row, dict) or row.get("bench") != "scaling" or row.get("by") not in SWEEPS:
         return False
     numbers = [row.get(name) for name in ("x", "median_ms", "pairs")]
@@ -164,13 +164,13 @@ def tables(rows: list[dict]) -> str:
 
 
 def short(x: float) -> str:
-    """Three digits that count: 0.0123, 4.56, 1,230."""
+    """Text with three significant digits: 0.0123, 4.56, 1,230."""
     digits = 2 - math.floor(math.log10(x))
     return f"{round(x, digits):,.{max(digits, 0)}f}"
 
 
 def panels(rows: list[dict]) -> list[Panel]:
-    """What the plot shows."""
+    """Panels of the plot."""
     result = []
     for by, (title, label, ticks) in SWEEPS.items():
         curves: dict[str, list] = {}

@@ -18,7 +18,7 @@ from sim.solver import Solver
 FRAME, G = 1 / 60, 9.81
 FLOOR = Plane((0, 0, 0), (0, 1, 0), 0.6)
 
-# ---- rigid bodies, in groups that stand far apart in one solver: its kernels are compiled once
+# ---- rigid bodies, in groups far apart in one solver, so that kernels are compiled once
 
 SIDE = 0.1  # [m] of the boxes
 DROP = 0.5  # [m]
@@ -44,7 +44,7 @@ def cube(name: str, x: float, y: float, z: float, **options) -> RigidBody:
 
 
 def stack() -> list[RigidBody]:
-    """Five boxes on one another, not quite aligned."""
+    """Five boxes on top of one another, not quite aligned."""
     return [cube(f"stack {k}", 0.003 * (-1) ** k, SIDE * k, 0.002 * (k % 3)) for k in range(5)]
 
 
@@ -92,7 +92,7 @@ PILE_RUBBER = Material(young=5e4, poisson=0.4, density=1100.0, friction=0.6, dam
 
 
 def pile() -> Solver:
-    """Two stacks of two cubes, a ring on top of the first, and two rings around nothing beside the second."""
+    """Two stacks of two cubes, a ring on top of the first, and two rings lying beside the second."""
     x, tets, surface = box((PILE_SIDE,) * 3, (2, 2, 2))
     ring = torus(0.08, 0.016, 16, 2)
     turned = (np.cos(0.2), 0, np.sin(0.2), 0)

@@ -1,7 +1,7 @@
-"""`vrgs.py bench sim`: how long the paper's frame of 400 substeps takes, without contact and with it.
+"""`vrgs.py bench sim`: time of the paper's frame of 400 substeps, without and with contact.
 
-Frames of 40 ms at a forced substep of 1e-4 s and one sweep, and frames of a 90 Hz headset. Medians of whole calls of
-`Solver.step`, waiting for the device included; `simulated_per_second` is how much faster than time itself it runs.
+Frames of 40 ms at a forced substep of 1e-4 s and one sweep, and frames of a 90 Hz headset. Medians of synchronous calls
+of `Solver.step`; `simulated_per_second` is simulated time over wall time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 SUBSTEP, SUBSTEPS, HEADSET = 1e-4, 400, 1 / 90
-PASSES = 4  # searches for contacts a frame of 400 substeps: about as often as frames of a headset have one
+PASSES = 4  # contact searches in a frame of 400 substeps: about as often per second as in a headset
 STIFFEST = (
     1.0e6  # young / (density edge^2) [1/s^2] that the stability rule allows at this substep, whatever the corners
 )
@@ -37,7 +37,7 @@ TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times r
 
 
 def run(args) -> None:
-    """The command: measure every scene, print a table, write --json."""
+    """Run the command: measure every scene, print a table, write --json."""
     if args.json:
         claim(args.json, args.json.with_name(f".{args.json.name}.part"))
     rows = []
@@ -74,7 +74,7 @@ def block(name: str, points: tuple[int, int, int], *, at=(0.0, 0.0, 0.0), veloci
 
 
 def ground() -> StaticGrid:
-    """A floor at y = 0 as a signed distance grid, large enough for what slides on it."""
+    """A floor at y = 0 as a signed distance grid, large enough for sliding blocks."""
     spacing, low = 0.02, np.array([-1.0, -0.2, -1.0])
     shape = (150, 25, 120)
     y = low[1] + spacing * np.arange(shape[1])
@@ -83,7 +83,7 @@ def ground() -> StaticGrid:
 
 
 def measure(name: str, bodies: list[SoftBody], shapes: list, contacts: bool, *, frames: int) -> dict:
-    """One row: medians over frames, after some that compile and settle."""
+    """One row: medians over frames, after warm-up frames that compile and come to rest."""
     frame = SUBSTEP * SUBSTEPS
     solver = Solver(bodies, shapes, substep=SUBSTEP, frame_dt=frame, collision_passes=PASSES, contacts=contacts)
     long = times(solver, frame, frames)

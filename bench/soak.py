@@ -1,11 +1,11 @@
-"""The soak: minutes of random handling over all that the interface allows, watched once a simulated second.
+"""Soak test: minutes of random handling over the whole range of the interface, checked once a simulated second.
 
     python -m bench.soak --minutes 30 --seed 1
-    python -m bench.soak --seed 1 --episode 7     plays one episode of it again
+    python -m bench.soak --seed 1 --episode 7     repeats one episode
 
-An episode: bodies fall; two hands grab, throw, squeeze and twist them, and some are rescaled, copied, removed or made
-of something else; all is let go and settles; then the bodies hang apart without weight until they have their shape
-again. What must hold is in `Watch`.
+An episode: bodies fall; two hands grab, throw, squeeze and twist them, and some are rescaled, copied, removed or given
+another material; the hands let go and everything comes to rest; then the bodies float apart without gravity until they
+have recovered their shape. `Watch` checks the invariants.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from sim.solver import Solver
 
 HANDLING, SETTLING = 6.0, 3.0  # [s]
 EDITS_PER_SECOND = 0.7
-RECOVERY = (2.0, 12.0)  # [s] at least, at most
-CROSSINGS = 12.0  # of a wave through a body, in which it recovers
+RECOVERY_SECONDS = (2.0, 12.0)  # bounds of the time to recover
+RECOVERY_CROSSINGS = 12.0  # of a wave through a body, within which it recovers
 GRAVITY = (0.0, -9.81, 0.0)
-ROOM = Capacity(
+CAPACITY = Capacity(
     vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MOST_BODIES * NODES**3, bodies=MOST_BODIES
 )
 
@@ -42,15 +42,15 @@ def arena() -> list[Plane]:
 
 
 class Soak:
-    """Episodes in one solver, which is changed but never built again."""
+    """Episodes in one solver, which is edited but never rebuilt."""
 
     def __init__(self, seed: int, ranges: Ranges = Ranges()):
         self.seed, self.ranges = seed, ranges
         first = body(generator(seed, 0), ranges, np.array([0.0, 0.5, 0.0]))
-        self.solver = Solver([first], arena(), gravity=GRAVITY, capacity=ROOM)
+        self.solver = Solver([first], arena(), gravity=GRAVITY, capacity=CAPACITY)
 
     def episode(self, number: int) -> tuple[float, str]:
-        """Simulated seconds and a line about them. Raises Failure."""
+        """Play an episode; returns the simulated seconds and a summary line. Raises Failure."""
         rng = generator(self.seed, number)
         self._populate(population(rng, self.ranges))
         self.watch, self.time, begin = Watch(self.solver), 0.0, len(self.solver.bodies())
@@ -62,7 +62,7 @@ class Soak:
             raise Failure(f"seed {self.seed}, episode {number}, at {self.time:.2f} s: {failure}") from None
         stats = self.solver.stats
         line = f"{begin} to {len(self.solver.bodies())} bodies, {stats['integrator']}, dt {stats['dt']:.2g} s"
-        return self.time, f"{line}; whole again after {away:.1f} s"
+        return self.time, f"{line}; recovered after {away:.1f} s"
 
     def _populate(self, bodies) -> None:
         while len(self.solver.bodies()) > 1:
@@ -92,7 +92,7 @@ class Soak:
                 self.watch.look(self.time)
 
     def _settle(self) -> None:
-        """Nobody touches anything."""
+        """Let everything come to rest without hands."""
         self._step([])
         self.watch.look(self.time)
         self.watch.hands_off()
@@ -102,7 +102,7 @@ class Soak:
             self.watch.look(self.time)
 
     def _recover(self) -> float:
-        """Apart and without weight every body finds its shape again; the seconds that the last one took."""
+        """Let bodies recover their shape, apart and without gravity; returns the seconds of the slowest."""
         solver, snapshot = self.solver, self.solver.snapshot()
         x, spread = snapshot["x"].astype(np.float64), 0.0
         for part, rows in zip(snapshot["bodies"], self._rows(), strict=True):
@@ -111,7 +111,7 @@ class Soak:
         solver.gravity = (0.0, 0.0, 0.0)
         solver.restore({"x": x, "v": np.zeros_like(x)})
         slowest = max(crossing(p) for p in snapshot["bodies"])
-        longest = float(np.clip(CROSSINGS * slowest, *RECOVERY))
+        longest = float(np.clip(RECOVERY_CROSSINGS * slowest, *RECOVERY_SECONDS))
         taken = 0.0
         while left := inverted(solver.snapshot()):
             if taken >= longest:
@@ -137,17 +137,17 @@ def crossing(part) -> float:
 
 
 def work(before: Hand, now: Hand) -> float:
-    """The most [J] that a hand can have done in a frame: its force along the way of what it holds farthest out."""
+    """Upper bound of a hand's work in a frame [J]: its force times the displacement of the outermost point it holds."""
     if not now.grip:
         return 0.0
     cosine = abs(float(np.dot(before.rotation, now.rotation)))
     angle = 2 * np.arccos(min(cosine, 1.0)) if before.grip else 0.0
-    way = np.linalg.norm(np.subtract(now.position, before.position)) if before.grip else 0.0
-    return FORCE * (way + SIZES[1] * angle)
+    displacement = np.linalg.norm(np.subtract(now.position, before.position)) if before.grip else 0.0
+    return FORCE * (displacement + SIZES[1] * angle)
 
 
 def soak(seed: int, minutes: float, ranges: Ranges = Ranges(), *, first: int = 0) -> list[str]:
-    """Play episodes from `first` on for so many simulated minutes, a printed line each; what did not hold."""
+    """Play episodes from `first` on for `minutes` simulated minutes, printing a line each; returns the failures."""
     soak, begin, simulated, failures, number = Soak(seed, ranges), perf_counter(), 0.0, [], first
     while simulated < 60 * minutes:
         try:

@@ -1,7 +1,7 @@
-"""What a soak does to the bodies: random populations, hands that grab, throw, squeeze and twist, and edits.
+"""Random populations, hand motions (grab, throw, squeeze, twist) and edits of the soak test.
 
-All numbers come from a counter-based generator, one stream for each (seed, episode), so that any episode can be
-played again by itself.
+All numbers come from a counter-based generator with one stream for each (seed, episode), so that any episode can be
+repeated alone.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ EDITS = ("rescale", "duplicate", "remove", "add", "material")
 
 @dataclass(frozen=True)
 class Ranges:
-    """What bodies may be, and how many; the interface allows all of the defaults."""
+    """Ranges of random bodies and of their number; the interface allows all of the defaults."""
 
     young: tuple[float, float] = (1e2, 1e8)  # [Pa]
     poisson: tuple[float, float] = (0.0, 0.49)
     density: tuple[float, float] = (10.0, 1e4)  # [kg/m^3]
-    most: int = MOST_BODIES
-    burden: float = np.inf  # at most, density * g * size / young: far above 1 a body is crushed by its own weight
+    max_bodies: int = MOST_BODIES
+    max_load: float = np.inf  # maximum of density * g * size / young; far above 1 a body is crushed by its own weight
 
 
 def generator(seed: int, episode: int) -> np.random.Generator:
-    """Its own stream of random numbers for each episode of each seed."""
+    """Random stream of one episode of one seed."""
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, episode]))
 
 
 def meshes() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Vertices, tets, surfaces of largest extent 1 m about the origin, of 27 to 72 vertices."""
+    """Meshes (vertices, tets, surface) of 27 to 72 vertices, of extent 1 m and centred on the origin."""
     found = [
         box((1.0, 1.0, 1.0), (2, 2, 2)),
         box((1.0, 0.25, 0.25), (6, 1, 1)),
@@ -55,15 +55,15 @@ def meshes() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 MESHES = meshes()
 
 
-def between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Evenly in the logarithm."""
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Log-uniform random number between `low` and `high`."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def material(rng: np.random.Generator, ranges: Ranges) -> Material:
-    young, density = between(rng, *ranges.young), between(rng, *ranges.density)
+    young, density = log_uniform(rng, *ranges.young), log_uniform(rng, *ranges.density)
     return Material(
-        young=max(young, density * 9.81 * SIZES[1] / ranges.burden),
+        young=max(young, density * 9.81 * SIZES[1] / ranges.max_load),
         poisson=float(rng.uniform(*ranges.poisson)),
         density=density,
         friction=float(rng.uniform(0.0, 1.0)),
@@ -71,8 +71,8 @@ def material(rng: np.random.Generator, ranges: Ranges) -> Material:
 
 
 def body(rng: np.random.Generator, ranges: Ranges, place: np.ndarray) -> SoftBody:
-    """A body of any mesh, size, material and attitude, its middle at `place` [m]."""
-    mesh, size = int(rng.integers(len(MESHES))), between(rng, *SIZES)
+    """A random body (mesh, size, material, attitude) centred at `place` [m]."""
+    mesh, size = int(rng.integers(len(MESHES))), log_uniform(rng, *SIZES)
     x, tets, faces = MESHES[mesh]
     q = rng.normal(size=4)
     return SoftBody(
@@ -89,13 +89,13 @@ def body(rng: np.random.Generator, ranges: Ranges, place: np.ndarray) -> SoftBod
 
 @functools.cache
 def distances(mesh: int) -> DistanceGrid:
-    """Signed distance of a mesh of MESHES, coarse, so that forty of them take little room."""
+    """Signed distance of a mesh of MESHES, coarse, as there are up to forty."""
     return rest_grid(*MESHES[mesh], nodes=NODES)
 
 
 def population(rng: np.random.Generator, ranges: Ranges) -> list[SoftBody]:
-    """Bodies in layers over the floor, none in another."""
-    count = round(between(rng, 0.6, ranges.most + 0.4))
+    """Disjoint bodies in layers above the floor."""
+    count = round(log_uniform(rng, 0.6, ranges.max_bodies + 0.4))
     pitch, row = 1.8 * SIZES[1], int(2 * ARENA / (1.8 * SIZES[1])) - 1  # a body may lie along its space diagonal
     cells = [(i, j, k) for j in range(3) for i in range(row) for k in range(row)]
     layer = row * row
@@ -106,7 +106,7 @@ def population(rng: np.random.Generator, ranges: Ranges) -> list[SoftBody]:
 
 @dataclass(frozen=True)
 class Act:
-    """What one hand does from `begin` to `end` [s]: it takes hold at the first waypoint and lets go at the last."""
+    """Motion of one hand from `begin` to `end` [s]: it grabs at the first waypoint and lets go at the last."""
 
     begin: float
     end: float
@@ -126,7 +126,7 @@ class Act:
 
 @dataclass
 class Hands:
-    """Two hands that find something to do whenever they are idle. Bodies are given as positions, (V, 3) each."""
+    """Two hands that start a random action when idle. Bodies are given as vertex positions, (V, 3) each."""
 
     rng: np.random.Generator
     acts: list[Act | None] = field(default_factory=lambda: [None, None])
@@ -151,17 +151,17 @@ class Hands:
         return a / np.linalg.norm(a)
 
     def _carry(self, time: float, x: np.ndarray) -> Act:
-        """Take a body somewhere, fast or slow, and let go on the way."""
+        """Carry a body along random waypoints, fast or slow, and let go in motion."""
         rng, first = self.rng, x[self.rng.integers(len(x))]
-        ways = rng.uniform([-ARENA, 0.05, -ARENA], [ARENA, 1.2, ARENA], (int(rng.integers(1, 4)), 3)) * 0.8
+        waypoints = rng.uniform([-ARENA, 0.05, -ARENA], [ARENA, 1.2, ARENA], (int(rng.integers(1, 4)), 3)) * 0.8
         length = float(rng.uniform(0.3, 1.5))
-        return Act(time, time + length, np.concatenate([[first], ways]), self._axis(), rng.normal() * np.pi)
+        return Act(time, time + length, np.concatenate([[first], waypoints]), self._axis(), rng.normal() * np.pi)
 
     def _both(self, time: float, x: np.ndarray) -> list[Act]:
-        """Squeeze a body flat, pull it apart or twist it, by up to two turns, between the hands."""
+        """Squeeze, stretch or twist a body between both hands, by up to two turns."""
         rng, along = self.rng, self._axis()
         ends = x[[np.argmin(x @ along), np.argmax(x @ along)]]
-        middle, factor = ends.mean(0) + [0, 0.2, 0], between(rng, 0.05, 3.0)
+        middle, factor = ends.mean(0) + [0, 0.2, 0], log_uniform(rng, 0.05, 3.0)
         turn, length = float(rng.uniform(-4, 4) * np.pi), float(rng.uniform(0.5, 1.5))
         return [
             Act(time, time + length, np.stack([e, middle + factor * (e - ends.mean(0))]), along, side * turn / 2)
@@ -170,12 +170,12 @@ class Hands:
 
 
 def edit(rng: np.random.Generator, ranges: Ranges, solver) -> str:
-    """Change something about the bodies while they move; says what."""
+    """Apply a random edit to the moving bodies; returns its description."""
     bodies = solver.bodies()
     kind = EDITS[rng.integers(len(EDITS))]
     if not bodies or (kind == "remove" and len(bodies) == 1):
         kind = "add"
-    if len(bodies) >= ranges.most and kind in ("add", "duplicate"):
+    if len(bodies) >= ranges.max_bodies and kind in ("add", "duplicate"):
         kind = "remove"
     i = int(rng.integers(max(len(bodies), 1)))
     above = np.append(rng.uniform(-0.7, 0.7, 2) * ARENA, 1.5)[[0, 2, 1]]
@@ -189,5 +189,5 @@ def edit(rng: np.random.Generator, ranges: Ranges, solver) -> str:
         solver.set_material(i, material(rng, ranges))
     else:
         extent = float(np.ptp(solver.snapshot()["bodies"][i].shape.vertices, axis=0).max())
-        solver.rescale(i, float(np.clip(between(rng, 0.5, 2.0), SIZES[0] / extent, SIZES[1] / extent)))
+        solver.rescale(i, float(np.clip(log_uniform(rng, 0.5, 2.0), SIZES[0] / extent, SIZES[1] / extent)))
     return f"{kind} {i}"

@@ -1,4 +1,4 @@
-"""What must hold throughout a soak: finite, above the floor, within the walls, no energy from nowhere."""
+"""Invariants of the soak test: finite state, bodies above the floor and within the walls, no spurious energy."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ import numpy as np
 from bench.soak_acts import ARENA
 
 FRAME = 1 / 60  # [s] between two calls of `stepped`
-DEEPEST = 0.03  # [m] that a vertex may be behind floor or wall: a hand presses it there
-INSIDE = 0.1  # [m] that what is inside a body may be further there: where it strikes, it can be as coarse as one vertex
-GAIN = 0.02  # of the energy of motion and deformation, by rounding and by contacts, between two looks
-LIFT = 0.01  # [m] of all weight: what contacts that began a little deep may raise it
-OUT = 0.5  # [m/s] at least with which what an edit put behind floor or wall comes back: half of RECOVERY_SPEED
-PUSH = 1.0  # [m/s] with which bodies that an edit put into each other, or into the floor, may part
+MAX_SURFACE_DEPTH = 0.03  # [m] of a surface vertex behind floor or wall, where a hand may press it
+EXTRA_INNER_DEPTH = 0.1  # [m] for inner vertices: where a body strikes, it can be as coarse as one vertex
+MAX_GAIN = 0.02  # of kinetic and elastic energy between two checks, by rounding and contacts
+MAX_LIFT = 0.01  # [m] by which contacts that began slightly deep may raise all bodies
+MIN_RETURN_SPEED = 0.5  # [m/s] of vertices that an edit put behind floor or wall: half the recovery speed
+SEPARATION_SPEED = 1.0  # [m/s] of bodies that an edit made overlap each other or the floor
 
 
 class Failure(AssertionError):
-    """What did not hold."""
+    """A violated invariant."""
 
 
 class Watch:
-    """Looks at a solver now and then. `hands` says what hands may have done [J], `changed` that a body was edited.
+    """Periodic checks of a solver.
 
-    What hands did and the bodies do not have yet is in the springs that hold them; it is gone with the last grip.
+    `hands` adds the work of hands [J], `changed` records an edit. Work that bodies have not received yet is in the
+    springs that hold them, and is lost with the last grip.
     """
 
     def __init__(self, solver):
         self.solver, self.budget, self.edited = solver, 0.0, []
         self.led: set[int] = set()
-        self.put, self.frames = 0.0, 0  # [m] behind floor or wall by the last edit; frames since
+        self.put, self.frames = 0.0, 0  # [m] behind floor or wall after the last edit; frames since
         self.recovered = solver.stats["recovered"]
         self.moving, self.potential, self.weight = energies(solver)
 
@@ -36,7 +37,7 @@ class Watch:
         self.budget += joules
 
     def stepped(self) -> None:
-        """A frame has passed: what is led to its shape, lying, may be lifted by its own height (sim/elastic/untangling.py)."""
+        """Record a frame. A body that is untangled (sim/elastic/untangling.py) may be lifted by its own height."""
         self.frames += 1
         limp = self.solver.untangling.active
         self.led |= {k for k, soft in enumerate(limp) if soft}
@@ -45,15 +46,15 @@ class Watch:
         self.budget = 0.0
 
     def changed(self, what: str) -> None:
-        """An edit was just made, after a look: energy is counted anew, and what overlaps now may part."""
+        """Record an edit, made just after a check: restart the energy balance, and let overlapping bodies separate."""
         self.moving, self.potential, self.weight = energies(self.solver)
-        self.budget += self.weight / 9.81 * PUSH**2 / 2
+        self.budget += self.weight / 9.81 * SEPARATION_SPEED**2 / 2
         self.led.clear()
         self.put, self.frames = max(behind(self.solver, self.solver.snapshot()), 0.0), 0
         self.edited.append(what)
 
     def look(self, time: float) -> None:
-        """Raises Failure."""
+        """Check all invariants. Raises Failure."""
         q = self.solver.snapshot()
         if not (np.isfinite(q["x"]).all() and np.isfinite(q["v"]).all()):
             raise Failure(f"not finite; edits so far: {', '.join(self.edited) or 'none'}")
@@ -61,7 +62,7 @@ class Watch:
             self.recovered += recovered
             raise Failure(f"{recovered} bodies were not finite; edits so far: {', '.join(self.edited) or 'none'}")
         out = behind(self.solver, q)
-        if out > DEEPEST + max(self.put - OUT * self.frames * FRAME, 0.0):
+        if out > MAX_SURFACE_DEPTH + max(self.put - MIN_RETURN_SPEED * self.frames * FRAME, 0.0):
             raise Failure(f"{1000 * out:.0f} mm behind floor or wall; edits so far: {', '.join(self.edited) or 'none'}")
         for part in (q["bodies"][k] for k in self.led):
             height = np.ptp(part.shape.vertices, axis=0).max()
@@ -69,7 +70,7 @@ class Watch:
         self.led.clear()
         moving, potential, weight = energies(self.solver)
         gained = moving + potential - self.moving - self.potential
-        allowed = self.budget + GAIN * max(self.moving, moving) + LIFT * weight
+        allowed = self.budget + MAX_GAIN * max(self.moving, moving) + MAX_LIFT * weight
         if gained > allowed:
             raise Failure(f"gained {gained:.3g} J of {moving:.3g} J, {allowed:.3g} J explained; edits: {self.edited}")
         self.moving, self.potential, self.weight = moving, potential, weight
@@ -77,10 +78,10 @@ class Watch:
 
 
 def behind(solver, snapshot: dict) -> float:
-    """How far any surface is behind floor or wall [m], and what is inside, less INSIDE."""
+    """Largest depth behind floor or wall [m]: of surface vertices, and of inner ones less EXTRA_INNER_DEPTH."""
     x, skin = snapshot["x"][: solver.vertex_offset[len(snapshot["bodies"])]], surface(solver, snapshot)
     beyond = np.maximum(-x[:, 1], np.abs(x[:, [0, 2]]).max(1) - ARENA)
-    return float(max(beyond[skin].max(), beyond.max() - INSIDE))
+    return float(max(beyond[skin].max(), beyond.max() - EXTRA_INNER_DEPTH))
 
 
 def surface(solver, snapshot: dict) -> np.ndarray:
@@ -117,7 +118,7 @@ def elastic(part, x: np.ndarray) -> float:
 
 
 def inverted(snapshot: dict) -> list[int]:
-    """Bodies that have a tet turned inside out."""
+    """Indices of bodies with an inverted tet."""
     x, at, found = snapshot["x"].astype(np.float64), 0, []
     for k, part in enumerate(snapshot["bodies"]):
         corners = x[at : at + len(part.shape.vertices)][part.shape.tets]

@@ -1,4 +1,4 @@
-"""A made-up room of any number of Gaussians, and the two eyes of someone who stands in it."""
+"""A synthetic room of any number of Gaussians, and the two eyes of a person standing in it."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from assets.gaussians import Gaussians
 from core.camera import Camera
 from core.morton import morton_order
 
-ROOM = (6.0, 3.0, 5.0)  # [m]
+ROOM_SIZE = (6.0, 3.0, 5.0)  # [m]
 EYES_APART = 0.064  # [m]
 SIGMA = 0.0085  # [m] median of the two long axes: about 6 tiles of 16 px a Gaussian in stereo, as in captured rooms
-PIECE = 1 << 18  # Gaussians whose harmonics are made at a time: ten millions in float64 at once would take 4 GB
+BATCH = 1 << 18  # Gaussians whose harmonics are generated at a time: ten million in float64 at once would take 4 GB
 SIZES = {"0.305M": 305_000, "1.313M": 1_313_000, "2.526M": 2_526_000}  # the paper's fox, animal crossing and bear
 
 
@@ -23,7 +23,7 @@ def room(count: int, degree: int = 3, seed: int = 1) -> Gaussians:
     log_scales = np.log(SIGMA) + rng.normal(0, 0.6, (count, 3))
     log_scales[:, 2] -= rng.uniform(0.7, 3.0, count)
     tilt = normals + rng.normal(0, 0.15, (count, 3))
-    # the turn of +z to the normal, after any turn about +z
+    # rotation of +z to the normal, after a random rotation about +z
     w = tilt / np.linalg.norm(tilt, axis=1, keepdims=True)
     to = np.stack([1 + w[:, 2], -w[:, 1], w[:, 0], np.zeros(count)], 1)
     to[w[:, 2] < -0.999] = [0, 1, 0, 0]
@@ -32,23 +32,23 @@ def room(count: int, degree: int = 3, seed: int = 1) -> Gaussians:
     opaque = rng.random(count) < 0.6
     logits = np.where(opaque, rng.normal(3.0, 1.5, count), rng.normal(-1.5, 1.2, count))
     sh = np.empty((count, (degree + 1) ** 2, 3), np.float32)
-    for begin in range(0, count, PIECE):
-        sh[begin : begin + PIECE] = rng.normal(0, 0.06, sh[begin : begin + PIECE].shape)
+    for begin in range(0, count, BATCH):
+        sh[begin : begin + BATCH] = rng.normal(0, 0.06, sh[begin : begin + BATCH].shape)
     sh[:, 0] = patterns(points) + rng.normal(0, 0.25, (count, 3))
     order = morton_order(points)
     return Gaussians.of(*(np.asarray(a, np.float32)[order] for a in (points, quats, log_scales, logits, sh)))
 
 
 def surfaces(count: int, rng) -> tuple[np.ndarray, np.ndarray]:
-    """Points and unit normals, each (count, 3), spread evenly over all surfaces of the room."""
-    pieces = [("box", np.zeros(3), np.array(ROOM), -1.0)]
+    """Points and unit normals, each (count, 3), uniform over all surfaces of the room."""
+    pieces = [("box", np.zeros(3), np.array(ROOM_SIZE), -1.0)]
     for _ in range(14):
         size = rng.uniform(0.2, 0.9, 3)
-        at = rng.uniform(0, 1, 3) * (np.array(ROOM) - size) * (1, 0.3, 1)
+        at = rng.uniform(0, 1, 3) * (np.array(ROOM_SIZE) - size) * (1, 0.3, 1)
         pieces.append(("box", at, size, 1.0))
     for _ in range(10):
         r = rng.uniform(0.1, 0.35)
-        pieces.append(("ball", rng.uniform(r, np.array(ROOM) - r), np.full(3, r), 1.0))
+        pieces.append(("ball", rng.uniform(r, np.array(ROOM_SIZE) - r), np.full(3, r), 1.0))
     areas = [4 * np.pi * s[0] ** 2 if k == "ball" else 2 * (s * np.roll(s, 1)).sum() for k, _, s, _ in pieces]
     which = rng.choice(len(pieces), count, p=np.array(areas) / sum(areas))
     points, normals = np.empty((count, 3)), np.zeros((count, 3))
@@ -70,7 +70,7 @@ def surfaces(count: int, rng) -> tuple[np.ndarray, np.ndarray]:
 
 
 def patterns(points: np.ndarray) -> np.ndarray:
-    """A colour for each point, SH of degree 0: stripes and checks, so that a wrong picture shows."""
+    """Colours (N, 3) as SH of degree 0: stripes and checks, which make errors visible."""
     phases = np.array([0.0, 2.1, 4.2])
     return 1.2 * np.sin(2.5 * points + phases) * np.sign(np.sin(6 * points.sum(axis=1)))[:, None]
 

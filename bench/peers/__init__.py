@@ -1,4 +1,4 @@
-"""Other programs on the same work, side by side.
+"""Comparisons with other programs on the same task.
 
-In: a peer that is installed beside this program. Out: rows of both.
+In: a program installed beside this one. Out: rows of both.
 """

@@ -1,4 +1,4 @@
-"""The very same Gaussians and cameras in gsplat 1.5.3 and in ours, in turns, in one process on one NVIDIA GPU.
+"""The same Gaussians and cameras in gsplat 1.5.3 and in this renderer, alternating, in one process on one NVIDIA GPU.
 
     pip install -r bench/peers/requirements-gsplat.txt
     python -m bench.peers.gsplat_peer [--gaussians 0.305M 1.313M 2.526M] [--rounds 60] [--json OUT.json]
@@ -58,7 +58,7 @@ def compare(count: int, rounds: int) -> dict:
     ours = Renderer(Splats(gaussians), 1800, 1920, views=2)
     theirs = {packed: gsplat_renderer(gaussians, packed) for packed in (True, False)}
     took = {name: [] for name in ("ours", True, False)}
-    for _ in range(2):  # in turns, so that a clock that drifts meets all of them
+    for _ in range(2):  # alternating, so that clock drift affects all of them
         took["ours"] += times(ours.render, ti.sync, 1800, 1920, rounds // 2)
         for packed, draw in theirs.items():
             took[packed] += times(draw, torch.cuda.synchronize, 1800, 1920, rounds // 2)

@@ -1,4 +1,4 @@
-"""The same bodies in newton's SolverVBD and in ours, on the CPU, beside linear finite elements on the same mesh.
+"""The same bodies in newton's SolverVBD and in this solver, on the CPU, and linear finite elements on the same mesh.
 
     python -m venv .dev/newton && .dev/newton/bin/pip install -r bench/peers/requirements-newton.txt
     python -m bench.peers.newton_peer [--mesh BODY.npz] [--newton PYTHON] [--only NAME]
@@ -43,7 +43,7 @@ class Case:
     material: Material
     duration: float  # [s]
     gravity: float = physics.G
-    newton_iterations: int = 60  # it takes these many for the bending of a bar
+    newton_iterations: int = 60  # required for the bending of a bar
     newton_dt: float = 1 / 240  # [s]
 
 
@@ -80,14 +80,14 @@ def lame(m: Material) -> tuple[float, float]:
 
 
 def by_elements(c: Case) -> np.ndarray:
-    """Positions [m] that linear elasticity gives."""
+    """Positions [m] by linear elasticity."""
     K = physics.fem_stiffness(c.vertices, c.tets, c.material.young, c.material.poisson)
     mass = SoftBody(c.name, c.vertices, c.tets, np.zeros((1, 3), int), c.material).masses()
     return c.vertices + physics.fem_solve(K, mass[:, None] * [0.0, -c.gravity, 0.0], c.pinned)
 
 
 def by_newton(c: Case, python: Path) -> dict:
-    """What bench/peers/newton_vbd.py writes."""
+    """Result of bench/peers/newton_vbd.py, run in newton's environment."""
     mu, lam = lame(c.material)
     with tempfile.TemporaryDirectory() as folder:
         case, out = Path(folder, "case.npz"), Path(folder, "out.npz")
@@ -103,7 +103,7 @@ def by_newton(c: Case, python: Path) -> dict:
 
 
 def by_us(c: Case) -> dict:
-    """Positions [m], the fastest vertex's speed [m/s], seconds of running, and the solver's own account."""
+    """Positions [m], the fastest vertex's speed [m/s], run time [s], and the solver's statistics."""
     from sim.solver import Solver
 
     body = SoftBody(c.name, c.vertices, c.tets, boundary_surface(c.tets), c.material, pinned=c.pinned)

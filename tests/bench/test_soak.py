@@ -15,7 +15,7 @@ from sim.solver import Solver
 
 
 def test_two_minutes_of_anything(ti_cpu):
-    assert soak(0, 2.0, Ranges(young=(1e2, 1e5), density=(100.0, 1e4), most=6, burden=0.5)) == []
+    assert soak(0, 2.0, Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=6, max_load=0.5)) == []
 
 
 def test_an_episode_is_the_same_each_time(ti_cpu):

@@ -2,7 +2,7 @@
 
 Both eyes of 1800x1920, with the player's hands and finger contact. As in a headset, the head is located after the
 simulation, at the start of drawing; the time from there until the picture is in the eyes' textures is the program's
-part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Per-stage
+part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Per-stage times
 synchronise after each stage, which takes longer than the frame itself.
 """
 

@@ -1,11 +1,11 @@
 """Soak test: minutes of random handling over the whole range of the interface, checked once a simulated second.
 
     python -m bench.soak --minutes 30 --seed 1
-    python -m bench.soak --seed 1 --episode 7     repeats one episode
+    python -m bench.soak --seed 1 --episode 7     repeats one episode of it
 
-An episode: bodies fall; two hands grab, throw, squeeze and twist them, and some are rescaled, copied, removed or given
-another material; the hands let go and everything comes to rest; then the bodies float apart without gravity until they
-have recovered their shape. `Watch` checks the invariants.
+An episode: bodies fall; two hands grab, throw, squeeze and twist them, while some are rescaled, copied, removed or
+given another material; then all is released and comes to rest; last, the bodies are separated without gravity until
+no tetrahedron is inverted. `EnergyAudit` checks what must hold throughout.
 """
 
 from __future__ import annotations
@@ -18,51 +18,137 @@ from time import perf_counter
 
 import numpy as np
 
-from bench.soak_acts import ARENA, MOST_BODIES, NODES, SIZES, Hands, Ranges, body, edit, generator, population
-from bench.soak_watch import FRAME, Failure, Watch, inverted
+from bench.setups import FRAME, G, energies
+from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
 from scenes.scene import Hand, Plane
 from sim.hands.grasp import FORCE
 from sim.model import Capacity
 from sim.solver import Solver
 
-HANDLING, SETTLING = 6.0, 3.0  # [s]
+HANDLING, RESTING = 6.0, 3.0  # [s]
 EDITS_PER_SECOND = 0.7
-RECOVERY_SECONDS = (2.0, 12.0)  # bounds of the time to recover
-RECOVERY_CROSSINGS = 12.0  # of a wave through a body, within which it recovers
-GRAVITY = (0.0, -9.81, 0.0)
+RECOVERY = (2.0, 12.0)  # [s] at least, at most
+RECOVERY_CROSSINGS = 12.0  # time to recover, in crossings of an elastic wave through the body
 CAPACITY = Capacity(
-    vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MOST_BODIES * NODES**3, bodies=MOST_BODIES
+    vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MAX_BODIES * GRID_NODES**3, bodies=MAX_BODIES
 )
+# What must hold
+MAX_DEPTH = 0.03  # [m] of a surface vertex behind floor or wall: a hand presses it there
+INNER_DEPTH = 0.1  # [m] by which inner vertices may be deeper: the surface can be as coarse as one vertex
+GAIN = 0.02  # of kinetic and elastic energy, by rounding and by contacts, between two checks
+LIFT = 0.01  # [m] by which contacts that began a little deep may raise all weight
+EXIT_SPEED = 0.5  # [m/s] at least, of bodies that an edit put behind floor or wall: half of RECOVERY_SPEED
+PART_SPEED = 1.0  # [m/s] with which bodies may part that an edit put into each other or into the floor
 
 
-def arena() -> list[Plane]:
-    """A floor and four walls."""
-    walls = [((s * ARENA * a, 0.0, s * ARENA * b), (-s * a, 0.0, -s * b)) for s in (1, -1) for a, b in ((1, 0), (0, 1))]
-    return [Plane((0, 0, 0), (0, 1, 0)), *(Plane(point, normal) for point, normal in walls)]
+class Failure(AssertionError):
+    """A condition that did not hold."""
+
+
+class EnergyAudit:
+    """Checks a solver now and then: finite, within floor and walls, no energy of unknown origin.
+
+    `budget` is the energy [J] that hands and edits may have added and the bodies do not have yet.
+    """
+
+    def __init__(self, solver: Solver):
+        self.solver, self.budget, self.edits = solver, 0.0, []
+        self.untangled: set[int] = set()  # bodies led back to their shape since the last check
+        self.edit_depth, self.frames = 0.0, 0  # [m] behind floor or wall after the last edit; frames since
+        self.recovered = solver.stats["recovered"]
+        self.energy = energies(solver)
+
+    def add_work(self, joules: float) -> None:
+        """Account for work of the hands."""
+        self.budget += joules
+
+    def release(self) -> None:
+        """Account for released hands: the energy of the springs that held the bodies is gone."""
+        self.budget = 0.0
+
+    def stepped(self) -> None:
+        """Account for a frame; a body led to its shape may be lifted by its own height (sim/elastic/untangling.py)."""
+        self.frames += 1
+        self.untangled |= set(np.flatnonzero(self.solver.untangling.active).tolist())
+
+    def edited(self, what: str) -> None:
+        """Account for an edit, made after a check: energy is counted anew, and overlapping bodies may part."""
+        self.energy = energies(self.solver)
+        self.budget += self.energy["weight"] / G * PART_SPEED**2 / 2
+        self.untangled.clear()
+        self.edit_depth, self.frames = max(depth_behind(self.solver, self.solver.snapshot()), 0.0), 0
+        self.edits.append(what)
+
+    def check(self) -> None:
+        """Raise Failure if a condition does not hold."""
+        q, edits = self.solver.snapshot(), f"edits so far: {', '.join(self.edits) or 'none'}"
+        if not (np.isfinite(q["x"]).all() and np.isfinite(q["v"]).all()):
+            raise Failure(f"not finite; {edits}")
+        if recovered := self.solver.stats["recovered"] - self.recovered:
+            self.recovered += recovered
+            raise Failure(f"{recovered} bodies were not finite; {edits}")
+        depth = depth_behind(self.solver, q)
+        if depth > MAX_DEPTH + max(self.edit_depth - EXIT_SPEED * self.frames * FRAME, 0.0):
+            raise Failure(f"{1000 * depth:.0f} mm behind floor or wall; {edits}")
+        for k in self.untangled:
+            height = np.ptp(q["bodies"][k].shape.vertices, axis=0).max()
+            self.budget += q["bodies"][k].mass.sum() * -self.solver.gravity[1] * height
+        self.untangled.clear()
+        before, now = self.energy, energies(self.solver)
+        motion = now["kinetic"] + now["elastic"]
+        motion_before = before["kinetic"] + before["elastic"]
+        gained = motion + now["potential"] - motion_before - before["potential"]
+        allowed = self.budget + GAIN * max(motion_before, motion) + LIFT * now["weight"]
+        if gained > allowed:
+            raise Failure(f"gained {gained:.3g} J of {motion:.3g} J, {allowed:.3g} J explained; {edits}")
+        self.energy, self.budget = now, max(self.budget - gained, 0.0)
+
+
+def depth_behind(solver: Solver, snapshot: dict) -> float:
+    """Largest depth of a surface vertex behind floor or wall [m], or of an inner one less INNER_DEPTH."""
+    x = snapshot["x"][: solver.vertex_offset[len(snapshot["bodies"])]]
+    bodies = zip(snapshot["bodies"], solver.vertex_offset, strict=False)
+    surface = np.concatenate([np.unique(b.shape.surface) + first for b, first in bodies])
+    beyond = np.maximum(-x[:, 1], np.abs(x[:, [0, 2]]).max(1) - ARENA)
+    return float(max(beyond[surface].max(), beyond.max() - INNER_DEPTH))
+
+
+def inverted(snapshot: dict) -> list[int]:
+    """Bodies that have an inverted tet."""
+    x, first, found = snapshot["x"].astype(np.float64), 0, []
+    for k, b in enumerate(snapshot["bodies"]):
+        corners = x[first : first + len(b.shape.vertices)][b.shape.tets]
+        if (np.linalg.det(corners[:, 1:] - corners[:, :1]) <= 0).any():
+            found.append(k)
+        first += len(b.shape.vertices)
+    return found
 
 
 class Soak:
     """Episodes in one solver, which is edited but never rebuilt."""
 
     def __init__(self, seed: int, ranges: Ranges = Ranges()):
-        self.seed, self.ranges = seed, ranges
+        self.seed, self.ranges, self.time = seed, ranges, 0.0
+        walls = [((s * ARENA * a, 0, s * ARENA * b), (-s * a, 0, -s * b)) for s in (1, -1) for a, b in ((1, 0), (0, 1))]
+        arena = [Plane((0, 0, 0), (0, 1, 0)), *(Plane(point, normal) for point, normal in walls)]
         first = body(generator(seed, 0), ranges, np.array([0.0, 0.5, 0.0]))
-        self.solver = Solver([first], arena(), gravity=GRAVITY, capacity=CAPACITY)
+        self.solver = Solver([first], arena, gravity=(0.0, -G, 0.0), capacity=CAPACITY)
+        self.audit = EnergyAudit(self.solver)
 
-    def episode(self, number: int) -> tuple[float, str]:
-        """Play an episode; returns the simulated seconds and a summary line. Raises Failure."""
-        rng = generator(self.seed, number)
+    def episode(self, number: int) -> str:
+        """Play an episode; returns a line about it. Raises Failure."""
+        rng, solver = generator(self.seed, number), self.solver
         self._populate(population(rng, self.ranges))
-        self.watch, self.time, begin = Watch(self.solver), 0.0, len(self.solver.bodies())
+        self.audit, self.time, begin = EnergyAudit(solver), 0.0, len(solver.bodies())
         try:
             self._handle(rng)
-            self._settle()
-            away = self._recover()
+            self._rest()
+            recovered = self._recover()
         except Failure as failure:
             raise Failure(f"seed {self.seed}, episode {number}, at {self.time:.2f} s: {failure}") from None
-        stats = self.solver.stats
-        line = f"{begin} to {len(self.solver.bodies())} bodies, {stats['integrator']}, dt {stats['dt']:.2g} s"
-        return self.time, f"{line}; recovered after {away:.1f} s"
+        stats = solver.stats
+        counts = f"{begin} to {len(solver.bodies())} bodies, {stats['integrator']}, dt {stats['dt']:.2g} s"
+        return f"{counts}; no tet inverted after {recovered:.1f} s"
 
     def _populate(self, bodies) -> None:
         while len(self.solver.bodies()) > 1:
@@ -70,49 +156,47 @@ class Soak:
         for b in bodies:
             self.solver.add(b)
         self.solver.remove(0)
-        self.solver.gravity = GRAVITY
+        self.solver.gravity = (0.0, -G, 0.0)
 
     def _step(self, hands: list[Hand]) -> None:
         self.solver.step(FRAME, hands)
         self.time += FRAME
-        self.watch.stepped()
+        self.audit.stepped()
 
     def _handle(self, rng: np.random.Generator) -> None:
         hands, before = Hands(rng), [Hand(), Hand()]
-        frames = round(HANDLING / FRAME)
-        for frame in range(frames):
+        for frame in range(round(HANDLING / FRAME)):
             if rng.random() < EDITS_PER_SECOND * FRAME:
-                self.watch.look(self.time)
-                self.watch.changed(edit(rng, self.ranges, self.solver))
-            given = hands.at(self.time, self._positions() if None in hands.acts else [])
-            self.watch.hands(sum(work(a, b) for a, b in zip(before, given, strict=True)))
-            self._step(given)
-            before = given
+                self.audit.check()
+                self.audit.edited(edit(rng, self.ranges, self.solver))
+            now = hands.at(self.time, self._positions() if None in hands.acts else [])
+            self.audit.add_work(sum(work(a, b) for a, b in zip(before, now, strict=True)))
+            self._step(now)
+            before = now
             if frame % 60 == 59:
-                self.watch.look(self.time)
+                self.audit.check()
 
-    def _settle(self) -> None:
-        """Let everything come to rest without hands."""
+    def _rest(self) -> None:
+        """Simulate without hands."""
         self._step([])
-        self.watch.look(self.time)
-        self.watch.hands_off()
-        for _ in range(round(SETTLING)):
+        self.audit.check()
+        self.audit.release()
+        for _ in range(round(RESTING)):
             for _ in range(60):
                 self._step([])
-            self.watch.look(self.time)
+            self.audit.check()
 
     def _recover(self) -> float:
-        """Let bodies recover their shape, apart and without gravity; returns the seconds of the slowest."""
+        """Separate the bodies without gravity; returns the seconds until no tet is inverted. Raises Failure."""
         solver, snapshot = self.solver, self.solver.snapshot()
-        x, spread = snapshot["x"].astype(np.float64), 0.0
-        for part, rows in zip(snapshot["bodies"], self._rows(), strict=True):
-            x[rows, 1] += spread + 2.0 - x[rows, 1].min()
-            spread += 1.5 * np.ptp(x[rows, 1]) + 2 * np.ptp(part.shape.vertices, axis=0).max()
+        x, height = snapshot["x"].astype(np.float64), 0.0
+        for b, rows in zip(snapshot["bodies"], self._rows(), strict=True):
+            x[rows, 1] += height + 2.0 - x[rows, 1].min()
+            height += 1.5 * np.ptp(x[rows, 1]) + 2 * np.ptp(b.shape.vertices, axis=0).max()
         solver.gravity = (0.0, 0.0, 0.0)
         solver.restore({"x": x, "v": np.zeros_like(x)})
-        slowest = max(crossing(p) for p in snapshot["bodies"])
-        longest = float(np.clip(RECOVERY_CROSSINGS * slowest, *RECOVERY_SECONDS))
-        taken = 0.0
+        slowest = max(crossing_time(b) for b in snapshot["bodies"])
+        longest, taken = float(np.clip(RECOVERY_CROSSINGS * slowest, *RECOVERY)), 0.0
         while left := inverted(solver.snapshot()):
             if taken >= longest:
                 raise Failure(f"inverted tets in bodies {left} after {taken:.1f} s without load")
@@ -122,40 +206,37 @@ class Soak:
         return taken
 
     def _rows(self) -> list[slice]:
-        o = self.solver.vertex_offset
-        return [slice(a, b) for a, b in pairwise(o)]
+        return [slice(a, b) for a, b in pairwise(self.solver.vertex_offset)]
 
     def _positions(self) -> list[np.ndarray]:
         x = self.solver.snapshot()["x"].astype(np.float64)
         return [x[rows] for rows in self._rows()]
 
 
-def crossing(part) -> float:
+def crossing_time(model) -> float:
     """Time [s] that an elastic wave takes through a body."""
-    m = part.body.material
-    return np.ptp(part.shape.vertices, axis=0).max() / np.sqrt(m.young / m.density)
+    m = model.body.material
+    return np.ptp(model.shape.vertices, axis=0).max() / np.sqrt(m.young / m.density)
 
 
 def work(before: Hand, now: Hand) -> float:
-    """Upper bound of a hand's work in a frame [J]: its force times the displacement of the outermost point it holds."""
-    if not now.grip:
+    """Upper bound [J] of a hand's work in a frame: its force times the path of the farthest vertex that it can hold."""
+    if not (now.grip and before.grip):
         return 0.0
-    cosine = abs(float(np.dot(before.rotation, now.rotation)))
-    angle = 2 * np.arccos(min(cosine, 1.0)) if before.grip else 0.0
-    displacement = np.linalg.norm(np.subtract(now.position, before.position)) if before.grip else 0.0
-    return FORCE * (displacement + SIZES[1] * angle)
+    angle = 2 * np.arccos(min(abs(float(np.dot(before.rotation, now.rotation))), 1.0))
+    return FORCE * (np.linalg.norm(np.subtract(now.position, before.position)) + BODY_SIZES[1] * angle)
 
 
 def soak(seed: int, minutes: float, ranges: Ranges = Ranges(), *, first: int = 0) -> list[str]:
-    """Play episodes from `first` on for `minutes` simulated minutes, printing a line each; returns the failures."""
-    soak, begin, simulated, failures, number = Soak(seed, ranges), perf_counter(), 0.0, [], first
-    while simulated < 60 * minutes:
+    """Play episodes from `first` on for some simulated minutes, one at least, printing a line each; the failures."""
+    runner, begin, simulated, failures, number = Soak(seed, ranges), perf_counter(), 0.0, [], first
+    while number == first or simulated < 60 * minutes:
         try:
-            seconds, line = soak.episode(number)
+            line = runner.episode(number)
         except Failure as failure:
-            seconds, line = soak.time, f"FAILED: {failure}"
+            line = f"FAILED: {failure}"
             failures.append(str(failure))
-        simulated += seconds
+        simulated += runner.time
         print(f"episode {number}, {simulated / 60:.1f} min in {perf_counter() - begin:.0f} s: {line}", flush=True)
         number += 1
     print(f"seed {seed}: {len(failures)} failures in {simulated / 60:.1f} simulated minutes")
@@ -163,20 +244,19 @@ def soak(seed: int, minutes: float, ranges: Ranges = Ranges(), *, first: int = 0
 
 
 def main() -> int:
+    """Run the soak of the command line; exit status 1 if a condition did not hold."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--minutes", type=float, default=2.0, help="simulated (default 2)")
-    p.add_argument("--seed", type=int, help="(default: another one each day)")
+    p.add_argument("--seed", type=int, default=date.today().toordinal(), help="(default: another one each day)")
     p.add_argument("--episode", type=int, help="play this one only")
     p.add_argument("--stiffest", type=float, default=Ranges.young[1], metavar="E", help="[Pa] (default 1e8)")
     p.add_argument("--arch", choices=("cuda", "cpu"))
     args = p.parse_args()
-    if args.seed is None:
-        args.seed = date.today().toordinal()
     from core.runtime import start_taichi
 
     start_taichi(args.arch)
     ranges = Ranges(young=(Ranges.young[0], args.stiffest))
-    minutes = args.minutes if args.episode is None else 1e-9  # one episode at least
+    minutes = args.minutes if args.episode is None else 0.0
     return 1 if soak(args.seed, minutes, ranges, first=args.episode or 0) else 0
 
 

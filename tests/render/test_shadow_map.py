@@ -32,13 +32,13 @@ def ball(center, radius: float, count: int) -> Gaussians:
 
 @pytest.fixture(scope="module")
 def stage(ti_cpu):
-    """A floor, a ball above it that counts as moving, and their shadow; shared, as compiling takes seconds."""
+    """A floor and a roof, a ball that counts as moving, and their shadow map; the roof is far below unless moved."""
     from render.shadow_map import ShadowMap
     from render.splats import Splats
 
-    floor, blob = sheet(2.0, 0.0, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
-    splats = Splats(concatenate([floor, blob]))
-    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor), len(floor) + len(blob)))
+    floor, roof, blob = sheet(2.0, 0.0, 0.02), sheet(0.6, -50.0, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
+    splats = Splats(concatenate([floor, roof, blob]))
+    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor) + len(roof), splats.count))
 
 
 def cast(stage, light: Light):
@@ -47,7 +47,7 @@ def cast(stage, light: Light):
     shadow.set_light(light)
     shadow.cast()
     values = splats.visibility.to_numpy()[: splats.count]
-    return values[: len(floor)], values[len(floor) :]
+    return values[: len(floor)], values[-len(stage[1]) :]
 
 
 def shadow_center(floor: Gaussians, on_floor: np.ndarray) -> np.ndarray:
@@ -99,53 +99,48 @@ def test_a_moving_ball_takes_its_shadow_along_at_the_next_cast(stage):
     before, _ = cast(stage, LIGHT)
     means = splats.mean.to_numpy()
     moved = means.copy()
-    moved[len(floor) : splats.count, 0] += 0.5
+    moved[shadow.begin : splats.count, 0] += 0.5
     splats.mean.from_numpy(moved)
-    np.testing.assert_array_equal(splats.visibility.to_numpy()[: len(floor)], before)  # nothing happens by itself
+    np.testing.assert_array_equal(splats.visibility.to_numpy()[: len(floor)], before)  # not before the next cast
     shadow.cast()
     after = splats.visibility.to_numpy()[: len(floor)]
     splats.mean.from_numpy(means)
     assert shadow_center(floor, after)[0] == pytest.approx(0.5 * 2.0 / 1.6, abs=0.02)
 
 
-def test_static_things_shadow_what_moves_unless_they_are_the_lamp(ti_cpu):
-    """A roof between light and ball: the ball is dark and casts no second shadow through it; a lampshade is nothing."""
-    from render.shadow_map import ShadowMap
-    from render.splats import Splats
-
-    floor, roof, blob = sheet(4.0, 0.0, 0.04), sheet(0.6, 0.8, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
-    splats = Splats(concatenate([floor, roof, blob]))
-    parts = [len(floor), len(floor) + len(roof)]
-    shadow = ShadowMap(splats, LIGHT, (parts[1], splats.count))
-    shadow.cast()
-    on_floor, on_roof, on_blob = np.split(splats.visibility.to_numpy()[: splats.count], parts)
-    np.testing.assert_allclose(on_blob, 1 - LIGHT.strength, atol=0.02)
-    np.testing.assert_allclose(on_floor, 1, atol=0.02)
-    np.testing.assert_allclose(on_roof, 1, atol=1e-3)
-
+def test_static_things_shadow_what_moves_unless_they_are_the_lamp(stage):
+    """A roof between light and ball: the ball is dark and casts no second shadow through it; a lampshade casts none."""
+    floor, _, splats, shadow = stage
     means = splats.mean.to_numpy()
-    means[parts[0] : parts[1], 1] = 1.8
+    roof, under = slice(len(floor), shadow.begin), np.abs(floor.means[:, [0, 2]]).max(1) < 0.9
+    for height, shaded in ((0.8, True), (1.8, False)):
+        moved = means.copy()
+        moved[roof, 1] = height
+        splats.mean.from_numpy(moved)
+        on_floor, on_ball = cast(stage, LIGHT)
+        np.testing.assert_allclose(splats.visibility.to_numpy()[roof], 1, atol=1e-3)
+        if shaded:
+            np.testing.assert_allclose(on_ball, 1 - LIGHT.strength, atol=0.02)
+            np.testing.assert_allclose(on_floor[under], 1, atol=0.02)
+        else:
+            assert on_ball.max() == 1 and on_floor.min() < 0.5
     splats.mean.from_numpy(means)
-    shadow.set_light(LIGHT)
-    shadow.cast()
-    on_floor, on_roof, on_blob = np.split(splats.visibility.to_numpy()[: splats.count], parts)
-    assert on_blob.max() == 1 and on_floor.min() < 0.5
-    np.testing.assert_allclose(on_roof, 1, atol=1e-3)
 
 
-def test_nothing_that_moves_means_no_shadow(ti_cpu):
-    from render.shadow_map import ShadowMap
-    from render.splats import Splats
-
-    splats = Splats(sheet(0.2, 0.0, 0.02))
+def test_nothing_that_moves_means_no_shadow(stage):
+    _, _, splats, shadow = stage
+    end = shadow.end
+    shadow.set_end(shadow.begin)
     splats.visibility.fill(0.5)
-    ShadowMap(splats, LIGHT, (splats.count, splats.count)).cast()
+    shadow.cast()
+    shadow.set_end(end)
     np.testing.assert_array_equal(splats.visibility.to_numpy()[: splats.count], 1)
 
 
-def test_a_cast_without_room_is_made_again_when_it_is_settled(stage):
+def test_a_cast_beyond_the_capacity_is_repeated_when_it_is_finished(stage):
     floor, _, splats, shadow = stage
-    expected = np.concatenate(cast(stage, LIGHT))
+    cast(stage, LIGHT)
+    expected = splats.visibility.to_numpy()[: splats.count]
     assert not shadow.finish()
     shadow.rasterizer.reserve(16)
     shadow.cast()

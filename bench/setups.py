@@ -151,9 +151,8 @@ def energies(solver: Solver) -> dict[str, float]:
 
 def strain_energy(body, x: np.ndarray) -> float:
     """V (mu/2 (tr F^T F - 3) - mu (J - 1) + lam/2 (J - 1)^2) [J], summed over the tets of a body at x (V, 3)."""
-    m = body.material
-    mu = m.young / (2 * (1 + m.poisson))
-    lam = m.young * m.poisson / ((1 + m.poisson) * (1 - 2 * m.poisson)) + mu
+    mu, lam = body.material.lame_parameters
+    lam += mu
     corners = x[body.shape.tets]
     F = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ body.shape.inverse
     J = np.linalg.det(F)

@@ -42,13 +42,6 @@ class DistanceGrid:
         """Trilinear distance [m] at points (..., 3), (...) float64; beyond the grid that of its nearest point."""
         return sample(self.values, self.origin, self.spacing, points)
 
-    def sample_beyond(self, points: np.ndarray) -> np.ndarray:
-        """As `sample`; beyond the grid the way back to it is added, so that a shape cut by its border is closed."""
-        points = np.asarray(points, np.float64)
-        way_back = np.linalg.norm(points - points.clip(self.origin, self.upper), axis=-1)
-        distance = self.sample(points)
-        return np.where(way_back > 0, np.maximum(distance, 0) + way_back, distance)
-
     def scaled(self, factor: float) -> DistanceGrid:
         """The grid of a shape `factor` times as large, values float32."""
         values = np.asarray(self.values, np.float32) * np.float32(factor)

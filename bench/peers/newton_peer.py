@@ -74,11 +74,6 @@ def hanging(mesh: Path):
     return x, tets, np.flatnonzero(x[:, 1] >= height[1]), np.flatnonzero(x[:, 1] <= height[0])
 
 
-def lame(m: Material) -> tuple[float, float]:
-    """Lame's mu and lambda [Pa]."""
-    return m.young / (2 * (1 + m.poisson)), m.young * m.poisson / ((1 + m.poisson) * (1 - 2 * m.poisson))
-
-
 def by_elements(c: Case) -> np.ndarray:
     """Positions [m] by linear elasticity."""
     K = physics.fem_stiffness(c.vertices, c.tets, c.material.young, c.material.poisson)
@@ -88,7 +83,7 @@ def by_elements(c: Case) -> np.ndarray:
 
 def by_newton(c: Case, python: Path) -> dict:
     """Result of bench/peers/newton_vbd.py, run in newton's environment."""
-    mu, lam = lame(c.material)
+    mu, lam = c.material.lame_parameters
     with tempfile.TemporaryDirectory() as folder:
         case, out = Path(folder, "case.npz"), Path(folder, "out.npz")
         numbers = {"density": c.material.density, "mu": mu, "lam": lam}

@@ -165,8 +165,7 @@ class StaticShapes:
 def grid_bounds(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World bounding box of the grid's own box."""
     origin = np.asarray(shape.grid.origin, np.float64)
-    size = shape.grid.spacing * (np.array(shape.grid.values.shape) - 1)
-    ends = np.stack(np.meshgrid(*zip(origin, origin + size, strict=True), indexing="ij"), -1).reshape(-1, 3)
+    ends = np.stack(np.meshgrid(*zip(origin, shape.grid.upper, strict=True), indexing="ij"), -1).reshape(-1, 3)
     world = shape.scale * ends @ R.T + np.asarray(shape.position)
     return world.min(0), world.max(0)
 

@@ -28,9 +28,8 @@ INTEGRATORS = ("auto", "xpbd", "vbd")
 
 def lame(material: Material) -> tuple[float, float]:
     """mu and lam = lambda_L + mu [Pa] of the stable neo-Hookean energy."""
-    E, nu = material.young, material.poisson
-    mu = E / (2 * (1 + nu))
-    return mu, E * nu / ((1 + nu) * (1 - 2 * nu)) + mu
+    mu, lame_lambda = material.lame_parameters
+    return mu, lame_lambda + mu
 
 
 def wave_speed(material: Material) -> float:

@@ -29,8 +29,6 @@ def test_beyond_the_grid_the_border_counts():
     out = np.array([[grid.upper[0] + 0.3, 0.1, grid.upper[2] + 0.4], [grid.origin[0] - 0.3, 0.1, -0.1]])
     border = out.clip(grid.origin, grid.upper)
     assert_allclose(grid.sample(out), border @ NORMAL, atol=1e-14)
-    assert_allclose(grid.sample_beyond(out), [border[0] @ NORMAL + 0.5, 0.3], atol=1e-14)  # what is inside is closed
-    assert_allclose(grid.sample_beyond(border), border @ NORMAL, atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -51,3 +51,8 @@ def test_what_no_body_is_made_of_is_refused_by_name(changes):
     with pytest.raises(BadInput, match="here: .*" + next(iter(changes))) as error:
         replace(Material.named("foam"), **changes, **({} if "friction" in changes else {"friction": 0.5})).check("here")
     assert "\n" not in str(error.value)
+
+
+def test_lame_parameters_give_back_young_and_poisson():
+    mu, lam = Material(2e5, 0.3, 1000.0).lame_parameters
+    assert mu * (3 * lam + 2 * mu) / (lam + mu) == pytest.approx(2e5) and lam / (2 * (lam + mu)) == pytest.approx(0.3)

@@ -155,7 +155,7 @@ def test_the_distance_grid_is_that_of_the_ball(ti_cpu):
     assert 45 <= max(grid.values.shape) <= 64
     radius = (g.means[:, 0].max() - g.means[:, 0].min()) / 2
     centre = [0, g.means[:, 1].max() - radius, 0]
-    nodes = grid.origin + grid.spacing * np.stack(np.meshgrid(*map(np.arange, grid.values.shape), indexing="ij"), -1)
+    nodes = grid.nodes()
     above = nodes[..., 1] > centre[1]  # further down the underside is nearer
     true = np.linalg.norm(nodes - centre, axis=-1) - radius
     error = (grid.values - true)[above & (np.abs(true) < 0.4 * radius)]

@@ -129,9 +129,7 @@ def test_distance_grid_of_a_cage(ti_cpu):
     size = np.array([0.3, 0.1, 0.2])
     x, tets, surface = box(size, (3, 2, 2))
     grid = rest_grid(x, tets, surface, nodes=30)
-    nodes = grid.origin + grid.spacing * np.stack(
-        np.meshgrid(*(np.arange(n) for n in grid.values.shape), indexing="ij"), -1
-    )
+    nodes = grid.nodes()
     q = np.abs(nodes - size / 2) - size / 2
     exact = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
     near = np.abs(exact) < 3 * grid.spacing

@@ -168,17 +168,20 @@ def prepared_body(args) -> str | None:
         return args.body
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    options = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
-    options |= {} if args.cells == "adaptive" else {"cells": args.cells}
-    options |= {"pieces": True} if args.pieces else {}
-    out = cached_asset(path, options | {"version": 2})
+    key = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
+    key |= {} if args.cells == "adaptive" else {"cells": args.cells}
+    key |= {"pieces": True} if args.pieces else {}
+    out = cached_asset(path, key | {"version": 2})
     if not out.is_file():
-        from commands.prepare import prepare_file
+        from prepare.pipeline import Options
+        from prepare.prepared_files import prepare_file
 
         start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", flush=True)
         out.parent.mkdir(parents=True, exist_ok=True)
-        prepare_file(path, out, **options)
+        adaptive = args.cells == "adaptive"
+        options = Options(args.vertices, args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
+        prepare_file(path, out, options)
     return str(out)
 
 
@@ -193,12 +196,12 @@ def prepared_stage(args) -> str | None:
     file_size(path)
     out = cached_asset(path, {"stage": 2})
     if not out.is_file():
-        from prepare.room.static_command import prepare_stage_file
+        from prepare.prepared_files import prepare_environment_file
 
         start_taichi(args.arch, args.seed)
         print(f"preparing {path.name} (once; kept as {out})", flush=True)
         out.parent.mkdir(parents=True, exist_ok=True)
-        prepare_stage_file(path, out)
+        prepare_environment_file(path, out)
     return str(out)
 
 

@@ -16,7 +16,7 @@ from assets.splat_files import read_gaussians
 from display.headless.picture_strip import FAINT, FOOT, GAP, HEAD, INK, MARGIN, PANEL, PAPER, write
 from display.headless.test_floor import framing
 from display.picture import pixels_of
-from prepare.pipeline import prepare
+from prepare.pipeline import Options, prepare
 from render.renderer import Renderer
 from render.splats import Splats
 from sim.embedding import EmbeddedPart, Embedding
@@ -42,10 +42,10 @@ def body(source) -> tuple[str, Asset]:
         g = brick(np.random.default_rng(0), (-0.04, 0, -0.04), (0.04, 0.3, 0.04), 0.003, 0.0003)
         stripes = 0.9 * np.sign(np.sin(2 * np.pi * g.means[:, 1] / 0.03))[:, None] * [1.0, 0.5, -0.4]
         g = Gaussians.of(g.means, g.quats, g.log_scales, np.full(len(g), 4.0), stripes[:, None])
-        return "bar", prepare(g, vertices=VERTICES, scale=0.3, up="+y")
+        return "bar", prepare(g, Options(vertices=VERTICES, scale=0.3, up="+y"))
     if source.suffix == ".h5":
         return source.stem, Asset.load(source)
-    return source.stem, prepare(read_gaussians(source), vertices=VERTICES)
+    return source.stem, prepare(read_gaussians(source), Options(vertices=VERTICES))
 
 
 def moved(x: np.ndarray, turn: float | None, axis: int = 1) -> tuple[np.ndarray, np.ndarray]:

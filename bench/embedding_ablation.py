@@ -21,8 +21,7 @@ from bench.sample_meshes import random_gaussians, tet_bar
 from display.headless.video import claim
 from display.picture import save_png
 from display.run_stats import write_stats
-from prepare.cage.embedding_hosts import embed_on_device
-from prepare.cage.embedding_hosts_reference import embed
+from prepare.cage.embedding_hosts import embed
 from sim.embedding import EmbeddedPart, Embedding
 
 BAR = (64, 12, 12), (1.0, 0.2, 0.2)  # cells and size [m]: 10,985 vertices, 55,296 tets
@@ -65,23 +64,20 @@ def some(count: int) -> Gaussians:
 def hosts(count: int) -> dict:
     """Time to find all host tets, including the search's tables and transfers, excluding compilation."""
     bar, few = tet_bar(*BAR), some(1000)
-    embed_on_device(few.means, few.quats, np.exp(few.log_scales), *bar)
+    embed(few.means, few.quats, np.exp(few.log_scales), *bar)
     g = some(count)
     scales = np.exp(g.log_scales)
-    seconds = {}
-    for name, function in (("kernel", embed_on_device), ("numpy", embed)):
-        begin = perf_counter()
-        function(g.means, g.quats, scales, *bar)
-        seconds[name] = perf_counter() - begin
-        print(f"hosts of {count:,} Gaussians, {len(bar[0]):,} vertices, {name}: {seconds[name]:.2f} s", flush=True)
+    begin = perf_counter()
+    embed(g.means, g.quats, scales, *bar)
+    seconds = perf_counter() - begin
+    print(f"hosts of {count:,} Gaussians, {len(bar[0]):,} vertices: {seconds:.2f} s", flush=True)
     return {
         "bench": "embedding",
         "what": "hosts",
         "gaussians": count,
         "vertices": len(bar[0]),
         "tets": len(bar[1]),
-        "median_ms": 1e3 * seconds["kernel"],
-        "numpy_ms": 1e3 * seconds["numpy"],
+        "median_ms": 1e3 * seconds,
         "arch": arch(),
     }
 
@@ -91,7 +87,7 @@ def deform(count: int, rounds: int) -> dict:
     (vertices, tets), g = tet_bar(*BAR), some(count)
     order = np.lexsort(np.floor(g.means / 0.02).T)  # spatially sorted, as in a loaded body
     g = g.select(order)
-    e = embed_on_device(g.means, g.quats, np.exp(g.log_scales), vertices, tets)
+    e = embed(g.means, g.quats, np.exp(g.log_scales), vertices, tets)
     x, mean = ti.Vector.field(3, ti.f32, len(vertices)), ti.Vector.field(3, ti.f32, count)
     cov, rotation = ti.Vector.field(6, ti.f32, count), ti.Vector.field(4, ti.f32, count)
     row = {"bench": "embedding", "what": "deform", "gaussians": count, "vertices": len(vertices), "arch": arch()}
@@ -125,7 +121,7 @@ def choice() -> list[dict]:
     print("\na bar, 180 degrees, tets of 5 cm, Gaussians of 6 mm")
     print(f"{'k':>6} {'floor':>6} {'jump 95%':>9} {'error 95%':>10}", flush=True)
     for k, floor in [*((k, 0.15) for k in KS), *((1 / 3, f) for f in FLOORS)]:
-        e = embed_on_device(g.means, g.quats, np.exp(g.log_scales), *turned, k=k, floor=floor)
+        e = embed(g.means, g.quats, np.exp(g.log_scales), *turned, k=k, floor=floor)
         found = carried(g, e, turned, np.pi, "two-level")
         row = {"bench": "embedding", "what": "choice", "k": k, "floor": floor, "error": found.error(), "arch": arch()}
         row["jump"] = jump(g, e, turned, np.pi, "two-level")

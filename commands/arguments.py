@@ -56,10 +56,8 @@ def bench(args) -> None:
 
 
 def prepare(args) -> None:
-    """Make a body of a splat, or a stage."""
-    command("prepare.room.static_command" if args.static or args.cell or args.cut else "commands.prepare", taichi=True)(
-        args
-    )
+    """Make a body of a splat, or a static environment."""
+    command("commands.prepare", taichi=True)(args)
 
 
 def render(args) -> None:

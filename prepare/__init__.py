@@ -1,4 +1,5 @@
-"""From splats to what can be played: pipeline and report.
+"""From splats to assets that can be played with: pipeline, checkpoints, report.
 
-In: Gaussians of a capture. Out: an asset with cage, embedding, distance grid, and a report.
+In: Gaussians of a capture, or a .glb mesh.
+Out: an asset with cage, embedding and distance grid (or a static environment), and a report.
 """

@@ -1,7 +1,7 @@
-"""What finished stages made, kept in the cache folder until the asset is written: a stopped run goes on from there.
+"""Results of finished steps, kept in the cache folder until the asset is written, so that a stopped run can resume.
 
-Only arrays of numbers are kept, and nothing is unpickled. An entry that is damaged or was made for another file,
-other options or another version of the pipeline is as good as none.
+Only arrays of numbers are kept, and nothing is unpickled. An entry that is damaged, or was made for another file, other
+options or another version of the pipeline, is ignored.
 """
 
 from __future__ import annotations
@@ -23,12 +23,16 @@ from assets.gaussians import Gaussians
 from assets.library import cache_folder
 from core.errors import BadInput
 
-OLD = 14 * 86400.0  # [s]; what a run that never came back left behind
+MAX_AGE = 14 * 86400.0  # [s]; older entries of abandoned runs are removed
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")
 
 
 class Checkpoints:
-    """The stages of one run. Without a key nothing is kept."""
+    """Steps of one run. Without a source file nothing is kept.
+
+    folder   of the entries, None if nothing is kept
+    resumed  steps whose results were read from there
+    """
 
     def __init__(self, source: Path | None = None, options: dict | None = None, version: int = 0) -> None:
         self.folder, self.resumed = None, []
@@ -38,12 +42,12 @@ class Checkpoints:
         with open(source, "rb") as file:
             while block := file.read(1 << 20):
                 digest.update(block)
-        stages = cache_folder() / "stages"
-        self.folder = stages / digest.hexdigest()[:32]
-        forget_old(stages, keep=self.folder)
+        entries = cache_folder() / "stages"
+        self.folder = entries / digest.hexdigest()[:32]
+        remove_old(entries, keep=self.folder)
 
-    def stage(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """The arrays that stage `name` made, read if they were kept, else made and kept."""
+    def step(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Arrays of step `name`: read if they were kept, else made and kept."""
         kept = self._read(name)
         if kept is not None:
             self.resumed.append(name)
@@ -67,25 +71,26 @@ class Checkpoints:
             return None
 
     def clear(self) -> None:
-        """Forget this run: its asset is written, or its splat is one of which no asset can be made."""
+        """Remove the entries of this run: its asset is written, or none can be made of its splat."""
+        self.resumed.clear()
         if self.folder:
             shutil.rmtree(self.folder, ignore_errors=True)
 
 
-def forget_old(stages: Path, *, keep: Path) -> None:
-    """Remove the folders of runs that were not touched for a fortnight."""
+def remove_old(entries: Path, *, keep: Path) -> None:
+    """Remove the folders of runs that were not touched for MAX_AGE."""
     with contextlib.suppress(OSError):
-        for folder in stages.iterdir():
-            if folder != keep and time.time() - folder.stat().st_mtime > OLD:
+        for folder in entries.iterdir():
+            if folder != keep and time.time() - folder.stat().st_mtime > MAX_AGE:
                 shutil.rmtree(folder, ignore_errors=True)
 
 
 def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
-    """Gaussians as arrays by name; what else is given becomes JSON text in bytes."""
+    """Gaussians as arrays by name; other keywords become JSON text in bytes."""
     text = np.frombuffer(json.dumps(others).encode(), np.uint8)
-    return {name: getattr(gaussians, name) for name in COLUMNS} | {"json": text}
+    return {name: vars(gaussians)[name] for name in COLUMNS} | {"json": text}
 
 
 def gaussians_of(arrays: dict[str, np.ndarray]) -> tuple[Gaussians, dict]:
-    """The inverse of arrays_of."""
+    """Inverse of `arrays_of`."""
     return Gaussians(*(arrays[name] for name in COLUMNS)), json.loads(arrays["json"].tobytes())

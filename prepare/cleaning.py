@@ -1,4 +1,4 @@
-"""Leave out the Gaussians of a splat that are no part of its object."""
+"""Cleaning: remove the Gaussians of a splat that do not belong to its object."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from core.errors import BadInput
 
 OPACITY_MIN = 0.01  # at most 2.5 of 255 grey levels
 SIGMA_MAX = 0.12  # of the longest extent: a Gaussian whose 2 sigma span half the object is a smear, not surface
-CELLS = 96  # on the longest side, for the search of pieces
-REACH = 2  # cells; pieces that come closer than 4 % of the extent count as one
-SAMPLE = 5000  # points whose neighbours tell how densely the others lie
-FEWEST = 30  # Gaussians; fewer have no inside
-FLATTEST = 0.02  # thickness over width of a plane that cannot be told from noise
-LEAST = 0.01  # of the largest piece's Gaussians; what has fewer is a floater
+SEARCH_CELLS = 96  # on the longest side, for the search of connected components
+DILATION = 2  # cells; components closer than 4 % of the extent count as one
+SAMPLE = 5000  # points whose neighbours tell the density of the others
+MIN_GAUSSIANS = 30  # fewer have no inside
+MIN_FLATNESS = 0.02  # thickness over width; below, a plane with noise
+MIN_FRACTION = 0.01  # of the largest component's Gaussians; with fewer it is a floater
 
 
-def piece_numbers(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Piece (N,) of each point: cells of a grid, joined across small gaps; 0 has the most points, -1 lies far off."""
+def component_numbers(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Component (N,) of each point: cells of a grid, joined across small gaps; 0 has the most points, -1: far off."""
     sample = points[:: len(points) // SAMPLE + 1]
     neighbours = cKDTree(points).query(sample, k=min(8, len(points)))[0][:, -1]
-    cell = max((high - low).max() / CELLS, float(np.median(neighbours)) / REACH)  # few Gaussians lie far apart
+    # Sparse Gaussians need larger cells.
+    cell = max((high - low).max() / SEARCH_CELLS, float(np.median(neighbours)) / DILATION)
     low, high = low - 0.3 * (high - low).max(), high + 0.3 * (high - low).max()  # thin ends hold few points
     within = ((points >= low) & (points <= high)).all(1)
     index = ((points[within] - low) / cell).astype(int)
@@ -32,21 +33,21 @@ def piece_numbers(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.n
     grid = np.zeros(shape, bool)
     grid[tuple(index.T)] = True
     near = generate_binary_structure(3, 1)
-    pieces, _ = label(binary_dilation(grid, near, iterations=REACH), generate_binary_structure(3, 3))
-    of_point = pieces[tuple(index.T)]
+    labels, _ = label(binary_dilation(grid, near, iterations=DILATION), generate_binary_structure(3, 3))
+    of_point = labels[tuple(index.T)]
     rank = np.argsort(np.argsort(-np.bincount(of_point), kind="stable"), kind="stable")
     numbers = np.full(len(points), -1)
     numbers[within] = rank[of_point]
     return numbers
 
 
-def largest_piece(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Mask (N,) of the points in the piece with most of them."""
-    return piece_numbers(points, low, high) == 0
+def largest_component(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the points in the component with most of them."""
+    return component_numbers(points, low, high) == 0
 
 
-def seen_of(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians that are not transparent. Raises BadInput where there is none."""
+def visible(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians that are not transparent. Raises BadInput where there are none."""
     n = len(gaussians)
     if n == 0:
         raise BadInput("the splat holds no Gaussians")
@@ -56,34 +57,34 @@ def seen_of(gaussians: Gaussians) -> Gaussians:
     return gaussians.select(opaque)
 
 
-def box_of(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) of what is solid. Raises BadInput where that is no extent to work with."""
+def solid_box(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of the opaque Gaussians. Raises BadInput for an extent that cannot be worked with."""
     solid = g.opacities > 0.5
-    if solid.sum() < FEWEST:
+    if solid.sum() < MIN_GAUSSIANS:
         solid[:] = True
     low, high = robust_bounds(g.means[solid].astype(np.float64))
     longest = (high - low).max()
     if not 1e-6 < longest < 1e6:
-        raise BadInput(f"the splat's extent is {longest:.3g}; nothing to be made of that (expected 1e-6 to 1e6)")
+        raise BadInput(f"the splat's extent is {longest:.3g}; this cannot be used (expected 1e-6 to 1e6)")
     return low, high
 
 
 def is_flat(points: np.ndarray) -> bool:
-    """Whether points (N, 3) lie on a plane or a line."""
+    """Tell whether points (N, 3) lie on a plane or a line."""
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(points.astype(np.float64).T)).clip(0))
-    return bool(spread[0] <= FLATTEST * spread[1] + 1e-6 * spread[2])
+    return bool(spread[0] <= MIN_FLATNESS * spread[1] + 1e-6 * spread[2])
 
 
 def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
-    """The object's own Gaussians, and how many were left out: transparent, huge, apart.
+    """The object's own Gaussians, and how many were left out as transparent, huge or apart.
 
     Raises BadInput where no solid object is left: too few, all transparent, all on a plane, in a point.
     """
-    n, g = len(gaussians), seen_of(gaussians)
-    low, high = box_of(g)
+    n, g = len(gaussians), visible(gaussians)
+    low, high = solid_box(g)
     small = np.exp(g.log_scales.astype(np.float64)).max(1) <= SIGMA_MAX * (high - low).max()
     g_small = g.select(small)
-    keep = largest_piece(g_small.means.astype(np.float64), low, high) if len(g_small) else np.zeros(0, bool)
+    keep = largest_component(g_small.means.astype(np.float64), low, high) if len(g_small) else np.zeros(0, bool)
     g_kept = g_small.select(keep)
     counts = {
         "read": n,
@@ -92,50 +93,50 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
         "apart": len(g_small) - len(g_kept),
         "kept": len(g_kept),
     }
-    if len(g_kept) < FEWEST:
-        raise BadInput(f"only {len(g_kept)} of {n} Gaussians belong to a solid object; {FEWEST} are needed")
+    if len(g_kept) < MIN_GAUSSIANS:
+        raise BadInput(f"only {len(g_kept)} of {n} Gaussians belong to a solid object; {MIN_GAUSSIANS} are needed")
     if is_flat(g_kept.means):
         raise BadInput("all Gaussians lie on a plane or a line; there is nothing to fill")
     return g_kept, counts
 
 
-def clean_pieces(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[str, int]]:
-    """As `clean`, but of each piece: the Gaussians, the number of each one's piece (N,), 0 the one with most, counts.
+def clean_components(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[str, int]]:
+    """Clean each connected component by itself: the Gaussians, the component of each (N,), largest first, and counts.
 
-    Each piece is judged by its own extent, and looked at again for pieces within. What has too few Gaussians for a
-    body, or lies on a plane, is left out: `specks` counts such pieces of FEWEST Gaussians or more. Raises BadInput.
+    Each component is judged by its own extent and searched again for components within. Those with too few Gaussians
+    for a body, or on a plane, are left out: `specks` counts such of MIN_GAUSSIANS or more. Raises BadInput.
     """
-    n, g = len(gaussians), seen_of(gaussians)
-    box_of(g)
+    n, g = len(gaussians), visible(gaussians)
+    solid_box(g)
     widest = np.exp(g.log_scales.astype(np.float64)).max(1)
     left, found, huge, specks = [np.arange(len(g))], [], 0, 0
     while left:
-        mine = left.pop()
+        own = left.pop()
         try:
-            low, high = box_of(g.select(mine))
+            low, high = solid_box(g.select(own))
         except BadInput:
             specks += 1
             continue
-        small = mine[widest[mine] <= SIGMA_MAX * (high - low).max()]
-        huge += len(mine) - len(small)
-        number = piece_numbers(g.means[small].astype(np.float64), low, high) if len(small) else small
+        small = own[widest[own] <= SIGMA_MAX * (high - low).max()]
+        huge += len(own) - len(small)
+        number = component_numbers(g.means[small].astype(np.float64), low, high) if len(small) else small
         sizes = np.bincount(number[number >= 0], minlength=1)
-        large = np.flatnonzero(sizes >= max(FEWEST, LEAST * sizes[0]))
-        specks += int((sizes >= FEWEST).sum()) - len(large)
-        pieces = [small[number == k] for k in large]
-        if len(pieces) != 1:
-            left += pieces
-        elif is_flat(g.means[pieces[0]]):
+        large = np.flatnonzero(sizes >= max(MIN_GAUSSIANS, MIN_FRACTION * sizes[0]))
+        specks += int((sizes >= MIN_GAUSSIANS).sum()) - len(large)
+        parts = [small[number == k] for k in large]
+        if len(parts) != 1:
+            left += parts
+        elif is_flat(g.means[parts[0]]):
             specks += 1
         else:
-            found += pieces
+            found += parts
     if not found:
-        clean(gaussians)  # knows what to say
-        raise BadInput("no piece of the splat is a solid object")
+        clean(gaussians)  # raises with the reason
+        raise BadInput("no component of the splat is a solid object")
     found.sort(key=len, reverse=True)
-    fewest = max(FEWEST, LEAST * len(found[0]))
-    specks += sum(len(f) < fewest for f in found)
-    found = [f for f in found if len(f) >= fewest]
+    least = max(MIN_GAUSSIANS, MIN_FRACTION * len(found[0]))
+    specks += sum(len(f) < least for f in found)
+    found = [f for f in found if len(f) >= least]
     number = np.repeat(np.arange(len(found)), [len(f) for f in found])
     kept = g.select(np.concatenate(found))
     apart = len(g) - huge - len(kept)
@@ -144,7 +145,7 @@ def clean_pieces(gaussians: Gaussians) -> tuple[Gaussians, np.ndarray, dict[str,
 
 
 def cut_out(g: Gaussians, ids: tuple[int, ...]) -> tuple[dict[int, Gaussians], Gaussians]:
-    """The Gaussians of each object id, and the rest. Raises BadInput for an id that is not there."""
+    """Gaussians of each object id, and the rest. Raises BadInput for an id that does not occur."""
     there = np.unique(g.object_id)
     for k in ids:
         if k not in there:

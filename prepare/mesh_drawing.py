@@ -1,4 +1,4 @@
-"""Pictures of meshes and points without a GPU: painter's order, flat shading, drawn twice as large and shrunk."""
+"""Pictures of meshes and points without a GPU: painter's algorithm, flat shading, 2x supersampling."""
 
 from __future__ import annotations
 
@@ -8,30 +8,32 @@ import numpy as np
 from core.camera import Camera
 
 PAPER = (250, 249, 247)
-LIGHT = np.array([-0.5, -0.65, -0.6]) / np.linalg.norm([-0.5, -0.65, -0.6])  # towards it, from the camera
+LIGHT = np.array([-0.5, -0.65, -0.6]) / np.linalg.norm(
+    [-0.5, -0.65, -0.6]
+)  # direction towards the lamp, in the camera's frame
 AMBIENT = 0.35
-FINER = 2  # times the size that is drawn
-SHIFT = 4  # bits of a pixel: OpenCV's fixed point
+SUPERSAMPLING = 2
+SHIFT = 4  # fractional bits of a pixel: OpenCV's fixed point
 
 
 class Canvas:
-    """A picture of width x height [px] seen by `camera`; things are drawn over what is there, far to near."""
+    """Picture seen by `camera`; each call draws over the last, far to near."""
 
     def __init__(self, camera: Camera, background=PAPER) -> None:
         self.camera = camera
-        self.page = np.full((FINER * camera.height, FINER * camera.width, 3), background, np.uint8)
+        self.page = np.full((SUPERSAMPLING * camera.height, SUPERSAMPLING * camera.width, 3), background, np.uint8)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places [px of the large page] (N, 2) and depths [m] (N,) of points (N, 3) [m]."""
+        """Positions [px of the supersampled page] (N, 2) and depths [m] (N,) of points (N, 3) [m]."""
         c, w = self.camera, self.camera.world_to_camera
         p = np.asarray(points, np.float64) @ w[:3, :3].T + w[:3, 3]
         z = np.maximum(p[:, 2:], 1e-9)
-        return FINER * (p[:, :2] / z * [c.fx, c.fy] + [c.cx, c.cy]), p[:, 2]
+        return SUPERSAMPLING * (p[:, :2] / z * [c.fx, c.fy] + [c.cx, c.cy]), p[:, 2]
 
     def polygons(self, vertices: np.ndarray, faces: np.ndarray, colours: np.ndarray, *, lines=None, flat=False) -> None:
-        """Flat faces (F, 3 or 4) of vertices (V, 3) [m], counter-clockwise from outside; colours (F, 3) 0..255.
+        """Draw flat faces (F, 3 or 4) of vertices (V, 3) [m], counter-clockwise from outside; colours (F, 3) 0..255.
 
-        lines  colour of their edges, or None; flat: without shading. What faces away is left out.
+        lines  colour of their edges, or None; flat: without shading. Back faces are culled.
         """
         x = np.asarray(vertices, np.float64)
         place, depth = self.project(x)
@@ -39,7 +41,7 @@ class Canvas:
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
         middle = x[faces].mean(1)
         towards = np.einsum("ni,ni->n", normal, self.camera.position - middle) > 0
-        lit = 0.5 + 0.5 * normal @ (self.camera.world_to_camera[:3, :3].T @ LIGHT)  # wrapped round: no face is black
+        lit = 0.5 + 0.5 * normal @ (self.camera.world_to_camera[:3, :3].T @ LIGHT)  # wrapped diffuse: no face is black
         shade = np.ones(len(faces)) if flat else AMBIENT + (1 - AMBIENT) * lit
         order = np.argsort(-depth[faces].mean(1), kind="stable")
         order = order[towards[order]]
@@ -51,20 +53,20 @@ class Canvas:
             cv2.polylines(self.page, [fixed[f]], True, paint if lines is None else lines, 1, cv2.LINE_AA, SHIFT)
 
     def dots(self, points: np.ndarray, colours: np.ndarray, radius: float = 1.5) -> None:
-        """Discs of `radius` [px] at points (N, 3) [m], colours (N, 3)."""
+        """Draw discs of `radius` [px] at points (N, 3) [m], colours (N, 3)."""
         place, depth = self.project(points)
         fixed = np.round(place * (1 << SHIFT)).clip(-(1 << 24), 1 << 24).astype(np.int64)
-        size = round(FINER * radius * (1 << SHIFT))
+        size = round(SUPERSAMPLING * radius * (1 << SHIFT))
         for i in np.argsort(-depth, kind="stable"):
             cv2.circle(self.page, tuple(fixed[i].tolist()), size, tuple(colours[i].tolist()), -1, cv2.LINE_AA, SHIFT)
 
     def picture(self) -> np.ndarray:
-        """What was drawn, (H, W, 3) uint8."""
+        """The finished picture, (H, W, 3) uint8."""
         return cv2.resize(self.page, (self.camera.width, self.camera.height), interpolation=cv2.INTER_AREA)
 
 
 def png_of(picture: np.ndarray) -> bytes:
-    """A picture (H, W, 3) uint8, RGB, as PNG."""
+    """PNG file of a picture (H, W, 3) uint8, RGB."""
     return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
@@ -81,7 +83,7 @@ CUBE = np.array(  # corners of a cell's six faces, counter-clockwise from outsid
 
 
 def cubes(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The faces between set and unset cells (X, Y, Z) bool: corners (V, 3) [cells], faces (F, 4), cell (F, 3)."""
+    """Faces between set and unset cells (X, Y, Z) bool: corners (V, 3) [cells], faces (F, 4), cell of each (F, 3)."""
     padded = np.pad(cells, 1)
     corners, owner = [], []
     for axis in range(3):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,183 +12,204 @@ import numpy as np
 from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from assets.up_axis import body_size, guess_up_axis, rotation_to_up
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
 from core.tetmesh import tet_volumes
-from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN, TOLERANCE, check_count, share_inside
+from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE, check_count
 from prepare.cage.component_cages import (
-    LEAST,
+    MIN_COMPONENT,
+    Component,
+    ComponentCage,
     Grid,
-    cages_of,
+    check_mesher,
+    cluster_grids,
+    component_cages,
+    components_of,
     embedded_in,
     extent_of,
-    grids_of,
-    joined,
-    members,
-    mesher_of,
-    opaque,
-    parts_of,
+    joined_cage,
+    surface_mask,
 )
+from prepare.cage.device_locator import fraction_inside
 from prepare.cage.filling import DENSE, density_of, solid_cells
-from prepare.cage.level_set import contact_grid, level_sets, volume_of
+from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
 from prepare.cage.mesh_quality import smallest_angle
-from prepare.cage.meshers import check_mesher
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
-from prepare.cleaning import clean, clean_pieces
-from prepare.progress import Progress
-from prepare.report_pictures import Made
+from prepare.cleaning import clean, clean_components
+from prepare.progress import Progress, no_progress
 
-VERSION = 4  # of what this pipeline makes; raise it when the same splat would give another asset
+VERSION = 4  # of the pipeline's results; raise it when the same splat would give another asset
 
-STAGES = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
+STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a preparation.
+
+    vertices  of the cage, met within 15 %
+    scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
+    up        axis of the file that points up, "+x" to "-z"; None: guessed
+    material  a name of core.material; None: plush
+    mesher    a name of component_cages.MESHERS; stuffing makes the cage where another fails
+    adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
+    pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone
+    """
+
+    vertices: int = 2000
+    scale: float | None = None
+    up: str | None = None
+    material: str | None = None
+    mesher: str = "stuffing"
+    adaptive: bool = True
+    pieces: bool = False
+
+    def check(self) -> None:
+        """Raise BadInput for a value that cannot be used."""
+        Material.named(self.material or DEFAULT_MATERIAL)
+        check_count(self.vertices)
+        check_mesher(self.mesher)
+        body_size(1.0, self.scale)
+        if self.up is not None:
+            rotation_to_up(self.up)
+
+    def provenance(self) -> dict:
+        """The options as an asset records them: the first four, and what differs from the defaults."""
+        found = {"vertices": self.vertices, "scale": self.scale, "up": self.up, "material": self.material}
+        found |= {} if self.mesher == "stuffing" else {"mesher": self.mesher}
+        found |= {} if self.adaptive else {"cells": "uniform"}
+        return found | ({"pieces": True} if self.pieces else {})
 
 
 def prepare(
     gaussians: Gaussians,
+    options: Options | None = None,
     *,
-    vertices: int = 2000,
-    scale: float | None = None,
-    up: str | None = None,
-    material: str | None = None,
-    mesher: str = "stuffing",
-    adaptive: bool = True,
-    pieces: bool = False,
-    progress: Progress | None = None,
-    look: Callable[[Made], None] | None = None,
+    progress: Progress = no_progress,
+    look: Callable[[ComponentSolid], None] | None = None,
     say: Callable[[str], None] | None = None,
-    kept: Checkpoints | None = None,
+    checkpoints: Checkpoints | None = None,
 ) -> Asset:
     """Make a splat simulatable: cage, embedding, distance grid, material. Taichi must be running.
 
-    vertices  of the cage, hit within 15 %
-    scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
-    up        axis of the file that points up, "+x" to "-z"; None: guessed
-    material  a name of core.material; None: plush
-    mesher    a name of MESHERS; stuffing makes the cage where another cannot, and `say` is told why
-    adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
-    pieces    a cage for each piece of the splat, all in one asset; False: the largest alone
-    progress  called with a stage of STAGES and the share of it that is done
-    kept      what finished stages of a run that was stopped made
-    look      called for each piece with what the stages before its cage made
-    Out.      the asset: +y up, centred in x and z, its lowest point at y = 0; provenance["figures"] tells its quality
-    Raises    BadInput where the splat holds no solid object or no good cage was found.
+    progress     called with a step of STEPS and the fraction of it that is done
+    look         called for each component with the solid its cage was made from
+    say          told why a mesher was replaced
+    checkpoints  results of finished steps of a run that was stopped
+    Out.         the asset: +y up, centred in x and z, its lowest point at y = 0; its figures are in the provenance
+    Raises BadInput where the splat holds no solid object or no good cage was found.
     """
     begin = time.perf_counter()
-    report = progress or (lambda stage, done: None)
-    elastic = Material.named(material or DEFAULT_MATERIAL)
-    check_count(vertices)
-    check_mesher(mesher)
-    body_size(1.0, scale)
-    if up is not None:
-        rotation_to_up(up)
+    options, kept = options or Options(), checkpoints or Checkpoints()
+    options.check()
+    oriented = kept.step("orient", partial(clean_and_orient, gaussians, options, progress))
+    g, found = gaussians_of(oriented)
+    clusters = [np.flatnonzero(oriented["cluster"] == k) for k in range(int(oriented["cluster"].max()) + 1)]
+    grids = cluster_grids(g, clusters, options.vertices)
 
-    kept = kept or Checkpoints()
-    guessed = up is None
+    def of_each_cluster(step: str, make: Callable[[int], dict]) -> list[dict]:
+        """Results of a step for each cluster."""
 
-    def cleaned() -> dict:
-        report("clean", 0.0)
-        if pieces:
-            g, number, counts = clean_pieces(gaussians)
-        else:
-            g, counts = clean(gaussians)
-            number = np.zeros(len(g), int)
-        report("orient", 0.0)
-        axis, sure = guess_up_axis(g) if guessed else (up, 1.0)
-        return arrays_of(g.transformed(rotation_to_up(axis)), counts=counts, up=axis, sure=sure) | {"cluster": number}
+        def one(k: int) -> dict:
+            progress(step, k / len(grids))
+            return make(k)
 
-    arrays = kept.stage("orient", cleaned)
-    cluster = arrays["cluster"]
-    g, found = gaussians_of(arrays)
-    counts, up = found["counts"], found["up"]
-    grids, clusters = grids_of(g, cluster, vertices), members(cluster)
+        return [kept.step(f"{step}{k or ''}", partial(one, k)) for k in range(len(grids))]
 
-    def filled(mine: np.ndarray, grid: Grid) -> dict:
-        density = density_of(g.select(mine), grid.origin, grid.spacing, grid.shape)
-        return {"solid": solid_cells(density), "shell": density > DENSE}
+    least = MIN_COMPONENT if options.pieces else 1.0
+    cells = of_each_cluster("fill", lambda k: fill(g.select(clusters[k]), grids[k]))
+    shapes = of_each_cluster("surface", lambda k: {"phi": level_sets(cells[k]["solid"], least)})
+    found_in = zip(clusters, grids, shapes, strict=True)
+    components = [c for k, (own, grid, s) in enumerate(found_in) for c in components_of(g, own, grid, s["phi"], k)]
 
-    def staged(stage: str, make: Callable[[int], dict]) -> list[dict]:
-        """What a stage makes of each cluster."""
-        made = []
-        for k in range(len(grids)):
+    report = partial(progress, "cage")
+    how = {"adaptive": options.adaptive, "say": say, "checkpoint": kept.step}
+    cages = component_cages(components, g, options.vertices, options.mesher, report, **how)
+    used = " and ".join(sorted({c.mesher for c in cages}))
+    if used != options.mesher and say and "cage" in kept.resumed:
+        say(f"{options.mesher} failed in the run before; the cage was made by {used} instead")
 
-            def one(k=k) -> dict:
-                report(stage, k / len(grids))
-                return make(k)
-
-            made.append(kept.stage(f"{stage}{k or ''}", one))
-        return made
-
-    cells = staged("fill", lambda k: filled(clusters[k], grids[k]))
-    least = LEAST if pieces else 1.0
-    shapes = staged("surface", lambda k: {"phi": level_sets(cells[k]["solid"], least)})
-    parts = [
-        replace(part, cluster=k)
-        for k, (mine, grid, shape) in enumerate(zip(clusters, grids, shapes, strict=True))
-        for part in parts_of(g, mine, grid, shape["phi"])
-    ]
-
-    how = {"adaptive": adaptive, "say": say, "kept": kept.stage}
-    caged = cages_of(parts, g, vertices, mesher, partial(report, "cage"), **how)
-    used = mesher_of(caged)
-    if used != mesher and say and "cage" in kept.resumed:
-        say(f"{mesher} failed in the run before; the cage was made by {used} instead")
-
-    if pieces:
-        counts["specks"] += len(parts) - len(caged)
-    mine = np.concatenate([c.part.mine for c in caged])
-    counts |= {"stray": counts["kept"] - len(mine), "kept": len(mine)}
-    longest, foot = extent_of(caged)
-    size = body_size(longest, scale)
+    counts = found["counts"]
+    if options.pieces:
+        counts["specks"] += len(components) - len(cages)
+    own = np.concatenate([c.component.indices for c in cages])
+    counts |= {"stray": counts["kept"] - len(own), "kept": len(own)}
+    longest, foot = extent_of(cages)
+    size = body_size(longest, options.scale)
     factor = size / longest
-    cage, first = joined(caged, lambda x: (x - foot) * factor)
-    g = g.select(mine).transformed(np.eye(3), -factor * foot, factor)
+    cage, first = joined_cage(cages, lambda x: (x - foot) * factor)
+    g = g.select(own).transformed(np.eye(3), -factor * foot, factor)
 
-    def placed() -> dict:
-        report("embed", 0.0)
-        return vars(embedded_in(cage, first, g, [len(c.part.mine) for c in caged]))
+    def embed() -> dict:
+        progress("embed", 0.0)
+        return vars(embedded_in(cage, first, g, [len(c.component.indices) for c in cages]))
 
-    embedded = CageEmbedding(**kept.stage("embed", placed))
+    embedded = CageEmbedding(**kept.step("embed", embed))
 
-    report("contact", 0.0)
-    made = [
-        Made(
-            cells[p.cluster]["shell"],
-            cells[p.cluster]["solid"],
-            p.phi * (p.grid.spacing * factor),
-            (p.grid.origin - foot) * factor,
-            p.grid.spacing * factor,
-        )
-        for p in (c.part for c in caged)
-    ]
-    grid = contact_grid([(m.phi, m.origin, m.spacing) for m in made])
-    figures = measure(cage, g.means[opaque(g)], vertices)
-    figures["mesher"] = used
-    figures["pieces"] = len(caged)
-    figures["cells"] = "adaptive" if adaptive and used != "tetgen" else "uniform"
-    figures["filled"] = sum(volume_of(c.part.phi) * (c.part.grid.spacing * factor) ** 3 for c in caged)
-    figures["seconds"] = round(time.perf_counter() - begin, 2)
+    progress("contact", 0.0)
+    solids = [solid_of(c.component, cells[c.component.cluster], foot, factor) for c in cages]
+    grid = contact_grid([s.distance for s in solids])
+    figures = measure(cage, g.means[surface_mask(g)], options.vertices)
+    figures |= {
+        "mesher": used,
+        "pieces": len(cages),
+        "cells": "adaptive" if options.adaptive and used != "tetgen" else "uniform",
+        "filled": filled_volume(cages, factor),
+        "seconds": round(time.perf_counter() - begin, 2),
+    }
     provenance = {
         "made_by": f"vrgs prepare {VERSION}",
-        "options": {"vertices": vertices, "scale": scale, "up": None if guessed else up, "material": material}
-        | ({} if mesher == "stuffing" else {"mesher": mesher})
-        | ({} if adaptive else {"cells": "uniform"})
-        | ({"pieces": True} if pieces else {}),
-        "up": up,
+        "options": options.provenance(),
+        "up": found["up"],
         "up_sure": round(found["sure"], 2),
         "size": size,
         "metres_per_unit": factor,
-        "moved": (-factor * foot).tolist(),  # [m], after the turn to +y and the scaling
+        "moved": (-factor * foot).tolist(),  # [m], after the rotation to +y and the scaling
         "counts": counts,
         "figures": figures,
     }
-    for m in made if look else ():
-        look(m)
-    report("contact", 1.0)
-    return Asset(g, cage, embedded, grid, elastic, provenance)
+    for solid in solids if look else ():
+        look(solid)
+    progress("contact", 1.0)
+    return Asset(g, cage, embedded, grid, Material.named(options.material or DEFAULT_MATERIAL), provenance)
+
+
+def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress) -> dict[str, np.ndarray]:
+    """The object's own Gaussians rotated to +y up, as arrays; `cluster` is the connected component of each (N,)."""
+    progress("clean", 0.0)
+    if options.pieces:
+        g, cluster, counts = clean_components(gaussians)
+    else:
+        g, counts = clean(gaussians)
+        cluster = np.zeros(len(g), int)
+    progress("orient", 0.0)
+    up, sure = guess_up_axis(g) if options.up is None else (options.up, 1.0)
+    turned = g.transformed(rotation_to_up(up))
+    return arrays_of(turned, counts=counts, up=up, sure=sure) | {"cluster": cluster}
+
+
+def fill(g: Gaussians, grid: Grid) -> dict[str, np.ndarray]:
+    """Cells (X, Y, Z) bool of a cluster: the dense `shell`, and `solid`, the shell with what it encloses."""
+    density = density_of(g, grid.origin, grid.spacing, grid.shape)
+    return {"solid": solid_cells(density), "shell": density > DENSE}
+
+
+def solid_of(component: Component, cells: dict, foot: np.ndarray, factor: float) -> ComponentSolid:
+    """The component's solid in the asset's frame."""
+    grid = component.grid
+    spacing = grid.spacing * factor
+    distance = DistanceGrid(component.phi * spacing, (grid.origin - foot) * factor, spacing)
+    return ComponentSolid(cells["shell"], cells["solid"], distance)
+
+
+def filled_volume(cages: list[ComponentCage], factor: float) -> float:
+    """Volume [m^3] of the filled shapes."""
+    return sum(volume_of(c.component.phi) * (c.component.grid.spacing * factor) ** 3 for c in cages)
 
 
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
-    """The cage's figures. Raises BadInput, naming the figure, if it must not be simulated.
+    """Figures of the cage. Raises BadInput, naming the figure, if it must not be simulated.
 
     surface_points  centres of the opaque Gaussians (N, 3) [m]
     """
@@ -197,7 +218,7 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
         "vertices": len(cage.vertices),
         "tets": len(cage.tets),
         "min_dihedral": round(smallest_angle(cage.vertices, cage.tets), 2),
-        "inside": round(share_inside(cage, surface_points), 5),
+        "inside": round(fraction_inside(cage.vertices, cage.tets, surface_points), 5),
         "volume": float(volume.sum()),
     }
     if not (volume > 0).all():
@@ -206,6 +227,6 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
         raise BadInput(f"the cage is not sound: its smallest dihedral angle is {figures['min_dihedral']} degrees")
     if figures["inside"] < INSIDE_MIN:
         raise BadInput(f"the cage holds only {figures['inside']:.1%} of the opaque Gaussians; ask for more vertices")
-    if abs(len(cage.vertices) - wanted) > TOLERANCE * wanted:
+    if abs(len(cage.vertices) - wanted) > VERTEX_TOLERANCE * wanted:
         raise BadInput(f"the cage has {len(cage.vertices)} vertices, {wanted} were asked for")
     return figures

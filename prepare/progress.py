@@ -1,4 +1,4 @@
-"""What a preparation shows while it works: a bar on a terminal, else a line a stage."""
+"""Progress of a preparation on the screen: a bar on a terminal, else a line a step."""
 
 from __future__ import annotations
 
@@ -8,69 +8,73 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-Progress = Callable[[str, float], None]
+Progress = Callable[[str, float], None]  # (step, fraction of it that is done)
 
-WIDTH = 28  # [characters] of the bar
-SHOWN_EVERY = 0.1  # [s]
+BAR_WIDTH = 28  # [characters]
+MIN_INTERVAL = 0.1  # [s] between two updates of the bar
 FULL, EMPTY = "█", "░"
 
 
+def no_progress(step: str, done: float) -> None:
+    """Show nothing."""
+
+
 class ProgressLines:
-    """Prints a line a stage on stderr when it ends, with the time it took."""
+    """Prints a line on stderr when a step ends, with the time it took."""
 
-    def __init__(self, stages: tuple[str, ...], out: TextIO | None = None) -> None:
-        self.stages, self.out = stages, out or sys.stderr
-        self.stage, self.since = None, time.perf_counter()
+    def __init__(self, steps: tuple[str, ...], out: TextIO | None = None) -> None:
+        self.steps, self.out = steps, out or sys.stderr
+        self.step, self.since = None, time.perf_counter()
 
-    def __call__(self, stage: str, done: float) -> None:
-        if stage != self.stage:
+    def __call__(self, step: str, done: float) -> None:
+        if step != self.step:
             self._end()
-            self.stage, self.since = stage, time.perf_counter()
-        if done >= 1 and stage == self.stages[-1]:
+            self.step, self.since = step, time.perf_counter()
+        if done >= 1 and step == self.steps[-1]:
             self._end()
 
     def _end(self) -> None:
-        if self.stage is not None:
-            number = self.stages.index(self.stage) + 1
+        if self.step is not None:
+            number = self.steps.index(self.step) + 1
             seconds = time.perf_counter() - self.since
-            print(f"  {number}/{len(self.stages)} {self.stage:<8} {seconds:5.1f} s", file=self.out, flush=True)
-        self.stage = None
+            print(f"  {number}/{len(self.steps)} {self.step:<8} {seconds:5.1f} s", file=self.out, flush=True)
+        self.step = None
 
     def close(self) -> None:
-        """Nothing to clear away: a stage that did not end has no line."""
+        """Nothing to clear: a step that did not end has no line."""
 
 
 class ProgressBar:
-    """One line that is written over: how much is done, the stage's name and the time so far.
+    """One line that is overwritten: how much is done, the step's name and the time so far.
 
-    Each stage takes an equal part of the bar, the shares within it are the stage's own.
+    Each step takes an equal part of the bar; the fractions within it are the step's own.
     """
 
-    def __init__(self, stages: tuple[str, ...], out: TextIO | None = None) -> None:
-        self.stages, self.out = stages, out or sys.stderr
-        self.since, self.shown, self.stage = time.perf_counter(), 0.0, None
+    def __init__(self, steps: tuple[str, ...], out: TextIO | None = None) -> None:
+        self.steps, self.out = steps, out or sys.stderr
+        self.since, self.shown, self.step = time.perf_counter(), 0.0, None
 
-    def __call__(self, stage: str, done: float) -> None:
+    def __call__(self, step: str, done: float) -> None:
         now = time.perf_counter()
-        if stage == self.stage and now - self.shown < SHOWN_EVERY and done < 1:
+        if step == self.step and now - self.shown < MIN_INTERVAL and done < 1:
             return
-        self.stage, self.shown = stage, now
-        share = (self.stages.index(stage) + min(max(done, 0.0), 1.0)) / len(self.stages)
-        full = round(share * WIDTH)
-        text = f"  {FULL * full}{EMPTY * (WIDTH - full)} {share:4.0%}  {stage:<8} {now - self.since:4.0f} s"
+        self.step, self.shown = step, now
+        fraction = (self.steps.index(step) + min(max(done, 0.0), 1.0)) / len(self.steps)
+        full = round(fraction * BAR_WIDTH)
+        text = f"  {FULL * full}{EMPTY * (BAR_WIDTH - full)} {fraction:4.0%}  {step:<8} {now - self.since:4.0f} s"
         columns = shutil.get_terminal_size().columns
         print(f"\r{text[: columns - 1]}\x1b[K", end="", file=self.out, flush=True)
-        if share >= 1:
+        if fraction >= 1:
             self.close()
 
     def close(self) -> None:
-        """Clear the line, so that what is said next stands alone."""
-        if self.stage is not None:
+        """Clear the line, so that what is printed next stands alone."""
+        if self.step is not None:
             print("\r\x1b[K", end="", file=self.out, flush=True)
-        self.stage = None
+        self.step = None
 
 
-def progress_on(out: TextIO, stages: tuple[str, ...]) -> ProgressLines | ProgressBar:
+def progress_on(out: TextIO, steps: tuple[str, ...]) -> ProgressLines | ProgressBar:
     """A bar where `out` is a terminal that can draw one, else lines."""
-    encoding = (getattr(out, "encoding", None) or "").lower().replace("-", "")
-    return (ProgressBar if out.isatty() and encoding == "utf8" else ProgressLines)(stages, out)
+    encoding = (out.encoding or "").lower().replace("-", "")
+    return (ProgressBar if out.isatty() and encoding == "utf8" else ProgressLines)(steps, out)

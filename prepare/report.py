@@ -1,4 +1,4 @@
-"""The report of a preparation: what was made, in pictures and numbers, as one HTML file and one JSON file."""
+"""Report of a preparation in pictures and numbers, as one HTML file and one JSON file."""
 
 from __future__ import annotations
 
@@ -9,15 +9,27 @@ import math
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from assets.asset import Asset
-from core.tetmesh import face_components, tet_volumes
-from prepare.cage.containing_tet import Points
-from prepare.cage.isosurface import areas, distance_to_surface, marching_cubes, sampled, spread, volume_within
-from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
+from core.tetmesh import enclosed_volume, face_components, tet_volumes
+from prepare.cage.component_cages import OPAQUE
+from prepare.cage.device_locator import DeviceLocator
+from prepare.cage.isosurface import (
+    areas,
+    distance_statistics,
+    distance_to_surface,
+    marching_cubes,
+    surface_samples,
+)
+from prepare.cage.level_set import ComponentSolid
+from prepare.cage.mesh_quality import (
+    dihedral_angles,
+    euler_characteristic,
+    non_manifold_vertices,
+)
 from prepare.mesh_drawing import png_of
 from prepare.report_pictures import (
-    Made,
     cage_picture,
     camera_for,
     cells_picture,
@@ -26,43 +38,53 @@ from prepare.report_pictures import (
     surface_picture,
 )
 
-OPAQUE = 0.5
-BIN = 5.0  # [degrees] of the histogram
-POINTS = 40_000  # Gaussians measured at most
+BIN_WIDTH = 5.0  # [degrees] of the histogram
+MAX_POINTS = 40_000  # Gaussians that are measured
 
 
 def report_names(out: Path) -> tuple[Path, Path]:
-    """Where the report of the asset `out` goes: ASSET.report.html and ASSET.report.json."""
+    """Paths of the report of the asset `out`: ASSET.report.html and ASSET.report.json."""
     return out.with_suffix(".report.html"), out.with_suffix(".report.json")
 
 
 def report_texts(
-    asset: Asset, made: list[Made], name: str, *, notes: tuple[str, ...] = (), splat: np.ndarray | None = None
+    asset: Asset,
+    solids: list[ComponentSolid],
+    name: str,
+    *,
+    notes: tuple[str, ...] = (),
+    splat: np.ndarray | None = None,
 ) -> tuple[str, str]:
-    """What the files of `report_names` hold for the asset of the file `name`: a page, and the numbers as JSON.
+    """Contents of the files of `report_names` for the asset of the file `name`: a page, and the numbers as JSON.
 
-    made   of each piece
-    notes  lines said while it was made
-    splat  its picture, if that is drawn already; else Taichi must be running
+    solids  of each component
+    notes   lines printed while it was made
+    splat   picture of the Gaussians, if it is drawn already
+    Taichi must be running.
     """
-    numbers, pictures = examine(asset, made, splat)
+    return texts_of(name, *examine(asset, solids, splat), notes)
+
+
+def texts_of(name: str, numbers: dict, pictures: dict[str, np.ndarray], notes: tuple[str, ...]) -> tuple[str, str]:
+    """The page and the JSON text of the numbers and pictures of `examine`."""
+    numbers = dict(numbers)
     numbers["notes"] = list(notes)
     return html_of(name, numbers, pictures), json.dumps(numbers, indent=2) + "\n"
 
 
-def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> tuple[dict, dict[str, np.ndarray]]:
-    """The numbers, ready for JSON (lengths [m], angles [degrees]), and the pictures by name."""
+def examine(
+    asset: Asset, solids: list[ComponentSolid], splat: np.ndarray | None = None
+) -> tuple[dict, dict[str, np.ndarray]]:
+    """Numbers, ready for JSON (lengths [m], angles [degrees]), and pictures by name."""
     cage, g = asset.cage, asset.gaussians
     opaque = g.opacities > OPAQUE
     points = g.means[opaque if opaque.any() else slice(None)].astype(np.float64)
-    points = points[:: len(points) // POINTS + 1]
-    inside = Points(points).hosts(cage.vertices, cage.tets) >= 0
+    points = points[:: len(points) // MAX_POINTS + 1]
+    inside = DeviceLocator(cage.vertices, cage.tets).find(points) >= 0
     to_cage = distance_to_surface(points, cage.vertices, cage.surface)
-    from scipy.spatial import cKDTree
-
-    to_gaussians = cKDTree(points).query(sampled(cage.vertices, cage.surface)[0])[0]
+    to_gaussians = cKDTree(points).query(surface_samples(cage.vertices, cage.surface)[0])[0]
     angles = dihedral_angles(cage.vertices, cage.tets)
-    level, faces = surfaces_of(made)
+    level, faces = surfaces_of(solids)
     volume = tet_volumes(cage.vertices, cage.tets)
     longest = float(np.ptp(cage.vertices, axis=0).max())
     numbers = {
@@ -83,21 +105,21 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
             "vertices": len(level),
             "triangles": len(faces),
             "area": float(areas(level, faces).sum()),
-            "volume": volume_within(level, faces),
-            "cell": float(made[0].spacing),
+            "volume": enclosed_volume(level, faces),
+            "cell": float(solids[0].distance.spacing),
         },
         "dihedral": {
             "min": float(angles.min()),
             "p1": float(np.percentile(angles, 1)),
             "median": float(np.median(angles)),
             "max": float(angles.max()),
-            "bin": BIN,
-            "histogram": np.histogram(angles, np.arange(0, 180 + BIN, BIN))[0].tolist(),
+            "bin": BIN_WIDTH,
+            "histogram": np.histogram(angles, np.arange(0, 180 + BIN_WIDTH, BIN_WIDTH))[0].tolist(),
         },
         "enclosure": {"points": len(points), "inside": float(inside.mean()), "outside": int((~inside).sum())},
         "distance": {
-            "gaussians_to_cage": spread(to_cage),
-            "cage_to_gaussians": spread(to_gaussians),
+            "gaussians_to_cage": distance_statistics(to_cage),
+            "cage_to_gaussians": distance_statistics(to_gaussians),
             "symmetric_mean": float((to_cage.mean() + to_gaussians.mean()) / 2),
             "hausdorff": float(max(to_cage.max(), to_gaussians.max())),
         },
@@ -107,7 +129,7 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
     camera = camera_for(cage.vertices.astype(np.float64))
     pictures = {
         "splat": splat_picture(asset, camera) if splat is None else splat,
-        "cells": cells_picture(made, camera),
+        "cells": cells_picture(solids, camera),
         "surface": surface_picture(level, faces, camera),
         "cage": cage_picture(asset, camera),
         "enclosure": enclosure_picture(asset, points, inside, np.where(inside, to_cage, 0.0), camera),
@@ -115,11 +137,11 @@ def examine(asset: Asset, made: list[Made], splat: np.ndarray | None = None) -> 
     return numbers, pictures
 
 
-def surfaces_of(made: list[Made]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) [m] and triangles (F, 3) where the level sets of all pieces are zero."""
+def surfaces_of(solids: list[ComponentSolid]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] and triangles (F, 3) where the level sets of all components are zero."""
     vertices, faces, first = [], [], 0
-    for m in made:
-        x, f = marching_cubes(m.phi, m.origin, m.spacing)
+    for solid in solids:
+        x, f = marching_cubes(solid.distance)
         vertices.append(x)
         faces.append(f + first)
         first += len(x)
@@ -128,7 +150,7 @@ def surfaces_of(made: list[Made]) -> tuple[np.ndarray, np.ndarray]:
 
 CAPTIONS = {
     "splat": ("Splat", "The Gaussians that were kept, drawn by the program's renderer."),
-    "cells": ("Filled cells", "Cut open. Clay: where the Gaussians are dense; blue: what they enclose."),
+    "cells": ("Filled cells", "Cut open. Clay: dense Gaussians; blue: the interior they enclose."),
     "surface": ("Surface", "Where the level set is zero, by marching cubes."),
     "cage": ("Cage", "The tetrahedra, cut open. Green: the cut."),
     "enclosure": ("Enclosure", "Opaque Gaussians in the cage, the deeper the darker. Red: those outside."),
@@ -152,7 +174,7 @@ td:first-child,th:first-child{text-align:left}
 
 
 def html_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
-    """The page: nothing in it is loaded from elsewhere, and every text from a file is escaped."""
+    """HTML page that loads nothing from elsewhere; every text from a file is escaped."""
     cage, dihedral, inside = numbers["cage"], numbers["dihedral"], numbers["enclosure"]["inside"]
     source = numbers["asset"]["source"] or "a splat"
     counts = numbers["asset"]["counts"] or {}
@@ -190,7 +212,7 @@ def html_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
 
 
 def distance_table(numbers: dict) -> str:
-    """The distances both ways, also as shares of the largest extent."""
+    """HTML table of the distances both ways, also relative to the largest extent."""
     rows = []
     for key, title in (("gaussians_to_cage", "Gaussians to the cage"), ("cage_to_gaussians", "cage to the Gaussians")):
         values = numbers["distance"][key]
@@ -204,14 +226,14 @@ def distance_table(numbers: dict) -> str:
 
 
 def length(metres: float) -> str:
-    """A length in the unit that suits it."""
+    """A length in a unit that suits it: m, cm or mm."""
     return (
         f"{metres:.3g} m" if metres >= 1 else f"{100 * metres:.3g} cm" if metres >= 0.01 else f"{1e3 * metres:.3g} mm"
     )
 
 
 def histogram(dihedral: dict) -> str:
-    """Bars of the dihedral angles as SVG, as large as a picture."""
+    """SVG histogram of the dihedral angles, as large as a picture."""
     counts, width, height = dihedral["histogram"], 560, 480
     left, right, top, bottom = 34, 18, 30, 52
     wide, high = (width - left - right) / len(counts), height - top - bottom

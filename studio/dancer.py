@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from assets.asset import Asset
 from assets.formats.gltf_skin import Rig
-from core.distance_grid import DistanceGrid
 from prepare.rig.joint_names import SIDES
 from prepare.rig.landmarks import NAMES, Landmarks
 from prepare.rig.retargeting import BONES, PARENTS
@@ -126,8 +125,8 @@ def dance_rig(at: dict[str, np.ndarray]) -> Rig:
 
 def dancer(rng: np.random.Generator) -> Asset:
     """The asset `dancer`. Taichi must be running."""
-    from prepare.pipeline import prepare
-    from prepare.rig.rigging import dance
+    from prepare.pipeline import Options, prepare
+    from prepare.rig.rigging import animate_person
 
     at = joint_positions()
     surfaces = body_surfaces(at)
@@ -135,15 +134,9 @@ def dancer(rng: np.random.Generator) -> Asset:
     lit = 0.72 + 0.3 * c.normals[:, 1] + 0.12 * c.normals[:, 2]
     colour = sharpened(c, tone_map(1.1 * sample_albedo(c, surfaces, rng) * lit.clip(0.35)[:, None]))
     solids = []
-    asset = prepare(
-        to_gaussians(c, flat_sh(colour), np.ones(len(c))),
-        vertices=VERTICES,
-        up="+y",
-        material="flesh",
-        look=solids.append,
-    )
+    options = Options(vertices=VERTICES, up="+y", material="flesh")
+    asset = prepare(to_gaussians(c, flat_sh(colour), np.ones(len(c))), options, look=solids.append)
     normalised = asset.provenance  # scale and offset that `prepare` applied
     points = {n: normalised["metres_per_unit"] * at[n] + normalised["moved"] for n in NAMES}
     landmarks = Landmarks(points, dict.fromkeys(points, "given"), [], {n: n for n in BONES})
-    solid = DistanceGrid(solids[0].phi, solids[0].origin, float(solids[0].spacing))
-    return dance(asset, dance_rig(at), landmarks, solid)
+    return animate_person(asset, dance_rig(at), landmarks, solids[0].distance)

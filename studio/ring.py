@@ -33,8 +33,8 @@ STRIPE_WIDTH = 0.009  # [m] along the ring
 
 
 def ring(name: str, rng: np.random.Generator) -> Asset:
-    """The asset `ring_red`, `ring_blue` or `ring_yellow`."""
-    from prepare.cage.embedding_hosts_reference import embed
+    """The asset `ring_red`, `ring_blue` or `ring_yellow`. Taichi must be running."""
+    from prepare.cage.embedding_hosts import embed
 
     surfaces = torus_surfaces(name)
     c = join_surfels([sample_surface(surface, i, rng) for i, surface in enumerate(surfaces)])

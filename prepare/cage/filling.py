@@ -1,7 +1,7 @@
-"""Which cells of a grid are solid: the dense shell of the Gaussians, and what it encloses (PhysGaussian, Sec. 3.5).
+"""Solid cells of a grid: the dense shell of the Gaussians and what it encloses (PhysGaussian, Sec. 3.5).
 
-A splat is a shell, with a hole where nobody looked, mostly the underside. A cell is interior if rays along the
-axes hit the shell in five of six directions and one of them crosses it an odd number of times.
+A splat is a shell with a hole where no camera looked, mostly the underside. A cell is interior if rays along the axes
+hit the shell in five of six directions and one of them crosses it an odd number of times.
 """
 
 import numpy as np
@@ -9,19 +9,19 @@ import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
-from prepare.cage.morphology import across_edges
+from prepare.cage.level_set import dilated_18
 
-LEAF, BLOCKS = 8, 32  # the tree spans 256 cells an axis; memory is taken by blocks of 8^3 that hold something
-CELLS_MAX = LEAF * BLOCKS
-DENSE = 0.5  # summed opacity; the surface is seen about where half of the light is stopped
+LEAF, BLOCKS = 8, 32  # the tree spans 256 cells an axis; only blocks of 8^3 that hold something take memory
+MAX_NODES = LEAF * BLOCKS  # an axis
+DENSE = 0.5  # summed opacity; the visible surface is about where half of the light is absorbed
 BLUR = 0.5  # cells; standard deviation added to each Gaussian, so that none falls between the nodes
-REACH = 3.0  # standard deviations splatted
-REACH_CELLS = 12.0  # and at most this far: a smear must not cost more than thousands of others
+CUTOFF = 3.0  # standard deviations splatted
+MAX_CUTOFF_CELLS = 12.0  # a smear must not cost more than thousands of other Gaussians
 
 
 @ti.data_oriented
 class OpacityGrid:
-    """Summed opacity on a sparse tree, pointer -> bitmasked. Made once and used again: its memory stays taken."""
+    """Summed opacity on a sparse tree, pointer -> bitmasked. Made once and reused: its memory stays allocated."""
 
     def __init__(self) -> None:
         self.runtime = ti.lang.impl.get_runtime()
@@ -33,14 +33,14 @@ class OpacityGrid:
         builder.finalize()
 
     def splat(self, means, axes, variances, opacities, shape) -> np.ndarray:
-        """Density (X, Y, Z) float32 of Gaussians given in cells: node (i, j, k) lies at (i, j, k).
+        """Density (X, Y, Z) float32 of Gaussians given in cells; node (i, j, k) lies at (i, j, k).
 
         axes (N, 3, 3)  rotations, whose columns are the principal axes; variances (N, 3) along these
         """
-        if max(shape) > CELLS_MAX:
-            raise ValueError(f"a grid of {shape} nodes; at most {CELLS_MAX} an axis")
+        if max(shape) > MAX_NODES:
+            raise ValueError(f"a grid of {shape} nodes; at most {MAX_NODES} an axis")
         spread = np.einsum("nik,nk->ni", axes**2, variances)
-        radius = np.minimum(REACH * np.sqrt(spread), REACH_CELLS)
+        radius = np.minimum(CUTOFF * np.sqrt(spread), MAX_CUTOFF_CELLS)
         scaled = axes / variances[:, None]
         inverse = np.stack([(scaled[:, i] * axes[:, j]).sum(1) for i in range(3) for j in range(i, 3)], 1)
         out = np.zeros(shape, np.float32)
@@ -52,7 +52,7 @@ class OpacityGrid:
 
     @ti.kernel
     def _clear(self):
-        for i, j, k in self.density:  # blocks stay: bodies of one size meet the same ones
+        for i, j, k in self.density:  # blocks stay: bodies of one size use the same ones
             self.density[i, j, k] = 0.0
 
     @ti.kernel
@@ -69,7 +69,7 @@ class OpacityGrid:
             mu = ti.Vector([mean[g, 0], mean[g, 1], mean[g, 2]])
             r = ti.Vector([radius[g, 0], radius[g, 1], radius[g, 2]])
             last = ti.cast(shape, ti.f32) - 1.0
-            low = ti.cast(ti.ceil(ti.math.clamp(mu - r, 0.0, last)), ti.i32)  # clamped as reals: no int overflows
+            low = ti.cast(ti.ceil(ti.math.clamp(mu - r, 0.0, last)), ti.i32)  # clamped as floats: no integer overflow
             high = ti.cast(ti.floor(ti.math.clamp(mu + r, -1.0, last)), ti.i32)
             for i in range(low[0], high[0] + 1):
                 for j in range(low[1], high[1] + 1):
@@ -79,7 +79,7 @@ class OpacityGrid:
                         q += 2 * (
                             inverse[g, 1] * d[0] * d[1] + inverse[g, 2] * d[0] * d[2] + inverse[g, 4] * d[1] * d[2]
                         )
-                        if q < REACH * REACH:
+                        if q < CUTOFF * CUTOFF:
                             self.density[i, j, k] += opacity[g] * ti.exp(-0.5 * q)
 
     @ti.kernel
@@ -95,7 +95,7 @@ _grid: OpacityGrid | None = None
 def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, int, int]) -> np.ndarray:
     """Summed opacity (X, Y, Z) float32 at the nodes origin + spacing (i, j, k) [m]. Taichi must be running."""
     global _grid
-    if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or it went with ti.reset
+    if _grid is None or _grid.runtime is not ti.lang.impl.get_runtime():  # none yet, or ti.reset destroyed it
         _grid = OpacityGrid()
     variances = (np.exp(gaussians.log_scales.astype(np.float64)) / spacing) ** 2 + BLUR**2
     axes = matrices_from_quaternions(gaussians.quats)
@@ -103,19 +103,19 @@ def density_of(gaussians: Gaussians, origin: np.ndarray, spacing: float, shape: 
 
 
 def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.ndarray:
-    """Cells (X, Y, Z) bool that the shell (X, Y, Z) bool encloses, but for a hole on one side.
+    """Cells (X, Y, Z) bool that the shell (X, Y, Z) bool encloses, up to a hole on one side.
 
-    up  axis and sign of the direction that must hit, so that a cup is not filled to the brim; None: any may miss
+    up  axis and sign of the direction that must hit, so that a cup is not filled to its rim; None: any may miss
     """
     hits = np.zeros(shell.shape, np.uint8)
     odd = np.zeros(shell.shape, bool)
     capped = np.ones(shell.shape, bool)
     for axis in range(3):
         for sign in (1, -1):
-            ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from where the ray ends
+            ray = np.flip(shell, axis) if sign > 0 else shell  # accumulates from the ray's end
             enters = ray.copy()
             np.moveaxis(enters, axis, 0)[1:] &= ~np.moveaxis(ray, axis, 0)[:-1]
-            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most CELLS_MAX / 2
+            crossings = np.cumsum(enters, axis, dtype=np.uint8)  # at most MAX_NODES / 2 fit
             crossings = np.flip(crossings, axis) if sign > 0 else crossings
             hits += crossings > 0
             odd |= (crossings & 1).view(bool)
@@ -127,5 +127,5 @@ def interior(shell: np.ndarray, *, up: tuple[int, int] | None = (1, 1)) -> np.nd
 def solid_cells(density: np.ndarray) -> np.ndarray:
     """Solid cells (X, Y, Z) bool: the dense shell with its hairline gaps closed, and its interior."""
     shell = np.pad(density > DENSE, 2)  # closing must not see the border
-    shell = ~across_edges(~across_edges(shell))[2:-2, 2:-2, 2:-2]
+    shell = ~dilated_18(~dilated_18(shell))[2:-2, 2:-2, 2:-2]
     return shell | interior(shell)

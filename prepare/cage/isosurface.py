@@ -1,38 +1,34 @@
-"""The surface of a level set as triangles, and how far apart a surface and a set of points are."""
+"""Surface of a level set as triangles, and distances between a surface and points."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.tetmesh import enclosed_volume
 
-SAMPLES = 60_000  # points of a surface that stand for it
-NEAREST = 12  # samples whose triangles are measured exactly for a point
+SAMPLES = 60_000  # points that stand for a surface
+NEAREST_SAMPLES = 12  # samples whose triangles are measured exactly for a point
 
 
-def marching_cubes(phi: np.ndarray, origin: np.ndarray, spacing: float, level: float = 0.0):
-    """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise seen from outside, where phi = level.
+def marching_cubes(distance: DistanceGrid, level: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (V, 3) [m] float64 and triangles (F, 3) int32, counter-clockwise from outside, where distance = level.
 
-    phi  signed distance (X, Y, Z), negative inside; node (i, j, k) lies at origin + spacing (i, j, k) [m]
-    Raises BadInput where there is no such surface. Lewiner's cases, as scikit-image has them: the surface is closed.
+    Raises BadInput where there is no such surface. scikit-image's version of Lewiner's: the surface is closed.
     """
     from skimage.measure import marching_cubes as lewiner
 
-    padded = np.pad(phi, 1, constant_values=max(float(phi.max()), level + 1.0))  # closed at the grid's end, too
+    phi = distance.values
+    padded = np.pad(phi, 1, constant_values=max(float(phi.max()), level + 1.0))  # closed at the grid's border, too
     if not float(phi.min()) < level:
         raise BadInput("the level set has no surface")
     vertices, faces, _, _ = lewiner(padded, level, gradient_direction="ascent", allow_degenerate=False)
-    vertices = np.asarray(origin, np.float64) + spacing * (vertices.astype(np.float64) - 1)
-    if volume_within(vertices, faces) < 0:
+    vertices = np.asarray(distance.origin, np.float64) + distance.spacing * (vertices.astype(np.float64) - 1)
+    if enclosed_volume(vertices, faces) < 0:
         faces = faces[:, ::-1]
     return vertices, np.ascontiguousarray(faces, np.int32)
-
-
-def volume_within(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Volume [m^3] within a closed surface that is counter-clockwise from outside; by the divergence theorem."""
-    a, b, c = np.moveaxis(np.asarray(vertices, np.float64)[faces], 1, 0)
-    return float(np.einsum("ni,ni->", a, np.cross(b, c)) / 6)
 
 
 def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -41,10 +37,10 @@ def areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def sampled(vertices: np.ndarray, faces: np.ndarray, n: int = SAMPLES, seed: int = 0):
-    """Points (n, 3) [m] spread evenly over the triangles, and the triangle (n,) each lies on.
+def surface_samples(vertices: np.ndarray, faces: np.ndarray, n: int = SAMPLES, seed: int = 0):
+    """Points (n, 3) [m] spread evenly over the triangles, and the triangle (n,) of each.
 
-    One point at a time falls on each n-th of the area, so that no part is missed.
+    Stratified: one point in each n-th of the area, so that no region is missed.
     """
     rng = np.random.default_rng(seed)
     along = np.cumsum(areas(vertices, faces))
@@ -74,18 +70,18 @@ def distance_to_triangles(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def distance_to_surface(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Distance [m] (N,) of points (N, 3) to a surface: exact for the triangles near its nearest samples."""
-    samples, triangle = sampled(vertices, faces)
+    """Distance [m] (N,) of points (N, 3) to a surface: exact for the triangles of the nearest samples."""
+    samples, triangle = surface_samples(vertices, faces)
     corners = np.asarray(vertices, np.float64)[faces]
-    _, near = cKDTree(samples).query(points, k=NEAREST)
+    _, near = cKDTree(samples).query(points, k=NEAREST_SAMPLES)
     best = np.full(len(points), np.inf)
-    for k in range(NEAREST):
+    for k in range(NEAREST_SAMPLES):
         best = np.minimum(best, distance_to_triangles(points, corners[triangle[near[:, k]]]))
     return best
 
 
-def spread(distances: np.ndarray) -> dict:
-    """Mean, 95th percentile and largest of some distances [m]."""
+def distance_statistics(distances: np.ndarray) -> dict:
+    """Mean, 95th percentile and maximum of distances [m]."""
     return {
         "mean": float(distances.mean()),
         "p95": float(np.percentile(distances, 95)),

@@ -1,6 +1,6 @@
-"""How fine a cage's cells should be, place by place: fine where the shape is thin or curved, coarse deep inside.
+"""Cell size of a cage from place to place: fine where the shape is thin or curved, coarse deep inside.
 
-All lengths are in cells of the grid of the signed distance, and Taichi must be running.
+All lengths are in cells of the signed distance grid.
 """
 
 from __future__ import annotations
@@ -11,52 +11,54 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, maximum_filter
 
 from core.errors import BadInput
-from prepare.cage.distance_transform import distance
-from prepare.cage.graded_lattice import LATTICE_MAX, graded_lattice
+from prepare.cage.level_set import distance_to
+from prepare.cage.stuffing import MAX_LATTICE_CELLS, Lattice, graded_lattice
 
-POINTED = 0.75  # a thin part stands out this share of its half width; edges and corners do not
-ACROSS = 1.6  # cells; what is thinner is made of smaller ones
-GRADING = 0.6  # a cell may be as wide as this share of its depth
-BAND = 1.3  # cells round the surface, and round what is thin, that are as fine as that
-BEND = 1.6  # cells over radius of curvature (twice the mean) above which smaller ones are taken
-NOISE = 0.4  # cells; what the surface does over less than this is not called curvature
-NARROWEST = 1.5  # half width that is told apart from wider ones, and then in steps of
-FINENESS = 2**0.5
-RIDGE = 0.8  # a distance has slope 1 but on its ridges
+PROTRUSION = 0.75  # of its half width that a thin feature must stand out; edges and corners do not
+THIN_WIDTH = 1.6  # lattice cells; thinner features get smaller cells
+GRADING = 0.6  # a cell may be as wide as this fraction of its depth
+FINE_BAND = 1.3  # lattice cells around the surface and around thin features that are as fine as these
+MAX_CURVATURE = 1.6  # cell width over radius of curvature (twice the mean) above which smaller cells are taken
+NOISE_SCALE = 0.4  # lattice cells; variation of the surface over less than this does not count as curvature
+MIN_HALF_WIDTH = 1.5  # smallest half width that is told apart from wider ones, and then in steps of
+WIDTH_STEP = 2**0.5
+RIDGE_SLOPE = 0.8  # a distance field has slope 1 but on its ridges
 
 
-class Shape:
-    """A shape phi (X, Y, Z) < 0, and what of it does not depend on the lattice.
+class ShapeWidths:
+    """A shape phi (X, Y, Z) < 0 with its local half widths and curvature, cached where they do not depend on a lattice.
 
-    half_width  (X, Y, Z) of the part that each place belongs to, one of `widths`; infinite outside, and above `widest`
-    only        the places that are asked for, (N,) flat indices, or None: all. phi and what methods return is of these
+    phi         signed distance (X, Y, Z), or at the flat indices `only` (N,) after `halved`; so is what methods return
+    half_width  (X, Y, Z) of the feature each place belongs to, one of `widths`; infinite outside, and above `widest`
     """
 
-    def __init__(self, phi: np.ndarray, widest: float) -> None:
-        self.phi, self.only = phi, None
-        self._whole, self._kept = phi, {}
-        inside = phi < 0
-        self.half_width = np.full(phi.shape, np.inf, np.float32)
-        steps = int(np.ceil(np.log(max(widest / NARROWEST, 1.0)) / np.log(FINENESS)))
-        self.widths = np.array([NARROWEST * FINENESS**k for k in range(steps + 1)], np.float32)
-        for k in reversed(range(steps + 1)):
-            r = NARROWEST * FINENESS**k
-            deep = phi < -r  # what a ball of this radius, pushed about inside, cannot reach is thinner
-            reach = (1 + POINTED) * r
-            self.half_width[inside & (distance(deep, reach) > reach) if deep.any() else inside] = r
+    def __init__(self, phi: np.ndarray, half_width: np.ndarray, widths: np.ndarray, only: np.ndarray | None = None):
+        self._whole, self.half_width, self.widths, self.only = phi, half_width, widths, only
+        self.phi = phi if only is None else phi.reshape(-1)[only]
+        self._cached = {}
 
-    def halved(self, reach: float) -> Shape:
-        """The shape at every other node, in cells twice as wide; only where phi is below `reach` of these."""
-        half = object.__new__(Shape)
-        half._whole, half._kept = self._whole[::2, ::2, ::2] / 2, {}
-        half.half_width, half.widths = self.half_width[::2, ::2, ::2] / 2, self.widths / 2
-        half.only = np.flatnonzero(half._whole < reach)
-        half.phi = half._whole.reshape(-1)[half.only]
-        return half
+    @classmethod
+    def of(cls, phi: np.ndarray, widest: float) -> ShapeWidths:
+        """Measure the half widths of phi up to `widest`."""
+        steps = int(np.ceil(np.log(max(widest / MIN_HALF_WIDTH, 1.0)) / np.log(WIDTH_STEP)))
+        widths = np.array([MIN_HALF_WIDTH * WIDTH_STEP**k for k in range(steps + 1)], np.float32)
+        inside = phi < 0
+        half_width = np.full(phi.shape, np.inf, np.float32)
+        for k in reversed(range(steps + 1)):
+            r = MIN_HALF_WIDTH * WIDTH_STEP**k
+            deep = phi < -r  # an opening: what a ball of this radius, moved about inside, does not cover is thinner
+            limit = (1 + PROTRUSION) * r
+            half_width[inside & (distance_to(deep, limit) > limit) if deep.any() else inside] = r
+        return cls(phi, half_width, widths)
+
+    def halved(self, limit: float) -> ShapeWidths:
+        """The shape at every other node, in cells twice as wide, at the nodes where phi is below `limit` of these."""
+        phi = self._whole[::2, ::2, ::2] / 2
+        return ShapeWidths(phi, self.half_width[::2, ::2, ::2] / 2, self.widths / 2, np.flatnonzero(phi < limit))
 
     def curvature(self, cell: float) -> np.ndarray:
-        """Sum of the principal curvatures, absolute (X, Y, Z), of the shape smoothed over a share of a cell."""
-        k = round(max(0.0, 2 * float(np.log2(NOISE * cell))))
+        """Absolute sum of the principal curvatures (X, Y, Z) of the shape smoothed over NOISE_SCALE of a cell."""
+        k = round(max(0.0, 2 * float(np.log2(NOISE_SCALE * cell))))
         sigma = 2 ** (k / 2)
 
         def make() -> np.ndarray:
@@ -66,15 +68,15 @@ class Shape:
         return self._once(k, make)
 
     def thinner(self, width: float) -> np.ndarray:
-        """Which places (X, Y, Z) belong to parts whose half width is less than this."""
+        """Mask (X, Y, Z) of features whose half width is less than this."""
         return self.half_width < np.float32(width)
 
-    def from_thin(self, width: float, reach: float) -> np.ndarray | None:
-        """Distance (X, Y, Z) from what is `thinner`, infinite beyond `reach` or more; None where nothing is."""
-        return self._distance("thin", width, reach, lambda: self.thinner(width))
+    def distance_to_thin(self, width: float, limit: float) -> np.ndarray | None:
+        """Distance (X, Y, Z) from `thinner` features, infinite beyond `limit` or more; None where there are none."""
+        return self._distance("thin", width, limit, lambda: self.thinner(width))
 
-    def from_ridge(self, width: float, reach: float) -> np.ndarray | None:
-        """As from_thin, but from the middle of what is thinner: a distance has a ridge there."""
+    def distance_to_medial(self, width: float, limit: float) -> np.ndarray | None:
+        """Distance as in `distance_to_thin`, but from the middle of the features, where the distance has a ridge."""
 
         def middle() -> np.ndarray:
             phi, where = self._whole, np.argwhere(self.thinner(width))
@@ -85,27 +87,27 @@ class Shape:
                 high[:, axis] = (high[:, axis] + 1).clip(max=phi.shape[axis] - 1)
                 slope += (0.5 * (phi[tuple(high.T)] - phi[tuple(low.T)])) ** 2
             ridge = np.zeros(phi.shape, bool)
-            ridge[tuple(where[slope < RIDGE**2].T)] = True
+            ridge[tuple(where[slope < RIDGE_SLOPE**2].T)] = True
             return ridge
 
-        return self._distance("ridge", width, reach, middle)
+        return self._distance("ridge", width, limit, middle)
 
-    def _distance(self, name: str, width: float, reach: float, mask_of: Callable[[], np.ndarray]) -> np.ndarray | None:
-        """The distance from a mask that changes only where `width` passes one of the widths that are told apart."""
-        octave = int(np.ceil(2 * np.log2(reach)))  # half of one: another cell of about the same width finds it made
+    def _distance(self, name: str, width: float, limit: float, mask_of: Callable[[], np.ndarray]) -> np.ndarray | None:
+        """Distance from a mask that changes only where `width` passes one of `widths`."""
+        octave = int(np.ceil(2 * np.log2(limit)))  # half octaves: cells of about the same width share an entry
 
         def make() -> np.ndarray | None:
             mask = mask_of()
-            return distance(mask, 2 ** (octave / 2)) if mask.any() else None
+            return distance_to(mask, 2 ** (octave / 2)) if mask.any() else None
 
         return self._once((name, int((self.widths < np.float32(width)).sum()), octave), make)
 
     def _once(self, key, make: Callable[[], np.ndarray | None]) -> np.ndarray | None:
-        """What `make` makes, at the places that are asked for; made when it is first asked for."""
-        if key not in self._kept:
+        """What `make` returns, at the nodes `only`; computed at the first request."""
+        if key not in self._cached:
             made = make()
-            self._kept[key] = made if made is None or self.only is None else made.reshape(-1)[self.only]
-        return self._kept[key]
+            self._cached[key] = made if made is None or self.only is None else made.reshape(-1)[self.only]
+        return self._cached[key]
 
 
 def laplacian(f: np.ndarray) -> np.ndarray:
@@ -119,49 +121,45 @@ def laplacian(f: np.ndarray) -> np.ndarray:
     return out
 
 
-def levels_of(shape: Shape, cell: float, finer: int, coarser: int) -> np.ndarray:
-    """Level (X, Y, Z) int8 that each place asks for: `coarser` at a plain surface, less inside, more in thin parts.
+def levels_of(shape: ShapeWidths, cell: float, finer: int, coarser: int) -> np.ndarray:
+    """Lattice level (X, Y, Z) int8 each place asks for: `coarser` at a plain surface, less inside, more if thin.
 
     cell            width at a plain surface
     finer, coarser  how often it may be halved, and doubled
     """
     phi = shape.phi
     levels = np.full(phi.shape, coarser, np.int8)
-    for k in range(coarser):  # a cell is doubled where it stays below its share of the depth
+    for k in range(coarser):  # a cell is doubled where it stays below GRADING of the depth
         levels -= phi <= -(2 ** (k + 1)) * cell / GRADING
-    levels[phi > BAND * cell] = 0
+    levels[phi > FINE_BAND * cell] = 0
     if finer:
-        curved = (np.abs(phi) < cell) & (shape.curvature(cell) * cell > BEND)
+        curved = (np.abs(phi) < cell) & (shape.curvature(cell) * cell > MAX_CURVATURE)
         levels[curved] = coarser + 1
     for k in range(1, finer + 1):
-        band = BAND * cell / 2**k
-        away = shape.from_thin(0.5 * ACROSS * cell / 2 ** (k - 1), band)
+        band = FINE_BAND * cell / 2**k
+        away = shape.distance_to_thin(0.5 * THIN_WIDTH * cell / 2 ** (k - 1), band)
         if away is None:
             break
         levels[(away < band) & (levels < coarser + k)] = coarser + k
     return levels
 
 
-def lattice_of(phi: np.ndarray, levels: np.ndarray, cell: float, finer: int, coarser: int):
-    """The lattice that meets `levels` round phi < 0: it, its origin (3,) and the unit of its coordinates.
-
-    Raises BadInput where it has too many cells.
-    """
+def lattice_of(phi: np.ndarray, levels: np.ndarray, cell: float, finer: int, coarser: int) -> Lattice:
+    """Lattice that meets `levels` around phi < 0. Raises BadInput where it has too many cells."""
     depth, finest = finer + coarser, cell / 2**finer
     solid = np.argwhere(phi < 0)
     low, high = solid.min(0) - 1, solid.max(0) + 1
     widest = finest * 2**depth
     n = (np.ceil((high - low) / widest).astype(int) + 2) * 2**depth
-    if n.prod() > LATTICE_MAX:
+    if n.prod() > MAX_LATTICE_CELLS:
         raise BadInput(f"cage: {n.prod()} cells are too many")
     start = (low + high) / 2 - n * finest / 2
-    reach = int(np.ceil(finest / 2)) if finest > 1 else 0
-    if reach:  # a cell is as fine as any node in it asks for
-        levels = maximum_filter(levels, size=2 * reach + 1)
+    radius = int(np.ceil(finest / 2)) if finest > 1 else 0
+    if radius:  # a cell is as fine as any node in it asks for
+        levels = maximum_filter(levels, size=2 * radius + 1)
     index = [np.rint(start[a] + (np.arange(n[a]) + 0.5) * finest).astype(int) for a in range(3)]
     inner = [(i >= 0) & (i < size) for i, size in zip(index, phi.shape, strict=True)]
     within = inner[0][:, None, None] & inner[1][:, None] & inner[2]
     nodes = np.ix_(*(i.clip(0, size - 1) for i, size in zip(index, phi.shape, strict=True)))
-    want = np.where(within, levels[nodes], 0)
-    lattice = graded_lattice(want, depth, within & (phi[nodes] < finest))
-    return lattice, start, finest / 2
+    wanted = np.where(within, levels[nodes], 0)
+    return graded_lattice(wanted, depth, within & (phi[nodes] < finest), origin=start, unit=finest / 2)

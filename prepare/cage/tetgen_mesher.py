@@ -1,7 +1,7 @@
-"""A cage as the paper makes it (VR-GS, Sec. 4.2): the level set's surface, decimated, filled by TetGen.
+"""Cage as the paper makes it (VR-GS, Sec. 4.2): the level set's surface, decimated, filled by TetGen.
 
-TetGen (Si 2015) can refuse a surface, run for ever or crash: it runs as a process of its own, and what it
-returns is used only if it is as good as any other cage must be.
+TetGen (Si 2015) can reject a surface, loop forever or crash: it runs as a process of its own, and its result is used
+only if it is as good as any other cage must be.
 """
 
 from __future__ import annotations
@@ -12,55 +12,56 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from assets.asset import Cage
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.tetmesh import boundary_surface, face_components, tet_volumes
-from prepare.cage.cage import EXACT, Stuffed, check_count, fault, fitted, share_inside
+from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
+from prepare.cage.device_locator import fraction_inside
 from prepare.cage.isosurface import areas, marching_cubes
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
 
 WORKER = Path(__file__).with_name("tetgen_worker.py")
-PYTHON = "VRGS_TETGEN_PYTHON"  # names the interpreter that has tetgen
+PYTHON = "VRGS_TETGEN_PYTHON"  # environment variable that names the interpreter with tetgen
 INSTALL = "pip install -r requirements-tetgen.txt"
-LIMIT = 120.0  # [s] that TetGen may take
-TRIES = 6  # runs until the number of vertices is right
-CLOSE = 0.1  # of it: good enough to stop; 15 % is promised
-OFFSETS = (0.08, 0.2, 0.35)  # edges outwards: flat triangles cut off what is round
-MENDINGS = 2  # relaxations; angles that are still too small after two stay so
-VOLUME = 1.5  # of a regular tet with the surface's edge: the largest tets
-RATIO, DIHEDRAL = 1.5, 12.0  # radius over shortest edge, [degrees]: what TetGen is asked for
+TIME_LIMIT = 120.0  # [s] of one run
+MAX_RUNS = 6  # until the number of vertices is right
+VERTEX_GOAL = 0.1  # of it; good enough to stop; 15 % is promised
+OFFSETS = (0.08, 0.2, 0.35)  # edges outwards, tried in turn: flat triangles cut off what is round
+RELAXATIONS = 2  # angles that are still too small after two stay so
+MAX_TET_VOLUME = 1.5  # of a regular tet with the surface's edge
+RATIO, DIHEDRAL = 1.5, 12.0  # asked of TetGen: circumradius over shortest edge, dihedral angle [degrees]
 
 
-class NoMesh(Exception):
-    """TetGen gave no cage that can be used; the text is a reason for people."""
+class MeshFailed(Exception):
+    """TetGen gave no usable cage; the text is the reason, for the user."""
 
 
 def interpreter() -> str:
-    """The Python that runs TetGen: that of VRGS_TETGEN_PYTHON, else this one."""
+    """Path of the Python that runs TetGen: that of VRGS_TETGEN_PYTHON, else this one."""
     return os.environ.get(PYTHON) or sys.executable
 
 
 def check_installed() -> None:
-    """Raise BadInput, with what to do, unless TetGen can be run."""
+    """Raise BadInput, with a remedy, unless TetGen can be run."""
     probe = "import sys, importlib.util; sys.exit(importlib.util.find_spec('tetgen') is None)"
     try:
         missing = subprocess.run([interpreter(), "-I", "-c", probe], capture_output=True, timeout=60).returncode != 0
     except (OSError, subprocess.TimeoutExpired) as e:
-        raise BadInput(f"{PYTHON}={interpreter()}: is no Python that runs") from e
+        raise BadInput(f"{PYTHON}={interpreter()}: is not a Python that runs") from e
     if missing:
         raise BadInput(f"--mesher tetgen needs the package tetgen: {INSTALL}, or name a Python that has it in {PYTHON}")
 
 
 def decimated(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> tuple[np.ndarray, np.ndarray]:
-    """The surface with about `triangles` triangles, by quadric error (Garland and Heckbert 1997).
+    """Surface simplified to about `triangles` triangles, by quadric error (Garland and Heckbert 1997).
 
-    Raises NoMesh where the result is not closed, not a manifold, or cuts itself: TetGen fills no such surface.
+    Raises MeshFailed where the result is not a closed manifold or intersects itself: TetGen fills no such surface.
     """
     import open3d as o3d
 
@@ -68,64 +69,64 @@ def decimated(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> tuple[
         o3d.utility.Vector3dVector(np.ascontiguousarray(vertices, np.float64)),
         o3d.utility.Vector3iVector(np.ascontiguousarray(faces, np.int32)),
     )
-    mesh = mesh.filter_smooth_taubin(number_of_iterations=10)  # the staircase of the cells, without shrinking
+    mesh = mesh.filter_smooth_taubin(number_of_iterations=10)  # smooths the staircase of the cells without shrinking
     mesh = mesh.simplify_quadric_decimation(max(int(triangles), 8))
     mesh.remove_degenerate_triangles()
     mesh.remove_unreferenced_vertices()
     if not mesh.is_edge_manifold(allow_boundary_edges=False) or not mesh.is_vertex_manifold():
-        raise NoMesh("the decimated surface is not a closed manifold")
+        raise MeshFailed("the decimated surface is not a closed manifold")
     if mesh.is_self_intersecting():
-        raise NoMesh("the decimated surface cuts itself")
+        raise MeshFailed("the decimated surface intersects itself")
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles, np.int32)
 
 
-def run_tetgen(vertices: np.ndarray, faces: np.ndarray, maxvolume: float, *, limit: float = LIMIT) -> Cage:
-    """The tets that fill a closed surface, none larger than `maxvolume`. Raises NoMesh, BadInput."""
+def run_tetgen(vertices: np.ndarray, faces: np.ndarray, maxvolume: float, *, limit: float = TIME_LIMIT) -> Cage:
+    """Tets that fill a closed surface, none larger than `maxvolume`. Raises MeshFailed, BadInput."""
     with tempfile.TemporaryDirectory(prefix="vrgs-") as folder:
         source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
         asked = {"maxvolume": maxvolume, "minratio": RATIO, "mindihedral": DIHEDRAL}
         np.savez(source, vertices=vertices, faces=faces, **asked)
-        command = [interpreter(), "-I", str(WORKER), str(source), str(target)]  # -I: prepare/ holds a tetgen.py, too
+        command = [interpreter(), "-I", str(WORKER), str(source), str(target)]  # -I: no path of this program
         try:
             done = subprocess.run(command, capture_output=True, timeout=limit, stdin=subprocess.DEVNULL)
         except subprocess.TimeoutExpired as e:
-            raise NoMesh(f"TetGen took more than {limit:.0f} s") from e
+            raise MeshFailed(f"TetGen took more than {limit:.0f} s") from e
         except OSError as e:
-            raise BadInput(f"{PYTHON}={interpreter()}: is no Python that runs") from e
+            raise BadInput(f"{PYTHON}={interpreter()}: is not a Python that runs") from e
         if done.returncode == 3:
             raise BadInput(f"--mesher tetgen needs the package tetgen: {INSTALL}")
         if done.returncode < 0:
-            raise NoMesh(f"TetGen crashed ({signal.Signals(-done.returncode).name})")
+            raise MeshFailed(f"TetGen crashed ({signal.Signals(-done.returncode).name})")
         if done.returncode != 0 or not target.is_file():
             lines = done.stderr.decode(errors="replace").split("\n")
             said = next((line.strip() for line in reversed(lines) if line.strip()), f"status {done.returncode}")
-            raise NoMesh(f"TetGen gave up ({said[:120]})")
+            raise MeshFailed(f"TetGen gave up ({said[:120]})")
         with np.load(target, allow_pickle=False) as found:
-            return sound(found["vertices"], found["tets"])
+            return checked_cage(found["vertices"], found["tets"])
 
 
-def sound(vertices: np.ndarray, tets: np.ndarray) -> Cage:
-    """A Cage of finite vertices and tets of positive volume in one closed piece, or NoMesh."""
+def checked_cage(vertices: np.ndarray, tets: np.ndarray) -> Cage:
+    """Cage of finite vertices and tets of positive volume in one closed component. Raises MeshFailed."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or tets.ndim != 2 or tets.shape[1] < 4 or not len(tets):
-        raise NoMesh("TetGen returned no tets")
+        raise MeshFailed("TetGen returned no tets")
     tets = tets[:, :4]
     if tets.min() < 0 or tets.max() >= len(vertices) or not np.isfinite(vertices).all():
-        raise NoMesh("TetGen returned indices or positions out of range")
+        raise MeshFailed("TetGen returned indices or positions out of range")
     used, tets = np.unique(tets, return_inverse=True)
     vertices = vertices[used].astype(np.float32)
     tets = tets.reshape(-1, 4).astype(np.int32)
-    turned = tet_volumes(vertices, tets) < 0
-    tets[turned] = tets[turned][:, [0, 2, 1, 3]]
+    inverted = tet_volumes(vertices, tets) < 0
+    tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
     if not (tet_volumes(vertices, tets) > 0).all():
-        raise NoMesh("TetGen returned tets without volume")
+        raise MeshFailed("TetGen returned tets without volume")
     surface = boundary_surface(tets)
     if len(non_manifold_vertices(surface)) or face_components(tets).max() > 0:
-        raise NoMesh("TetGen's mesh is not one closed manifold")
+        raise MeshFailed("TetGen's mesh is not one closed manifold")
     return Cage(vertices, tets, surface)
 
 
 def first_edge(area: float, volume: float, vertices: int) -> float:
-    """Edge of a mesh with about `vertices` vertices: those on the surface, and an even filling less half a layer."""
+    """Edge [cells] of a mesh of about `vertices` vertices: on the surface, and an even filling less half a layer."""
     low, high = 1e-3, 1e3
     for _ in range(60):
         h = (low * high) ** 0.5
@@ -138,48 +139,47 @@ def first_edge(area: float, volume: float, vertices: int) -> float:
 def tetgen_cage(
     phi: np.ndarray, points: np.ndarray, vertices: int, report: Callable[[float], None], exact: bool | None = None
 ) -> Cage:
-    """As prepare.cage.cage.cage_of, by TetGen. Raises NoMesh, with the reason, where no cage passes; BadInput without it."""
+    """Cage as of `cage_of`, by TetGen. Raises MeshFailed where none passes, BadInput without TetGen."""
     check_count(vertices)
-    exact = vertices >= EXACT if exact is None else exact
+    exact = vertices >= EXACT_VERTICES if exact is None else exact
     filled = volume_of(phi)
-    level, faces = marching_cubes(phi, np.zeros(3), 1.0)
+    level, faces = marching_cubes(DistanceGrid(phi, np.zeros(3), 1.0))
     edge = first_edge(float(areas(level, faces).sum()), filled, vertices)
     reason = "no run gave the number of vertices"
     for step, offset in enumerate(OFFSETS):
-        share = partial(_share, report, step)
+
+        def progress(done: float, step=step) -> None:
+            report((step + done) / len(OFFSETS))
+
         try:
-            cage, edge = _counted(phi, edge, offset, vertices, share)
-        except NoMesh as e:  # another offset is another surface
+            cage, edge = _meshed_to_count(phi, edge, offset, vertices, progress)
+        except MeshFailed as e:  # another offset is another surface
             if "more than" in str(e):
                 raise
             reason = str(e)
             continue
-        reason = fault(cage, filled, share_inside(cage, points), vertices, exact)
-        for _ in range(MENDINGS):  # moving the vertices mends angles, and what is just outside
+        reason = fault(cage, filled, fraction_inside(cage.vertices, cage.tets, points), vertices, exact)
+        for _ in range(RELAXATIONS):  # moving the vertices improves angles and takes in points just outside
             if reason and "vertices" not in reason:
                 cage, reason = fitted(Stuffed(cage, phi, edge), filled, points, vertices, exact)
         if not reason:
             return cage
-    raise NoMesh(reason)
+    raise MeshFailed(reason)
 
 
-def _share(report, step: int, done: float) -> None:
-    report((step + done) / len(OFFSETS))
-
-
-def _counted(phi: np.ndarray, edge: float, offset: float, vertices: int, report) -> tuple[Cage, float]:
-    """A mesh of about so many vertices of the surface `offset` edges outside, and the edge that gave it."""
+def _meshed_to_count(phi: np.ndarray, edge: float, offset: float, vertices: int, report) -> tuple[Cage, float]:
+    """Mesh of about `vertices` vertices of the surface `offset` edges outside, and the edge that gave it."""
     low, high = 0.0, np.inf
-    for attempt in range(TRIES):
-        report(attempt / TRIES)
-        level, faces = marching_cubes(phi, np.zeros(3), 1.0, offset * edge)
+    for attempt in range(MAX_RUNS):
+        report(attempt / MAX_RUNS)
+        level, faces = marching_cubes(DistanceGrid(phi, np.zeros(3), 1.0), offset * edge)
         triangles = float(areas(level, faces).sum()) / (0.433 * edge**2)
-        cage = run_tetgen(*decimated(level, faces, triangles), VOLUME * edge**3 * 2**0.5 / 12)
-        share = len(cage.vertices) / vertices
-        if abs(share - 1) <= CLOSE:
+        cage = run_tetgen(*decimated(level, faces, triangles), MAX_TET_VOLUME * edge**3 * 2**0.5 / 12)
+        ratio = len(cage.vertices) / vertices
+        if abs(ratio - 1) <= VERTEX_GOAL:
             break
-        low, high = (edge, high) if share > 1 else (low, edge)  # a finer one has more
-        edge *= share**0.4
+        low, high = (edge, high) if ratio > 1 else (low, edge)  # a finer mesh has more
+        edge *= ratio**0.4
         if not low < edge < high:
             edge = (low * high) ** 0.5
     return cage, edge

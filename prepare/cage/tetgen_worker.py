@@ -1,14 +1,14 @@
-"""Runs TetGen in a process of its own: INPUT.npz with a surface in, OUTPUT.npz with tetrahedra out.
+"""TetGen in a process of its own: INPUT.npz with a surface in, OUTPUT.npz with tetrahedra out.
 
 Needs only NumPy and tetgen, so that it can run in another environment. Exit status 3: tetgen is not installed;
-4: TetGen gave up, with its reason as the last line of stderr.
+4: TetGen failed, with its reason as the last line of stderr.
 """
 
 import sys
 
 
 def main(source: str, target: str) -> int:
-    """`source` holds vertices (V, 3), faces (F, 3), maxvolume, minratio and mindihedral [degrees]."""
+    """Fill the surface in `source`: vertices (V, 3), faces (F, 3), maxvolume, minratio and mindihedral [degrees]."""
     try:
         import numpy as np
         import tetgen
@@ -24,7 +24,7 @@ def main(source: str, target: str) -> int:
             plc=True, quality=True, quiet=True, fixedvolume=True, nobisect=True,  # the surface stays as it is
             optmaxdihedral=150.0, opt_iterations=10, smooth_maxiter=20, **limits,
         )  # fmt: skip
-    except Exception as e:  # whatever it is: the caller takes another mesher
+    except Exception as e:  # any error: the caller takes another mesher
         print(f"{type(e).__name__}: {e}", file=sys.stderr)
         return 4
     np.savez(target, vertices=np.asarray(found[0], np.float64), tets=np.asarray(found[1], np.int64))

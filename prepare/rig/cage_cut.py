@@ -1,12 +1,10 @@
-"""A cage is opened where it joins what the skeleton does not: a hand and the hip it rests on, the two thighs.
+"""Cutting a cage open where it joins what the skeleton does not: a hand and the hip it rests on, the two thighs.
 
-The lattice that a cage is made of is coarser than such gaps, and a splat has none where two things touch. Each tet
-belongs to a joint; faces between tets of joints that do not meet there become two, and so do their vertices.
+A cage's lattice is coarser than such gaps, and a splat has none where two surfaces touch. Each tet belongs to a joint;
+faces between tets of joints that do not meet there are duplicated, and so are their vertices.
 """
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -14,11 +12,12 @@ from scipy.sparse.csgraph import connected_components
 
 from assets.asset import Cage
 from core.tetmesh import shared_face_pairs, tet_faces
+from prepare.rig.body_segmentation import Joined
 
-ROUNDS = 20  # in which what was cut off is given to its neighbours; each one ends some pieces
+MAX_ROUNDS = 20  # of giving disconnected fragments to their neighbours; each removes some
 
 
-def facing(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def inner_and_boundary_faces(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inner faces: the two tets of each (n, 2) and its vertices (n, 3); and the boundary's triangles, outward."""
     faces = tet_faces(tets)
     pairs = shared_face_pairs(tets)
@@ -27,47 +26,49 @@ def facing(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pairs // 4, faces[pairs[:, 0]], faces[alone]
 
 
-def cut(cage: Cage, label: np.ndarray, joined: Callable) -> tuple[Cage, np.ndarray, np.ndarray]:
+def cut(cage: Cage, label: np.ndarray, joined: Joined) -> tuple[Cage, np.ndarray, np.ndarray]:
     """Open the cage between tets that belong to joints which do not meet there.
 
     label   joint of each tet, (T,)
-    joined  joined(a, b, centre): whether tets of joints a and b (n,) hold together at a face with that centre (n, 3)
-    Out.    the cage, of one piece still; what the labels are then, (T,); which old vertex each vertex is
+    joined  joined(a, b, centre): mask of where tets of joints a and b (n,) stay connected at face centres (n, 3)
+    Out.    the cage, still connected; the labels, changed for fragments, (T,); the old index of each vertex
     """
-    pairs, faces, _ = facing(cage.tets)
+    pairs, faces, _ = inner_and_boundary_faces(cage.tets)
     x = cage.vertices.astype(np.float64)
     centre = x[faces].mean(1)
     label = label.copy()
     T = len(cage.tets)
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         a, b = label[pairs[:, 0]], label[pairs[:, 1]]
         kept = (a == b) | joined(a, b, centre)
-        count, piece = connected_components(coo_matrix((np.ones(kept.sum()), pairs[kept].T), shape=(T, T)), False)
+        count, fragment = connected_components(coo_matrix((np.ones(kept.sum()), pairs[kept].T), shape=(T, T)), False)
         if count == 1:
             break
-        # What hangs on nothing belongs to what it touches most.
-        main = np.argmax(np.bincount(piece))
+        # A disconnected fragment takes the label it touches most.
+        main = np.argmax(np.bincount(fragment))
         over = pairs[~kept]
         over = np.concatenate([over, over[:, ::-1]])
-        over = over[(piece[over[:, 0]] != main) & (piece[over[:, 0]] != piece[over[:, 1]])]
-        if not len(over):  # pieces that met in a vertex or an edge alone
+        over = over[(fragment[over[:, 0]] != main) & (fragment[over[:, 0]] != fragment[over[:, 1]])]
+        if not len(over):  # fragments that met in a vertex or an edge only
             break
         width = int(label.max()) + 1
-        votes = np.bincount(piece[over[:, 0]] * width + label[over[:, 1]], minlength=count * width).reshape(count, -1)
+        votes = np.bincount(fragment[over[:, 0]] * width + label[over[:, 1]], minlength=count * width).reshape(
+            count, -1
+        )
         lost = np.flatnonzero(votes.any(1))
         for p in lost:
-            label[piece == p] = np.argmax(votes[p])
+            label[fragment == p] = np.argmax(votes[p])
     a, b = label[pairs[:, 0]], label[pairs[:, 1]]
     kept = (a == b) | joined(a, b, centre)
-    tets, source = split(cage.tets, pairs[kept], len(x))
-    surface = facing(tets)[2]
+    tets, source = split_vertices(cage.tets, pairs[kept], len(x))
+    surface = inner_and_boundary_faces(tets)[2]
     return Cage(cage.vertices[source], tets.astype(np.int32), surface.astype(np.int32)), label, source
 
 
-def split(tets: np.ndarray, kept: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tets (T, 4) in which a vertex is one only among tets that kept faces connect; and the old vertex of each new one.
+def split_vertices(tets: np.ndarray, kept: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tets (T, 4) that share a vertex only if kept faces connect them, and the old index of each new vertex.
 
-    kept  pairs of tets whose common face holds, (n, 2)
+    kept  pairs of tets whose common face stays, (n, 2)
     """
     corner = np.arange(4 * len(tets)).reshape(-1, 4)
     links = []

@@ -1,4 +1,4 @@
-"""Which joints of a rig are which of a person's."""
+"""Joints of a person, and how a rig's nodes are matched to them by name and hierarchy."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ for _s in SIDES:
     TREE |= {f"{_s}_hip": "pelvis", f"{_s}_knee": f"{_s}_hip", f"{_s}_ankle": f"{_s}_knee"}
 
 
-def words(name: str) -> list[str]:
-    """Parts of a joint's name, lower case: "L_armUpper0001" is l, arm, upper, 0001."""
+def name_parts(name: str) -> list[str]:
+    """Split a joint's name into lower-case parts: "L_armUpper0001" is l, arm, upper, 0001."""
     return [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)]
 
 
-def named_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
-    """Which node is which of BONES: the limbs by their first joint's name, all else by how they hang together.
+def match_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
+    """Node of the rig for each joint of TREE: limbs by their first joint's name, all else by the hierarchy.
 
     Raises BadInput, naming the joint that is missing.
     """
@@ -35,13 +35,13 @@ def named_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
             raise BadInput(f"the joint {name[:40]!r} is unknown, or the rig has no node {node[:40]!r}")
         found[name] = rig.names.index(node)
     count = descendants(rig.parents)
-    tokens = [words(n) for n in rig.names]
+    tokens = [name_parts(n) for n in rig.names]
     for side in SIDES:
-        mine = [bool({side, side[0]} & set(t)) for t in tokens]
+        of_side = [bool({side, side[0]} & set(t)) for t in tokens]
         for chain, keys in ((ARM, ("arm", "upperarm", "shldr")), (LEG, ("leg", "thigh", "upleg", "upperleg", "hip"))):
             first = f"{side}_{chain[0]}"
             if first not in found:
-                fits = [k for k, t in enumerate(tokens) if mine[k] and set(t) & set(keys)]
+                fits = [k for k, t in enumerate(tokens) if of_side[k] and set(t) & set(keys)]
                 if not fits:
                     raise BadInput(f"the rig has no joint for the {side} {chain[0]}; name it under joints in a "
                                    f"landmarks file")  # fmt: skip
@@ -53,22 +53,22 @@ def named_joints(rig: Rig, overrides: dict[str, str]) -> dict[str, int]:
                         raise BadInput(f"the rig has no joint for the {side} {below}")
                     found[f"{side}_{below}"] = int(children[np.argmax(count[children])])
         parent = int(rig.parents[found[f"{side}_shoulder"]])
-        if f"{side}_clavicle" not in found and parent >= 0 and mine[parent]:
+        if f"{side}_clavicle" not in found and parent >= 0 and of_side[parent]:
             found[f"{side}_clavicle"] = parent
-    found.setdefault("pelvis", common(rig.parents, found["left_hip"], found["right_hip"]))
-    found.setdefault("chest", common(rig.parents, found["left_shoulder"], found["right_shoulder"]))
+    found.setdefault("pelvis", lowest_common(rig.parents, found["left_hip"], found["right_hip"]))
+    found.setdefault("chest", lowest_common(rig.parents, found["left_shoulder"], found["right_shoulder"]))
     if "head" not in found:
-        heads = [k for k, t in enumerate(tokens) if "head" in t and found["chest"] in above_of(rig.parents, k)]
+        heads = [k for k, t in enumerate(tokens) if "head" in t and found["chest"] in ancestors(rig.parents, k)]
         if not heads:
             raise BadInput("the rig has no joint for the head; name it under joints in a landmarks file")
         found["head"] = heads[0]
-    line = above_of(rig.parents, found["head"])
+    line = ancestors(rig.parents, found["head"])
     found.setdefault("neck", line[max(line.index(found["chest"]) - 1, 0)])
     return found
 
 
 def descendants(parents: np.ndarray) -> np.ndarray:
-    """How many joints hang on each, (J,)."""
+    """Number of descendants of each joint, (J,)."""
     count = np.zeros(len(parents), np.int64)
     for j in range(len(parents) - 1, -1, -1):
         if parents[j] >= 0:
@@ -76,18 +76,18 @@ def descendants(parents: np.ndarray) -> np.ndarray:
     return count
 
 
-def above_of(parents: np.ndarray, j: int) -> list[int]:
-    """Joint j and all above it."""
+def ancestors(parents: np.ndarray, j: int) -> list[int]:
+    """Joint j and its ancestors, bottom up."""
     line = [int(j)]
     while parents[line[-1]] >= 0:
         line.append(int(parents[line[-1]]))
     return line
 
 
-def common(parents: np.ndarray, a: int, b: int) -> int:
-    """The lowest joint above both. Raises BadInput."""
-    line = above_of(parents, b)
-    for j in above_of(parents, a):
+def lowest_common(parents: np.ndarray, a: int, b: int) -> int:
+    """Lowest common ancestor of two joints. Raises BadInput."""
+    line = ancestors(parents, b)
+    for j in ancestors(parents, a):
         if j in line:
             return j
-    raise BadInput("the rig's limbs do not hang together")
+    raise BadInput("the rig's limbs are not connected")

@@ -1,36 +1,41 @@
-"""Where a standing person's joints are: guessed from the solid of its splat, or named in a file.
+"""Landmarks of a standing person: estimated from the solid of its splat, or read from a file.
 
-Lengths are shares of the stature (Winter, Biomechanics and Motor Control of Human Movement, after Drillis & Contini).
+Lengths are relative to the stature (Winter, Biomechanics and Motor Control of Human Movement, after Drillis & Contini).
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from assets.asset import Asset
+from assets.file_access import open_input
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
 LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  # hand, foot: their tips
 NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in LIMBS))
-FAR = 3.0  # [statures] from the body, beyond which a landmark is a mistake
+MAX_DISTANCE = 3.0  # [body sizes] from the body, beyond which a landmark is a mistake
+MAX_FILE_SIZE = 1 << 20  # [bytes] of a landmarks file
 
 ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
 UPPER_ARM, FOREARM, HAND = 0.186, 0.146, 0.108  # lengths
 HIP_HALF, SHOULDER_HALF, SHOULDER_DEEP = 0.052, 0.115, 0.022  # from the middle; from the side of the shoulders inwards
 CORE_SIDE, CORE_FRONT, CORE_LEG = 0.105, 0.08, 0.07  # half axes of the trunk, radius of a thigh
-BENT = 0.6  # cosine of the most that a guessed hand is bent at the wrist
-SHORTEST_ARM = 0.25  # what stands out less is no arm
+MIN_WRIST_COSINE = 0.6  # of the largest bend of an estimated hand at the wrist
+MIN_ARM = 0.25  # length of an arm that stands out from the body
 
 
 @dataclass(frozen=True)
 class Held:
-    """A ball that goes with a landmark's joint, whatever is near it: centre (3,) and radius [m]."""
+    """Held object: a ball that follows the joint of the landmark `by`; centre (3,) and radius [m]."""
 
     by: str
     center: np.ndarray
@@ -38,7 +43,7 @@ class Held:
 
     @property
     def joint(self) -> str:
-        """The joint of rig_names.TREE that it follows."""
+        """Joint of joint_names.TREE that it follows."""
         tips = {"hand": "wrist", "foot": "ankle", "head_top": "head"}
         side, _, limb = self.by.partition("_")
         return tips.get(self.by) or (f"{side}_{tips.get(limb, limb)}" if limb else self.by)
@@ -46,11 +51,11 @@ class Held:
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Places of NAMES in the asset's frame.
+    """Positions of NAMES in the asset's frame.
 
     points  {name: (3,) [m]};  source  {name: "given", "solid" or "proportions"}
-    held    what is held, None if that is to be found out
-    joints  {name: name of the rig's node}, for rigs whose names do not tell
+    held    held objects, None if these are to be found
+    joints  {name: name of the rig's node}, for rigs with unknown names
     """
 
     points: dict[str, np.ndarray]
@@ -60,25 +65,27 @@ class Landmarks:
 
 
 def landmarks_of(asset: Asset, given: dict | None = None, solid: DistanceGrid | None = None) -> Landmarks:
-    """Landmarks of a person who stands upright: those `given`, the others guessed from the grid `solid` (default: the
-    asset's own, which is coarser than the one that its cage is made from). Raises BadInput."""
+    """Landmarks of a person who stands upright: those `given`, the others estimated. Raises BadInput.
+
+    solid  distance grid to estimate from; None: the asset's own, coarser than the one its cage was made from
+    """
     given = given or {}
     grid = solid or asset.sdf
     if grid is None:
-        raise BadInput("landmarks cannot be guessed without a distance grid")
-    points, source = guess(grid, given)
+        raise BadInput("landmarks cannot be estimated without a distance grid")
+    points, source = estimate(grid, given)
     low, high = asset.cage.vertices.min(0), asset.cage.vertices.max(0)
-    reach = FAR * (high - low).max()
+    limit = MAX_DISTANCE * (high - low).max()
     for name in NAMES:
         if name in given:
             points[name], source[name] = given[name], "given"
-            if np.abs(given[name] - (low + high) / 2).max() > reach:
-                raise BadInput(f"the landmark {name} lies {reach:.3g} m or more from the body: is it in metres?")
+            if np.abs(given[name] - (low + high) / 2).max() > limit:
+                raise BadInput(f"the landmark {name} lies {limit:.3g} m or more from the body: is it in metres?")
     return Landmarks(points, source, given.get("held"), given.get("joints", {}))
 
 
-def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
-    """Landmarks from the solid of a grid; what is `given` already leads the others."""
+def estimate(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
+    """Landmarks from the solid of a grid, and the source of each; those `given` already guide the others."""
     solid = np.asarray(grid.values, np.float32) < 0
     node, spacing = np.argwhere(solid), float(grid.spacing)
     x = np.asarray(grid.origin) + spacing * node
@@ -88,7 +95,7 @@ def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
     height = (x[:, 1] - foot) / H
 
     def middle(low: float, high: float) -> np.ndarray:
-        """Centre of what is thickest at these heights: what is held beside it counts little."""
+        """Centre of the thickest part at these heights, so that a held object beside it counts little."""
         near = (height >= low) & (height < high)
         if not near.any():
             raise BadInput("this is not a standing person: nothing is there at some height; name the landmarks")
@@ -96,12 +103,12 @@ def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
         return np.average(x[thick], axis=0, weights=deep[thick])
 
     legs = {h: two_legs(x[np.abs(height - h) < 0.02], spacing) for h in (ANKLE, SHIN, KNEE)}
-    toes = [x[(height < 0.03) & (near_to(x, a) < 0.12 * H)] for a in legs[SHIN]]
+    toes = [x[(height < 0.03) & (horizontal_distance(x, a) < 0.12 * H)] for a in legs[SHIN]]
     toes = [t.mean(0) - a if len(t) else np.zeros(3) for t, a in zip(toes, legs[SHIN], strict=True)]
     forward = np.sum(toes, axis=0) * [1, 0, 1]
     if "left_hip" in given and "right_hip" in given:
         forward = np.cross(given["left_hip"] - given["right_hip"], [0, 1.0, 0])
-    elif np.linalg.norm(forward) < 0.01 * H:  # no toes to see: either way across the legs
+    elif np.linalg.norm(forward) < 0.01 * H:  # no toes visible: either direction across the legs
         forward = np.cross(legs[KNEE][1] - legs[KNEE][0], [0, 1.0, 0])
     forward = forward / max(np.linalg.norm(forward), 1e-9)
     left = np.cross([0, 1.0, 0], forward)
@@ -122,21 +129,21 @@ def guess(grid: DistanceGrid, given: dict) -> tuple[dict, dict]:
         found[f"{name}_knee"], ankle = legs[KNEE][k], 0.5 * (legs[ANKLE][k] + legs[SHIN][k])
         ankle[1] = foot + ANKLE * H
         found[f"{name}_ankle"] = ankle
-        sole = (height < 0.03) & (near_to(x, ankle) < 0.16 * H)
+        sole = (height < 0.03) & (horizontal_distance(x, ankle) < 0.16 * H)
         tip = np.percentile((x[sole] - ankle) @ forward, 97) if sole.any() else 0.0
         found[f"{name}_foot"] = (ankle + max(tip - 0.02 * H, 0.03 * H) * forward) * [1, 0, 1] + [0, foot + 0.02 * H, 0]
     source = dict.fromkeys(found, "solid")
     found |= {k: v for k, v in given.items() if k in NAMES}
     trunk = {"chest": chest, "pelvis": pelvis, "left": left, "forward": forward}
     for name, sign in (("right", -1.0), ("left", 1.0)):
-        arm, how = arm_of(x, height, H, found, trunk, name, sign, spacing)
+        arm, how = find_arm(x, height, H, found, trunk, name, sign, spacing)
         found |= {k: v for k, v in arm.items() if k not in found}
         source |= dict.fromkeys(arm, how)
     return found, source
 
 
-def near_to(x: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Horizontal distance [m]."""
+def horizontal_distance(x: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Horizontal distance [m] of points x (n, 3) from a point."""
     return np.linalg.norm((x - point)[:, [0, 2]], axis=1)
 
 
@@ -147,58 +154,105 @@ def two_legs(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     cell = np.floor((x[:, [0, 2]] - x[:, [0, 2]].min(0)) / spacing + 0.5).astype(np.int64)
     grid = np.zeros(cell.max(0) + 1, bool)
     grid[tuple(cell.T)] = True
-    piece = ndimage.label(grid)[0][tuple(cell.T)]
-    size = np.bincount(piece)
+    label = ndimage.label(grid)[0][tuple(cell.T)]
+    size = np.bincount(label)
     order = np.argsort(size)[::-1]
     if len(order) > 1 and size[order[1]] > 0.25 * size[order[0]]:
-        return x[piece == order[0]].mean(0), x[piece == order[1]].mean(0)
+        return x[label == order[0]].mean(0), x[label == order[1]].mean(0)
     middle = x.mean(0)  # the legs touch: halves across the longer axis
     flat = (x - middle)[:, [0, 2]]
     axis = np.linalg.eigh(flat.T @ flat)[1][:, 1]
     return x[flat @ axis < 0].mean(0), x[flat @ axis >= 0].mean(0)
 
 
-def arm_of(x, height, H, found: dict, trunk: dict, name: str, sign: float, spacing: float) -> tuple[dict, str]:
-    """Elbow, wrist and tip of the hand of one arm, along what stands out from trunk and thighs; and what tells so."""
+def find_arm(x, height, H, found: dict, trunk: dict, name: str, sign: float, spacing: float) -> tuple[dict, str]:
+    """Elbow, wrist and fingertips of one arm, along what stands out from trunk and thighs; and their source."""
     shoulder = found[f"{name}_shoulder"]
-    share = np.clip((x[:, 1] - trunk["pelvis"][1]) / (trunk["chest"][1] - trunk["pelvis"][1]), 0, 1)[:, None]
-    off = x - (trunk["pelvis"] + share * (trunk["chest"] - trunk["pelvis"]))
+    fraction = np.clip((x[:, 1] - trunk["pelvis"][1]) / (trunk["chest"][1] - trunk["pelvis"][1]), 0, 1)[:, None]
+    off = x - (trunk["pelvis"] + fraction * (trunk["chest"] - trunk["pelvis"]))
     side, front = off @ trunk["left"], off @ trunk["forward"]
-    core = (side / CORE_SIDE) ** 4 + (front / CORE_FRONT) ** 4 < H**4  # about as a trunk is: a rounded box
+    core = (side / CORE_SIDE) ** 4 + (front / CORE_FRONT) ** 4 < H**4  # a rounded box, about as a trunk is
     for s in ("left", "right"):
-        core |= to_segment(x, found[f"{s}_hip"], found[f"{s}_knee"]) < CORE_LEG * H
+        core |= distance_to_segment(x, found[f"{s}_hip"], found[f"{s}_knee"]) < CORE_LEG * H
     begin = np.linalg.norm(x - shoulder, axis=1)
     arm = ((~core & (height < NECK - 0.02)) | (begin < 0.04 * H)) & (height > KNEE) & (sign * side > -0.04 * H)
     points, start = x[arm], np.argmin(begin[arm])
-    way = geodesic(points, start, spacing)
-    length = way[np.isfinite(way)].max(initial=0.0)
+    path = geodesic(points, start, spacing)
+    length = path[np.isfinite(path)].max(initial=0.0)
     lengths = {"elbow": UPPER_ARM, "wrist": UPPER_ARM + FOREARM, "hand": UPPER_ARM + FOREARM + 0.8 * HAND}
-    if length < SHORTEST_ARM * H:  # it lies close to the body: it hangs
+    if length < MIN_ARM * H:  # it hangs close to the body
         down = np.array([0, -1.0, 0])
         return {f"{name}_{k}": shoulder + v * H * down for k, v in lengths.items()}, "proportions"
     scale = min(length / ((UPPER_ARM + FOREARM + HAND) * H), 1.0)
     result = {}
     for k, v in lengths.items():
-        band = np.abs(way - v * H * scale) < max(0.012 * H, spacing)
+        band = np.abs(path - v * H * scale) < max(0.012 * H, spacing)
         result[f"{name}_{k}"] = points[band].mean(0)
     elbow, wrist, hand = (result[f"{name}_{k}"] for k in lengths)
     ahead = (wrist - elbow) / max(np.linalg.norm(wrist - elbow), 1e-9)
-    if (hand - wrist) @ ahead < BENT * np.linalg.norm(hand - wrist):  # the way led on into what the hand touches
+    if (hand - wrist) @ ahead < MIN_WRIST_COSINE * np.linalg.norm(
+        hand - wrist
+    ):  # the path led on into what the hand touches
         result[f"{name}_hand"] = wrist + 0.8 * HAND * H * ahead
     return result, "solid"
 
 
-def to_segment(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def distance_to_segment(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Distance [m] of points (n, 3) from the segment a-b."""
     t = ((x - a) @ (b - a) / max((b - a) @ (b - a), 1e-12)).clip(0, 1)
     return np.linalg.norm(x - a - t[:, None] * (b - a), axis=1)
 
 
 def geodesic(points: np.ndarray, start: int, spacing: float) -> np.ndarray:
-    """Length [m] of the shortest way through grid points (n, 3) from one of them, inf where none leads."""
-    from scipy.spatial import cKDTree
-
+    """Length [m] of the shortest path through grid points (n, 3) from one of them, inf where there is none."""
     pairs = cKDTree(points).query_pairs(1.75 * spacing, output_type="ndarray")  # all 26 neighbours
     length = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
     graph = coo_matrix((length, pairs.T), shape=(len(points),) * 2).tocsr()
     return dijkstra(graph, directed=False, indices=start)
+
+
+def read_landmarks(path: str | Path) -> dict:
+    """Read and check the JSON object of a landmarks file: {NAME: [x, y, z], ..., "held": [...], "joints": {...}}.
+
+    Coordinates are metres in the prepared asset's frame. Raises BadInput.
+    """
+    path = Path(path)
+    with open_input(path) as file:
+        data = file.read(MAX_FILE_SIZE + 1)
+    if len(data) > MAX_FILE_SIZE:
+        raise BadInput(f"{path}: is larger than {MAX_FILE_SIZE} bytes")
+    try:
+        found = json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as e:
+        raise BadInput(f"{path}: is not JSON") from e
+    if not isinstance(found, dict):
+        raise BadInput(f"{path}: is not a JSON object of landmarks")
+    result: dict = {"joints": {}}
+    for name, value in found.items():
+        if name in NAMES:
+            result[name] = _vector(value, f"{path}: {name}")
+        elif name == "held" and isinstance(value, list):
+            result["held"] = [_held(v, str(path)) for v in value]
+        elif name == "joints" and isinstance(value, dict) and all(isinstance(v, str) for v in value.values()):
+            result["joints"] = value
+        else:
+            raise BadInput(f"{path}: {name[:40]!r} is not a landmark; there are {', '.join(NAMES)}, held and joints")
+    return result
+
+
+def _vector(value, what: str) -> np.ndarray:
+    """Three finite numbers, or BadInput."""
+    good = isinstance(value, list) and len(value) == 3
+    good = good and all(isinstance(v, (int, float)) and not isinstance(v, bool) and abs(v) < 1e6 for v in value)
+    if not good:
+        raise BadInput(f"{what} is not three coordinates in metres")
+    return np.array(value, np.float64)
+
+
+def _held(value, where: str) -> Held:
+    """Entry of `held`: {"by": NAME, "center": [x, y, z], "radius": r}."""
+    by = value.get("by") if isinstance(value, dict) else None
+    radius = value.get("radius") if isinstance(value, dict) else None
+    if by not in NAMES or isinstance(radius, bool) or not isinstance(radius, (int, float)) or not 0 < radius < 1e6:
+        raise BadInput(f'{where}: an entry of held is {{"by": LANDMARK, "center": [x, y, z], "radius": r}}')
+    return Held(by, _vector(value.get("center"), f"{where}: the center of an entry of held"), float(radius))

@@ -1,4 +1,4 @@
-"""Gaussians of a body that moves by itself: each hangs on its own part of the cage."""
+"""Embedding of an animated body: each Gaussian follows tets of its own segment of the cage."""
 
 from __future__ import annotations
 
@@ -9,72 +9,78 @@ from assets.asset import Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
-from prepare.cage.embedding_hosts_reference import CORNERS, FURTHEST
-from prepare.rig.body_parts import Parts
-from prepare.rig.skin_weights import EDGES
+from core.tetmesh import TET_EDGES
+from prepare.cage.embedding_hosts import CORNERS, MAX_WEIGHT
+from prepare.rig.body_segmentation import Segments
 
-REACH = 4.0  # edges: what is farther from all tets of its own part stays where it is
-CALM = 1.3  # times its length at rest: a tet none of whose edges becomes longer
-GROWN = 1.35  # times its size at rest: a Gaussian that would be drawn out farther follows calm tets, lest it be a spike
-SPREAD = 0.35  # edges: half axis of the local tetrahedra of what follows its part: F is a mean over some of its tets
+MAX_DISTANCE = 4.0  # edges; a Gaussian farther from all tets of its segment keeps its hosts
+MAX_EDGE_STRETCH = 1.3  # of all edges of a tet that is called calm
+MAX_GROWTH = 1.35  # of a Gaussian; one that would grow more, to a spike, follows calm tets
+HALF_AXIS = 0.35  # edges; of re-hosted local tetrahedra, so that F is a mean over several tets
 
 
-def within(embedded: CageEmbedding, means: np.ndarray, cage: Cage, parts: Parts) -> tuple[CageEmbedding, int]:
-    """No Gaussian hangs on both sides of a cut, or on another part than its own; and how many were hung anew.
+def keep_to_segments(
+    embedded: CageEmbedding, means: np.ndarray, cage: Cage, segments: Segments
+) -> tuple[CageEmbedding, int]:
+    """Re-host Gaussians on both sides of a cut, or in another segment than their own; and their number.
 
-    Tets are coarse: a Gaussian may lie in one of another part, or outside of all. Then its local tetrahedron stands
-    where its own part is nearest, and carries it from there.
+    Tets are coarse: a Gaussian may lie in one of another segment, or outside of all. Then its local tetrahedron is
+    placed where its own segment is nearest.
     """
-    where = TetLocator(cage.vertices, cage.tets)
-    home = where.find(means)
+    locator = TetLocator(cage.vertices, cage.tets)
+    home = locator.find(means)
     out = np.flatnonzero(home < 0)
     if len(out):
-        home[out] = where.nearest(means[out])[0]
-    label, wanted = parts.tets, parts.gaussians
-    astray = (label[home] != wanted) & ~parts.joined(label[home], wanted, means)
+        home[out] = locator.nearest(means[out])[0]
+    label, wanted = segments.tets, segments.gaussians
+    astray = (label[home] != wanted) & ~segments.joined(label[home], wanted, means)
     moved = np.flatnonzero(astray | across_cut(embedded, home, cage, label))
-    edge = where.edge_length(home, means)
-    return hung(embedded, moved, np.ones(len(label), bool), means, edge, cage, parts)
+    edge = locator.edge_length(home, means)
+    return rehosted(embedded, moved, np.ones(len(label), bool), means, edge, cage, segments)
 
 
-def hung(
+def rehosted(
     embedded: CageEmbedding,
     which: np.ndarray,
     tets: np.ndarray,
     means: np.ndarray,
     edge: np.ndarray,
     cage: Cage,
-    parts: Parts,
+    segments: Segments,
 ) -> tuple[CageEmbedding, int]:
-    """Gaussians `which` (k,) hung on those `tets` (T,) bool of their own part that are nearest; and how many were.
+    """Gaussians `which` (k,) hosted by the nearest of the allowed `tets` (T,) bool of their segment; and their number.
 
     edge  of the cage at each Gaussian [m], (N,)
     """
     host, weights = embedded.host.copy(), embedded.weights.copy()
     count = 0
-    for j in np.unique(parts.gaussians[which]):
-        mine, own = which[parts.gaussians[which] == j], np.flatnonzero(tets & (parts.tets == j))
+    for j in np.unique(segments.gaussians[which]):
+        mine, own = which[segments.gaussians[which] == j], np.flatnonzero(tets & (segments.tets == j))
         if not len(own):
             continue
-        part = TetLocator(cage.vertices, cage.tets[own])
-        foot, tet = means[mine].copy(), part.find(means[mine])
+        segment = TetLocator(cage.vertices, cage.tets[own])
+        foot, tet = means[mine].copy(), segment.find(means[mine])
         off = np.flatnonzero(tet < 0)
         if len(off):
-            tet[off], foot[off] = part.nearest(means[mine[off]])
-        near = np.linalg.norm(means[mine] - foot, axis=1) < REACH * edge[mine]
+            tet[off], foot[off] = segment.nearest(means[mine[off]])
+        near = np.linalg.norm(means[mine] - foot, axis=1) < MAX_DISTANCE * edge[mine]
         mine, foot, tet = mine[near], foot[near], tet[near]
-        h, w = stood(part, foot, tet, SPREAD * edge[mine])
+        h, w = local_tetrahedra(segment, foot, tet, HALF_AXIS * edge[mine])
         host[mine], weights[mine] = own[h], w
         count += len(mine)
     return CageEmbedding(host, weights), count
 
 
-def calmed(embedded: CageEmbedding, g: Gaussians, cage: Cage, parts: Parts, shapes: np.ndarray) -> tuple[CageEmbedding, int]:
-    """No Gaussian is drawn out to a spike where the cage is, between an arm and the side: in these shapes (F, V, 3) of
-    the cage, the first at rest, those that would be follow what is calm of their part; and how many do."""
-    ends = cage.tets[:, EDGES]
+def without_spikes(
+    embedded: CageEmbedding, g: Gaussians, cage: Cage, segments: Segments, shapes: np.ndarray
+) -> tuple[CageEmbedding, int]:
+    """Re-host Gaussians that the cage would stretch to spikes, as between an arm and the side; and their number.
+
+    They follow calm tets of their segment. shapes  cage vertices (F, V, 3) [m] of some frames, the first at rest
+    """
+    ends = cage.tets[:, TET_EDGES]
     length = [np.linalg.norm(x[ends[..., 0]] - x[ends[..., 1]], axis=-1) for x in shapes]
-    calm = (np.max(length[1:], axis=0) / length[0]).max(1) < CALM
+    calm = (np.max(length[1:], axis=0) / length[0]).max(1) < MAX_EDGE_STRETCH
     some = np.flatnonzero(~calm[embedded.host].all(1))
     if not len(some):
         return embedded, 0
@@ -90,37 +96,43 @@ def calmed(embedded: CageEmbedding, g: Gaussians, cage: Cage, parts: Parts, shap
 
     rest = np.linalg.inv(corners(shapes[0])) @ axes
     size = np.max([np.linalg.norm(corners(x) @ rest, axis=(1, 2)) for x in shapes[1:]], axis=0)
-    wild = some[size > GROWN * np.linalg.norm(axes, axis=(1, 2))]
+    wild = some[size > MAX_GROWTH * np.linalg.norm(axes, axis=(1, 2))]
     means = g.means.astype(np.float64)
     edge = np.zeros(len(means))
     edge[wild] = length[0][embedded.host[wild, 0]].mean(1)
-    return hung(embedded, wild, calm, means, edge, cage, parts)
+    return rehosted(embedded, wild, calm, means, edge, cage, segments)
 
 
-def stood(part: TetLocator, foot: np.ndarray, tet: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Local tetrahedra of these half axes (n,) [m] about points (n, 3) in or on the tets (n,) of a part: the hosts of
-    their corners (n, 4), and the weights there (n, 4, 4)."""
+def local_tetrahedra(
+    segment: TetLocator, foot: np.ndarray, tet: np.ndarray, half: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Hosts (n, 4) and weights (n, 4, 4) of the corners of local tetrahedra.
+
+    Their half axes are `half` (n,) [m], about points `foot` (n, 3) in or on the tets `tet` (n,) of a segment.
+    """
     corner = (foot[:, None] + half[:, None, None] * CORNERS).reshape(-1, 3)
-    host = part.find(corner)
+    host = segment.find(corner)
     out = np.flatnonzero(host < 0)
     if len(out):
-        host[out] = part.nearest(corner[out])[0]
-    weights = part.weights(host, corner).reshape(-1, 4, 4)
+        host[out] = segment.nearest(corner[out])[0]
+    weights = segment.weights(host, corner).reshape(-1, 4, 4)
     host = host.reshape(-1, 4)
-    wild = np.abs(weights).max((1, 2)) > FURTHEST
-    if wild.any():  # in slivers: one tet, and as small as it asks for
+    wild = np.abs(weights).max((1, 2)) > MAX_WEIGHT
+    if wild.any():  # in slivers: one tet, as small as the bound asks
         host[wild] = tet[wild][:, None]
-        w = part.weights(np.repeat(tet[wild], 4), corner.reshape(-1, 4, 3)[wild].reshape(-1, 3)).reshape(-1, 4, 4)
-        middle = part.weights(tet[wild], foot[wild])[:, None]
+        w = segment.weights(np.repeat(tet[wild], 4), corner.reshape(-1, 4, 3)[wild].reshape(-1, 3)).reshape(-1, 4, 4)
+        middle = segment.weights(tet[wild], foot[wild])[:, None]
         spread = w - middle
         weights[wild] = middle + spread / np.maximum(np.abs(spread).max((1, 2)), 1.0)[:, None, None]
     return host, weights
 
 
 def across_cut(embedded: CageEmbedding, home: np.ndarray, cage: Cage, label: np.ndarray) -> np.ndarray:
-    """Gaussians (N,) with a corner in a tet of another part than `home`, from which it is cut off: no way of one or two
-    edges leads from there to here."""
-    V, ends = len(cage.vertices), cage.tets[:, EDGES].reshape(-1, 2)
+    """Mask (N,) of Gaussians with a corner in a tet of another segment that is cut off from `home`.
+
+    No path of one or two edges leads from there to home.
+    """
+    V, ends = len(cage.vertices), cage.tets[:, TET_EDGES].reshape(-1, 2)
     link = coo_matrix((np.ones(len(ends)), ends.T), shape=(V, V))
     link = (link + link.T + eye(V)).tocsr()
     link = (link @ link).tocsr()

@@ -1,12 +1,12 @@
-"""A rig's motion on a body that is not its own: bones of other lengths, in another pose at rest.
+"""Retargeting: a rig's motion on a body with bones of other lengths, in another rest pose.
 
 Each bone has a frame [d, h, d x h]: d along it, h the axis about which it bends. In the rig d and h are constant in the
-joint's own frame, and are measured over the whole motion, so that no pose of the rig needs to be like the body's; in
-the body they follow from the landmarks. Then a bone's turn from the body's pose at rest is
+joint's own frame and are measured over the whole motion, so that no pose of the rig needs to resemble the body's; in
+the body they follow from the landmarks. Then a bone's rotation from the body's rest pose is
 
-    Q_j(t) = Y  R_j(t) [d h d x h]_rig  [d h d x h]_body^T,     Y the turn about +y from where the rig looks
+    Q_j(t) = Y  R_j(t) [d h d x h]_rig  [d h d x h]_body^T,     Y the rotation about +y from where the rig faces
 
-and joints go x_j = x_parent + Q_parent (p_j - p_parent): lengths are constant.
+and joints move as x_j = x_parent + Q_parent (p_j - p_parent): lengths are constant.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from assets.animation import Pose, slerp, world_matrices
 from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.rotation import conjugate_quaternions, multiply_quaternions
-from prepare.rig.joint_names import ARM, LEG, SIDES, TREE, named_joints
+from prepare.rig.joint_names import ARM, LEG, SIDES, TREE, match_joints
 from prepare.rig.landmarks import Landmarks
 
 BONES = list(TREE)
 PARENTS = np.array([-1 if TREE[n] is None else BONES.index(TREE[n]) for n in BONES])
-CHEST_AT = 0.36  # of the way from pelvis to neck, where the rig does not tell
-STRAIGHT = 0.2  # sine of the angle below which a limb at rest does not tell how it bends
-CLAVICLE = 0.2  # of the way from the neck to the shoulder
+CHEST_FRACTION = 0.36  # of the line from pelvis to neck, where the rig does not tell
+MIN_BEND = 0.2  # sine of the angle below which a limb at rest does not tell its hinge axis
+UP = np.array([0.0, 1.0, 0.0])
+CLAVICLE_FRACTION = 0.2  # of the line from the neck to the shoulder
 
 
 @dataclass(frozen=True)
-class Fitted:
+class Retargeted:
     """A body's own skeleton, of BONES, with the rig's motion.
 
-    rest       joints at rest in the asset's frame [m], (J, 3); their axes are the asset's
+    rest       joints in the rest pose, in the asset's frame [m], (J, 3); their axes are the asset's
     tips       ends of the last bones, {name: (3,)}
     frames     local translation, rotation, scale of each frame, (F, J, ...)
     residual   {landmark: (after a similarity alone, after bones of equal lengths left and right) [m]}
@@ -48,7 +49,7 @@ class Fitted:
 
 
 def frame_of(d: np.ndarray, h: np.ndarray) -> np.ndarray:
-    """Axes (..., 3, 3) with columns d, h made upright to d, d x h; any h does where it is along d."""
+    """Axes (..., 3, 3) with columns d, h orthogonal to d, and d x h; any h where it is along d."""
     d = d / np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-12)
     other = np.eye(3)[np.argmin(np.abs(d), axis=-1)]
     h = h - (h * d).sum(-1, keepdims=True) * d
@@ -58,9 +59,9 @@ def frame_of(d: np.ndarray, h: np.ndarray) -> np.ndarray:
     return np.stack([d, h, np.cross(d, h)], -1)
 
 
-def skeleton(rig: Rig, joints: dict[str, int], marks: Landmarks, world: np.ndarray) -> tuple:
-    """Joints of the body at rest (J, 3), tips, and the residuals; left and right bones are made equally long."""
-    p = marks.points
+def rest_skeleton(joints: dict[str, int], landmarks: Landmarks, world: np.ndarray) -> tuple:
+    """Rest joints of the body (J, 3), tips, and residuals; left and right bones get equal lengths."""
+    p = landmarks.points
     hips = 0.5 * (p["left_hip"] + p["right_hip"])
     x = world[:, :, :3, 3]
 
@@ -68,7 +69,7 @@ def skeleton(rig: Rig, joints: dict[str, int], marks: Landmarks, world: np.ndarr
         return float(np.linalg.norm(x[:, joints[a]] - x[:, joints[b]], axis=1).mean())
 
     down, up = length("pelvis", "chest"), length("chest", "neck")
-    at = np.clip(down / max(down + up, 1e-12), 0.15, 0.6) if down + up > 0 else CHEST_AT
+    at = np.clip(down / max(down + up, 1e-12), 0.15, 0.6) if down + up > 0 else CHEST_FRACTION
     place = {"pelvis": hips, "chest": hips + at * (p["neck"] - hips), "neck": p["neck"]}
     place["spine"] = 0.5 * (hips + place["chest"])
     place["head"] = p["neck"] + 0.3 * (p["head_top"] - p["neck"])
@@ -83,22 +84,22 @@ def skeleton(rig: Rig, joints: dict[str, int], marks: Landmarks, world: np.ndarr
             at_joint = p[f"{s}_{chain[0]}"]
             place[f"{s}_{chain[0]}"] = at_joint
             for a, b, n in zip(names, names[1:], lengths, strict=False):
-                way = p[f"{s}_{b}"] - p[f"{s}_{a}"]
-                if np.linalg.norm(way) < 1e-9:
+                bone = p[f"{s}_{b}"] - p[f"{s}_{a}"]
+                if np.linalg.norm(bone) < 1e-9:
                     raise BadInput(f"the landmarks {s}_{a} and {s}_{b} are at one place")
-                at_joint = at_joint + n * way / np.linalg.norm(way)
+                at_joint = at_joint + n * bone / np.linalg.norm(bone)
                 (tips if b == tip else place)[f"{s}_{b if b != tip else names[-2]}"] = at_joint
-            place[f"{s}_clavicle"] = p["neck"] + CLAVICLE * (p[f"{s}_shoulder"] - p["neck"])
+            place[f"{s}_clavicle"] = p["neck"] + CLAVICLE_FRACTION * (p[f"{s}_shoulder"] - p["neck"])
     rest = np.array([place[n] for n in BONES])
     shared = [n for n in BONES if n in joints and n in p]
     a, b = x.mean(0)[[joints[n] for n in shared]], np.array([p[n] for n in shared])
-    off = np.linalg.norm(similar(a, b) - b, axis=1)
+    off = np.linalg.norm(similarity_aligned(a, b) - b, axis=1)
     residual = {n: (float(o), float(np.linalg.norm(place[n] - p[n]))) for n, o in zip(shared, off, strict=True)}
     return rest, tips, residual
 
 
-def similar(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Points a (n, 3) after the similarity that brings them nearest to b (Umeyama 1991)."""
+def similarity_aligned(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Points a (n, 3) after the similarity transform that brings them nearest to b (Umeyama 1991)."""
     ca, cb = a.mean(0), b.mean(0)
     u, s, vt = np.linalg.svd((b - cb).T @ (a - ca))
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
@@ -106,87 +107,106 @@ def similar(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return scale * (a - ca) @ (u * sign @ vt).T + cb
 
 
-def fit(rig: Rig, marks: Landmarks) -> Fitted:
-    """The rig's motion on the body of these landmarks. Raises BadInput."""
-    joints = named_joints(rig, marks.joints)
+def retarget(rig: Rig, landmarks: Landmarks) -> Retargeted:
+    """Skeleton and motion of a body with these landmarks. Raises BadInput."""
+    joints = match_joints(rig, landmarks.joints)
     world = world_matrices(rig.parents, rig.frames)
-    x, R = world[:, :, :3, 3], world[:, :, :3, :3]
-    R = R / np.maximum(np.linalg.norm(R, axis=2, keepdims=True), 1e-12)
-    rest, tips, residual = skeleton(rig, joints, marks, world)
+    rest, tips, residual = rest_skeleton(joints, landmarks, world)
     body = {n: rest[k] for k, n in enumerate(BONES)}
+    x = {n: world[:, k, :3, 3] for n, k in joints.items()}
+    rotations = bone_rotations(joints, world, x, body)
+    yaw = facing_rotation(x, body)
+    quats = {n: continuous(Rotation.from_matrix(yaw @ r).as_quat()[:, [3, 0, 1, 2]]) for n, r in rotations.items()}
+    quats["spine"] = slerp(quats["pelvis"], quats["chest"], 0.5)
+    quats["neck"] = slerp(quats["chest"], quats["head"], 0.5)
+    for s in SIDES:
+        quats.setdefault(f"{s}_clavicle", quats["chest"])
+    frames = len(world)
+    local = np.empty((frames, len(BONES), 4))
+    for k, n in enumerate(BONES):
+        local[:, k] = (
+            quats[n] if TREE[n] is None else multiply_quaternions(conjugate_quaternions(quats[TREE[n]]), quats[n])
+        )
+    steps = np.array([rest[k] - (rest[PARENTS[k]] if PARENTS[k] >= 0 else 0) for k in range(len(BONES))])
+    translations = np.tile(steps, (frames, 1, 1))
+    middle = 0.5 * (x["left_hip"] + x["right_hip"])
+    translations[:, 0] = rest[0] + leg_ratio(x, body) * (middle - middle.mean(0)) @ yaw.T
+    return Retargeted(rest, tips, (translations, local, np.ones_like(translations)), residual)
+
+
+def bone_rotations(joints: dict[str, int], world: np.ndarray, x: dict, body: dict) -> dict[str, np.ndarray]:
+    """R_j(t) [d h d x h]_rig [d h d x h]_body^T of each bone, (F, 3, 3).
+
+    world  joint matrices of the rig (F, J, 4, 4);  x  its joints (F, 3) by name;  body  rest joints (3,) by name
+    """
+    R = world[:, :, :3, :3]
+    R = R / np.maximum(np.linalg.norm(R, axis=2, keepdims=True), 1e-12)
+    found: dict[str, np.ndarray] = {}
 
     def own(joint: str, v: np.ndarray, weight=None) -> np.ndarray:
-        """The mean (3,) of directions v (F, 3) in a joint's own frame."""
+        """Mean (3,) of directions v (F, 3) in a joint's own frame."""
         v = np.einsum("fji,fj->fi", R[:, joints[joint]], v)
         v = v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-12)
         return np.average(v, axis=0, weights=weight)
 
-    def at(joint: str) -> np.ndarray:
-        return x[:, joints[joint]]
-
-    turns: dict[str, np.ndarray] = {}
-
-    def carry(joint: str, d, h, d_body, h_body) -> None:
-        """Turn a bone by [d h]_rig, given in each frame (F, 3) or in the joint's own (3,), against [d h]_body."""
+    def rotate(joint: str, d, h, d_body, h_body) -> None:
+        """Align [d h]_body with [d h]_rig, given in each frame (F, 3) or in the joint's own frame (3,)."""
         d, h = (own(joint, v) if v.ndim == 2 else v for v in (d, h))
-        turns[joint] = R[:, joints[joint]] @ frame_of(d, h) @ frame_of(d_body, h_body).T
+        found[joint] = R[:, joints[joint]] @ frame_of(d, h) @ frame_of(d_body, h_body).T
 
-    hips, shoulders = at("left_hip") - at("right_hip"), at("left_shoulder") - at("right_shoulder")
     body_hips = body["left_hip"] - body["right_hip"]
     body_shoulders = body["left_shoulder"] - body["right_shoulder"]
-    up = np.array([0, 1.0, 0])
-    left = own("chest", shoulders)
+    left = own("chest", x["left_shoulder"] - x["right_shoulder"])
     lateral = R[:, joints["chest"]] @ left
-    forward = np.cross(lateral, at("neck") - at("chest"))
+    forward = np.cross(lateral, x["neck"] - x["chest"])
     body_forward = np.cross(body_shoulders, body["neck"] - body["chest"])
-    carry("pelvis", at("chest") - at("pelvis"), hips, body["chest"] - body["pelvis"], body_hips)
-    carry("chest", at("neck") - at("chest"), left, body["neck"] - body["chest"], body_shoulders)
-    carry("head", at("head") - at("neck"), lateral, up, body_shoulders)
+    hips = x["left_hip"] - x["right_hip"]
+    rotate("pelvis", x["chest"] - x["pelvis"], hips, body["chest"] - body["pelvis"], body_hips)
+    rotate("chest", x["neck"] - x["chest"], left, body["neck"] - body["chest"], body_shoulders)
+    rotate("head", x["head"] - x["neck"], lateral, UP, body_shoulders)
     for s in SIDES:
         clavicle = f"{s}_clavicle"
         if clavicle in joints:
-            way = body[f"{s}_shoulder"] - body[clavicle]
-            carry(clavicle, at(f"{s}_shoulder") - at(clavicle), forward, way, body_forward)
+            body_clavicle = body[f"{s}_shoulder"] - body[clavicle]
+            rotate(clavicle, x[f"{s}_shoulder"] - x[clavicle], forward, body_clavicle, body_forward)
         for (a, b, c), bend in ((ARM, 1.0), (LEG, -1.0)):
             a, b, c = (f"{s}_{n}" for n in (a, b, c))
-            upper, lower = at(b) - at(a), at(c) - at(b)
+            upper, lower = x[b] - x[a], x[c] - x[b]
             axis = np.cross(upper, lower)
             weight = np.linalg.norm(axis, axis=1) ** 2 + 1e-12
             d1, d2 = body[b] - body[a], body[c] - body[b]
             usual = np.cross(d1, bend * body_forward)  # forearms bend forwards, shins backwards
             hinge, sine = np.cross(d1, d2), np.linalg.norm(np.cross(d1, d2))
             sine /= np.linalg.norm(d1) * np.linalg.norm(d2)
-            hinge = hinge if sine > STRAIGHT and hinge @ usual > 0 else usual
+            hinge = hinge if sine > MIN_BEND and hinge @ usual > 0 else usual
             h1, h2 = own(a, axis, weight), own(b, axis, weight)
-            carry(a, upper, h1, d1, hinge)
-            carry(b, lower, h2, d2, hinge)
-            # Hand and foot turn about how they are on average.
-            beside = R[:, joints[b]].swapaxes(1, 2) @ R[:, joints[c]]
-            mean = Rotation.from_matrix(beside).mean().as_matrix()
-            turns[c] = R[:, joints[b]] @ beside @ mean.T @ R[:, joints[b]].swapaxes(1, 2) @ turns[b]
-    facing = np.cross(hips.mean(0) / np.linalg.norm(hips.mean(0)), up)
-    target = np.cross(body_hips, up)
+            rotate(a, upper, h1, d1, hinge)
+            rotate(b, lower, h2, d2, hinge)
+            # Hand and foot rotate relative to their mean orientation.
+            relative = R[:, joints[b]].swapaxes(1, 2) @ R[:, joints[c]]
+            mean = Rotation.from_matrix(relative).mean().as_matrix()
+            found[c] = R[:, joints[b]] @ relative @ mean.T @ R[:, joints[b]].swapaxes(1, 2) @ found[b]
+    return found
+
+
+def facing_rotation(x: dict, body: dict) -> np.ndarray:
+    """Y: rotation (3, 3) about +y from the rig's mean facing direction to the body's."""
+    hips = (x["left_hip"] - x["right_hip"]).mean(0)
+    facing = np.cross(hips / np.linalg.norm(hips), UP)
+    target = np.cross(body["left_hip"] - body["right_hip"], UP)
     angle = np.arctan2(target[0], target[2]) - np.arctan2(facing[0], facing[2])
-    yaw = Rotation.from_rotvec(angle * up).as_matrix()
-    quats = {n: continuous(Rotation.from_matrix(yaw @ t).as_quat()[:, [3, 0, 1, 2]]) for n, t in turns.items()}
-    quats["spine"] = slerp(quats["pelvis"], quats["chest"], 0.5)
-    quats["neck"] = slerp(quats["chest"], quats["head"], 0.5)
-    for s in SIDES:
-        quats.setdefault(f"{s}_clavicle", quats["chest"])
-    local = np.empty((len(x), len(BONES), 4))
-    for k, n in enumerate(BONES):
-        local[:, k] = quats[n] if TREE[n] is None else multiply_quaternions(conjugate_quaternions(quats[TREE[n]]), quats[n])
-    steps = np.array([rest[k] - (rest[PARENTS[k]] if PARENTS[k] >= 0 else 0) for k in range(len(BONES))])
-    moved = np.tile(steps, (len(x), 1, 1))
-    rig_leg = np.linalg.norm(at("left_knee") - at("left_hip"), axis=1).mean()
-    rig_leg += np.linalg.norm(at("left_ankle") - at("left_knee"), axis=1).mean()
+    return Rotation.from_rotvec(angle * UP).as_matrix()
+
+
+def leg_ratio(x: dict, body: dict) -> float:
+    """Length of the body's left leg over that of the rig's."""
+    rig_leg = np.linalg.norm(x["left_knee"] - x["left_hip"], axis=1).mean()
+    rig_leg += np.linalg.norm(x["left_ankle"] - x["left_knee"], axis=1).mean()
     leg = np.linalg.norm(body["left_knee"] - body["left_hip"]) + np.linalg.norm(body["left_ankle"] - body["left_knee"])
-    middle = 0.5 * (at("left_hip") + at("right_hip"))
-    moved[:, 0] = rest[0] + leg / rig_leg * (middle - middle.mean(0)) @ yaw.T
-    return Fitted(rest, tips, (moved, local, np.ones_like(moved)), residual)
+    return leg / rig_leg
 
 
 def continuous(q: np.ndarray) -> np.ndarray:
-    """Quaternions (F, 4) of one sign: each near the one before."""
+    """Quaternions (F, 4) with signs such that each is near the one before."""
     flips = np.cumprod(np.r_[1.0, np.where((q[1:] * q[:-1]).sum(1) < 0, -1.0, 1.0)])
     return q * flips[:, None]

@@ -1,4 +1,4 @@
-"""From a prepared body and a rig to a body that moves: cage, weights, embedding, motion."""
+"""From a prepared body and a rig to an animated body: cage, weights, embedding, motion."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from assets.asset import Asset, Cage
 from assets.formats.gltf_skin import Rig
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from prepare.cage.embedding_hosts_reference import embed
-from prepare.rig.body_parts import Parts, meets, parted, shortened
+from core.tetmesh import TET_EDGES
+from prepare.cage.embedding_hosts import embed
+from prepare.rig.body_segmentation import Segments, Solid, segment_person, shortened, skeleton_adjacency
 from prepare.rig.cage_cut import cut
 from prepare.rig.landmarks import Landmarks
-from prepare.rig.part_embedding import calmed, within
-from prepare.rig.retargeting import BONES, PARENTS, fit
-from prepare.rig.skin_weights import EDGES, HOLD, diffused, firm, least_volumes, strongest
-from prepare.rig.solid_segmentation import Solid
+from prepare.rig.part_embedding import keep_to_segments, without_spikes
+from prepare.rig.retargeting import BONES, PARENTS, retarget
+from prepare.rig.skin_weights import HOLD, diffuse_weights, driven_vertices, largest_influences, least_volumes
 
-LOOP = 0.3  # [s] in which a motion that does not come round is led to its start
-JUMP = (0.01, 0.02)  # [statures], [rad]: what is less comes round by itself
-CORE = 0.0201  # of the stature: a vertex so near to its bone is in it (rig_parts.THINNEST is the least that is told)
-SHAPES = 48  # frames of the motion in which tets are looked at
+LOOP_BLEND = 0.3  # [s] in which a motion that does not return to its start is blended to it
+MAX_LOOP_GAP = (0.01, 0.02)  # [statures], [rad]; a motion with less returns by itself
+CORE_RADIUS = 0.0201  # of the stature; a vertex this near to its bone is in it (MIN_DISTANCE is the least told)
+SAMPLED_FRAMES = 48  # of the motion, in which tets are examined
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """What moves a cage: joints as in Animation, and the share of each in each vertex."""
+    """Joints and frames of a motion, as in Animation."""
 
     names: list[str]
     parents: np.ndarray
@@ -38,63 +38,72 @@ class Skeleton:
     fps: float
 
 
-def dance(asset: Asset, rig: Rig, marks: Landmarks, solid: DistanceGrid | None = None) -> Asset:
-    """A standing person with the motion of a rig that is not its own; `solid` is a finer grid of it than the asset's.
+def animate_person(asset: Asset, rig: Rig, landmarks: Landmarks, solid: DistanceGrid | None = None) -> Asset:
+    """Give a standing person the motion of another's rig. Raises BadInput.
 
-    Raises BadInput.
+    solid  a finer distance grid of it than the asset's
     """
-    fitted = fit(rig, marks)
+    body = retarget(rig, landmarks)
     height = float(np.ptp(asset.cage.vertices[:, 1]))
-    person = parted(Solid.of(solid or asset.sdf), fitted, marks, height)
-    joined = meets(fitted)
-    cage, label, _ = cut(asset.cage, person.of_tets(asset.cage), joined)
+    person = segment_person(Solid.of(solid or asset.sdf), body, landmarks, height)
+    joined = skeleton_adjacency(body)
+    cage, label, _ = cut(asset.cage, person.bone_of_tets(asset.cage), joined)
     V, J = len(cage.vertices), len(BONES)
     votes = np.bincount(cage.tets.ravel().astype(np.int64) * J + np.repeat(label, 4), minlength=V * J).reshape(V, J)
     target = np.eye(J)[np.argmax(votes, axis=1)]
-    off = person.off_bone(cage.vertices)
-    weights = diffused(cage.vertices, cage.tets, HOLD / off**2, target)
-    steps = fitted.rest - np.where((PARENTS >= 0)[:, None], fitted.rest[PARENTS], 0.0)
+    off = person.bone_distance(cage.vertices)
+    weights = diffuse_weights(cage.vertices, cage.tets, HOLD / off**2, target)
+    steps = body.rest - np.where((PARENTS >= 0)[:, None], body.rest[PARENTS], 0.0)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (J, 1))
     inverse = np.tile(np.eye(4), (J, 1, 1))
-    inverse[:, :3, 3] = -fitted.rest
+    inverse[:, :3, 3] = -body.rest
     rest = (steps, upright, np.ones((J, 3)))
-    own = Skeleton(BONES, PARENTS, inverse, rest, fitted.frames, rig.fps)
-    parts = Parts(label, person.of_points(asset.gaussians.means), joined)
+    own = Skeleton(BONES, PARENTS, inverse, rest, body.frames, rig.fps)
+    segments = Segments(label, person.bone_of_points(asset.gaussians.means), joined)
     gaussians, fewer = shortened(asset.gaussians, person, joined)
-    moving = animated(
-        replace(asset, gaussians=gaussians), cage, parts, own, weights, on_ground=True, core=off <= CORE * height
+    moving = with_animation(
+        replace(asset, gaussians=gaussians),
+        cage,
+        segments,
+        own,
+        weights,
+        on_ground=True,
+        core=off <= CORE_RADIUS * height,
     )
     of_rig = {
         "shortened": fewer,
         "motion": rig.animation,
-        "landmarks": {k: {"at": np.round(v, 4).tolist(), "from": marks.source[k]} for k, v in marks.points.items()},
-        "residual": {k: [round(v, 4) for v in values] for k, values in fitted.residual.items()},
+        "landmarks": {
+            k: {"at": np.round(v, 4).tolist(), "from": landmarks.source[k]} for k, v in landmarks.points.items()
+        },
+        "residual": {k: [round(v, 4) for v in values] for k, values in body.residual.items()},
         "held": [{"by": h.by, "center": np.round(h.center, 4).tolist(), "radius": round(h.radius, 4)}
                  for h in person.held],
     }  # fmt: skip
     return with_provenance(moving, of_rig)
 
 
-def animated(
+def with_animation(
     asset: Asset,
     cage: Cage,
-    parts: Parts,
+    segments: Segments,
     own: Skeleton,
     weights: np.ndarray,
     *,
     on_ground: bool,
     core: np.ndarray | None = None,
 ) -> Asset:
-    """The asset with this cage, cut or not, its Gaussians embedded anew, and the motion. Raises BadInput.
+    """The asset with this cage, cut or not, its Gaussians embedded again, and the motion. Raises BadInput.
 
-    weights  share of each joint in each vertex, (V, J);  core  those in the bones, (V,) bool
+    weights  skin weights (V, J);  core  vertices in the bones, (V,) bool
     """
-    frames = come_round(own, float(np.ptp(cage.vertices[:, 1])))
-    joints, strong = strongest(weights)
+    frames = looping_frames(own, float(np.ptp(cage.vertices[:, 1])))
+    joints, strong = largest_influences(weights)
     matrices = world_matrices(own.parents, frames) @ own.inverse_bind
-    picked = np.linspace(0, len(matrices), min(SHAPES, len(matrices)), endpoint=False).astype(int)
+    picked = np.linspace(0, len(matrices), min(SAMPLED_FRAMES, len(matrices)), endpoint=False).astype(int)
     shapes = np.stack(
-        [cage.vertices.astype(np.float64)] + [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
+        [cage.vertices.astype(np.float64)]
+        + [linear_blend_skinning(cage.vertices, joints, strong, matrices[k]) for k in picked]
     )
     if on_ground:
         lift = shapes[0, :, 1].min() - shapes[1:, :, 1].min()
@@ -102,12 +111,12 @@ def animated(
         shapes[1:, :, 1] += lift
     surface = np.unique(cage.surface)
     leader = np.where(np.isin(joints[:, 0], own.parents), joints[:, 0], -1)
-    driven = firm(cage.vertices, strong, cage.tets, surface, shapes, core, leader)
+    driven = driven_vertices(cage.vertices, strong, cage.tets, surface, shapes, core, leader)
     led = np.union1d(surface, np.flatnonzero(driven))
     g = asset.gaussians
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
-    embedded, mended = within(embedded, g.means.astype(np.float64), cage, parts)
-    embedded, rehung = calmed(embedded, g, cage, parts, shapes)
+    embedded, kept = keep_to_segments(embedded, g.means.astype(np.float64), cage, segments)
+    embedded, calmed = without_spikes(embedded, g, cage, segments, shapes)
     motion = Animation(
         list(own.names),
         np.asarray(own.parents, np.int32),
@@ -132,31 +141,31 @@ def animated(
         "least_volume_driven": round(float(least[driven[cage.tets].all(1)].min(initial=1.0)), 3),
         "least_volume_skinned": round(float(least.min()), 3),
         "largest_stretch_skinned": round(largest_stretch(cage.tets, shapes), 2),
-        "kept_to_their_part": mended,
-        "kept_calm": rehung,
+        "kept_to_their_part": kept,
+        "kept_calm": calmed,
     }
     moving = replace(asset, cage=cage, embedding=embedded, animation=motion)
     return with_provenance(moving, figures)
 
 
-def come_round(own: Skeleton, size: float) -> Pose:
-    """The frames of a motion without the last, which is the first again, or is made so."""
+def looping_frames(own: Skeleton, size: float) -> Pose:
+    """Frames of a motion that repeats, without the last, which is the first again or is made so."""
     t, q, s = (np.array(x) for x in own.frames)
     if own.fps <= 0 or len(t) < 2:
         raise BadInput("the motion has no frames")
     angle = 2 * np.arccos(np.abs((q[0] * q[-1]).sum(-1)).clip(0, 1)).max()
-    if np.abs(t[0] - t[-1]).max() < JUMP[0] * size and angle < JUMP[1]:
+    if np.abs(t[0] - t[-1]).max() < MAX_LOOP_GAP[0] * size and angle < MAX_LOOP_GAP[1]:
         return t[:-1], q[:-1], s[:-1]
-    return close_loop((t, q, s), LOOP, own.fps)
+    return close_loop((t, q, s), LOOP_BLEND, own.fps)
 
 
 def largest_stretch(tets: np.ndarray, shapes: np.ndarray) -> float:
-    """Of an edge of the tets in shapes (F, V, 3), of 1 in the first."""
-    ends = np.unique(np.sort(tets[:, EDGES].reshape(-1, 2), axis=1), axis=0)
+    """Largest stretch of an edge of the tets in shapes (F, V, 3), relative to the first."""
+    ends = np.unique(np.sort(tets[:, TET_EDGES].reshape(-1, 2), axis=1), axis=0)
     length = [np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1) for x in shapes]
     return float(max((n / length[0]).max() for n in length))
 
 
 def with_provenance(asset: Asset, of_rig: dict) -> Asset:
-    """The asset with more said under "rig"."""
+    """The asset with more entries under "rig" in its provenance."""
     return replace(asset, provenance=asset.provenance | {"rig": asset.provenance.get("rig", {}) | of_rig})

@@ -1,8 +1,7 @@
-"""A skinned glTF mesh as a body: Gaussians on its surface, its skeleton, and its weights carried to a cage."""
+"""Skinned glTF mesh as a body: Gaussians on its surface, its skeleton, and its weights transferred to a cage."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,35 +16,36 @@ from assets.up_axis import rotation_to_up
 from core.errors import BadInput
 from core.point_location import TetLocator
 from core.spherical_harmonics import C0
-from prepare.rig.body_parts import Parts
+from core.tetmesh import TET_EDGES, vertex_components
+from prepare.rig.body_segmentation import Joined, Segments
 from prepare.rig.cage_cut import cut
-from prepare.rig.rigging import Skeleton, animated, with_provenance
-from prepare.rig.skin_weights import EDGES, diffused
+from prepare.rig.rigging import Skeleton, with_animation, with_provenance
+from prepare.rig.skin_weights import diffuse_weights
 
-COUNT = 60_000  # Gaussians
-WIDTH = 0.75  # standard deviation over the distance of neighbours: closed where samples are uneven
-FLAT = 0.1  # thickness over width
+GAUSSIANS = 60_000
+SIGMA = 0.75  # standard deviation over the spacing of samples: closed where these are uneven
+FLATNESS = 0.1  # thickness over width
 OPACITY = 4.0  # logit
-TURNS = (0.7548776662466927, 0.5698402909980532)  # Roberts' R2 sequence: even in the plane
-SHEAR = 0.02  # of a joint at rest, that is taken for rounding
-NEAR = 2.5  # edges of the cage: so far from where two joints' parts touch on the mesh they hold together
+R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' R2 sequence: even in the plane
+MAX_SHEAR = 0.02  # of a joint at rest, taken for rounding
+JOINED_RADIUS = 2.5  # edges of the cage, about where two joints' segments touch on the mesh
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Points on a mesh, evenly: the face (N,) and the share of its corners (N, 3) of each; spacing [m]."""
+    """Points spread evenly on a mesh: the face (N,) and barycentric weights (N, 3) of each; spacing [m]."""
 
     face: np.ndarray
-    corners: np.ndarray
+    weights: np.ndarray
     spacing: float
 
-    def of(self, values: np.ndarray) -> np.ndarray:
-        """Values of each corner of each face (F, 3, k) at the points, (N, k)."""
-        return np.einsum("nk,nkd->nd", self.corners, values[self.face])
+    def interpolate(self, values: np.ndarray) -> np.ndarray:
+        """Values at the corners of each face (F, 3, k), interpolated to the points, (N, k)."""
+        return np.einsum("nk,nkd->nd", self.weights, values[self.face])
 
 
-def sampled(vertices: np.ndarray, faces: np.ndarray, count: int = COUNT) -> Samples:
-    """Points on triangles, so many in proportion to area. Raises BadInput if there is no area."""
+def sample_mesh(vertices: np.ndarray, faces: np.ndarray, count: int = GAUSSIANS) -> Samples:
+    """Points on triangles, in proportion to area. Raises BadInput if there is no area."""
     v = vertices[faces]
     area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     total = area.sum()
@@ -53,7 +53,7 @@ def sampled(vertices: np.ndarray, faces: np.ndarray, count: int = COUNT) -> Samp
         raise BadInput("the mesh has no area")
     k = np.arange(count)
     face = np.searchsorted(np.cumsum(area), (k + 0.5) / count * total).clip(0, len(faces) - 1)
-    a, b = ((0.5 + k * t) % 1.0 for t in TURNS)
+    a, b = ((0.5 + k * t) % 1.0 for t in R2)
     over = a + b > 1
     a, b = np.where(over, 1 - a, a), np.where(over, 1 - b, b)
     return Samples(face, np.stack([1 - a - b, a, b], 1), float(np.sqrt(total / count)))
@@ -68,29 +68,29 @@ def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> G
     side = side / np.linalg.norm(side, axis=1, keepdims=True)
     frames = np.stack([side, np.cross(normal, side), normal], -1)
     quats = Rotation.from_matrix(frames).as_quat()[:, [3, 0, 1, 2]]
-    sigma = WIDTH * at.spacing
-    scales = np.log(np.tile([sigma, sigma, FLAT * sigma], (len(at.face), 1)))
-    linear = at.of(mesh.colours)
-    uv, which = at.of(mesh.uv), mesh.texture[at.face]
+    sigma = SIGMA * at.spacing
+    scales = np.log(np.tile([sigma, sigma, FLATNESS * sigma], (len(at.face), 1)))
+    linear = at.interpolate(mesh.colours)
+    uv, texture = at.interpolate(mesh.uv), mesh.texture[at.face]
     for k, pixels in enumerate(mesh.textures):
-        mine = which == k
+        mine = texture == k
         height, width = pixels.shape[:2]
         place = np.floor((uv[mine] % 1.0) * [width, height]).astype(int).clip(0, [width - 1, height - 1])
         linear[mine] *= linear_from_srgb(pixels[place[:, 1], place[:, 0]] / 255.0)
     sh = ((srgb_from_linear(linear) - 0.5) / C0)[:, None]
-    return Gaussians.of(at.of(v), quats, scales, np.full(len(quats), OPACITY), sh)
+    return Gaussians.of(at.interpolate(v), quats, scales, np.full(len(quats), OPACITY), sh)
 
 
-def placed_at_rest(rig: Rig) -> np.ndarray:
-    """From the mesh's own frame to the scene's (4, 4), where the skin's first joint stands at rest."""
+def scene_from_mesh(rig: Rig) -> np.ndarray:
+    """Matrix (4, 4) from the mesh's own frame to the scene's, where the skin's first joint is at rest."""
     first = int(np.argmin(rig.joints))  # parents come first
     return world_matrices(rig.parents, rig.rest)[rig.joints[first]] @ rig.inverse_bind[first]
 
 
 def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> tuple[Skeleton, np.ndarray]:
-    """The rig's joints and what is above them, under one that holds the similarity `asset_from_scene` (4, 4).
+    """The rig's joints and their ancestors, under one that holds the similarity transform `asset_from_scene` (4, 4).
 
-    Out.  the skeleton, whose rest is the mesh as it lies in the file, and the place in it of each joint of the skin
+    Out.  the skeleton, whose rest pose is the mesh as in the file, and the index in it of each joint of the skin
     """
     wanted = np.zeros(len(rig.names), bool)
     wanted[rig.joints] = True
@@ -111,8 +111,8 @@ def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> 
     steps = world.copy()
     steps[1:] = np.linalg.inv(world[parents[1:]]) @ world[1:]
     t, q, s, off = decompose(steps)
-    if off.max() > SHEAR:
-        raise BadInput("the rig's joints shear or mirror at rest; such a skeleton cannot be played")
+    if off.max() > MAX_SHEAR:
+        raise BadInput("the rig's joints shear or mirror at rest; such a skeleton cannot be animated")
     count = len(rig.frames[0])
     frames = [
         np.concatenate([np.tile(x[:1], (count, 1, 1)), f[:, nodes]], 1)
@@ -122,66 +122,63 @@ def skeleton_of(rig: Rig, at_rest: np.ndarray, asset_from_scene: np.ndarray) -> 
     return Skeleton(names, parents, np.linalg.inv(world), (t, q, s), tuple(frames), rig.fps), place[rig.joints]
 
 
-def walk(asset: Asset, mesh: SkinnedMesh, rig: Rig, at: Samples) -> Asset:
+def animate_mesh(asset: Asset, mesh: SkinnedMesh, rig: Rig, at: Samples) -> Asset:
     """The asset prepared from the mesh's Gaussians, with the rig's motion. Raises BadInput."""
-    at_rest, done = placed_at_rest(rig), asset.provenance
+    at_rest, done = scene_from_mesh(rig), asset.provenance
     similarity = np.eye(4)
     similarity[:3, :3] = done["metres_per_unit"] * rotation_to_up(done["up"])
     similarity[:3, 3] = done["moved"]
     own, place = skeleton_of(rig, at_rest, similarity)
     J = len(own.names)
-    shares = np.zeros((len(mesh.vertices), J))
-    np.add.at(shares, (np.arange(len(shares))[:, None], place[mesh.joints]), mesh.weights)
+    skin = np.zeros((len(mesh.vertices), J))
+    np.add.at(skin, (np.arange(len(skin))[:, None], place[mesh.joints]), mesh.weights)
     to_asset = similarity @ at_rest
     x = mesh.vertices @ to_asset[:3, :3].T + to_asset[:3, 3]
-    points, target = at.of(x[mesh.faces]), at.of(shares[mesh.faces])
-    weights = carried(asset.cage, points, target)
+    points, target = at.interpolate(x[mesh.faces]), at.interpolate(skin[mesh.faces])
+    weights = transferred_weights(asset.cage, points, target)
     label = np.argmax(weights[asset.cage.tets].mean(1), axis=1)
-    joined = touching(asset.cage, own.parents, x, mesh.faces, np.argmax(shares, 1))
+    joined = mesh_adjacency(asset.cage, own.parents, x, mesh.faces, np.argmax(skin, 1))
     cage, label, _ = cut(asset.cage, label, joined)
-    weights = carried(cage, points, target)
-    nearest = cKDTree(points).query(asset.gaussians.means)[1]  # the very sample, but for those that were left out
-    parts = Parts(label, np.argmax(target[nearest], axis=1), joined)
-    moving = animated(asset, cage, parts, own, weights, on_ground=False)
+    weights = transferred_weights(cage, points, target)
+    nearest = cKDTree(points).query(asset.gaussians.means)[1]  # its own sample, but for those that were cleaned away
+    segments = Segments(label, np.argmax(target[nearest], axis=1), joined)
+    moving = with_animation(asset, cage, segments, own, weights, on_ground=False)
     return with_provenance(moving, {"motion": rig.animation})
 
 
-def carried(cage, points: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights (V, J) of cage vertices from those (N, J) of points (N, 3) inside it, spread through the cage alone."""
-    where = TetLocator(cage.vertices, cage.tets)
-    host = where.find(points)
+def transferred_weights(cage, points: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Weights (V, J) of cage vertices from those (N, J) of points (N, 3) inside it, diffused through the cage."""
+    locator = TetLocator(cage.vertices, cage.tets)
+    host = locator.find(points)
     inside = host >= 0
     if not inside.any():
         raise BadInput("the mesh does not lie in its cage")
-    share = where.weights(host[inside], points[inside]).clip(0)
+    w = locator.weights(host[inside], points[inside]).clip(0)
     corner = cage.tets[host[inside]]
     V, J = len(cage.vertices), target.shape[1]
-    amount = np.bincount(corner.ravel(), share.ravel(), minlength=V)
+    amount = np.bincount(corner.ravel(), w.ravel(), minlength=V)
     total = np.stack([
-        np.bincount(corner.ravel(), (share * target[inside, j : j + 1]).ravel(), minlength=V) for j in range(J)
+        np.bincount(corner.ravel(), (w * target[inside, j : j + 1]).ravel(), minlength=V) for j in range(J)
     ], 1)  # fmt: skip
     mean = total / np.maximum(amount, 1e-12)[:, None]
     mean /= np.maximum(mean.sum(1, keepdims=True), 1e-12)
-    ends = cage.tets[:, EDGES].reshape(-1, 2)
+    ends = cage.tets[:, TET_EDGES].reshape(-1, 2)
     x = cage.vertices.astype(np.float64)
     edge = np.median(np.linalg.norm(x[ends[:, 0]] - x[ends[:, 1]], axis=1))
     held = 4.0 / edge**2 * amount / max(float(amount[amount > 0].mean()), 1e-12)
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    piece = connected_components(coo_matrix((np.ones(len(ends)), ends.T), shape=(V, V)), False)[1]
-    if len(np.setdiff1d(piece, piece[amount > 0])):
-        raise BadInput("a piece of the cage holds nothing of the mesh")
-    return diffused(cage.vertices, cage.tets, held, mean)
+    component = vertex_components(cage.tets)
+    if len(np.setdiff1d(component, component[(amount[cage.tets] > 0).any(1)])):
+        raise BadInput("a component of the cage holds nothing of the mesh")
+    return diffuse_weights(cage.vertices, cage.tets, held, mean)
 
 
-def touching(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label: np.ndarray) -> Callable:
-    """What holds together: joints one above the other, and others near where their parts of the mesh touch."""
+def mesh_adjacency(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label: np.ndarray) -> Joined:
+    """Where segments are joined: parent and child joints, and others near where their segments of the mesh touch."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
     middle, pair = x[ends].mean(1), np.sort(label[ends], axis=1)
-    corners = cage.vertices[cage.tets[:, EDGES]].astype(np.float64)
-    reach = NEAR * np.median(np.linalg.norm(corners[:, :, 0] - corners[:, :, 1], axis=-1))
+    corners = cage.vertices[cage.tets[:, TET_EDGES]].astype(np.float64)
+    radius = JOINED_RADIUS * np.median(np.linalg.norm(corners[:, :, 0] - corners[:, :, 1], axis=-1))
 
     def joined(a: np.ndarray, b: np.ndarray, centre: np.ndarray) -> np.ndarray:
         result = (parents[a] == b) | (parents[b] == a)
@@ -190,7 +187,7 @@ def touching(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label:
         for p in np.unique(np.stack([low[open_], high[open_]], 1), axis=0):
             here, there = open_ & (low == p[0]) & (high == p[1]), (pair == p).all(1)
             if there.any():
-                result[here] = cKDTree(middle[there]).query(centre[here])[0] < reach
+                result[here] = cKDTree(middle[there]).query(centre[here])[0] < radius
         return result
 
     return joined

@@ -29,13 +29,13 @@ def test_two_levels_are_smoother_and_the_page_is_drawn(ti_cpu):
     """A bar of a few tets twisted by 180 degrees: neighbours differ at most half as much as with one level."""
     from bench.ablation import DEFORMATIONS, SCHEMES, ablation, page
     from display.headless.picture_strip import PANEL
-    from prepare.cage.embedding_hosts import embed_on_device
+    from prepare.cage.embedding_hosts import embed
 
     x, tets = tet_bar((4, 16, 4), (0.1, 0.4, 0.1))
     x = (x - [0.05, 0.0, 0.05]).astype(np.float32)
     low, high = (-0.05, 0, -0.05), (0.05, 0.4, 0.05)
     g = random_gaussians(np.random.default_rng(0), 4000, low=low, high=high, sigma=0.002)
-    embedded = embed_on_device(g.means, g.quats, np.exp(g.log_scales), x, tets)
+    embedded = embed(g.means, g.quats, np.exp(g.log_scales), x, tets)
     bar, rows, pictures = Asset(g, Cage(x, tets, boundary_surface(tets)), embedded), {}, {}
     for scheme in SCHEMES:
         title = "180 degrees"

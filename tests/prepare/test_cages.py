@@ -7,10 +7,11 @@ from numpy.testing import assert_allclose
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.tetmesh import tet_volumes
-from prepare.cage.cage import cage_of, fault, share_inside, widened
+from prepare.cage.cage_generation import cage_of, fault, widened
+from prepare.cage.device_locator import fraction_inside
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import euler_characteristic
-from prepare.cage.sizing_field import Shape, levels_of
+from prepare.cage.sizing_field import ShapeWidths, levels_of
 from tests.support.cage_cases import CASES, DISTANCES, case
 from tests.support.cage_measures import bending, faults, measured
 
@@ -52,7 +53,7 @@ def test_a_body_that_is_thin_all_over_is_served(ti_cpu, shared):
 
 def test_the_volume_is_kept_where_that_is_promised(ti_cpu, monkeypatch):
     """As from 10,000 vertices on, here with fewer."""
-    monkeypatch.setattr("prepare.cage.cage.EXACT", 1000)
+    monkeypatch.setattr("prepare.cage.cage_generation.EXACT_VERTICES", 1000)
     row = measured(case("bunny", 5000), 2000, up="+y")
     assert faults(row, 2000) == []
     assert abs(row["volume"]) < 3
@@ -61,7 +62,7 @@ def test_the_volume_is_kept_where_that_is_promised(ti_cpu, monkeypatch):
 def test_cells_are_small_where_it_is_thin_and_large_inside(ti_cpu):
     """A ball of 32 grid cells with a plate of 2 through it, cells of 2: the plate is thin, the ball's middle deep."""
     phi = grid(lambda p: np.minimum(np.linalg.norm(p, axis=-1) - 0.8, plate(p, 0.1)))
-    levels = levels_of(Shape(phi, 10.0), 2.0, 2, 2)
+    levels = levels_of(ShapeWidths.of(phi, 10.0), 2.0, 2, 2)
     middle = np.array(phi.shape) // 2
     assert levels[tuple(middle)] == 0
     assert levels[tuple(middle + [19, 0, 19])] >= 3  # in the plate, outside of the ball
@@ -71,20 +72,20 @@ def test_cells_are_small_where_it_is_thin_and_large_inside(ti_cpu):
 
 def test_the_half_width_is_that_of_the_part(ti_cpu):
     """A plate of 8 cells, a half width of 4 between 3 and 4.2; a ball of radius 16 is thick."""
-    flat = Shape(grid(lambda p: plate(p, 0.4)), 10.0).half_width
+    flat = ShapeWidths.of(grid(lambda p: plate(p, 0.4)), 10.0).half_width
     middle = np.array(flat.shape) // 2
     assert 3 < flat[tuple(middle)] < 4.5
     assert np.isinf(flat[0, 0, 0])
-    round_ = Shape(grid(lambda p: np.linalg.norm(p, axis=-1) - 0.8), 10.0).half_width
+    round_ = ShapeWidths.of(grid(lambda p: np.linalg.norm(p, axis=-1) - 0.8), 10.0).half_width
     assert np.isinf(round_[tuple(middle)])
 
 
 def test_only_thin_parts_are_widened(ti_cpu):
     thick = grid(lambda p: np.linalg.norm(p, axis=-1) - 0.8)
-    shape = Shape(thick, 10.0)
+    shape = ShapeWidths.of(thick, 10.0)
     assert (widened(shape, 4.0) == thick).all()
     thin = grid(lambda p: plate(p, 0.15))
-    wide = widened(Shape(thin, 10.0), 8.0)  # 3 cells across become 0.9 of 8
+    wide = widened(ShapeWidths.of(thin, 10.0), 8.0)  # 3 cells across become 0.9 of 8
     across = (wide < 0)[30, :, 30].sum()
     assert 6 <= across <= 9
     assert (wide <= thin).all()
@@ -97,7 +98,7 @@ def test_a_thin_ring_stays_a_ring_of_the_right_volume(ti_cpu):
     cage = cage_of(phi, inner, 3000, lambda done: None)
     assert euler_characteristic(cage.surface) == 0
     assert_allclose(tet_volumes(cage.vertices, cage.tets).sum(), volume_of(phi), rtol=0.03)
-    assert share_inside(cage, inner) >= 0.995
+    assert fraction_inside(cage.vertices, cage.tets, inner) >= 0.995
     assert fault(cage, volume_of(phi), 1.0, 3000) == "" and "vertices" in fault(cage, volume_of(phi), 1.0, 2000)
     assert "inside" in fault(cage, volume_of(phi), 0.99, 3000)
 

@@ -1,20 +1,21 @@
-"""A preparation that was stopped goes on; what it shows while it works; the thumbnail in the asset."""
+"""A stopped preparation resumes; its progress on the screen; the thumbnail in the asset."""
 
 import io
 import zlib
+from dataclasses import asdict
 
 import cv2
 import h5py
 import numpy as np
 import pytest
 
-import commands.prepare as command
 from assets.asset import Asset
 from assets.images import THUMBNAIL_SIDE, check_thumbnail, thumbnail_of
 from assets.splat_files import write_gaussians
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
-from prepare.pipeline import STAGES
+from prepare.pipeline import STEPS, VERSION, Options
+from prepare.prepared_files import prepare_file
 from prepare.progress import ProgressBar, ProgressLines, progress_on
 from tests.support.shells import ball
 
@@ -27,17 +28,17 @@ def source(tmp_path, monkeypatch):
     return path
 
 
-def test_a_stopped_run_goes_on_after_its_last_finished_stage(ti_cpu, source, tmp_path):
+def test_a_stopped_run_resumes_after_its_last_finished_step(ti_cpu, source, tmp_path):
     """The asset is that of a run that was not stopped; then the cache is empty."""
-    how = {"vertices": 300, "up": "+y", "report": lambda line: None}
-    whole = Asset.load(command.prepare_file(source, tmp_path / "whole.h5", **how))
+    how = {"options": Options(vertices=300, up="+y"), "report": lambda line: None}
+    whole = Asset.load(prepare_file(source, tmp_path / "whole.h5", **how))
 
-    def stop(stage, done):
-        if stage == "embed":
+    def stop(step, done):
+        if step == "embed":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        command.prepare_file(source, tmp_path / "out.h5", progress=stop, **how)
+        prepare_file(source, tmp_path / "out.h5", progress=stop, **how)
     assert not (tmp_path / "out.h5").exists()
     kept = sorted(p.name for p in (tmp_path / "cache").rglob("*.npz"))
     assert kept == ["cage.npz", "fill.npz", "orient.npz", "surface.npz"]
@@ -46,9 +47,9 @@ def test_a_stopped_run_goes_on_after_its_last_finished_stage(ti_cpu, source, tmp
     damaged.write_bytes(damaged.read_bytes()[:-500])  # ignored: made again
     seen, lines = [], []
     how["report"] = lines.append
-    out = command.prepare_file(source, tmp_path / "out.h5", progress=lambda stage, done: seen.append(stage), **how)
+    out = prepare_file(source, tmp_path / "out.h5", progress=lambda step, done: seen.append(step), **how)
     assert list(dict.fromkeys(seen)) == ["surface", "embed", "contact"]
-    assert "went on after cage: a run before had come so far" in lines
+    assert "resumed after the step cage of an earlier run" in lines
     again = Asset.load(out)
     np.testing.assert_array_equal(again.cage.vertices, whole.cage.vertices)
     np.testing.assert_array_equal(again.embedding.host, whole.embedding.host)
@@ -64,7 +65,7 @@ def test_entries_belong_to_a_file_and_options_and_damaged_ones_are_ignored(sourc
         return {"x": np.arange(1000)}
 
     def count(**options) -> int:
-        np.testing.assert_array_equal(Checkpoints(source, options, 1).stage("fill", make)["x"], np.arange(1000))
+        np.testing.assert_array_equal(Checkpoints(source, options, 1).step("fill", make)["x"], np.arange(1000))
         return len(made)
 
     assert [count(vertices=5), count(vertices=5), count(vertices=6)] == [1, 1, 2]
@@ -82,10 +83,9 @@ def test_entries_belong_to_a_file_and_options_and_damaged_ones_are_ignored(sourc
 
 
 def test_kept_arrays_that_make_no_sense_are_made_again(ti_cpu, source, tmp_path):
-    how = {"vertices": 300, "up": "+y", "report": lambda line: None}
-    options = {"vertices": 300, "scale": None, "up": "+y", "material": None, "mesher": "stuffing"}
-    Checkpoints(source, options, command.VERSION).stage("surface", lambda: {"psi": np.zeros(3)})
-    assert len(Asset.load(command.prepare_file(source, tmp_path / "out.h5", **how)).cage.tets) > 100
+    options = Options(vertices=300, up="+y")
+    Checkpoints(source, asdict(options), VERSION).step("surface", lambda: {"psi": np.zeros(3)})
+    assert len(Asset.load(prepare_file(source, tmp_path / "out.h5", options, report=print)).cage.tets) > 100
 
 
 class Terminal(io.StringIO):
@@ -97,19 +97,19 @@ class Terminal(io.StringIO):
 
 def test_a_terminal_gets_a_bar_and_a_file_gets_lines():
     screen, file = Terminal(), io.StringIO()
-    bar, lines = progress_on(screen, STAGES), progress_on(file, STAGES)
+    bar, lines = progress_on(screen, STEPS), progress_on(file, STEPS)
     assert isinstance(bar, ProgressBar) and isinstance(lines, ProgressLines)
-    for stage in STAGES:
-        bar(stage, 0.0)
-        lines(stage, 0.0)
+    for step in STEPS:
+        bar(step, 0.0)
+        lines(step, 0.0)
     bar("contact", 1.0)
     lines("contact", 1.0)
     assert "\n" not in screen.getvalue() and screen.getvalue().endswith("\r\x1b[K")  # nothing is left of it
     shown = screen.getvalue().split("\r")[1:]
-    assert [next(s for s in STAGES if s in line) for line in shown[: len(STAGES)]] == list(STAGES)
+    assert [next(s for s in STEPS if s in line) for line in shown[: len(STEPS)]] == list(STEPS)
     shares = [line.count("█") for line in shown[:-1]]
     assert shares == sorted(shares) and shares[0] == 0 and shares[-1] == 28
-    assert [line.split()[1] for line in file.getvalue().splitlines()] == list(STAGES)
+    assert [line.split()[1] for line in file.getvalue().splitlines()] == list(STEPS)
 
 
 def small_asset(**changes) -> Asset:

@@ -17,12 +17,12 @@ from core.material import Material
 from core.point_location import TetLocator
 from core.tetmesh import face_components, vertex_components
 from display.scene_bodies import load_bodies
-from prepare.cage.cage import ANGLE_MIN, INSIDE_MIN
-from prepare.cage.component_cages import shared_out
-from prepare.cage.level_set import contact_grid
+from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN
+from prepare.cage.component_cages import vertex_counts
 from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
-from prepare.cleaning import clean, clean_pieces
-from prepare.pipeline import prepare
+from prepare.cleaning import clean, clean_components
+from prepare.pipeline import Options, prepare
+from prepare.prepared_files import prepare_file
 from scenes.scene import Body, Light, Scene
 from tests.support.shells import ball, ring
 
@@ -37,11 +37,11 @@ def two(gap: float = 1.0) -> Gaussians:
 
 
 def test_vertices_are_shared_out_by_area_and_specks_get_none():
-    assert shared_out(np.array([3.0, 1.0]), 1000).tolist() == [750, 250]
-    assert shared_out(np.array([3.0, 0.1, 1.0]), 1000).tolist() == [750, 0, 250]
-    assert shared_out(np.array([1.0]), 50).tolist() == [50]
-    assert shared_out(np.ones(3), 100).tolist().count(50) == 2
-    many = shared_out(np.ones(40), 100_000)
+    assert vertex_counts(np.array([3.0, 1.0]), 1000).tolist() == [750, 250]
+    assert vertex_counts(np.array([3.0, 0.1, 1.0]), 1000).tolist() == [750, 0, 250]
+    assert vertex_counts(np.array([1.0]), 50).tolist() == [50]
+    assert vertex_counts(np.ones(3), 100).tolist().count(50) == 2
+    many = vertex_counts(np.ones(40), 100_000)
     assert (many > 0).sum() == 32 and abs(many.sum() - 100_000) < 32
 
 
@@ -53,21 +53,21 @@ def test_cleaning_keeps_pieces_that_are_bodies():
     floaters = moved(ball().select(rng.integers(0, 2000, 20)), 0.0, 7.0, 0.0, scale=0.1)
     smear = replace(ring().select(np.arange(3)), log_scales=np.full((3, 3), 0.0, np.float32))
     both = two()
-    kept, number, counts = clean_pieces(concatenate([both, sheet, floaters, smear]))
+    kept, number, counts = clean_components(concatenate([both, sheet, floaters, smear]))
     assert len(kept) == len(both) and counts["kept"] == len(both)
     assert np.bincount(number).tolist() == sorted((len(ball()), len(ring())), reverse=True)
     assert counts["specks"] == 1  # the sheet; 20 Gaussians are no piece
     assert counts["huge"] + counts["apart"] == len(sheet) + 23
     alone = ball()
-    kept, number, counts = clean_pieces(alone)
+    kept, number, counts = clean_components(alone)
     assert len(kept) == len(clean(alone)[0]) and (number == 0).all()
     with pytest.raises(BadInput, match="on a plane"):
-        clean_pieces(sheet)
+        clean_components(sheet)
 
 
 @pytest.fixture(scope="module")
 def pair(ti_cpu) -> Asset:
-    return prepare(two(), vertices=800, up="+y", scale=0.4, pieces=True)
+    return prepare(two(), Options(vertices=800, up="+y", scale=0.4, pieces=True))
 
 
 def test_each_piece_keeps_the_promises(pair):
@@ -103,17 +103,9 @@ def test_the_distance_grid_is_that_of_both(pair):
     assert (grid.values[[0, -1]] > 0).all() and (grid.values[..., [0, -1]] > 0).all()
 
 
-def test_the_grid_of_far_pieces_stays_small():
-    axis = np.arange(12.0)
-    phi = np.linalg.norm(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1) - 5.5, axis=-1) - 4
-    near = contact_grid([(phi, np.zeros(3), 1.0)])
-    far = contact_grid([(phi, np.zeros(3), 1.0), (phi, np.array([300.0, 0, 0]), 1.0)])
-    assert max(near.values.shape) <= 58 and max(far.values.shape) <= 162
-
-
 def test_two_far_apart_are_as_well_made_as_two_near(ti_cpu):
     """Forty radii between them: each piece has a grid of its own."""
-    asset = prepare(two(40.0), vertices=800, up="+y", pieces=True)
+    asset = prepare(two(40.0), Options(vertices=800, up="+y", pieces=True))
     assert asset.provenance["figures"]["pieces"] == 2
     assert asset.provenance["figures"]["inside"] >= INSIDE_MIN
 
@@ -123,11 +115,11 @@ def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_c
     falls into two."""
     monkeypatch.setattr("prepare.cage.component_cages.NODES_RANGE", (144, 144))
     near = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
-    assert clean_pieces(near)[1].max() == 0
-    asset = prepare(near, vertices=800, up="+y", pieces=True)
+    assert clean_components(near)[1].max() == 0
+    asset = prepare(near, Options(vertices=800, up="+y", pieces=True))
     assert asset.provenance["figures"]["pieces"] == 2
     assert_allclose(*(p.cage.volumes().sum() for p in split_components(asset)), rtol=0.1)
-    alone = prepare(near, vertices=400, up="+y")
+    alone = prepare(near, Options(vertices=400, up="+y"))
     assert alone.provenance["figures"]["pieces"] == 1 and alone.provenance["counts"]["stray"] > 2000
 
 
@@ -159,10 +151,11 @@ def test_the_command_keeps_all_pieces_and_says_how_many(ti_cpu, tmp_path, capsys
     assert "2 pieces, each with a cage of its own" in said and "in uniform cells" in said
     made = Asset.load(tmp_path / "two.h5").provenance
     assert made["figures"]["pieces"] == 2 and made["options"]["pieces"] and made["options"]["cells"] == "uniform"
-    assert vrgs.main([*line, "--force", "--no-report"]) == 0
-    said = capsys.readouterr().out
-    assert "the largest is taken" in said and "--pieces keeps all" in said
-    assert Asset.load(tmp_path / "two.h5").provenance["figures"]["cells"] == "adaptive"
+    assert Asset.load(tmp_path / "two.h5").thumbnail is not None
+    lines = []
+    prepare_file(tmp_path / "two.ply", tmp_path / "one.h5", Options(vertices=400, up="+y"), report=lines.append)
+    assert any("the largest is taken" in line and "--pieces keeps all" in line for line in lines)
+    assert Asset.load(tmp_path / "one.h5").provenance["figures"]["cells"] == "adaptive"
 
 
 @pytest.mark.parametrize(

@@ -8,19 +8,18 @@ from assets.animation import START_RAMP, linear_blend_skinning
 from assets.asset import Asset
 from assets.formats.gltf_skin import read_rig
 from core.material import ANIMATED_MATERIAL
+from prepare.pipeline import Options
+from prepare.prepared_files import prepare_file
 from prepare.rig.skin_weights import least_volumes
 
 
 @pytest.fixture(scope="module")
 def dancer(shared, ti_cpu, tmp_path_factory):
     """The standing man with another one's dance, found without a landmarks file."""
-    from commands.prepare import prepare_file
-
     out = tmp_path_factory.mktemp("dancer") / "dancer.h5"
     splats, rig = shared / "data/splats/biker_human.ply", shared / "data/rigs/win-dance.glb"
-    prepare_file(
-        splats, out, vertices=2000, up="-y", scale=1.75, rig=rig, progress=lambda *_: None, report=lambda _: None
-    )
+    options = Options(vertices=2000, up="-y", scale=1.75)
+    prepare_file(splats, out, options, rig=rig, progress=lambda *_: None, report=lambda _: None)
     return Asset.load(out)
 
 
@@ -52,7 +51,9 @@ def test_what_he_holds_is_found_and_stays_whole(dancer):
     assert mine.sum() > 1500
     a = dancer.animation
     rest = dancer.cage.vertices.astype(np.float64)
-    hand = linear_blend_skinning(rest, np.full((len(rest), 1), a.names.index("right_wrist")), np.ones((len(rest), 1)), a.matrices(2.0))
+    hand = linear_blend_skinning(
+        rest, np.full((len(rest), 1), a.names.index("right_wrist")), np.ones((len(rest), 1)), a.matrices(2.0)
+    )
     x = rest.copy()
     x[a.vertices] = a.skinned(rest[a.vertices], a.matrices(2.0))
     inner = np.setdiff1d(np.arange(len(rest)), a.vertices)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.point_location import TetLocator
 from core.rotation import matrices_from_quaternions
-from prepare.cage.embedding_hosts_reference import CORNERS, FURTHEST, embed
+from tests.support.reference_embedding import CORNERS, MAX_WEIGHT, embed
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
 
@@ -96,7 +96,7 @@ def test_weights_are_bounded_wherever_gaussians_are():
     g = random_gaussians(rng, 2000, low=(-3, -3, -3), high=(3, 3, 3), sigma=0.05, spread=2.0)
     e = embedded_in_bar(g)
     assert e.host.dtype == np.int32 and e.weights.dtype == np.float32
-    assert np.isfinite(e.weights).all() and np.abs(e.weights).max() <= FURTHEST + 1
+    assert np.isfinite(e.weights).all() and np.abs(e.weights).max() <= MAX_WEIGHT + 1
     assert_allclose(e.weights.sum(2), 1, atol=2e-6)
     y = corners_of(e, *BAR)
     D = y[:, 1:] - y[:, :1]
@@ -124,7 +124,7 @@ def test_no_gaussians():
 def test_the_kernel_does_what_numpy_does(ti_cpu):
     """Inside, on the surface, far outside, huge and of no thickness, in a coarse and in a finer cage: the same tets,
     and weights equal to the last bits of float32."""
-    from prepare.cage.embedding_hosts import embed_on_device
+    from prepare.cage.embedding_hosts import embed as embed_on_device
 
     rng = np.random.default_rng(8)
     cases = [

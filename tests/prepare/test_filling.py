@@ -6,8 +6,10 @@ from numpy.testing import assert_allclose
 
 from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
-from prepare.cage.filling import BLUR, REACH, density_of, interior, solid_cells
+from prepare.cage.filling import density_of, interior, solid_cells
 from tests.support.shells import ball, ring
+
+BLUR, CUTOFF = 0.5, 3.0  # [cells], [standard deviations]
 
 
 def random_gaussians(n: int, low: float, high: float, seed=0) -> Gaussians:
@@ -17,14 +19,14 @@ def random_gaussians(n: int, low: float, high: float, seed=0) -> Gaussians:
 
 
 def reference_density(g: Gaussians, origin, spacing, shape) -> np.ndarray:
-    """sum_g o_g exp(-1/2 d^T Sigma^-1 d) for d^T Sigma^-1 d < REACH^2, in float64."""
+    """sum_g o_g exp(-1/2 d^T Sigma^-1 d) for d^T Sigma^-1 d < CUTOFF^2, in float64."""
     nodes = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), -1)
     total = np.zeros(shape)
     axes = matrices_from_quaternions(g.quats) * (np.exp(g.log_scales.astype(float)) / spacing)[:, None]
     for mean, a, opacity in zip((g.means - origin) / spacing, axes, g.opacities, strict=True):
         d = nodes - mean
         q = np.einsum("...i,ij,...j->...", d, np.linalg.inv(a @ a.T + BLUR**2 * np.eye(3)), d)
-        total += np.where(q < REACH**2, opacity * np.exp(-q / 2), 0)
+        total += np.where(q < CUTOFF**2, opacity * np.exp(-q / 2), 0)
     return total
 
 

@@ -11,14 +11,17 @@ from assets.asset import Asset
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
 from assets.up_axis import AXES, body_size, guess_up_axis, rotation_to_up
-from commands.prepare import prepare_file, run
+from commands.prepare import run
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.point_location import TetLocator
 from core.tetmesh import face_components, tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles, euler_characteristic, non_manifold_vertices
+from prepare.checkpoints import gaussians_of
 from prepare.cleaning import clean
-from prepare.pipeline import STAGES, prepare
+from prepare.pipeline import STEPS, Options, clean_and_orient, prepare
+from prepare.prepared_files import prepare_file
+from prepare.progress import no_progress
 from tests.support.shells import ball, ring, shell, toy
 
 SPLATS = {"toy_cat.ply": "-y", "plush_dragon.ply": "+y"}  # and which way is up in them, as pictures show
@@ -80,7 +83,7 @@ def test_what_cannot_be_used_is_told_in_one_line(ti_cpu, name):
 def test_bad_options_are_told_at_once(options, message):
     """Without Taichi running: before any work."""
     with pytest.raises(BadInput, match=message):
-        prepare(ball(), **options)
+        prepare(ball(), Options(**options))
 
 
 @pytest.mark.parametrize("up", AXES)
@@ -129,14 +132,21 @@ def assert_sound(asset: Asset, vertices: int) -> None:
     assert len(asset.embedding.host) == len(g)
 
 
-def test_a_ball_becomes_a_body(ti_cpu, tmp_path):
-    """Half a metre across; its missing underside is closed; the stages come in order; the file can be read back."""
+@pytest.fixture(scope="module")
+def prepared_ball(ti_cpu):
+    """A ball half a metre across without its underside, as a body, and what its progress said."""
     seen = []
-    asset = prepare(ball(), vertices=600, scale=0.5, up="+y", progress=lambda stage, done: seen.append((stage, done)))
+    options = Options(vertices=600, scale=0.5, up="+y", material="rubber")
+    return prepare(ball(), options, progress=lambda *step: seen.append(step)), seen
+
+
+def test_a_ball_becomes_a_body(prepared_ball, tmp_path):
+    """Its missing underside is closed; the steps come in order; the file can be read back."""
+    asset, seen = prepared_ball
     assert_sound(asset, 600)
-    assert list(dict.fromkeys(stage for stage, _ in seen)) == list(STAGES)
+    assert list(dict.fromkeys(step for step, _ in seen)) == list(STEPS)
     assert all(0 <= done <= 1 for _, done in seen)
-    assert asset.material == MATERIALS["plush"]
+    assert asset.material == MATERIALS["rubber"]
     extent = np.ptp(asset.gaussians.means, axis=0)
     assert 0.45 < extent.max() <= 0.5
     # The ball above y = -0.75 is 0.957 of a ball of diameter 0.5; the discs' thickness and the margin come on top.
@@ -148,8 +158,8 @@ def test_a_ball_becomes_a_body(ti_cpu, tmp_path):
     assert again.provenance == asset.provenance
 
 
-def test_the_distance_grid_is_that_of_the_ball(ti_cpu):
-    asset = prepare(ball(), vertices=600, scale=0.5, up="+y", material="rubber")
+def test_the_distance_grid_is_that_of_the_ball(prepared_ball):
+    asset, _ = prepared_ball
     grid, g = asset.sdf, asset.gaussians
     assert grid.values.dtype == np.float16
     assert 45 <= max(grid.values.shape) <= 64
@@ -166,7 +176,7 @@ def test_the_distance_grid_is_that_of_the_ball(ti_cpu):
 @pytest.mark.parametrize("minor", [0.25, 0.08])
 def test_a_ring_stays_a_ring(ti_cpu, minor):
     """Also one whose tube is thinner than the lattice's cell: it is made thick enough, not lost."""
-    asset = prepare(ring(minor=minor), vertices=400, up="+y")
+    asset = prepare(ring(minor=minor), Options(vertices=400, up="+y"))
     assert_sound(asset, 400)
     assert euler_characteristic(asset.cage.surface) == 0
 
@@ -177,27 +187,29 @@ def test_thin_parts_stay_on_the_body(ti_cpu):
     y, turn = rng.uniform(0.9, 2.2, 800), rng.uniform(0, 2 * np.pi, 800)
     normals = np.stack([np.cos(turn), 0 * y, np.sin(turn)], 1)
     whisker = shell(0.05 * normals + np.stack([0 * y, y, 0 * y], 1), normals, sigma=0.03)
-    asset = prepare(concatenate([ball(), whisker]), vertices=500, up="+y")
+    asset = prepare(concatenate([ball(), whisker]), Options(vertices=500, up="+y"))
     assert_sound(asset, 500)
     tip = asset.gaussians.means[:, 1].max()
     assert asset.cage.vertices[:, 1].max() > tip
 
 
-def test_view_dependent_colour_is_turned_along(ti_cpu):
-    """A body that is turned in the file and turned back by `up` is the same body."""
+def test_view_dependent_colour_is_rotated_along():
+    """A body that is rotated in the file and rotated back by `up` is the same body."""
     rng = np.random.default_rng(0)
     body = ball()
     body = replace(body, sh=rng.normal(0, 0.1, (len(body), 9, 3)).astype(np.float32))
-    upright = prepare(body, vertices=300, up="+y")
-    turned = prepare(body.transformed(rotation_to_up("-x").T), vertices=300, up="-x")
-    assert_allclose(turned.gaussians.means, upright.gaussians.means, atol=1e-5)
-    assert_allclose(turned.gaussians.sh, upright.gaussians.sh, atol=1e-5)
+    turned = body.transformed(rotation_to_up("-x").T)
+    upright, back = (
+        gaussians_of(clean_and_orient(g, Options(up=up), no_progress))[0] for g, up in ((body, "+y"), (turned, "-x"))
+    )
+    assert_allclose(back.means, upright.means, atol=1e-5)
+    assert_allclose(back.sh, upright.sh, atol=1e-5)
 
 
 def test_a_file_is_prepared_whole_or_not_at_all(ti_cpu, tmp_path):
     lines = []
     write_gaussians(tmp_path / "ball.ply", ball())
-    out = prepare_file(tmp_path / "ball.ply", tmp_path / "out.h5", vertices=300, up="+y", report=lines.append)
+    out = prepare_file(tmp_path / "ball.ply", tmp_path / "out.h5", Options(vertices=300, up="+y"), report=lines.append)
     assert out == tmp_path / "out.h5"
     asset = Asset.load(out)
     assert asset.provenance["source"] == "ball.ply"
@@ -218,7 +230,7 @@ def test_the_command_checks_its_names_first(tmp_path):
     def command(splats, out, force=False, no_report=True):
         run(argparse.Namespace(
             splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None,
-            no_report=no_report, mesher="stuffing",
+            no_report=no_report, mesher="stuffing", static=False, cell=None, cut=None,
         ))  # fmt: skip
 
     with pytest.raises(BadInput, match=r"none\.ply: no such file"):

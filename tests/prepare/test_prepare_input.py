@@ -11,6 +11,8 @@ from assets.gaussians import concatenate
 from assets.splat_files import write_gaussians
 from assets.up_axis import robust_bounds
 from core.errors import BadInput
+from prepare.pipeline import Options
+from prepare.prepared_files import prepare_file
 from tests.prepare.test_pipeline import BAD, PLANE, some
 from tests.support.sample_scenes import table_and_jug
 from tests.support.shells import ball
@@ -84,25 +86,19 @@ def test_a_splat_of_impossible_size(prepared, tmp_path, factor):
     assert_refused(prepared("ball.ply"), "extent is")
 
 
-def test_of_two_bodies_far_apart_the_larger_is_taken_and_that_is_said(prepared, tmp_path):
-    body = ball()
-    other = body.select(np.arange(len(body)) < len(body) // 3)
+@pytest.mark.parametrize("fraction", [1 / 3, 1.0])
+def test_of_two_bodies_far_apart_the_larger_is_taken_and_that_is_said(ti_cpu, tmp_path, fraction):
+    """Of two equal ones, either."""
+    body = ball(2000)
+    other = body.select(np.arange(len(body)) < fraction * len(body))
     far = replace(other, means=other.means + np.float32(40))
     write_gaussians(tmp_path / "two.ply", concatenate([far, body]))
-    status, said, new = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
-    assert status == 0 and new == ["out.h5"]
-    line = next(line for line in said.out.splitlines() if "apart: the largest" in line)
+    lines = []
+    out = prepare_file(tmp_path / "two.ply", tmp_path / "out.h5", Options(vertices=300, up="+y"), report=lines.append)
+    (line,) = (line for line in lines if "apart: the largest" in line)
     left = int(line.split(" Gaussians left out; --pieces keeps all")[0].split()[-1])
     assert len(other) <= left < 1.05 * len(other)
-    assert abs(len(Asset.load(tmp_path / "out.h5").gaussians) - len(body)) < 0.02 * len(body)
-
-
-def test_of_two_equal_bodies_far_apart_one_is_taken(prepared, tmp_path):
-    body = ball(2000)
-    far = replace(body, means=body.means + np.float32(40))
-    write_gaussians(tmp_path / "two.ply", concatenate([far, body]))
-    status, said, _ = prepared("two.ply", "--vertices", "300", "--no-report", "--up", "+y")
-    assert status == 0 and sum("--pieces keeps all" in line for line in said.out.splitlines()) == 1
+    assert abs(len(Asset.load(out).gaussians) - len(body)) < 0.02 * len(body)
 
 
 def cells_of(g) -> float:
@@ -145,9 +141,9 @@ def test_objects_cut_out_are_not_left_behind_without_their_scene(prepared, tmp_p
 
 def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):
     write_gaussians(tmp_path / "ball.ply", ball(1000))
-    monkeypatch.setattr("commands.prepare.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
+    monkeypatch.setattr("prepare.prepared_files.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
     monkeypatch.setattr(
-        "commands.prepare.report_texts", lambda *_, **__: ("page", "\ud800")
+        "prepare.prepared_files.report_texts", lambda *_, **__: ("page", "\ud800")
     )  # no UTF-8: cannot be written
     with pytest.raises(UnicodeEncodeError):
         prepared("ball.ply", "--vertices", "200", "--up", "+y")

@@ -1,4 +1,4 @@
-"""Relaxing and polishing a cage: the kernels against their twin, longer substeps, better angles, the wished volume."""
+"""Relaxing a cage: kernels against their twin, longer substeps, better angles, the wished volume."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,20 @@ from numpy.testing import assert_allclose
 
 from core.tetmesh import tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles
-from prepare.cage.quality_energy import Stiffness
-from prepare.cage.relaxation import Surface, relax
-from prepare.cage.sliver_removal import polish, smallest
-from prepare.cage.stuffing import stuff
-from tests.prepare.test_stuffing import bumpy, sampled, sphere, torus
-from tests.support.reference_stiffness import energy
+from prepare.cage.quality_energy import QualityEnergy
+from prepare.cage.relaxation import Descent, lift_slivers, min_angles, relax
+from prepare.cage.stuffing import stuff, uniform_lattice
+from tests.support.distance_shapes import bumpy, sampled, sphere, torus
+from tests.support.reference_quality import energy
+
+
+def stuffed(distance, cell: float):
+    grid = sampled(distance)
+    return stuff(uniform_lattice(grid, cell), grid), grid
+
+
+def relaxed(cage, grid, **options):
+    return relax(cage, Descent(cage.tets, len(cage.vertices), grid), **options)
 
 
 def test_the_gradient_of_the_twin_is_right():
@@ -31,9 +39,8 @@ def test_the_gradient_of_the_twin_is_right():
 
 @pytest.mark.parametrize("distance, cell", [(torus, 0.2), (lambda p: bumpy(p, 1), 0.25)])
 def test_relaxing_makes_longer_substeps_stable_and_keeps_the_shape(ti_cpu, distance, cell):
-    values, origin, spacing = sampled(distance)
-    before = stuff(values, origin, spacing, cell=cell)
-    after = relax(before, values, origin, spacing)
+    before, grid = stuffed(distance, cell)
+    after = relaxed(before, grid)
     after.check("relaxed")
     longer = np.sqrt(energy(before.vertices, before.tets)[2].max() / energy(after.vertices, after.tets)[2].max())
     assert longer > 1.5  # of the substep; measured 1.9 to 2.6
@@ -44,9 +51,9 @@ def test_relaxing_makes_longer_substeps_stable_and_keeps_the_shape(ti_cpu, dista
 
 def test_the_kernels_agree_with_the_twin(ti_cpu):
     """Both in float64; only the order of sums differs."""
-    cage = stuff(*sampled(torus), cell=0.25)
+    cage, _ = stuffed(torus, 0.25)
     x = cage.vertices.astype(np.float64)
-    kernels = Stiffness(cage.tets, len(x))
+    kernels = QualityEnergy(cage.tets, len(x))
     for unit in (1.0, 300.0):
         (value, gradient, kappa), (twin, by_twin, of_twin) = kernels.at(x, unit), energy(x, cage.tets, unit)
         assert_allclose(value, twin, rtol=1e-11)
@@ -58,28 +65,25 @@ def test_the_kernels_agree_with_the_twin(ti_cpu):
 
 @pytest.mark.parametrize("growth", [-0.02, 0.03])
 def test_a_cage_gets_the_volume_asked_for(ti_cpu, growth):
-    values, origin, spacing = sampled(sphere)
-    cage = stuff(values, origin, spacing, cell=0.25)
+    cage, grid = stuffed(sphere, 0.25)
     wanted = (1 + growth) * 4 / 3 * np.pi
-    after = relax(cage, values, origin, spacing, volume=wanted)
+    after = relaxed(cage, grid, volume=wanted)
     after.check("grown")
     assert_allclose(tet_volumes(after.vertices, after.tets).sum(), wanted, rtol=0.003)
     radius = np.linalg.norm(after.vertices[np.unique(after.surface)], axis=1)
     assert np.ptp(radius) < 0.01  # it grew evenly
 
 
-def test_polishing_lifts_the_worst_angle_and_stays_on_the_surface():
-    values, origin, spacing = sampled(sphere)
-    cage = stuff(values, origin, spacing, cell=0.25)
+def test_slivers_are_lifted_and_the_surface_stays():
+    cage, grid = stuffed(sphere, 0.25)
     x, outer = cage.vertices.astype(np.float64), np.unique(cage.surface)
-    surface = Surface(values, origin, spacing)
-    level = surface.at(x[outer])
+    level = grid.sample(x[outer])
     inner = np.setdiff1d(cage.tets, outer)[:30]
     bad = x.copy()
     bad[inner] += np.random.default_rng(0).normal(0, 0.05, (len(inner), 3))
     assert tet_volumes(bad, cage.tets).min() > 0
     before = dihedral_angles(bad, cage.tets).min()
-    after = polish(bad, cage.tets, surface, outer, level, np.full(len(x), 0.25))
+    after = lift_slivers(bad, cage.tets, grid, outer, level, np.full(len(x), 0.25))
     assert before < 10 and dihedral_angles(after, cage.tets).min() > 12
-    assert np.abs(surface.at(after[outer]) - level).max() < 0.002
-    assert_allclose(smallest(after[cage.tets]), dihedral_angles(after, cage.tets).min(1), atol=1e-6)
+    assert np.abs(grid.sample(after[outer]) - level).max() < 0.002
+    assert_allclose(min_angles(after[cage.tets]), dihedral_angles(after, cage.tets).min(1), atol=1e-6)

@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from prepare.mesh_drawing import PAPER
-from prepare.pipeline import prepare
-from prepare.report import examine, histogram, html_of, length, report_names, report_texts
+from prepare.pipeline import Options, prepare
+from prepare.report import examine, histogram, html_of, length, report_names, texts_of
 from prepare.report_pictures import HEIGHT, WIDTH
 from tests.support.shells import ball
 
@@ -19,7 +19,7 @@ from tests.support.shells import ball
 @pytest.fixture(scope="module")
 def made(ti_cpu):
     found = []
-    asset = prepare(ball(), vertices=300, scale=0.5, up="+y", look=found.append)
+    asset = prepare(ball(), Options(vertices=300, scale=0.5, up="+y"), look=found.append)
     return asset, found, *examine(asset, found)
 
 
@@ -88,10 +88,9 @@ def test_the_histogram_is_an_svg_with_a_bar_for_each_full_bin(made):
     assert_allclose((heights / heights.max()) ** 2, counts / counts.max(), atol=2e-3)
 
 
-def test_both_texts_say_the_same(made, monkeypatch):
-    asset, made_of, numbers, pictures = made
-    monkeypatch.setattr("prepare.report.examine", lambda *_: (dict(numbers), pictures))  # kernels compile anew
-    page, data = report_texts(asset, made_of, "ball.h5", notes=("said",))
+def test_both_texts_say_the_same(made):
+    *_, numbers, pictures = made
+    page, data = texts_of("ball.h5", numbers, pictures, ("said",))
     numbers = json.loads(data)
     assert numbers["notes"] == ["said"] and numbers["cage"]["mesher"] == "stuffing"
     assert numbers["cage"]["cells"] == "adaptive" and "adaptive cells" in page

@@ -14,10 +14,12 @@ from assets.formats.gltf_skin import Rig
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 from display.protocol import Reset
-from prepare.rig.joint_names import ARM, LEG, TREE, named_joints, words
-from prepare.rig.landmark_file import read_landmarks
-from prepare.rig.landmarks import NAMES, Landmarks
-from prepare.rig.retargeting import BONES, PARENTS, fit
+from prepare.pipeline import Options
+from prepare.prepared_files import prepare_file
+from prepare.rig.joint_names import ARM, LEG, TREE, match_joints, name_parts
+from prepare.rig.landmarks import NAMES, Landmarks, read_landmarks
+from prepare.rig.retargeting import BONES, PARENTS, retarget
+from prepare.rig.rig_source import rig_source
 from prepare.rig.skin_weights import least_volumes
 from tests.support.glb import bar
 
@@ -69,7 +71,7 @@ def marks_of(points) -> Landmarks:
 
 def test_joints_are_told_by_their_names_and_place():
     rig, _ = person()
-    found = named_joints(rig, {})
+    found = match_joints(rig, {})
     assert {n: BONES[k] for n, k in found.items()} == {n: n for n in found}
     assert set(found) >= {
         "pelvis",
@@ -77,9 +79,9 @@ def test_joints_are_told_by_their_names_and_place():
         "head",
         *(f"{s}_{n}" for s in ("left", "right") for n in (*ARM, *LEG)),
     }
-    assert words("L_armUpper0001_bind_JNT") == ["l", "arm", "upper", "0001", "bind", "jnt"]
+    assert name_parts("L_armUpper0001_bind_JNT") == ["l", "arm", "upper", "0001", "bind", "jnt"]
     with pytest.raises(BadInput, match="left shoulder"):
-        named_joints(replace(rig, names=["x"] * len(rig.names)), {})
+        match_joints(replace(rig, names=["x"] * len(rig.names)), {})
 
 
 def test_a_fitted_skeleton_keeps_its_bones_and_moves_like_the_rig():
@@ -90,7 +92,7 @@ def test_a_fitted_skeleton_keeps_its_bones_and_moves_like_the_rig():
     for s in ("left", "right"):  # longer forearms
         way = body[f"{s}_wrist"] - body[f"{s}_elbow"]
         body[f"{s}_wrist"], body[f"{s}_hand"] = body[f"{s}_wrist"] + 0.3 * way, body[f"{s}_hand"] + 0.3 * way
-    f = fit(rig, marks_of(body))
+    f = retarget(rig, marks_of(body))
     x = world_matrices(PARENTS, f.frames)[:, :, :3, 3]
     theirs = world_matrices(rig.parents, rig.frames)[:, :, :3, 3]
     length = np.linalg.norm(x[:, 1:] - x[:, PARENTS[1:]], axis=2)
@@ -108,12 +110,12 @@ def test_a_fitted_skeleton_keeps_its_bones_and_moves_like_the_rig():
 def test_residuals_tell_what_left_and_right_disagree_in():
     rig, points = person()
     points["left_wrist"] = points["left_elbow"] + 1.2 * (points["left_wrist"] - points["left_elbow"])
-    f = fit(rig, marks_of(points))
+    f = retarget(rig, marks_of(points))
     forearm = np.linalg.norm(points["right_wrist"] - points["right_elbow"])
     assert_allclose(f.residual["left_wrist"][1], 0.1 * forearm, rtol=1e-6)
     points["left_elbow"] = points["left_shoulder"]
     with pytest.raises(BadInput, match="one place"):
-        fit(rig, marks_of(points))
+        retarget(rig, marks_of(points))
 
 
 @pytest.mark.parametrize(
@@ -121,7 +123,7 @@ def test_residuals_tell_what_left_and_right_disagree_in():
     [
         ("[1]", "not a JSON object"),
         ("{", "not JSON"),
-        ('{"nose": [0, 0, 0]}', "no landmark"),
+        ('{"nose": [0, 0, 0]}', "not a landmark"),
         ('{"neck": [0, 0]}', "three coordinates"),
         ('{"neck": [0, NaN, 0]}', "three coordinates"),
         ('{"held": [{"by": "tail", "center": [0, 0, 0], "radius": 1}]}', "held"),
@@ -162,13 +164,11 @@ def test_the_skinning_kernel_is_its_twin(ti_cpu):
 @pytest.fixture(scope="module")
 def walker(ti_cpu, tmp_path_factory):
     """The bar of tests/support/glb.py as an asset that bends by itself."""
-    from commands.prepare import prepare_file
-
     folder = tmp_path_factory.mktemp("rig")
     b, scene = bar()
     path = b.write(folder / "bar.glb", scene)
     lines = []
-    prepare_file(path, folder / "bar.h5", vertices=300, progress=lambda *_: None, report=lines.append)
+    prepare_file(path, folder / "bar.h5", Options(vertices=300), progress=lambda *_: None, report=lines.append)
     return folder / "bar.h5", lines
 
 
@@ -223,22 +223,22 @@ def test_a_body_moves_by_itself_in_a_scene(walker):
     world.apply([Reset()])
     assert_allclose(world.device.solver.x.to_numpy()[: len(rest)], 4 * rest + place, atol=1e-5)
     world.step(Frame(1 / 60, 0, [], []))
-    moved = np.abs(world.device.solver.x.to_numpy()[a.vertices[a.driven]] - (4 * rest[a.vertices[a.driven]] + place)).max()
+    moved = np.abs(
+        world.device.solver.x.to_numpy()[a.vertices[a.driven]] - (4 * rest[a.vertices[a.driven]] + place)
+    ).max()
     assert moved < 2e-3  # the ramp begins slowly
 
 
 def test_what_belongs_together_is_said(tmp_path):
-    from prepare.rig.rig_command import mover
-
     b, scene = bar()
     path = b.write(tmp_path / "bar.glb", scene)
     with pytest.raises(BadInput, match="has its own rig"):
-        mover(path, path, None)
+        rig_source(path, path, None)
     with pytest.raises(BadInput, match="belongs to --rig"):
-        mover(tmp_path / "a.ply", None, path)
+        rig_source(tmp_path / "a.ply", None, path)
     with pytest.raises(BadInput, match="no such file"):
-        mover(tmp_path / "a.ply", tmp_path / "none.glb", None)
-    assert mover(tmp_path / "a.ply", None, None) is None
+        rig_source(tmp_path / "a.ply", tmp_path / "none.glb", None)
+    assert rig_source(tmp_path / "a.ply", None, None) is None
 
 
 def test_tree_is_ordered():

@@ -13,9 +13,11 @@ from assets.environment import Environment
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
-from prepare.room.support_planes import gravity
-from prepare.room.surfels import OPAQUE, Surfels, normals_and_areas, surfels
-from prepare.room.winding_number import planes_nearby, signed_distance, winding
+from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
+from prepare.environment.support_planes import find_gravity
+from prepare.environment.surfels import OPAQUE, Surfels, normals_and_areas, surfels
+from prepare.environment.winding_number import blended_planes, signed_distance, winding_number
+from prepare.prepared_files import prepare_environment_file
 from scenes import registry
 from tests.support.sample_scenes import (
     GARDEN_TABLE,
@@ -38,12 +40,10 @@ SHELL = 4  # voxels under the surface beyond which a grid says nothing (sim/cont
 @pytest.fixture(scope="module", params=["room", "garden"])
 def scene(request, ti_cpu):
     """Name, the splat as a capture has it (leaning, y down, somewhere), its stage and that stage's world-from-code."""
-    from prepare.room.static_scene import prepare_static
-
     made = {"room": room, "garden": garden}[request.param]()
     capture = made.transformed(LEANING, (3.0, -1.0, 2.0), 0.5)
     size = 5.01 if request.param == "room" else 7.6
-    asset, _ = prepare_static(capture, scale=size, cell=0.045)
+    asset, _ = prepare_environment(capture, EnvironmentOptions(scale=size, cell=0.045))
     # the turn, scale and shift that carried the code's frame to the asset's: least squares over all centres
     a = np.c_[made.means.astype(float), np.ones(len(made))]
     return request.param, made, asset, np.linalg.lstsq(a, asset.gaussians.means.astype(float), rcond=None)[0]
@@ -168,12 +168,11 @@ def test_a_ball_dropped_there_lies_on_the_table(ti_cpu, scene, tmp_path):
 
 def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
     """By the command: the jug goes to a file of its own, and the table has no hole where it stood."""
-    from prepare.room.static_command import prepare_stage_file
-
     made = table_and_jug()
     Asset(made).save(tmp_path / "in.h5")
-    options = {"up": "+y", "cell": 0.03, "cut": (7,), "progress": lambda *a: None, "report": lambda line: None}
-    out, jug = prepare_stage_file(tmp_path / "in.h5", tmp_path / "out.h5", **options)
+    options = EnvironmentOptions(up="+y", cell=0.03, cut=(7,))
+    how = {"progress": lambda *a: None, "report": lambda line: None}
+    out, jug = prepare_environment_file(tmp_path / "in.h5", tmp_path / "out.h5", options, **how)
     piece = read_gaussians(jug, lambda line: None)
     assert len(piece) == (made.object_id == 7).sum() > 500
     asset = Asset.load(out)
@@ -184,7 +183,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
     at = np.stack([spot[0] + x.ravel(), np.full(x.size, asset.environment.drop_point[1]), spot[2] + z.ravel()], 1)
     assert (distance(asset, at + [0, 0.01, 0]) > 0).all() and (distance(asset, at - [0, 0.01, 0]) < 0).all()
     with pytest.raises(BadInput, match="object id 9; there are: 0, 7"):
-        prepare_stage_file(tmp_path / "in.h5", tmp_path / "no.h5", **{**options, "cut": (9,)})
+        prepare_environment_file(tmp_path / "in.h5", tmp_path / "no.h5", replace(options, cut=(9,)), **how)
     assert not (tmp_path / "no.h5").exists()
 
 
@@ -194,7 +193,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
     g = g.select(g.opacities > OPAQUE)
-    name, floor, rotation, _ = gravity(g.means.astype(float), *normals_and_areas(g))
+    name, floor, rotation, _ = find_gravity(g.means.astype(float), *normals_and_areas(g))
     assert name == up
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))
     assert abs(floor) < 0.005
@@ -205,7 +204,7 @@ def test_the_winding_number_by_ffts_is_the_sum():
     n = fibonacci_sphere(3000)
     s = Surfels(0.5 * n + 0.02, n, np.full(3000, np.pi / 3000), np.zeros((3000, 3), int))
     shape, spacing, origin = (34, 33, 32), 0.05, np.array([-0.8, -0.8, -0.8])
-    w = winding(s, origin, spacing, shape)
+    w = winding_number(s, origin, spacing, shape).values
     q = origin + spacing * np.indices(shape).reshape(3, -1).T
     r = s.points[None] - q[::37, None]
     length = np.linalg.norm(r, axis=2)
@@ -219,19 +218,19 @@ def test_the_winding_number_by_ffts_is_the_sum():
 
 def test_the_planes_nearby_are_summed_as_in_float64(ti_cpu):
     """The kernel against a loop over all nodes."""
-    from prepare.room.winding_number import BAND, FAINT, SIGMA
+    from prepare.environment.winding_number import BAND, MIN_WEIGHT, SIGMA
 
     rng = np.random.default_rng(3)
     p, n = rng.uniform(-0.5, 7.5, (40, 3)), fibonacci_sphere(40)
     s = Surfels(p, n, np.ones(40), np.zeros((40, 3), int))
     value = rng.normal(size=40)
-    phi, mean, weight = planes_nearby(s, value, np.zeros(3), 1.0, (7, 6, 8))
+    phi, mean, weight = blended_planes(s, value, np.zeros(3), 1.0, (7, 6, 8))
     for node in np.ndindex(7, 6, 8):
         r = node - p
         near = ((np.floor(p) - node <= BAND - 1) & (node - np.floor(p) <= BAND)).all(1)
         w = np.exp(-0.5 * (r * r).sum(1) / SIGMA**2) * near
         assert_allclose(weight[node], w.sum(), atol=1e-5)
-        if w.sum() > 1.01 * FAINT:
+        if w.sum() > 1.01 * MIN_WEIGHT:
             assert_allclose(phi[node], (w * (r * n).sum(1)).sum() / w.sum(), atol=1e-4)
             assert_allclose(mean[node], (w * value).sum() / w.sum(), atol=1e-4)
 
@@ -244,8 +243,8 @@ def test_a_ball_gets_its_distance(ti_cpu):
     centre = g.means.astype(float).mean(0)
     s = surfels(g, low + centre, h, shape)
     s = replace(s, normals=s.normals * np.sign((s.normals * (s.points - centre)).sum(1))[:, None])
-    w = winding(s, low + centre, 2 * h, (22, 22, 22)), low + centre, 2 * h
-    phi = signed_distance(s, w, low + centre, h, shape)
+    w = winding_number(s, low + centre, 2 * h, (22, 22, 22))
+    phi = signed_distance(s, w, low + centre, h, shape).values
     radius = np.median(np.linalg.norm(s.points - centre, axis=1))
     true = np.linalg.norm(low[:, None, None, None] + h * np.indices(shape), axis=0) - radius
     wrong = (np.sign(phi) != np.sign(true)) & (np.abs(true) > 0.3 * h)
@@ -266,11 +265,9 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_cannot_be_a_stage_is_told_in_one_line(ti_cpu, name):
-    from prepare.room.static_scene import prepare_static
-
     made, options, message = BAD[name]
     with pytest.raises(BadInput, match=message) as caught:
-        prepare_static(made(), **options)
+        prepare_environment(made(), EnvironmentOptions(**options))
     assert "\n" not in str(caught.value)
 
 
@@ -313,7 +310,9 @@ def test_a_stage_is_written_and_read_again(tmp_path):
     asset.save(tmp_path / "s.h5")
     for read in (Asset.load(tmp_path / "s.h5").environment, Environment.load(tmp_path / "s.h5")):
         assert replace(read, fine_grids=()) == replace(asset.environment, fine_grids=())
-        assert (read.fine_grids[0].values == asset.environment.fine_grids[0].values).all() and read.fine_grids[0].spacing == 0.1
+        assert (read.fine_grids[0].values == asset.environment.fine_grids[0].values).all() and read.fine_grids[
+            0
+        ].spacing == 0.1
 
 
 def test_a_damaged_stage_is_refused(tmp_path):

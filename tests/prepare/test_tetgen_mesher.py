@@ -9,14 +9,17 @@ from numpy.testing import assert_allclose
 import prepare.cage.tetgen_mesher as tetgen
 import vrgs
 from assets.splat_files import write_gaussians
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from prepare.cage.cage import cage_of, fault, share_inside
-from prepare.cage.isosurface import areas, marching_cubes, volume_within
+from core.tetmesh import enclosed_volume
+from prepare.cage.cage_generation import cage_of, fault
+from prepare.cage.component_cages import mesh
+from prepare.cage.device_locator import fraction_inside
+from prepare.cage.isosurface import areas, marching_cubes
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import non_manifold_vertices
-from prepare.cage.meshers import mesh
-from prepare.cage.tetgen_mesher import NoMesh, decimated, first_edge, run_tetgen, sound
-from prepare.pipeline import prepare
+from prepare.cage.tetgen_mesher import MeshFailed, checked_cage, decimated, first_edge, run_tetgen
+from prepare.pipeline import Options, prepare
 from tests.support.shells import ball
 
 N, R = 40, 14.0
@@ -62,7 +65,7 @@ def worker(tmp_path, monkeypatch):
 )
 def test_whatever_the_process_does_is_a_reason_not_a_crash(worker, body, message):
     worker(body)
-    with pytest.raises(NoMesh, match=message):
+    with pytest.raises(MeshFailed, match=message):
         run_tetgen(CORNERS, np.array([[0, 2, 1]]), 1.0, limit=1.0 if "sleep" in body else 30.0)
 
 
@@ -83,19 +86,19 @@ def test_what_the_process_is_given_and_returns(worker):
 def test_a_pinched_mesh_is_refused():
     """Two tets that share only a corner."""
     vertices = np.concatenate([CORNERS, -CORNERS[1:]])
-    with pytest.raises(NoMesh, match="not one closed manifold"):
-        sound(vertices, np.array([[0, 1, 2, 3], [0, 4, 5, 6]]))
+    with pytest.raises(MeshFailed, match="not one closed manifold"):
+        checked_cage(vertices, np.array([[0, 1, 2, 3], [0, 4, 5, 6]]))
 
 
 def test_a_surface_is_decimated_and_screened():
-    v, f = marching_cubes(sphere(), np.zeros(3), 1.0)
+    v, f = marching_cubes(DistanceGrid(sphere(), np.zeros(3), 1.0))
     few, faces = decimated(v, f, 600)
     assert abs(len(faces) - 600) < 20 and len(non_manifold_vertices(faces)) == 0
-    assert_allclose(volume_within(few, faces), 4 / 3 * np.pi * R**3, rtol=0.03)
+    assert_allclose(enclosed_volume(few, faces), 4 / 3 * np.pi * R**3, rtol=0.03)
     both = np.concatenate([v, v + [R, 0, 0]]), np.concatenate([f, f + len(v)])
-    with pytest.raises(NoMesh, match="cuts itself"):
+    with pytest.raises(MeshFailed, match="intersects itself"):
         decimated(*both, 1200)
-    with pytest.raises(NoMesh, match="closed manifold"):
+    with pytest.raises(MeshFailed, match="closed manifold"):
         decimated(v, f[: len(f) // 2], 600)
 
 
@@ -114,15 +117,15 @@ def test_what_passes_the_gate_is_taken(worker, ti_cpu, tmp_path):
     said, shares = [], []
     cage, used = mesh("tetgen", sphere(), inner_points(), 700, shares.append, say=said.append)
     assert (used, said) == ("tetgen", [])
-    assert fault(cage, volume_of(sphere()), share_inside(cage, inner_points()), 700) == ""
+    assert fault(cage, volume_of(sphere()), fraction_inside(cage.vertices, cage.tets, inner_points()), 700) == ""
     assert shares and all(0 <= s <= 1 for s in shares)
 
 
 def test_where_tetgen_fails_stuffing_makes_the_cage_and_that_is_told(worker, ti_cpu, monkeypatch):
     worker("os.abort()")
-    monkeypatch.setattr(tetgen, "check_installed", lambda: None)
+    monkeypatch.setattr("prepare.cage.component_cages.check_installed", lambda: None)
     said = []
-    asset = prepare(ball(), vertices=300, up="+y", mesher="tetgen", say=said.append)
+    asset = prepare(ball(), Options(vertices=300, up="+y", mesher="tetgen"), say=said.append)
     assert asset.provenance["figures"]["mesher"] == "stuffing"
     assert asset.provenance["options"]["mesher"] == "tetgen"
     assert said == ["TetGen: TetGen crashed (SIGABRT); the cage is made by stuffing instead"]
@@ -134,7 +137,7 @@ def test_without_the_package_one_line_says_how_to_get_it(tmp_path, capfd, monkey
     bare = tmp_path / "python"
     bare.write_text("#!/bin/sh\nexit 1\n")
     bare.chmod(0o755)
-    for python, message in ((bare, tetgen.INSTALL), (tmp_path / "none", "no Python that runs")):
+    for python, message in ((bare, tetgen.INSTALL), (tmp_path / "none", "not a Python that runs")):
         monkeypatch.setenv(tetgen.PYTHON, str(python))
         assert vrgs.main(asked) == 2
         complaint = [line for line in capfd.readouterr().err.splitlines() if line.startswith("vrgs:")]
@@ -147,9 +150,9 @@ def test_tetgen_itself(ti_cpu):
         tetgen.check_installed()
     except BadInput:
         pytest.skip("tetgen is not installed; VRGS_TETGEN_PYTHON names no Python that has it")
-    v, f = marching_cubes(sphere(), np.zeros(3), 1.0)
+    v, f = marching_cubes(DistanceGrid(sphere(), np.zeros(3), 1.0))
     few, faces = decimated(v, f, 800)
     cage = run_tetgen(few, faces, 0.3 * (areas(few, faces).mean()) ** 1.5)
-    assert_allclose(cage.volumes().sum(), volume_within(few, faces), rtol=1e-5)
+    assert_allclose(cage.volumes().sum(), enclosed_volume(few, faces), rtol=1e-5)
     cage, used = mesh("tetgen", sphere(), inner_points(), 700, lambda share: None)
-    assert used == "tetgen" and fault(cage, volume_of(sphere()), inner_points(), 700) == ""
+    assert used == "tetgen" and fault(cage, volume_of(sphere()), 1.0, 700) == ""

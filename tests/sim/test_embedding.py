@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
-from prepare.cage.embedding_hosts_reference import embed
+from tests.support.reference_embedding import embed
 
 BAR = tet_bar((10, 2, 2), (1.0, 0.2, 0.2))
 SCHEMES = ("two-level", "one-level")

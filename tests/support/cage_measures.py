@@ -9,9 +9,9 @@ from assets.gaussians import Gaussians
 from bench.physics import fem_stiffness
 from core.point_location import TetLocator
 from core.tetmesh import face_components, tet_volumes
-from prepare.cage.cage import cage_of
+from prepare.cage.cage_generation import cage_of
 from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
-from prepare.pipeline import prepare
+from prepare.pipeline import Options, prepare
 
 SOUND = {"angle": 12.0, "volume": 3.0, "inside": 99.5, "count": 15.0}  # degrees, per cent
 RADIUS, LENGTH, WIDTH, THICK = 0.08, 0.11, 0.06, 0.008  # [m]
@@ -52,7 +52,7 @@ def faults(row: dict, wanted: int) -> list[str]:
 
 def measured(gaussians: Gaussians, vertices: int, **options) -> dict:
     """Prepare a splat and return the `figures` of its cage. Raises BadInput."""
-    asset = prepare(gaussians, vertices=vertices, **options)
+    asset = prepare(gaussians, Options(vertices=vertices, **options))
     g = asset.gaussians
     points = g.means[g.opacities > 0.5].astype(np.float64)
     return figures(asset.cage, asset.provenance["figures"]["filled"], points, vertices)

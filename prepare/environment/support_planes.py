@@ -1,4 +1,4 @@
-"""Level planes of a static scene: which way is up, where the floor is, and what may carry a body."""
+"""Support planes of a static scene: the direction of gravity, the floor, and level planes that can carry a body."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from assets.level_planes import LEVEL_COS, find_floor_plane, plane_votes, refine
 from assets.up_axis import SCENE_VOTE_UNIT, UP_PRIOR, most_likely, rotation_to_up
 from core.errors import BadInput
 
-CELL = 0.04  # [m] of the map of a plane
-STEP = 0.01  # [m] of the histogram of heights
-THICK = 0.025  # [m]; Gaussians this far from a plane belong to it
-SMALLEST = 0.06  # [m^2] of a plane that can carry something
+CELL = 0.04  # [m] of a plane's mask
+BIN = 0.01  # [m] of the histogram of heights
+THICKNESS = 0.025  # [m]; points this near a plane belong to it
+MIN_AREA = 0.06  # [m^2] of a plane that can carry something
 HEIGHTS = (0.08, 2.2)  # [m] above the floor, of tables and shelves
-BOARD = 0.09  # [m]; thicker is no board: what lies so little under a plane is its underside
-GROUND = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
-TABLE = ((0.3, 1.2), 0.25)  # heights [m] and least area [m^2] of a table; other planes are shelves
+MAX_BOARD = 0.09  # [m] thickness; a plane this little under another is its underside
+GROUND_AREA, GROUND_DEPTH = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
+TABLE_HEIGHTS, TABLE_AREA = (0.3, 1.2), 0.25  # [m], and [m^2] at least; other planes are shelves
 
 
 @dataclass(frozen=True)
-class Support:
+class SupportPlane:
     """A level plane that can carry a body. `mask` (X, Z) bool: cells of CELL from `corner` (x, z) [m] that it fills."""
 
     kind: str  # "floor", "table", "shelf"
@@ -32,7 +32,7 @@ class Support:
 
     @property
     def area(self) -> float:
-        """[m^2]."""
+        """Area of the mask [m^2]."""
         return float(self.mask.sum()) * CELL**2
 
     @property
@@ -42,10 +42,10 @@ class Support:
 
     @property
     def high(self) -> np.ndarray:
-        """The other corner."""
+        """The opposite corner (x, z) [m]."""
         return self.corner + CELL * (np.argwhere(self.mask).max(0) + 1)
 
-    def over(self, points: np.ndarray) -> np.ndarray:
+    def covers(self, points: np.ndarray) -> np.ndarray:
         """Mask (N,) of points (N, 2) (x, z) [m] that lie over or under it."""
         i = np.floor((points - self.corner) / CELL).astype(np.int64)
         within = ((i >= 0) & (i < self.mask.shape)).all(1)
@@ -54,11 +54,10 @@ class Support:
         return found
 
 
-def gravity(
+def find_gravity(
     points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str | None = None
 ) -> tuple[str, float, np.ndarray, float]:
-    """The file's axis that points up, the height of the floor along it, the rotation (3, 3) that levels the scene, and
-    how sure the axis is, 0 to 1.
+    """Axis of the file that points up, height of the floor along it, levelling rotation (3, 3), certainty 0 to 1.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
     to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis.
@@ -71,46 +70,46 @@ def gravity(
     direction = refine_direction(turn[1], normals, areas)
     heights = points @ direction
     floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
-    floor, direction = fitted(points, normals, areas, floor, direction)
-    return up, floor, turn_between(turn @ direction) @ turn, sure
+    floor, direction = fit_floor(points, normals, areas, floor, direction)
+    return up, floor, rotation_to_y(turn @ direction) @ turn, sure
 
 
-def fitted(points, normals, areas, floor: float, direction: np.ndarray) -> tuple[float, np.ndarray]:
-    """The plane through the level points near a floor: least squares over what is ever nearer to it."""
+def fit_floor(points, normals, areas, floor: float, direction: np.ndarray) -> tuple[float, np.ndarray]:
+    """Plane through the level points near a floor: repeated least squares over ever nearer points."""
     heights = points @ direction
-    reach = 0.02 * np.ptp(weighted_percentile(heights, areas, (0.2, 99.8)))
+    limit = 0.02 * np.ptp(weighted_percentile(heights, areas, (0.2, 99.8)))
     for _ in range(8):
         off = points @ direction - floor
-        mine = (np.abs(off) < reach) & (np.abs(normals @ direction) > LEVEL_COS)
-        if mine.sum() < 10:
+        own = (np.abs(off) < limit) & (np.abs(normals @ direction) > LEVEL_COS)
+        if own.sum() < 10:
             break
-        w = areas[mine] / areas[mine].sum()
-        centre = w @ points[mine]
-        centred = points[mine] - centre
+        w = areas[own] / areas[own].sum()
+        centre = w @ points[own]
+        centred = points[own] - centre
         found = np.linalg.eigh((w[:, None] * centred).T @ centred)[1][:, 0]
         direction = found * np.sign(found @ direction)
         floor = float(centre @ direction)
         spread = np.sqrt(w @ (centred @ direction) ** 2)
-        reach = max(2.5 * spread, 0.3 * reach)
+        limit = max(2.5 * spread, 0.3 * limit)
     return floor, direction
 
 
-def turn_between(direction: np.ndarray) -> np.ndarray:
-    """Smallest rotation (3, 3) that carries the unit vector `direction` to +y."""
+def rotation_to_y(direction: np.ndarray) -> np.ndarray:
+    """Smallest rotation (3, 3) that takes the unit vector `direction` to +y."""
     v = np.cross(direction, [0.0, 1.0, 0.0])
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + cross + cross @ cross / (1 + direction[1])
 
 
-def supports(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> list[Support]:
+def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> list[SupportPlane]:
     """The floor and, largest first, the tables and shelves.
 
     points [m] (N, 3) of the surface, evenly spread, +y up; normals (N, 3) that point into free space.
-    Peaks of a histogram of heights are cut into pieces that hang together. Raises BadInput where there is no floor.
+    Peaks of a histogram of heights are split into connected components. Raises BadInput where there is no floor.
     """
     up = normals[:, 1] > LEVEL_COS
     p = points[up]
-    near = np.abs(p[:, 1] - floor) < 2 * THICK
+    near = np.abs(p[:, 1] - floor) < 2 * THICKNESS
     if not near.any():
         raise BadInput("no floor was found under the scene")
     found = [planes_at(p[near], float(np.median(p[near, 1])), "floor")]
@@ -118,72 +117,72 @@ def supports(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) -> lis
     tried = set()
     planes = []
     while len(left):
-        bins = ((left[:, 1] - floor) / STEP).astype(int)
+        bins = ((left[:, 1] - floor) / BIN).astype(int)
         count = np.convolve(np.bincount(bins), np.ones(3), "same")
         count[[b for b in tried if b < len(count)]] = 0
         peak = int(count.argmax())
         if count[peak] < 8:
             break
         tried.add(peak)
-        height = floor + STEP * (peak + 0.5)
-        slab = np.abs(left[:, 1] - height) < THICK
+        height = floor + BIN * (peak + 0.5)
+        slab = np.abs(left[:, 1] - height) < THICKNESS
         here = planes_at(left[slab], height, "shelf")
         planes += here
         if here:
             taken = np.zeros(len(left), bool)
             for plane in here:
-                taken |= slab & plane.over(left[:, [0, 2]])
+                taken |= slab & plane.covers(left[:, [0, 2]])
             left = left[~taken]
     if not found[0]:
         raise BadInput("no floor was found under the scene")
     return [max(found[0], key=lambda s: s.area), *sorted(filter(free_above(planes), planes), key=lambda s: -s.area)]
 
 
-def floor_under(planes: list[Support], table: Support) -> Support:
-    """The plane that a table stands on: beside the floor that was found there may be another, as of a garden."""
+def floor_under(planes: list[SupportPlane], table: SupportPlane) -> SupportPlane:
+    """Plane that a table stands on: there may be a floor other than the one found, as in a garden."""
     cells = table.corner + CELL * (np.argwhere(binary_dilation(table.mask, iterations=8)) + 0.5)
-    below = [p for p in planes if p.area >= GROUND[0] and p.height < table.height - GROUND[1]]
-    below = [p for p in below if p.over(cells).mean() > 0.3]
+    below = [p for p in planes if p.area >= GROUND_AREA and p.height < table.height - GROUND_DEPTH]
+    below = [p for p in below if p.covers(cells).mean() > 0.3]
     return max(below, key=lambda p: p.height, default=planes[0])
 
 
-def on_floor(planes: list[Support], floor: Support) -> list[Support]:
-    """The planes as seen from another floor, that one first; what does not lie above it is left out."""
+def relative_to_floor(planes: list[SupportPlane], floor: SupportPlane) -> list[SupportPlane]:
+    """The planes with another one as the floor, that one first; those not above it are left out."""
     others = [replace(p, kind=kind_of(p.height - floor.height, p.area)) for p in planes if p is not floor]
     others = [p for p in others if HEIGHTS[0] < p.height - floor.height < HEIGHTS[1]]
     return [replace(floor, kind="floor"), *others]
 
 
 def kind_of(height: float, area: float) -> str:
-    """ "table" or "shelf", by the height over the floor [m] and the area [m^2]."""
-    return "table" if TABLE[0][0] <= height <= TABLE[0][1] and area >= TABLE[1] else "shelf"
+    """Kind, "table" or "shelf", by the height over the floor [m] and the area [m^2]."""
+    return "table" if TABLE_HEIGHTS[0] <= height <= TABLE_HEIGHTS[1] and area >= TABLE_AREA else "shelf"
 
 
-def free_above(planes: list[Support]):
-    """Whether a plane is not just the underside of another's board."""
+def free_above(planes: list[SupportPlane]):
+    """Predicate of planes that are not just the underside of another plane's board."""
 
-    def free(plane: Support) -> bool:
+    def free(plane: SupportPlane) -> bool:
         cells = plane.corner + CELL * (np.argwhere(plane.mask) + 0.5)
-        over = [p.over(cells) for p in planes if 0 < p.height - plane.height < BOARD]
+        over = [p.covers(cells) for p in planes if 0 < p.height - plane.height < MAX_BOARD]
         return not over or np.any(over, axis=0).mean() < 0.5
 
     return free
 
 
-def planes_at(points: np.ndarray, height: float, kind: str) -> list[Support]:
+def planes_at(points: np.ndarray, height: float, kind: str) -> list[SupportPlane]:
     """The connected planes of enough area among points [m] (N, 3) near one height."""
     xz = points[:, [0, 2]]
     corner = xz.min(0) - 4 * CELL
     cell = np.floor((xz - corner) / CELL).astype(int)
     mask = np.zeros(cell.max(0) + 5, bool)
     mask[tuple(cell.T)] = True
-    pieces, count = label(binary_closing(mask, np.ones((3, 3)), iterations=2))
+    labels, count = label(binary_closing(mask, np.ones((3, 3)), iterations=2))
     found = []
     for k in range(1, count + 1):
-        filled = binary_fill_holes(pieces == k)  # under what stands on it nothing was seen
-        mine = filled[tuple(cell.T)]
-        exact = float(np.median(points[mine, 1])) if mine.any() else height
+        filled = binary_fill_holes(labels == k)  # under objects on it nothing was seen
+        own = filled[tuple(cell.T)]
+        exact = float(np.median(points[own, 1])) if own.any() else height
         name = kind if kind == "floor" else kind_of(exact, filled.sum() * CELL**2)
-        if filled.sum() * CELL**2 >= SMALLEST:
-            found.append(Support(name, exact, corner, filled))
+        if filled.sum() * CELL**2 >= MIN_AREA:
+            found.append(SupportPlane(name, exact, corner, filled))
     return found

@@ -8,13 +8,12 @@ from assets.gaussians import Gaussians
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.tetmesh import boundary_surface
-from prepare.cage.embedding_hosts_reference import embed
-from prepare.rig.body_parts import Parts
-from prepare.rig.cage_cut import cut, split
-from prepare.rig.landmarks import to_segment
-from prepare.rig.part_embedding import calmed
-from prepare.rig.skin_weights import diffused, islands, strongest
-from prepare.rig.solid_segmentation import Solid, held_by_hands
+from prepare.rig.body_segmentation import Segments, Solid, held_by_hands
+from prepare.rig.cage_cut import cut, inner_and_boundary_faces, split_vertices
+from prepare.rig.landmarks import distance_to_segment
+from prepare.rig.part_embedding import without_spikes
+from prepare.rig.skin_weights import diffuse_weights, isolated_patches, largest_influences
+from tests.support.reference_embedding import embed
 
 
 def trousers(gap: bool = True) -> tuple[np.ndarray, np.ndarray]:
@@ -31,13 +30,13 @@ def test_diffused_weights_are_shares_and_differ_little_between_neighbours():
     x, tets = trousers()
     rng = np.random.default_rng(0)
     target = np.eye(3)[rng.integers(0, 3, len(x))]
-    weights = diffused(x, tets, np.full(len(x), 1 / 0.05**2), target)
+    weights = diffuse_weights(x, tets, np.full(len(x), 1 / 0.05**2), target)
     assert_allclose(weights.sum(1), 1, atol=1e-9)
     assert weights.min() > -1e-12 and weights.max() < 1 + 1e-12
-    smooth = diffused(x, tets, np.full(len(x), 1 / 0.5**2), np.eye(2)[(x[:, 1] > 0.5).astype(int)])
+    smooth = diffuse_weights(x, tets, np.full(len(x), 1 / 0.5**2), np.eye(2)[(x[:, 1] > 0.5).astype(int)])
     ends = np.concatenate([tets[:, [i, j]] for i in range(4) for j in range(i)])
     assert np.abs(smooth[ends[:, 0]] - smooth[ends[:, 1]]).max() < 0.2  # of targets that jump by 1
-    joints, four = strongest(np.random.default_rng(1).dirichlet(np.ones(9), 50))
+    joints, four = largest_influences(np.random.default_rng(1).dirichlet(np.ones(9), 50))
     assert_allclose(four.sum(1), 1, atol=1e-6)
     assert (four[:, 0] >= four[:, 3]).all() and joints.max() < 9
 
@@ -58,7 +57,7 @@ def test_weights_do_not_bleed_from_leg_to_leg():
 
     solid = Solid.of(grid_of(inside, (-0.05, -0.05, -0.05), (0.3, 1.05, 0.15)))
     legs = [(np.array([c, 0.05, 0.05]), np.array([c, 0.75, 0.05])) for c in (0.05, 0.2)]
-    off = solid.ways(legs)
+    off = solid.geodesic_distances(legs)
     p = solid.points
     low, left = p[:, 1] < 0.5, p[:, 0] < 0.125
     assert (off[low & left, 1] > 0.25).all() and (off[low & ~left, 0] > 0.25).all()
@@ -74,13 +73,13 @@ def test_what_a_hand_holds_is_found_and_covered():
 
     def solid_with(*more) -> tuple[Solid, np.ndarray]:
         def inside(p):
-            found = to_segment(p.reshape(-1, 3), *arm).reshape(p.shape[:-1]) < 0.06
+            found = distance_to_segment(p.reshape(-1, 3), *arm).reshape(p.shape[:-1]) < 0.06
             for piece in more:
                 found |= piece(p)
             return found
 
         solid = Solid.of(grid_of(inside, (-0.4, 0.4, -0.4), (1.0, 1.4, 0.4), 0.02))
-        return solid, solid.ways([arm])[:, 0] / 0.06
+        return solid, solid.geodesic_distances([arm])[:, 0] / 0.06
 
     def ball(c, r):
         return lambda p: np.linalg.norm(p - c, axis=-1) < r
@@ -117,8 +116,8 @@ def test_a_gaussian_that_would_be_a_spike_follows_what_is_calm():
     drawn = x.astype(np.float64).copy()
     drawn[:, 0] += 0.3 * np.clip((x[:, 0] - 0.5) / 0.1, 0, 1)
     label = np.zeros(len(tets), int)
-    parts = Parts(label, np.zeros(n, int), lambda a, b, c: a == b)
-    new, count = calmed(embedded, g, cage, parts, np.stack([x.astype(np.float64), drawn]))
+    parts = Segments(label, np.zeros(n, int), lambda a, b, c: a == b)
+    new, count = without_spikes(embedded, g, cage, parts, np.stack([x.astype(np.float64), drawn]))
 
     def growth(e):
         y = [np.einsum("nkj,nkjd->nkd", e.weights.astype(np.float64), p[tets[e.host]]) for p in (x, drawn)]
@@ -149,9 +148,7 @@ def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
 
 def test_nothing_is_split_where_all_faces_hold():
     x, tets, _ = box((1, 1, 1), (2, 2, 2))
-    from prepare.rig.cage_cut import facing
-
-    new, source = split(tets, facing(tets)[0], len(x))
+    new, source = split_vertices(tets, inner_and_boundary_faces(tets)[0], len(x))
     assert (new == tets).all() and (source == np.arange(len(x))).all()
 
 
@@ -163,6 +160,6 @@ def test_a_small_patch_alone_in_free_flesh_is_not_led():
     driven, leader = np.zeros(40, bool), np.zeros(40, int)
     for low, high, joint in ((0, 12, 0), (14, 16, 0), (18, 24, 1), (26, 32, -1), (34, 40, 0)):
         driven[low:high], leader[low:high] = True, joint
-    found = islands(x, ends, driven, 4.0, leader)
+    found = isolated_patches(x, ends, driven, 4.0, leader)
     assert sorted(set(np.flatnonzero(found))) == [14, 15, *range(18, 24)]
-    assert sorted(set(np.flatnonzero(islands(x, ends, driven, 4.0)))) == [14, 15]
+    assert sorted(set(np.flatnonzero(isolated_patches(x, ends, driven, 4.0)))) == [14, 15]

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from core.tetmesh import TET_FACES
-from prepare.cage.quality_energy import POWER, REGULAR, SHAPE
+POWER, SHAPE = 8, 2.0
+REGULAR = 6**1.5 * 6 * 2**0.5  # (sum of squared edges)^1.5 / V of a regular tet
+TET_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite each corner, outward
 
 
 def energy(x: np.ndarray, tets: np.ndarray, unit: float = 1.0):
     """sum_t (kappa_t W^(2/3) / unit)^p + (SHAPE q_t)^p, with q = (sum of squared edges)^1.5 / V of a regular tet.
 
-    W is the cage's volume: with it growing is no way out. c = 1.
+    W is the volume of all tets.
     Out.  the energy (infinite if a tet is inverted), its gradient (V, 3), and kappa_t W^(2/3) (T,)
     """
     n, flat = len(x), tets.ravel()

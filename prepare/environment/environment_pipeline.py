@@ -1,0 +1,340 @@
+"""From the Gaussians of a room or a garden to a static environment to play in (`sandbox --stage`).
+
+Nothing is simulated there: an asset without a cage whose distance grids collide, its support planes, the point where
+bodies drop and the user's eye.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from assets.asset import Asset
+from assets.environment import Environment
+from assets.gaussians import Gaussians
+from assets.up_axis import robust_bounds
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
+from prepare.environment.spawn_points import drop_point, standing_eye
+from prepare.environment.support_planes import (
+    LEVEL_COS,
+    SupportPlane,
+    find_gravity,
+    floor_under,
+    relative_to_floor,
+    support_planes,
+)
+from prepare.environment.surfels import OPAQUE, Surfels, haze, normals_and_areas, surfels, without_floaters
+from prepare.environment.visibility import VoxelGrid, open_space, oriented, viewers_in
+from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
+from prepare.progress import Progress, no_progress
+
+VERSION = 2
+STEPS = ("clean", "upright", "surface", "planes", "distance")
+MAX_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
+USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise
+FINE_CELLS = 1_000_000  # of each fine grid
+MAX_FINE_GRIDS = 6
+BOARD_CELL = 0.025  # [m] in which planes are looked for: the boards of tables are 2 to 4 cm thick
+MIN_CELL = 0.01  # [m]; below, only the noise of a capture is added
+MARGIN = 4  # voxels around the scene
+PLAUSIBLE_SIZE = (1.5, 60.0)  # [m] largest extent of a room or garden; files outside have arbitrary units
+USUAL_SIZE = 6.0  # [m]
+SIZE_RANGE = (0.5, 500.0)  # [m] that may be asked for
+MAX_HEIGHT = 4.0  # [m] of the grids over the floor
+MIN_HEIGHT = 0.2  # [m] of anything over the floor that was found
+BELOW_FLOOR = 0.25  # [m] of the grids
+FINE_MARGIN = (0.10, 0.12, 0.40)  # [m] of a fine grid beside, below and above its plane
+FINE_MARGIN_CELLS = (4, 5, 0)  # and at least this many coarse cells: there, thinner boards are solid too deep down
+FLOOR_FINE_RADIUS = 1.0  # [m] of the fine grid around a drop on the floor
+
+
+@dataclass(frozen=True)
+class EnvironmentOptions:
+    """Options of the preparation of a static environment.
+
+    up     axis of the file that points up, "+x" to "-z"; None: guessed; the floor's own normal refines it
+    scale  largest extent [m]; None: the file's if a room could have that, else 6
+    cell   spacing [m] of the coarse distance grid; None: as suits the size. Near tables and shelves it is finer
+    cut    object ids that are taken out, to become bodies; what they stood on is closed under them
+    """
+
+    up: str | None = None
+    scale: float | None = None
+    cell: float | None = None
+    cut: tuple[int, ...] = ()
+
+    def check(self) -> None:
+        """Raise BadInput for a size that cannot be used."""
+        low, high = SIZE_RANGE
+        if self.scale is not None and not low <= self.scale <= high:
+            raise BadInput(f"a size of {self.scale:g} m is out of range for a scene ({low:g} to {high:g})")
+
+
+@dataclass(frozen=True)
+class Upright:
+    """A scene with its floor at y = 0, in metres.
+
+    gaussians, cut  without and of the objects that are cut out
+    low, high       corners (3,) [m] of its extent, limited in height
+    up, sure        the file's axis that points up, and how sure that is, 0 to 1
+    rotation        (3, 3) from the file's frame
+    size, factor    largest extent [m]; metres per unit of the file
+    """
+
+    gaussians: Gaussians
+    cut: dict[int, Gaussians]
+    low: np.ndarray
+    high: np.ndarray
+    up: str
+    sure: float
+    rotation: np.ndarray
+    size: float
+    factor: float
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The oriented surface of a scene in the voxels of its coarse grid.
+
+    solid    Gaussians that are opaque and no haze
+    surfels  one a voxel, their normals towards open space
+    voxels   those that hold surfels;  space: the open space over the floor
+    viewers  points (V, 3) [m] in it
+    origin, spacing, shape   of the coarse grid [m]
+    """
+
+    solid: Gaussians
+    surfels: Surfels
+    voxels: VoxelGrid
+    space: VoxelGrid
+    viewers: np.ndarray
+    origin: np.ndarray
+    spacing: float
+    shape: tuple[int, int, int]
+
+
+def prepare_environment(
+    gaussians: Gaussians, options: EnvironmentOptions | None = None, *, progress: Progress = no_progress
+) -> tuple[Asset, dict[int, Gaussians]]:
+    """Make the splat of a room or a garden a static environment. Taichi must be running.
+
+    progress  called with a step of STEPS and the fraction of it that is done
+    Out.      the asset, +y up, floor at y = 0, the drop at x = z = 0; and the Gaussians of each id that was cut out
+    Raises BadInput where there is no floor, or for too many cells.
+    """
+    begin = time.perf_counter()
+    options = options or EnvironmentOptions()
+    options.check()
+    progress("clean", 0.0)
+    main = main_component(gaussians)
+    progress("upright", 0.0)
+    scene = stand_upright(gaussians, main, options)
+    progress("surface", 0.0)
+    surface = orient_surface(scene, options.cell)
+    progress("planes", 0.0)
+    points = surface.surfels.points
+    planes = support_planes(*level_surface(scene, surface))
+    on, drop, clear = drop_point(planes, points)
+    if on.kind == "table":
+        planes = relative_to_floor(planes, floor_under(planes, on))
+    eye = standing_eye(planes[0], drop, on, points, surface.voxels)
+    progress("distance", 0.0)
+    coarse, fine = distance_grids(surface, planes, on, drop, progress)
+
+    ground = planes[0].height
+    to = -np.array([drop[0], ground, drop[2]])
+    environment = Environment(
+        0.0,
+        tuple(map(float, drop + to)),
+        tuple(map(float, eye + to)),
+        clear,
+        tuple(plane_row(p, to) for p in planes),
+        tuple(DistanceGrid(f.values, f.origin + to, f.spacing) for f in fine),
+    )
+    lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ axis_vector(scene.up), -1, 1)))
+    provenance = {
+        "made_by": f"vrgs prepare --static {VERSION}",
+        "options": {"up": options.up, "scale": options.scale, "cell": options.cell, "cut": list(options.cut)},
+        "up": scene.up,
+        "up_sure": round(scene.sure, 2),
+        "lean": round(float(lean), 2),
+        "size": scene.size,
+        "metres_per_unit": scene.factor,
+        "drop_on": on.kind,
+        "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
+        "spacings": [coarse.spacing, *(f.spacing for f in fine)],
+        "surfels": len(points),
+        "seconds": round(time.perf_counter() - begin, 2),
+    }
+    progress("distance", 1.0)
+    grid = DistanceGrid(coarse.values.astype(np.float16), coarse.origin + to, coarse.spacing)
+    moved = {k: p.transformed(np.eye(3), to) for k, p in scene.cut.items()}
+    g = scene.gaussians.transformed(np.eye(3), to)
+    return Asset(g, sdf=grid, provenance=provenance, environment=environment), moved
+
+
+def main_component(gaussians: Gaussians) -> Gaussians:
+    """Opaque Gaussians of the largest connected component. Raises BadInput where there is no scene."""
+    solid = gaussians.select(gaussians.opacities > OPAQUE)
+    if len(solid) < MIN_GAUSSIANS:
+        raise BadInput(f"only {len(solid)} of {len(gaussians)} Gaussians are opaque; {MIN_GAUSSIANS} are needed")
+    points = solid.means.astype(np.float64)
+    low, high = robust_bounds(points)
+    if not 1e-6 < (high - low).max() < 1e6:
+        raise BadInput(f"the scene's extent is {(high - low).max():.3g}; this cannot be used")
+    return solid.select(largest_component(points, low, high))
+
+
+def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOptions) -> Upright:
+    """Level the scene by its floor, scale it to metres and cut objects out."""
+    normals, areas = normals_and_areas(main)
+    weights = np.minimum(areas, float(np.percentile(areas, 99)))  # a smear must not outweigh a floor
+    up, floor, rotation, sure = find_gravity(main.means.astype(np.float64), normals, weights, options.up)
+    level = main.means.astype(np.float64) @ rotation.T
+    low, high = robust_bounds(level)
+    longest = float((high - low).max())
+    size = options.scale or (longest if PLAUSIBLE_SIZE[0] <= longest <= PLAUSIBLE_SIZE[1] else USUAL_SIZE)
+    factor = size / longest
+    shift = -factor * np.array([0.0, floor, 0.0])
+    cut, rest = cut_out(gaussians.transformed(rotation, shift, factor), options.cut)
+    low, high = factor * low + shift, factor * high + shift
+    high[1] = min(high[1], MAX_HEIGHT)
+    low[1] = max(low[1], -BELOW_FLOOR)
+    if high[1] < MIN_HEIGHT:
+        raise BadInput("nothing stands above the floor that was found; name the axis that points up with --up")
+    return Upright(rest, cut, low, high, up, sure, rotation, size, factor)
+
+
+def orient_surface(scene: Upright, cell: float | None) -> Surface:
+    """Surfels of the scene, turned towards the open space that viewers over the floor see."""
+    low, high, g = scene.low, scene.high, scene.gaussians
+    h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * MIN_CELL)
+    origin, shape = grid_around(low, high, h)
+    solid = g.select((g.opacities > OPAQUE) & ~haze(g, h))
+    found = without_floaters(surfels(solid, origin, h, shape), shape, h)
+    voxels = VoxelGrid.of(found.cells, origin, h, shape)
+    space = open_space(voxels, 0.0)
+    viewers = viewers_in(space, low[[0, 2]], high[[0, 2]], 0.0, np.random.default_rng(0))
+    return Surface(solid, oriented(found, viewers, voxels, voxels), voxels, space, viewers, origin, h, shape)
+
+
+def level_surface(scene: Upright, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of level surfels, in voxels that tell the top of a board from its underside."""
+    low, high, h = scene.low, scene.high, surface.spacing
+    coarsening = max(1.0, float((high - low).prod() / (BOARD_CELL**3 * 0.7 * MAX_CELLS)) ** (1 / 3))
+    step = min(h, BOARD_CELL * coarsening)
+    origin, shape = grid_around(low, high, step)
+    found = in_voxels(surface.voxels, surfels(surface.solid, origin, step, shape))
+    near = VoxelGrid.of(found.cells, origin, step, shape)
+    found = oriented(found.select(np.abs(found.normals[:, 1]) > LEVEL_COS), surface.viewers, near, surface.voxels)
+    return found.points, found.normals
+
+
+def distance_grids(
+    surface: Surface, planes: list[SupportPlane], on: SupportPlane, drop: np.ndarray, progress: Progress
+) -> tuple[DistanceGrid, list[DistanceGrid]]:
+    """The coarse distance grid, and fine ones around the support planes, where the coarse one gives way."""
+    origin, h, shape = surface.origin, surface.spacing, surface.shape
+    nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
+    winding = winding_number(surface.surfels, origin, COARSENING * h, nodes)
+    coarse = signed_distance(surface.surfels, winding, origin, h, shape, surface.space)
+    phi = flattened(coarse, planes).values
+    boxes = [box_around(p, h) for p in planes[1 : 1 + MAX_FINE_GRIDS]]
+    if on.kind == "floor":
+        r = FLOOR_FINE_RADIUS
+        around_drop = drop - [r, FINE_MARGIN[1], r], drop + [r, FINE_MARGIN[2], r]
+        boxes = [around_drop, *boxes[: MAX_FINE_GRIDS - 1]]
+    fine = []
+    for k, (low, high) in enumerate(boxes):
+        progress("distance", k / len(boxes))
+        low, high = np.maximum(low, origin), np.minimum(high, origin + h * (np.array(shape) - 1))
+        step = max(MIN_CELL, float(np.cbrt((high - low).prod() / FINE_CELLS)))
+        if (high - low).min() < 8 * step or step > 0.7 * h:
+            continue
+        fine.append(fine_grid(surface, winding, low, high, step, planes))
+        phi = np.maximum(phi, depth_in_box(coarse, low + 1.5 * h, high - 1.5 * h))
+    return replace(coarse, values=phi), fine
+
+
+def fine_grid(
+    surface: Surface, winding: WindingNumber, low: np.ndarray, high: np.ndarray, step: float, planes: list[SupportPlane]
+) -> DistanceGrid:
+    """Distance grid of the box low to high (3,) [m], from the Gaussians in and around it."""
+    shape = tuple(map(int, np.ceil((high - low) / step) + 1))
+    own = ((surface.solid.means > low - 0.1) & (surface.solid.means < high + 0.1)).all(1)
+    corner, padded = low - 3 * step, tuple(n + 6 for n in shape)
+    found = in_voxels(surface.voxels, surfels(surface.solid.select(own), corner, step, padded))
+    near = VoxelGrid.of(found.cells, corner, step, padded)
+    found = oriented(found, surface.viewers, near, surface.voxels)
+    grid = flattened(signed_distance(found, winding, low, step, shape, surface.space), planes)
+    return replace(grid, values=grid.values.astype(np.float16))
+
+
+def axis_vector(name: str) -> np.ndarray:
+    """Unit vector of an axis by its name, "+x" to "-z"."""
+    return np.eye(3)["xyz".index(name[1])] * (1 if name[0] == "+" else -1)
+
+
+def grid_around(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, tuple[int, int, int]]:
+    """Origin [m] and nodes an axis of the grid of spacing h [m] around a box. Raises BadInput for too many."""
+    count = np.ceil((high - low) / h).clip(1, 1e6).astype(int) + 2 * MARGIN
+    total = int(count.prod())
+    if total > MAX_CELLS:
+        least = h * (total / MAX_CELLS) ** (1 / 3)
+        sides = " x ".join(map(str, count))
+        raise BadInput(f"a grid of {sides} = {total:,} cells, the limit is {MAX_CELLS:,}: ask for --cell {least:.2g}")
+    return low - MARGIN * h, tuple(map(int, count))
+
+
+def box_around(plane: SupportPlane, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the fine grid of a plane, where the coarse grid has cells of h [m]."""
+    side, below, above = np.maximum(FINE_MARGIN, np.multiply(FINE_MARGIN_CELLS, h))
+    low, high = plane.low - side, plane.high + side
+    return (
+        np.array([low[0], plane.height - below, low[1]]),
+        np.array([high[0], plane.height + above, high[1]]),
+    )
+
+
+def in_voxels(voxels: VoxelGrid, s: Surfels) -> Surfels:
+    """The surfels in occupied voxels of the coarse grid: no floaters."""
+    i = np.floor((s.points - voxels.origin) / voxels.spacing).astype(int)
+    return s.select(voxels.occupied[tuple(i.clip(0, np.array(voxels.occupied.shape) - 1).T)])
+
+
+def flattened(grid: DistanceGrid, planes: list[SupportPlane]) -> DistanceGrid:
+    """The distance near level planes: their noise smoothed away, holes under objects that were cut out closed."""
+    phi, origin, h = grid.values.copy(), grid.origin, grid.spacing
+    x, y, z = (origin[k] + h * np.arange(phi.shape[k]) for k in range(3))
+    columns = np.stack(np.meshgrid(x, z, indexing="ij"), -1).reshape(-1, 2)
+    for plane in planes:
+        rows = np.flatnonzero(np.abs(y - plane.height) < 2.5 * h)
+        where = plane.covers(columns).reshape(len(x), len(z))
+        if not len(rows) or not where.any():
+            continue
+        rows = slice(rows[0], rows[-1] + 1)
+        part = phi[:, rows]
+        height = np.broadcast_to((y[rows] - plane.height)[None, :, None], part.shape)
+        own = where[:, None, :] & (np.abs(part - height) < 0.6 * h + 0.01)
+        slab = np.maximum(height, -2.5 * h - height)
+        part = np.where(own, height, part)
+        phi[:, rows] = np.where(where[:, None, :], np.minimum(part, slab), part)
+    return replace(grid, values=phi)
+
+
+def depth_in_box(grid: DistanceGrid, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Depth [m] (X, Y, Z) of each node in a box, negative outside: the maximum with it removes the box from a solid."""
+    axes = (grid.origin[k] + grid.spacing * np.arange(n) for k, n in enumerate(grid.shape))
+    nodes = np.meshgrid(*axes, indexing="ij", sparse=True)
+    return np.min(np.broadcast_arrays(*(np.minimum(n - low[k], high[k] - n) for k, n in enumerate(nodes))), axis=0)
+
+
+def plane_row(plane: SupportPlane, to: np.ndarray) -> tuple:
+    """A plane as the file holds it, displaced by `to` (3,) [m]."""
+    (x0, z0), (x1, z1) = plane.low, plane.high
+    places = (plane.height + to[1], x0 + to[0], z0 + to[2], x1 + to[0], z1 + to[2])
+    return (plane.kind, *map(float, places))

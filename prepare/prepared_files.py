@@ -1,0 +1,202 @@
+"""From a splat file to an asset file: bodies and static environments, with a summary for the user."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.asset import Asset
+from assets.file_access import atomic_write_all
+from assets.formats.ply import write_ply
+from assets.images import thumbnail_of
+from assets.splat_files import read_gaussians
+from assets.up_axis import describe_guess
+from core.errors import BadInput
+from prepare.checkpoints import Checkpoints
+from prepare.environment import environment_pipeline
+from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
+from prepare.pipeline import STEPS, VERSION, Options, prepare
+from prepare.progress import Progress, progress_on
+from prepare.report import report_names, report_texts
+from prepare.report_pictures import camera_for, splat_picture
+from prepare.rig.rig_source import described, rig_source
+
+MAX_FLOATERS = 0.05  # of the Gaussians; more that lie apart are another component
+MAX_PLANES = 8  # that the summary names
+
+
+def prepare_file(
+    path: str | Path,
+    out: str | Path,
+    options: Options | None = None,
+    *,
+    rig: str | Path | None = None,
+    landmarks: str | Path | None = None,
+    progress: Progress | None = None,
+    report: Callable[[str], None] = print,
+    pictures: bool = False,
+    page: bool = False,
+) -> Path:
+    """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
+
+    path      a splat file, or a .glb with a skinned mesh
+    rig       a .glb whose motion the body takes over
+    landmarks JSON file of the positions of the body's joints
+    pictures  draw a thumbnail into the asset
+    page      also write the report beside it: ASSET.report.html and ASSET.report.json
+    Raises BadInput, naming the file.
+    """
+    path, out, options = Path(path), Path(out), options or Options()
+    if path.suffix.lower() == ".h5":
+        raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
+    if options.pieces and (rig is not None or path.suffix.lower() == ".glb"):
+        raise BadInput(f"{path}: a rig animates one body; --pieces is for other splats")
+    source = rig_source(path, rig, landmarks)
+    gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
+    if source is not None:
+        options = replace(options, up=options.up or source.up, material=options.material or source.material)
+    bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))
+    progress = progress or bar
+    checkpoints = Checkpoints(path, asdict(options), VERSION)
+    try:
+        asset, solids, notes = _prepared_or_anew(gaussians, options, progress, checkpoints)
+        if source is not None:
+            progress("rig", 0.0)
+            asset = source.animate(asset, solids[0].distance)
+            progress("rig", 1.0)
+    except BadInput as e:
+        checkpoints.clear()
+        raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
+    if checkpoints.resumed:
+        notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
+    asset = replace(asset, provenance={"source": path.name} | asset.provenance)
+    splat = None
+    if pictures or page:
+        splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
+        asset = replace(asset, thumbnail=thumbnail_of(splat))
+    texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat) if page else ()
+    with atomic_write_all(out, *(report_names(out) if page else ())) as (beside, *others):
+        asset.check(str(out))  # before `save` does, which would name the temporary file
+        asset.save(beside)
+        for other, text in zip(others, texts, strict=True):
+            other.write_text(text, encoding="utf-8")
+    checkpoints.clear()
+    for line in notes + summary(asset.provenance):
+        report(line)
+    return out
+
+
+def _prepared_or_anew(gaussians, options: Options, progress: Progress, checkpoints: Checkpoints):
+    """Asset, solids of its components and notes of `prepare`; once more from the start if checkpoints fail it."""
+
+    def attempt():
+        solids, notes = [], []
+        how = {"progress": progress, "look": solids.append, "say": notes.append, "checkpoints": checkpoints}
+        return prepare(gaussians, options, **how), solids, notes
+
+    try:
+        return attempt()
+    except (BadInput, LookupError, TypeError, ValueError):
+        if not checkpoints.resumed:
+            raise
+        checkpoints.clear()  # its arrays may be at fault
+        return attempt()
+
+
+def summary(provenance: dict) -> list[str]:
+    """Lines that describe a prepared body, from its provenance."""
+    counts, figures, options = provenance["counts"], provenance["figures"], provenance["options"]
+    left_out = ", ".join(f"{counts[k]} {k}" for k in ("transparent", "huge", "apart", "stray") if counts[k])
+    animation = provenance.get("rig")
+    apart, lines = counts["apart"] + counts["stray"], []
+    if figures["pieces"] > 1:
+        lines = [f"{figures['pieces']} pieces, each with a cage of its own; in a scene each is a body of its own"]
+    elif apart > MAX_FLOATERS * counts["read"] and not options.get("pieces"):
+        lines = [
+            f"the splat has pieces that lie apart: the largest is taken, {apart} Gaussians left out; --pieces keeps all"
+        ]
+    if counts.get("specks"):
+        lines.append(f"{counts['specks']} more pieces were too small or too flat for a cage and are left out")
+    return lines + [
+        f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
+        f"up {_up_axis(provenance)}, largest extent {_size(provenance)}",
+        f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
+        f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
+        f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
+        *(described(animation) if animation else ()),
+    ]
+
+
+def prepare_environment_file(
+    path: str | Path,
+    out: str | Path,
+    options: EnvironmentOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    report: Callable[[str], None] = print,
+) -> list[Path]:
+    """Prepare the scene `path` and write the asset `out`, whole or not at all; `report` takes the summary.
+
+    OUT_objectK.ply is written for each id K that is cut out. Returns all of these files. Raises BadInput, naming the
+    file.
+    """
+    path, out = Path(path), Path(out)
+    gaussians = read_gaussians(path, report)
+    bar = progress_on(sys.stderr, environment_pipeline.STEPS)
+    try:
+        asset, objects = prepare_environment(gaussians, options, progress=progress or bar)
+    except BadInput as e:
+        raise BadInput(f"{path}: {e}") from e
+    finally:
+        bar.close()
+    asset = replace(asset, provenance={"source": path.name} | asset.provenance)
+    files = [out, *(object_file(out, k) for k in objects)]
+    asset.check(str(out))
+    with atomic_write_all(*files) as (beside, *others):
+        for other, g in zip(others, objects.values(), strict=True):
+            write_ply(other, g)
+        asset.save(beside)
+    for k, g in objects.items():
+        report(f"object {k}: {len(g)} Gaussians cut out")
+    for line in environment_summary(asset):
+        report(line)
+    return files
+
+
+def object_file(out: Path, object_id: int) -> Path:
+    """Path of the Gaussians of an object id that is cut out."""
+    return out.with_name(f"{out.stem}_object{object_id}.ply")
+
+
+def environment_summary(asset: Asset) -> list[str]:
+    """Lines that describe a prepared environment."""
+    p, found = asset.provenance, asset.environment
+    grids = ", ".join(f"{n:,} cells of {1000 * h:.0f} mm" for n, h in zip(p["cells"], p["spacings"], strict=True))
+    lines = [
+        f"{len(asset.gaussians):,} Gaussians, up {_up_axis(p)}, leaning by {p['lean']:.1f} degrees, "
+        f"largest extent {_size(p)}"
+    ]
+    for kind, height, x0, z0, x1, z1 in found.planes[:MAX_PLANES]:
+        centre = f"({0.5 * (x0 + x1):.2f}, {0.5 * (z0 + z1):.2f})"
+        lines.append(f"  {kind:5} at {height:5.2f} m, {x1 - x0:.2f} x {z1 - z0:.2f} m around {centre}")
+    if len(found.planes) > MAX_PLANES:
+        lines.append(f"  and {len(found.planes) - MAX_PLANES} more planes")
+    lines.append(
+        f"bodies drop on the {p['drop_on']}, where a disc of {found.clear_radius:.2f} m is free; grids: {grids}"
+    )
+    return [*lines, f"{p['seconds']:.1f} s"]
+
+
+def _up_axis(provenance: dict) -> str:
+    return provenance["up"] if provenance["options"]["up"] else describe_guess(provenance["up"], provenance["up_sure"])
+
+
+def _size(provenance: dict) -> str:
+    guessed = "" if provenance["options"]["scale"] else " (guessed; --scale overrides)"
+    return f"{provenance['size']:.3g} m{guessed}"

@@ -1,0 +1,103 @@
+"""Level sets: distances to masks, marching cubes, distances between points and surfaces; and how meshes are drawn."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial import cKDTree
+
+from core.camera import look_at, perspective
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from core.tetmesh import enclosed_volume
+from prepare.cage.isosurface import areas, distance_to_surface, distance_to_triangles, marching_cubes, surface_samples
+from prepare.cage.level_set import contact_grid, distance_to
+from prepare.cage.mesh_quality import euler_characteristic, non_manifold_vertices
+from prepare.mesh_drawing import Canvas, cubes
+from tests.support.distance_shapes import sampled, sphere
+
+CENTRE = np.array([-0.07, -0.01, 0.02])
+R = 0.9
+BALL = sampled(lambda p: sphere(p, CENTRE, R), 1.35, 0.1)
+
+
+def test_the_distance_to_a_mask_is_that_to_its_nearest_cell():
+    mask = np.random.default_rng(0).uniform(size=(9, 7, 8)) < 0.05
+    true = cKDTree(np.argwhere(mask)).query(np.argwhere(np.ones(mask.shape)))[0].reshape(mask.shape)
+    assert_allclose(distance_to(mask), true, rtol=1e-6)
+    assert_allclose(distance_to(mask, 3.0), np.where(true > 3.0, np.inf, true), rtol=1e-6)
+    assert np.isinf(distance_to(np.zeros((4, 5, 6), bool))).all()
+
+
+def test_the_surface_of_a_ball():
+    """Closed, outward, of the ball's area and volume; a level further out is larger."""
+    v, f = marching_cubes(BALL)
+    assert len(non_manifold_vertices(f)) == 0
+    assert euler_characteristic(f) == 2
+    assert_allclose(enclosed_volume(v, f), 4 / 3 * np.pi * R**3, rtol=0.01)
+    assert_allclose(areas(v, f).sum(), 4 * np.pi * R**2, rtol=0.01)
+    assert_allclose(np.linalg.norm(v - CENTRE, axis=1), R, atol=0.002)
+    v, f = marching_cubes(BALL, level=0.2)
+    assert_allclose(np.linalg.norm(v - CENTRE, axis=1), R + 0.2, atol=0.002)
+
+
+def test_a_shape_at_the_grids_border_is_closed():
+    _, f = marching_cubes(sampled(lambda p: sphere(p, (-1.0, 0, 0), R), 1.35, 0.1))
+    assert len(non_manifold_vertices(f)) == 0
+    with pytest.raises(BadInput, match="no surface"):
+        marching_cubes(DistanceGrid(np.ones((5, 5, 5)), np.zeros(3), 1.0))
+
+
+def test_distance_to_a_triangle_is_the_smallest_over_its_points():
+    """Against the minimum over a fine lattice of the triangle's points."""
+    rng = np.random.default_rng(0)
+    p, corners = rng.normal(size=(50, 3)), rng.normal(size=(50, 3, 3))
+    i, j = np.meshgrid(np.arange(121), np.arange(121), indexing="ij")
+    w = np.stack([i, j, 120 - i - j], -1)[i + j <= 120] / 120
+    points = np.einsum("wk,nki->nwi", w, corners)
+    brute = np.linalg.norm(points - p[:, None], axis=-1).min(1)
+    found = distance_to_triangles(p, corners)
+    assert (found <= brute + 1e-12).all()
+    assert_allclose(found, brute, atol=0.04)  # the lattice's step is up to 1/120 of an edge of about four
+    assert np.median(brute - found) < 1e-3
+
+
+def test_samples_are_spread_by_area_and_distances_are_those_to_the_ball():
+    v, f = marching_cubes(BALL)
+    p, triangle = surface_samples(v, f, 4000)
+    assert distance_to_triangles(p, v[f[triangle]]).max() < 1e-9
+    above = (p[:, 1] > CENTRE[1] + R / 2).mean()  # a cap of half the radius has a quarter of a sphere's area
+    assert_allclose(above, 0.25, atol=0.01)
+    p = CENTRE + np.random.default_rng(1).normal(size=(500, 3)) * 0.6
+    assert_allclose(distance_to_surface(p, v, f), np.abs(np.linalg.norm(p - CENTRE, axis=1) - R), atol=0.005)
+
+
+def test_the_contact_grid_of_far_components_stays_small():
+    far = DistanceGrid(BALL.values, BALL.origin + [60.0, 0, 0], BALL.spacing)
+    near, both = contact_grid([BALL]), contact_grid([BALL, far])
+    assert max(near.shape) <= 58 and max(both.shape) <= 162
+    assert_allclose(near.sample(CENTRE[None]), -R, atol=0.1)  # the tip of a cone between nodes
+
+
+def test_cells_have_the_faces_of_their_shape():
+    cells = np.zeros((4, 4, 4), bool)
+    cells[1:3, 1:3, 1] = True
+    x, f, owner = cubes(cells)
+    assert len(f) == 4 + 4 + 8
+    assert cells[tuple(owner.T)].all()
+    triangles = np.concatenate([f[:, :3], f[:, [0, 2, 3]]])
+    assert_allclose(enclosed_volume(x, triangles), 4)
+
+
+def test_the_nearer_face_hides_the_farther():
+    camera = perspective(40, 40, 0.8, look_at((0, 0, 3.0), (0, 0, 0)))
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
+    x = np.concatenate([corners, corners + [0, 0, -1]])
+    for faces in ([[0, 1, 2, 3], [4, 5, 6, 7]], [[4, 5, 6, 7], [0, 1, 2, 3]]):
+        faces = np.array(faces)
+        canvas = Canvas(camera)
+        canvas.polygons(x, faces, np.where(faces[:, :1] == 0, [255, 0, 0], [0, 0, 255]))
+        red, _, blue = canvas.picture()[20, 20]
+        assert red > 100 and blue == 0
+    canvas = Canvas(camera)
+    canvas.polygons(x, np.array([[3, 2, 1, 0]]), np.array([[255, 0, 0]]))  # seen from behind
+    assert (canvas.picture() == canvas.page[0, 0]).all()

@@ -21,7 +21,7 @@ import numpy as np
 from bench.setups import FRAME, G, energies
 from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
 from scenes.scene import Hand, Plane
-from sim.hands.grasp import FORCE
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.model import Capacity
 from sim.solver import Solver
 
@@ -224,7 +224,7 @@ def work(before: Hand, now: Hand) -> float:
     if not (now.grip and before.grip):
         return 0.0
     angle = 2 * np.arccos(min(abs(float(np.dot(before.rotation, now.rotation))), 1.0))
-    return FORCE * (np.linalg.norm(np.subtract(now.position, before.position)) + BODY_SIZES[1] * angle)
+    return MAX_HAND_FORCE * (np.linalg.norm(np.subtract(now.position, before.position)) + BODY_SIZES[1] * angle)
 
 
 def soak(seed: int, minutes: float, ranges: Ranges = Ranges(), *, first: int = 0) -> list[str]:

@@ -15,7 +15,7 @@ from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from scenes.scene import Hand
-from sim.contact.rest_distance import rest_grid
+from sim.contact.signed_distance import rest_grid
 from sim.soft_body import SoftBody
 
 ARENA = 1.0  # [m] from the middle to each wall

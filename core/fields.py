@@ -28,6 +28,7 @@ class FieldGroup:
 
     def __init__(self):
         self._builder = ti.FieldsBuilder()
+        self._records = None
         self._tree: SNodeTree | None = None
 
     def scalar(self, *shape: int, dtype=ti.f32):
@@ -50,6 +51,13 @@ class FieldGroup:
         """A field of n x m matrices."""
         return self._place([ti.Matrix.field(n, m, dtype)], shape)[0]
 
+    @contextmanager
+    def interleaved(self, *shape: int):
+        """Store the fields declared inside, all of this shape, as records: for what one thread reads together."""
+        self._records = self._builder.dense((ti.i, ti.ij)[len(shape) - 1], shape)
+        yield
+        self._records = None
+
     def build(self) -> None:
         """Allocate the declared fields, all zero."""
         self._tree = self._builder.finalize()
@@ -66,7 +74,9 @@ class FieldGroup:
 
     def _place(self, fields: list, shape, column_major: bool = False) -> list:
         axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
-        if column_major:
+        if self._records is not None:
+            node = self._records
+        elif column_major:
             node = self._builder.dense(ti.j, shape[1]).dense(ti.i, shape[0])
         else:
             node = self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder

@@ -14,7 +14,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
 from sim.body_model import BodyModel, motion
-from sim.hands.grasp_state import Grips
+from sim.hands.grasp_state import GraspState
 from sim.model import body_index
 from sim.soft_body import SoftBody
 
@@ -30,7 +30,7 @@ class MovingBodies:
 
     models: tuple[BodyModel, ...]
     motions: tuple[np.ndarray, ...]
-    grasps: Grips | None
+    grasps: GraspState | None
 
     def with_body(self, model: BodyModel, motion: np.ndarray) -> MovingBodies:
         """Append a body."""
@@ -60,7 +60,7 @@ def removed(bodies: MovingBodies, i: int) -> MovingBodies:
     i = body_index(i, len(bodies.models))
     kept = [k for k in range(len(bodies.models)) if k != i]
     new_index = [k - (k > i) if k != i else None for k in range(len(bodies.models))]
-    grasps = None if bodies.grasps is None else bodies.grasps.moved(new_index)
+    grasps = None if bodies.grasps is None else bodies.grasps.renumbered(new_index)
     return MovingBodies(tuple(bodies.models[k] for k in kept), tuple(bodies.motions[k] for k in kept), grasps)
 
 

@@ -24,13 +24,14 @@ from sim.elastic.time_step import STABILITY_LIMIT, Integration, Schedule, choose
 from sim.elastic.untangling import Untangling
 from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.xpbd import XPBDSubsteps
-from sim.hands.grasp_state import Grips
+from sim.hands.grasp import Grasps
+from sim.hands.grasp_state import GraspState
 from sim.hands.transform import Transform
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Capacity, Model
 from sim.recovery import NonFiniteRecovery
 from sim.reductions import ReductionBlocks, Reductions
-from sim.rigid.rigid_bodies import LONGEST_SUBSTEP, MOST_PASSES, PASS, RigidBodies
+from sim.rigid.rigid_bodies import MAX_PASSES, MAX_RIGID_SUBSTEP, SUBSTEP_PER_PASS, RigidBodies
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.state import State
@@ -86,11 +87,12 @@ class Solver:
         self.x, self.v = s.x, s.v
         blocks = self._blocks = ReductionBlocks(s)
         self._reductions = Reductions(s, blocks)
-        self.rigid_bodies = self._make_rigid_bodies(first, hands if contacts else 0) if self._with_rigid else None
+        grasps = Grasps(s, hands) if contacts else None
+        self.rigid_bodies = self._make_rigid_bodies(first, grasps) if self._with_rigid else None
         self.contacts: Contacts | None = None
         if contacts:
-            options = {"hands": hands, "self_contact": self_contact, "capacity": capacity, "fingers": fingers}
-            self.contacts = Contacts(s, first, list(colliders), blocks, movers=self.rigid_bodies, **options)
+            options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers}
+            self.contacts = Contacts(s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options)
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks)
         self.untangling = Untangling(s, self._reductions, self.damping)
@@ -218,7 +220,7 @@ class Solver:
         """Force of all contacts on each body in the last substep [N], (B, 3)."""
         if self.contacts is None:
             return np.zeros((len(self._model.bodies), 3))
-        return self.contacts.forces.per_body(self.contacts.rows)
+        return self.contacts.forces.per_body()
 
     def take_scaling(self) -> tuple[int, float] | None:
         """Body and factor for `rescale`, if two hands have just scaled a body in "transform"; each only once."""
@@ -348,9 +350,9 @@ class Solver:
 
     # Internals
 
-    def _make_rigid_bodies(self, first: Model, hands: int) -> RigidBodies:
-        passes = min(max(math.ceil(self._choose(first).substep / PASS), 1), MOST_PASSES)
-        return RigidBodies(self.state, hands=hands, passes=passes)
+    def _make_rigid_bodies(self, first: Model, grasps: Grasps | None) -> RigidBodies:
+        passes = min(max(math.ceil(self._choose(first).substep / SUBSTEP_PER_PASS), 1), MAX_PASSES)
+        return RigidBodies(self.state, grasps, passes=passes)
 
     def _choose(self, model: Model) -> Integration:
         """Choose integrator, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
@@ -358,7 +360,7 @@ class Solver:
         stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
         options = {"stiffest": stiffest, "crossing": model.crossing, **self._wanted}
         chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
-        return replace(chosen, substep=min(chosen.substep, LONGEST_SUBSTEP)) if self._with_rigid else chosen
+        return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if self._with_rigid else chosen
 
     def _make_integrator(self, name: str, iterations: int):
         parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
@@ -385,7 +387,7 @@ class Solver:
         for part in (*parts, self._targets, *self._constraints):
             part.load(model)
 
-    def _set_bodies(self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: Grips | None) -> None:
+    def _set_bodies(self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: GraspState | None) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
         self._write_motion(list(motion))
@@ -405,7 +407,7 @@ class Solver:
         motions = np.split(motion, self._model.vertex_begin[1:-1], axis=1) if self._model.bodies else ()
         return MovingBodies(self._model.bodies, tuple(motions), self._grasps())
 
-    def _restart_contacts(self, grasps: Grips | None) -> None:
+    def _restart_contacts(self, grasps: GraspState | None) -> None:
         """Forget all contacts; hands hold `grasps`, or nothing."""
         if self.rigid_bodies is not None:
             self._fit_rigid_bodies()
@@ -418,9 +420,9 @@ class Solver:
     def _fit_rigid_bodies(self) -> None:
         """Put the rigid bodies where their vertices are."""
         x, x_lo, v, v_lo = self._read_motion(self.state.sizes.vertices).astype(np.float64)
-        self.rigid_bodies.fit(x + x_lo, v + v_lo)
+        self.rigid_bodies.set_motion(x + x_lo, v + v_lo)
 
-    def _grasps(self) -> Grips | None:
+    def _grasps(self) -> GraspState | None:
         return None if self.contacts is None else self.contacts.grasps()
 
     def _grasped_bodies(self) -> set[int]:

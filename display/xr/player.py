@@ -12,7 +12,7 @@ from display.xr import avatar
 from display.xr.actions import FINGER_RADIUS, PRESS_ABOVE, RELEASE_BELOW, ActionSet, Controller
 from display.xr.poses import PlaySpace, interpolate_pose, pose_matrix, position_rotation
 from scenes.scene import BodyState, Hand, Scene, Touch
-from sim.hands.grasp import FORCE
+from sim.hands.grasp_state import MAX_HAND_FORCE
 
 GRAB_RADIUS, PINCH_RADIUS = 0.05, 0.02  # [m] within which a fist, and finger and thumb, take hold
 SNAP_TURN = np.pi / 6  # [rad] of a step to the side: smooth turns make many people sick
@@ -24,7 +24,7 @@ POKE_ABOVE = 0.1  # of the trigger
 POKE_RATE = 1 / 6  # of its length in a frame: were it there at once, it would be inside what is near
 TAP_STRENGTH, TAP_SECONDS = 0.6, 0.02  # of the tap with which a hand takes hold
 PULL_STRENGTH, PULL_SECONDS = 0.8, 0.02  # at the hand's full force; of each pulse while something pulls at it
-TOUCH_FORCE = 8.0  # [N] of a finger that feel like FORCE of a fist
+TOUCH_FORCE = 8.0  # [N] of a finger that feel like MAX_HAND_FORCE of a fist
 CONTACT_FORCE = 0.05  # [N], mean of some frames, above which a finger touches
 TOUCH_SMOOTHING = 0.5  # weight of a frame's force in that mean: contact forces jitter from substep to substep
 MIN_STRENGTH = 0.03  # below which nothing is felt anyway
@@ -142,7 +142,10 @@ class Player:
             holds, before = self._grips[h] and force > 0.0, self._touch_force[h]
             self._touch_force[h] += TOUCH_SMOOTHING * (touch - before)
             touched = self._touch_force[h] > CONTACT_FORCE >= before
-            level = max(force / FORCE if holds else 0.0, min(self._touch_force[h] / TOUCH_FORCE, 1.0)) * PULL_STRENGTH
+            level = (
+                max(force / MAX_HAND_FORCE if holds else 0.0, min(self._touch_force[h] / TOUCH_FORCE, 1.0))
+                * PULL_STRENGTH
+            )
             if (holds and not self._held[h]) or touched:
                 actions.pulse(h, TAP_STRENGTH, TAP_SECONDS)
             elif level > MIN_STRENGTH:

@@ -1,284 +1,328 @@
-"""Contacts that share vertices, as rows of a system that takes one step a sweep.
+"""Contact constraints that share vertices or rigid bodies, solved together, one step a sweep.
 
-A row constrains the motion y = sum_e c_e y_e of a few vertices with coefficients c_e (negative on the other body).
-Its impulse lambda moves vertex e by w_e c_e lambda. All rows step at once, from the impulses of the last substep,
-so that what rests is solved exactly. In a step each row may use the share |c_e| / B_e of the mass of vertex e, where
-B_e is the sum of all active rows' |c| on that vertex (mass splitting, Tonge et al. 2012):
+A constraint acts on the motion y = sum_e c_e y_e of a few vertices with coefficients c_e (negative on the other body).
+Its impulse lambda moves vertex e by w_e c_e lambda. All constraints step at once, from the impulses of the last
+substep, so that what rests is solved exactly. In a step each may use the part |c_e| / B_e of the mass of vertex e,
+where the split count B_e is the sum of all active constraints' |c| on that vertex (mass splitting, Tonge et al. 2012):
 
     lambda += (wanted change of y) / sum_e |c_e| w_e B_e
 
-A row may also end on rigid bodies (sim/rigid/rigid_bodies.py): there y_e = dx + turn x r at the arm r, and w is the inverse of what
-a push meets there. Rows between rigid bodies alone are solved in groups (sim/rigid/rigid_contact.py).
+A constraint may also act on rigid bodies (sim/rigid/rigid_bodies.py): there y_e = dx + rotation x r at the lever arm r,
+and w is the inverse effective mass. Constraints between rigid bodies alone are solved in groups
+(sim/rigid/rigid_contact.py).
 
-So impulses stay equal and opposite, rows that agree are solved in one step, others never overshoot. The sums over rows
-are integers: their order, and the number of threads, do not matter.
+So impulses stay equal and opposite, constraints that agree are solved in one step, others never overshoot. The sums
+over constraints are integers: their order, and the number of threads, do not matter.
 """
 
+import numpy as np
 import taichi as ti
 
-from sim.contact.response import grip, least, press
-from sim.state import State
+from core.fields import FieldGroup
+from sim.contact.response import fingertip_impulse, friction_impulse, min_normal_motion, normal_impulse
+from sim.model import MAX_BODIES
 
-LENGTH = 2.0**44  # steps of the integer sums in a metre: 6e-14 m, and 5e5 m before overflow
-SHARE = 2.0**20  # steps of the integer sums of coefficients
-MOST = 7  # vertices of a row: a triangle's and a tet's
+STEPS_PER_METER = 2.0**44  # of the integer sums: 6e-14 m, and 5e5 m before overflow
+STEPS_PER_COEFFICIENT = 2.0**20  # of the integer sums of coefficients
+MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
+FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
+NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
 
 
 @ti.data_oriented
 class ContactConstraints:
-    """The table of rows, and the sums that they make.
+    """The table of contact constraints, one row each, and the sums of what they do.
 
-    normal vec3[R], phi f32[R] [m], friction vec2[R] = (mu_s, mu_k), pace f32[R] [m/s]
-    impulse vec3[R] [kg m] of the last sweep
-    wake i32[R]: the substep until which a row is too far from contact to be looked at
-    seen i32[R]: in this substep, 0: not looked at, 1: has no distance, 2: has one
-    size i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a row;   claimed i32[R]: active in this sweep
-    listed i32[R], listed_count: the rows in use
-    share i32[V] = B, in 1/SHARE;   last vec3[V] [m]: what the rows moved a vertex by, in the last sweep
-    sums i64[V,1+passes,3], in 1/LENGTH m: what the impulses of the last substep move it by, and their changes in each
-    pass over the rows, of which there is one without rigid bodies
-    ends i32[R], end i32[R,2], arm vec3[R,2] [m], side f32[R,2]: rigid bodies of a row, and +1 or -1 for its coefficient
-    Of the last `fingers` rows, whose pushes are soft and bounded (sim/hands/fingers.py): drive vec3 [m], how the finger moves
-    in this substep; most f32 [N], its greatest force.
+    normal vec3[R], phi f32[R] [m] signed distance, friction vec2[R] = (mu_s, mu_k)
+    closing_speed f32[R] [m/s] at which phi may shrink;   impulse vec3[R] [kg m] of the last sweep
+    next_check i32[R]: the substep until which a constraint is too far from contact to be evaluated
+    status i32[R]: of this substep, see above;   active i32[R]: takes part in this sweep
+    vertex_count i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a constraint
+    candidate i32[R], candidate_count: the rows in use until the next search
+    split_count i32[V] = B, in steps;   last_correction vec3[V] [m]: of the last sweep
+    corrections i64[V,1+passes,3], in steps: what the impulses of the last substep move a vertex by, and their changes
+    in each pass over the constraints, of which there is one without rigid bodies
+    body_count i32[R], body i32[R,2], lever_arm vec3[R,2] [m], sign f32[R,2]: its rigid bodies and their coefficients
+    Of the last `finger_rows`, whose pushes are soft and bounded (sim/hands/finger_contact.py): finger_motion vec3 [m]
+    of this substep; max_force f32 [N].
     """
 
-    def __init__(self, state: State, capacity: int, movers=None, fingers: int = 0):
-        self.state, self.capacity, self.movers, self.coupled = state, capacity, movers, movers is not None
-        self.fingers, self.first_finger = fingers > 0, capacity - fingers
-        self.passes = movers.passes if self.coupled else 1
+    def __init__(self, state, capacity: int, rigid_bodies=None, finger_rows: int = 0):
+        self.state, self.capacity = state, capacity
+        self.rigid_bodies, self.coupled = rigid_bodies, rigid_bodies is not None
+        self.fingers, self.first_finger = finger_rows > 0, capacity - finger_rows
+        self.passes = rigid_bodies.passes if self.coupled else 1
         # side by side, the vertices' loads wait for memory once instead of one after the other; a CPU gains nothing
         self.unrolled = ti.cfg.arch == ti.cuda
-        self.builder = ti.FieldsBuilder()
-        self.normal, self.impulse, self.last = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.phi, self.pace, self.coefficient = (ti.field(ti.f32) for _ in range(3))
-        self.friction = ti.Vector.field(2, ti.f32)
-        self.size, self.wake, self.vertex, self.claimed, self.listed, self.share, self.seen, self.listed_count = (
-            ti.field(ti.i32) for _ in range(8)
-        )
-        self.sums = ti.Vector.field(3, ti.i64)
-        self.builder.dense(ti.i, capacity).place(self.normal, self.phi, self.friction, self.pace, self.size)
-        self.builder.dense(ti.i, capacity).place(self.wake, self.claimed, self.seen)
-        self.builder.dense(ti.i, capacity).place(self.impulse)
-        self.builder.dense(ti.i, capacity).place(self.listed)
-        self.builder.dense(ti.i, capacity).dense(ti.j, MOST).place(self.vertex, self.coefficient)
-        self.builder.dense(ti.i, state.V).place(self.share)
-        self.builder.dense(ti.i, state.V).place(self.last)
-        self.builder.dense(ti.ij, (state.V, 1 + self.passes)).place(self.sums)
+        group = self._group = FieldGroup()
+        with group.interleaved(capacity):
+            self.normal, self.phi, self.friction = group.vector(), group.scalar(), group.vector(n=2)
+            self.closing_speed, self.vertex_count = group.scalar(), group.scalar(dtype=ti.i32)
+        with group.interleaved(capacity):
+            self.next_check, self.active, self.status = (group.scalar(dtype=ti.i32) for _ in range(3))
+        self.impulse, self.candidate = group.vector(capacity), group.scalar(capacity, dtype=ti.i32)
+        with group.interleaved(capacity, MAX_VERTICES):
+            self.vertex, self.coefficient = group.scalar(dtype=ti.i32), group.scalar()
+        self.split_count, self.last_correction = group.scalar(state.V, dtype=ti.i32), group.vector(state.V)
+        self.corrections = group.vector(state.V, 1 + self.passes, dtype=ti.i64)
         if self.coupled:
-            self.ends, self.end = ti.field(ti.i32), ti.field(ti.i32)
-            self.side, self.arm = ti.field(ti.f32), ti.Vector.field(3, ti.f32)
-            self.builder.dense(ti.i, capacity).place(self.ends)
-            self.builder.dense(ti.i, capacity).dense(ti.j, 2).place(self.end, self.side, self.arm)
+            self.body_count = group.scalar(capacity, dtype=ti.i32)
+            with group.interleaved(capacity, 2):
+                self.body, self.sign, self.lever_arm = group.scalar(dtype=ti.i32), group.scalar(), group.vector()
         if self.fingers:
-            self.drive, self.most = ti.Vector.field(3, ti.f32), ti.field(ti.f32)
-            self.builder.dense(ti.i, fingers).place(self.drive, self.most)
-        self.builder.place(self.listed_count)
-        self.tree = self.builder.finalize()
+            with group.interleaved(finger_rows):
+                self.finger_motion, self.max_force = group.vector(), group.scalar()
+        self.candidate_count = group.scalar(dtype=ti.i32)
+        group.build()
 
     @ti.func
-    def enlist(self, r):
-        """Put row r on the list until the next search."""
-        self.listed[ti.atomic_add(self.listed_count[None], 1)] = r
+    def add_candidate(self, r):
+        """Keep row r in use until the next search, and evaluate it in the next substep."""
+        self.next_check[r] = 0
+        self.candidate[ti.atomic_add(self.candidate_count[None], 1)] = r
 
     @ti.func
-    def forget(self, r):
+    def clear_impulse(self, r):
         self.impulse[r] = ti.Vector([0.0, 0.0, 0.0])
 
     @ti.func
-    def set(self, r, phi, normal, friction, pace):
-        """What row r is like now; at `pace` [m/s] its distance phi may shrink."""
-        self.phi[r], self.normal[r], self.friction[r], self.pace[r] = phi, normal, friction, pace
+    def set_contact(self, r, phi, normal, friction, closing_speed):
+        """The contact of row r as it is now; its distance phi [m] may shrink at closing_speed [m/s]."""
+        self.phi[r], self.normal[r], self.friction[r] = phi, normal, friction
+        self.closing_speed[r] = closing_speed
 
     @ti.func
-    def rest(self, r, phi, pace):
-        """Look at row r again when its distance phi [m] may be used up."""
+    def postpone(self, r, phi, closing_speed):
+        """Evaluate row r again when its distance phi [m] may be used up."""
         s = self.state
-        self.wake[r] = s.substep_index[None] + 1 + ti.cast(ti.max(phi, 0.0) / (pace * s.dt[None]), ti.i32)
+        substeps = ti.cast(ti.max(phi, 0.0) / (closing_speed * s.dt[None]), ti.i32)
+        self.next_check[r] = s.substep_index[None] + 1 + substeps
 
     @ti.func
     def set_vertex(self, r, e, i, c):
         self.vertex[r, e], self.coefficient[r, e] = i, c
 
     @ti.func
-    def set_size(self, r, size):
+    def set_vertex_count(self, r, count):
         """Row r has the vertices set so far. The places after them are filled with nothing, harmlessly."""
-        self.size[r] = size
+        self.vertex_count[r] = count
         if ti.static(self.unrolled):
-            for e in ti.static(range(MOST)):
-                if e >= size:
+            for e in ti.static(range(MAX_VERTICES)):
+                if e >= count:
                     self.vertex[r, e], self.coefficient[r, e] = self.vertex[r, 0], 0.0
 
     @ti.func
-    def set_end(self, r, e, b, x, side):
-        """Make rigid body b, touched at x, end e of row r, with coefficient `side`."""
-        self.end[r, e], self.side[r, e], self.arm[r, e] = b, side, x - self.movers.x[b]
+    def set_body(self, r, e, b, x, sign):
+        """Make rigid body b, touched at x, body e of row r, with coefficient `sign`."""
+        self.body[r, e], self.sign[r, e], self.lever_arm[r, e] = b, sign, x - self.rigid_bodies.x[b]
 
     @ti.func
-    def claim(self, r, usable, first: ti.template(), integrator: ti.template()):
-        """First pass: if the row carries a load or is about to, claim masses and push as in the last substep."""
-        self.claimed[r] = 0
+    def activate(self, r, usable, first: ti.template(), integrator: ti.template()):
+        """First pass: a constraint that carries a load or is about to counts for mass splitting and warm-starts."""
+        self.active[r] = 0
         if usable and (
             self.impulse[r].norm_sqr() > 0.0
-            or self.normal[r].dot(self.motion(r, 0, integrator)) < least(self.phi[r], self.state.dt[None])
+            or self.normal[r].dot(self.relative_motion(r, 0, integrator))
+            < min_normal_motion(self.phi[r], self.state.dt[None])
         ):
-            self.claimed[r] = 1
+            self.active[r] = 1
             if ti.static(self.unrolled):
-                for e in ti.static(range(MOST)):
-                    self._claim(r, e)
+                for e in ti.static(range(MAX_VERTICES)):
+                    self._count_split(r, e)
             else:
-                for e in range(self.size[r]):
-                    self._claim(r, e)
+                for e in range(self.vertex_count[r]):
+                    self._count_split(r, e)
             if ti.static(self.coupled):
-                for e in range(self.ends[r]):
-                    self.movers.claim(self.end[r, e], 1.0)
+                for e in range(self.body_count[r]):
+                    self.rigid_bodies.count_split(self.body[r, e])
             if ti.static(first):
-                self.push(r, self.impulse[r], 0)
+                self.add_impulse(r, self.impulse[r], 0)
         else:
-            self.forget(r)
+            self.clear_impulse(r)
             if usable:
-                self.rest(r, self.phi[r], self.pace[r])
+                self.postpone(r, self.phi[r], self.closing_speed[r])
 
     @ti.func
-    def step(self, r, j: ti.template(), integrator: ti.template()):
-        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `grip`)."""
-        if self.claimed[r]:
-            mass = 0.0  # inverse
+    def solve(self, r, j: ti.template(), integrator: ti.template()):
+        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `coulomb_friction`)."""
+        if self.active[r]:
+            inv_mass = 0.0
             if ti.static(self.unrolled):
-                for e in ti.static(range(MOST)):
-                    mass += self._split(r, e, integrator)
+                for e in ti.static(range(MAX_VERTICES)):
+                    inv_mass += self._vertex_inv_mass(r, e, integrator)
             else:
-                for e in range(self.size[r]):
-                    mass += self._split(r, e, integrator)
-            n, old, y = self.normal[r], self.impulse[r], self.motion(r, j, integrator)
+                for e in range(self.vertex_count[r]):
+                    inv_mass += self._vertex_inv_mass(r, e, integrator)
+            n, old, y, dt = self.normal[r], self.impulse[r], self.relative_motion(r, j, integrator), self.state.dt[None]
             old_n, y_n = n.dot(old), n.dot(y)
-            y_t, mass_t = y - y_n * n, mass
+            inverse_mass_t = inv_mass
             if ti.static(self.coupled):
+                y_t = y - y_n * n
                 along = y_t / ti.max(y_t.norm(), 1e-20)
-                for e in range(self.ends[r]):
-                    b, arm = self.end[r, e], self.arm[r, e]
-                    mass += self.movers.claims(b) * self.movers.inverse(b, arm, n)
-                    mass_t += self.movers.claims(b) * self.movers.inverse(b, arm, along)
-            if mass > 0.0:
-                new_n = ti.max(old_n + (least(self.phi[r], self.state.dt[None]) - y_n) / mass, 0.0)
+                for e in range(self.body_count[r]):
+                    b, arm = self.body[r, e], self.lever_arm[r, e]
+                    count = self.rigid_bodies.splits(b)
+                    inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
+                    inverse_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
+            if inv_mass > 0.0:
+                new_n = normal_impulse(old_n, y_n, min_normal_motion(self.phi[r], dt), inv_mass)
                 if ti.static(self.fingers):
-                    new_n = self._pressed(r, old_n, y_n, mass, new_n)
-                new_t = (old - old_n * n) - y_t / ti.max(mass_t, 1e-20)
-                new = new_n * n + new_t * grip(new_t.norm(), new_n, self.friction[r], mass_t, self.state.dt[None])
+                    if r >= self.first_finger:
+                        most = self.max_force[r - self.first_finger] * dt * dt
+                        new_n = fingertip_impulse(old_n, self.phi[r], y_n, inv_mass, dt, most)
+                new = new_n * n + friction_impulse(old, n, y, new_n, self.friction[r], inverse_mass_t, dt)
                 self.impulse[r] = new
-                self.push(r, new - old, j)
+                self.add_impulse(r, new - old, j)
 
     @ti.func
-    def settle(self, i):
-        """All pushes [m] on vertex i, whose sums are thereby cleared."""
+    def apply(self, i):
+        """All corrections [m] of vertex i, whose sums are thereby cleared."""
         d = ti.Vector([0.0, 0.0, 0.0])
-        if self.share[i] != 0:
+        if self.split_count[i] != 0:
             total = ti.Vector([0, 0, 0], ti.i64)
             for j in ti.static(range(1 + self.passes)):
-                total += self.sums[i, j]
-                self.sums[i, j] = ti.Vector([0, 0, 0], ti.i64)
-            d = ti.cast(total, ti.f32) * (1.0 / LENGTH)
-            self.share[i] = 0
-        self.last[i] = d
+                total += self.corrections[i, j]
+                self.corrections[i, j] = ti.Vector([0, 0, 0], ti.i64)
+            d = ti.cast(total, ti.f32) * (1.0 / STEPS_PER_METER)
+            self.split_count[i] = 0
+        self.last_correction[i] = d
         return d
 
     @ti.func
-    def motion(self, r, passed: ti.template(), integrator: ti.template()):
-        """y [m] in this substep so far, with what the first `passed` passes pushed."""
+    def relative_motion(self, r, passed: ti.template(), integrator: ti.template()):
+        """Relative motion y [m] in this substep so far, with the corrections of the first `passed` passes."""
         y = ti.Vector([0.0, 0.0, 0.0])
         if ti.static(self.unrolled):
-            for e in ti.static(range(MOST)):
-                y += self._moved(r, e, passed, integrator)
+            for e in ti.static(range(MAX_VERTICES)):
+                y += self._vertex_motion(r, e, passed, integrator)
         else:
-            for e in range(self.size[r]):
-                y += self._moved(r, e, passed, integrator)
+            for e in range(self.vertex_count[r]):
+                y += self._vertex_motion(r, e, passed, integrator)
         if ti.static(self.coupled):
-            for e in range(self.ends[r]):
-                d, t = self.movers.moved(self.end[r, e], passed)
-                y += self.side[r, e] * (d + t.cross(self.arm[r, e]))
+            for e in range(self.body_count[r]):
+                d, rotation = self.rigid_bodies.increments(self.body[r, e], passed)
+                y += self.sign[r, e] * (d + rotation.cross(self.lever_arm[r, e]))
         if ti.static(self.fingers):
-            y += self._driven(r)
+            if r >= self.first_finger:
+                y += self.finger_motion[r - self.first_finger]
         return y
 
     @ti.func
-    def _driven(self, r):
-        """How row r's finger moves in this substep [m]; 0 of other rows."""
-        way = ti.Vector([0.0, 0.0, 0.0])
-        if r >= self.first_finger:
-            way = self.drive[r - self.first_finger]
-        return way
-
-    @ti.func
-    def _pressed(self, r, old, y, mass, hard):
-        """Row r's new normal impulse: `hard`, or what a finger yields."""
-        new = hard
-        if r >= self.first_finger:
-            dt = self.state.dt[None]
-            new = press(old, self.phi[r], y, mass, dt, self.most[r - self.first_finger] * dt * dt)
-        return new
-
-    @ti.func
-    def _moved(self, r, e, passed: ti.template(), integrator: ti.template()):
-        """The share of vertex e in y [m]."""
+    def _vertex_motion(self, r, e, passed: ti.template(), integrator: ti.template()):
+        """The part of vertex e in y [m]."""
         i = self.vertex[r, e]
         y = self.state.dx[i] - self.state.x_lo[i]
-        # warm-started: dx contains the first sums already
-        for j in ti.static(range(1 if integrator.warm_started else 0, passed)):
-            moved = ti.cast(self.sums[i, j], ti.f32) * (1.0 / LENGTH)
+        for j in ti.static(range(1 if integrator.warm_started else 0, passed)):  # dx has the first sums already
+            moved = ti.cast(self.corrections[i, j], ti.f32) * (1.0 / STEPS_PER_METER)
             if ti.static(integrator.warm_started):
                 moved *= integrator.effective_inv_mass[i] / ti.max(self.state.inv_mass[i], 1e-20)
             y += moved
         return self.coefficient[r, e] * y
 
     @ti.func
-    def push(self, r, impulse, j: ti.template()):
-        """Let row r act with an impulse [kg m], in the sums of pass j."""
+    def add_impulse(self, r, impulse, j: ti.template()):
+        """Add what an impulse [kg m] of row r moves to the corrections of pass j."""
         if ti.static(self.unrolled):
-            for e in ti.static(range(MOST)):
-                self._push_one(r, e, impulse, j)
+            for e in ti.static(range(MAX_VERTICES)):
+                self._correct_vertex(r, e, impulse, j)
         else:
-            for e in range(self.size[r]):
-                self._push_one(r, e, impulse, j)
+            for e in range(self.vertex_count[r]):
+                self._correct_vertex(r, e, impulse, j)
         if ti.static(self.coupled):
-            for e in range(self.ends[r]):
-                p = self.side[r, e] * impulse
-                self.movers.push(self.end[r, e], p, self.arm[r, e].cross(p), j)
+            for e in range(self.body_count[r]):
+                p = self.sign[r, e] * impulse
+                self.rigid_bodies.add_impulse(self.body[r, e], p, self.lever_arm[r, e].cross(p), j)
 
     @ti.func
-    def _push_one(self, r, e, impulse, j: ti.template()):
+    def _correct_vertex(self, r, e, impulse, j: ti.template()):
         i = self.vertex[r, e]
-        push = self.state.inv_mass[i] * self.coefficient[r, e] * LENGTH * impulse
-        if push.norm_sqr() > 0.0:
+        correction = self.state.inv_mass[i] * self.coefficient[r, e] * STEPS_PER_METER * impulse
+        if correction.norm_sqr() > 0.0:
             for axis in ti.static(range(3)):
-                ti.atomic_add(self.sums[i, j][axis], ti.cast(push[axis], ti.i64))
+                ti.atomic_add(self.corrections[i, j][axis], ti.cast(correction[axis], ti.i64))
 
     @ti.func
-    def _claim(self, r, e):
+    def _count_split(self, r, e):
         i, c = self.vertex[r, e], self.coefficient[r, e]
         if c != 0.0 and self.state.inv_mass[i] > 0.0:
-            ti.atomic_add(self.share[i], ti.cast(ti.abs(c) * SHARE, ti.i32))
+            ti.atomic_add(self.split_count[i], ti.cast(ti.abs(c) * STEPS_PER_COEFFICIENT, ti.i32))
 
     @ti.func
-    def _split(self, r, e, integrator: ti.template()):
+    def _vertex_inv_mass(self, r, e, integrator: ti.template()):
         """Inverse of the mass [1/kg] that row r may use of its vertex e."""
         i = self.vertex[r, e]
-        return (
-            ti.abs(self.coefficient[r, e]) * integrator.effective_inv_mass[i] * ti.cast(self.share[i], ti.f32) / SHARE
-        )
+        count = ti.cast(self.split_count[i], ti.f32)
+        return ti.abs(self.coefficient[r, e]) * integrator.effective_inv_mass[i] * count / STEPS_PER_COEFFICIENT
 
     @ti.kernel
     def clear(self):
         """Forget all contacts."""
-        self.listed_count[None] = 0
-        for r in self.size:
-            self.forget(r)
-        for i in self.share:
-            self.share[i] = 0
-            self.last[i] = ti.Vector([0.0, 0.0, 0.0])
+        self.candidate_count[None] = 0
+        for r in self.impulse:
+            self.clear_impulse(r)
+        for i in self.split_count:
+            self.split_count[i] = 0
+            self.last_correction[i] = ti.Vector([0.0, 0.0, 0.0])
             for j in range(1 + self.passes):
-                self.sums[i, j] = ti.Vector([0, 0, 0], ti.i64)
+                self.corrections[i, j] = ti.Vector([0, 0, 0], ti.i64)
         if ti.static(self.coupled):
-            for r in self.size:
-                self.ends[r] = 0
+            for r in self.body_count:
+                self.body_count[r] = 0
 
-    def destroy(self) -> None:
-        self.tree.destroy()
+
+@ti.data_oriented
+class ContactForces:
+    """Contact forces on the bodies, summed on demand: for haptics, and to see what carries a weight.
+
+    correction vec3[V] [m]: by static shapes, of each vertex in the last substep;   total i64[B,3] in FORCE_STEP.
+    """
+
+    def __init__(self, state, constraints: ContactConstraints):
+        self.state, self.constraints, self._group = state, constraints, FieldGroup()
+        self.correction = self._group.vector(state.V)
+        self.total = self._group.scalar(MAX_BODIES, 3, dtype=ti.i64)
+        self._group.build()
+
+    @ti.func
+    def add(self, i, correction, first: ti.template()):
+        """Static shapes moved vertex i by this correction [m] in a sweep; `first` starts the substep."""
+        if ti.static(first):
+            self.correction[i] = correction
+        else:
+            self.correction[i] += correction
+
+    @ti.func
+    def clear(self, i):
+        self.correction[i] = ti.Vector([0.0, 0.0, 0.0])
+
+    def per_body(self) -> np.ndarray:
+        """Force of all contacts on each body in the last substep [N], (B, 3) float64."""
+        self._sum()
+        return self.total.to_numpy()[: self.state.body_count[None]] * FORCE_STEP
+
+    @ti.kernel
+    def _sum(self):
+        """f = sum m_i d_i / dt^2 over vertices + sum c_e lambda / dt^2 over the constraints' vertices and bodies."""
+        s = self.state
+        table = self.constraints
+        for b, axis in self.total:
+            self.total[b, axis] = 0
+        for i in range(s.V):
+            if i < s.vertex_count[None] and s.dt[None] > 0.0:
+                self._add(s.body_of_vertex[i], s.mass[i] * self.correction[i])
+        for k in range(table.capacity):
+            if k < table.candidate_count[None] and s.dt[None] > 0.0:
+                r = table.candidate[k]
+                for e in range(table.vertex_count[r]):
+                    self._add(s.body_of_vertex[table.vertex[r, e]], table.coefficient[r, e] * table.impulse[r])
+                if ti.static(table.coupled):
+                    for e in range(table.body_count[r]):
+                        self._add(table.body[r, e], table.sign[r, e] * table.impulse[r])
+
+    @ti.func
+    def _add(self, b, impulse):
+        if impulse.norm_sqr() > 0.0:
+            dt = ti.cast(self.state.dt[None], ti.f64)
+            for axis in ti.static(range(3)):
+                force = ti.cast(impulse[axis], ti.f64) / (dt * dt * FORCE_STEP)
+                ti.atomic_add(self.total[b, axis], ti.cast(force, ti.i64))

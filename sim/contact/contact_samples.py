@@ -1,4 +1,4 @@
-"""Contact samples: points on the bodies' surfaces that are tested against everything else (NumPy, then fields)."""
+"""Contact samples: points on the bodies' surfaces and on thin static capsules, tested against other shapes."""
 
 from dataclasses import dataclass
 
@@ -7,25 +7,28 @@ import taichi as ti
 from scipy.spatial import cKDTree
 
 from core.distance_grid import DistanceGrid
-from core.fields import Upload, round_up_capacity
+from core.fields import FieldGroup, Upload, round_up_capacity
 from scenes.scene import Capsule
 from sim.body_model import BodyModel, RestShape
 from sim.contact.static_shapes import Shape, StaticGrid
-from sim.model import Capacity, Model, fit, stacked
-from sim.state import State
+from sim.model import MAX_BODIES, Capacity, Model, fit, stacked
 
-FINEST, COARSEST = 0.004, 0.02  # [m] spacing that is worth its cost; spacing that still finds a finger
-CLOSE = 0.75  # [spacings] between points that are thinned out: so far apart at least, one spacing at most on average
-RIGID = 0.1  # of the size of a rigid body, the finest spacing of its samples
-MOST = 6000  # samples a body; a longer list is thinned by a larger spacing
-# Of E, the pressure of a body's own weight at its foot, above which its inner vertices are samples too: it cannot carry
+MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m] that is worth its cost; that still finds a finger
+MIN_SEPARATION = 0.75  # [spacings] between points after thinning: one spacing at most on average
+MIN_RIGID_SPACING = 0.1  # of the size of a rigid body
+MAX_SAMPLES = 6000  # of a body; a longer list is thinned by a larger spacing
+MAX_CAPSULES = 32  # static capsules with samples
+# Of E, the pressure of a body's own weight at its foot, above which its inner vertices are samples too: it cannot x_lo
 # them, and they would hang through the floor by many times its size.
-LIMP = 0.5
+MAX_SELF_WEIGHT = 0.5
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points sum_k weights[k] x[ids[k]] of one body: ids (P, 3) local vertex indices, weights (P, 3) float64."""
+    """Points on a surface, sum_k weights[k] x[ids[k]] of one body.
+
+    ids (P, 3) local vertex indices, weights (P, 3) float64.
+    """
 
     ids: np.ndarray
     weights: np.ndarray
@@ -38,14 +41,14 @@ def spacing_for(shapes: list[Shape]) -> float:
     """Spacing [m] at which nothing static slips between samples: half of the thinnest capsule, two voxels of a grid."""
     thin = [0.5 * s.radius for s in shapes if isinstance(s, Capsule)]
     thin += [2.0 * s.grid.spacing * s.scale for s in shapes if isinstance(s, StaticGrid)]
-    return float(np.clip(min(thin, default=COARSEST), FINEST, COARSEST))
+    return float(np.clip(min(thin, default=MAX_SPACING), MIN_SPACING, MAX_SPACING))
 
 
-def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, most: int = MOST) -> SurfacePoints:
-    """The surface's vertices, and points on its triangles where these lie further apart than `spacing` [m].
+def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, most: int = MAX_SAMPLES) -> SurfacePoints:
+    """Samples: the surface's vertices, and points on its triangles where these lie further apart than `spacing` [m].
 
     Of a fine lattice (i, j, k)/n on every triangle those points are taken, one after the other, that are further than
-    CLOSE spacings from all taken before. If more than `most` points come out, the spacing grows.
+    MIN_SEPARATION spacings from all taken before. If more than `most` points come out, the spacing grows.
     """
     x, surface = np.asarray(vertices, np.float64), np.asarray(surface, np.int64)
     used = np.unique(surface)
@@ -61,7 +64,7 @@ def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, mo
         ]
         all_ids = np.concatenate([ids, *(i for i, _ in lattice)])
         all_weights = np.concatenate([weights, *(w for _, w in lattice)])
-        taken = thin_out((x[all_ids] * all_weights[..., None]).sum(1), CLOSE * spacing, len(used))
+        taken = thin_out((x[all_ids] * all_weights[..., None]).sum(1), MIN_SEPARATION * spacing, len(used))
         if len(taken) <= max(most, len(used)):
             return SurfacePoints(all_ids[taken], all_weights[taken])
         spacing *= 1.25
@@ -85,74 +88,63 @@ def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
     return np.array(taken)
 
 
-def skin(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:
-    """How far under each point the visible surface lies [m], (P,): a cage is dilated around what is seen.
+def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:
+    """Depth [m] of the visible surface under each point, (P,): a cage is dilated around what is seen.
 
     The rest distance there, at most two voxels (more would be a wrong grid); 0 without a grid.
     """
     if sdf is None:
         return np.zeros(len(points.ids))
     x = (np.asarray(vertices, np.float64)[points.ids] * points.weights[..., None]).sum(1)
-    values = np.asarray(sdf.values, np.float64)
-    q = (x - np.asarray(sdf.origin)) / sdf.spacing
-    q = np.clip(q, 0, np.array(values.shape) - 1.001)
-    i = q.astype(int)
-    f = q - i
-    phi = np.zeros(len(x))
-    for corner in np.ndindex(2, 2, 2):
-        weight = np.where(corner, f, 1 - f).prod(1)
-        phi += weight * values[tuple((i + corner).T)]
-    return np.clip(phi, -2 * sdf.spacing, 2 * sdf.spacing)
+    return np.clip(sdf.sample(x), -2 * sdf.spacing, 2 * sdf.spacing)
 
 
 def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
+    """Samples of a rest shape."""
     if shape.rigid:  # it bends nowhere: between its corners and edges few points will do
-        spacing = max(spacing, RIGID * float(np.ptp(shape.vertices, axis=0).max()))
+        spacing = max(spacing, MIN_RIGID_SPACING * float(np.ptp(shape.vertices, axis=0).max()))
     return surface_points(shape.vertices, shape.surface, spacing)
 
 
 def skin_of(shape: RestShape, spacing: float) -> np.ndarray:
-    return skin(shape.once(points_of, spacing), shape.vertices, shape.sdf)
+    """Skin depth [m] of each sample of a rest shape, (P,)."""
+    return skin_depth(shape.once(points_of, spacing), shape.vertices, shape.sdf)
 
 
 def inner_of(shape: RestShape) -> SurfacePoints:
-    """The vertices that are not on the surface."""
+    """Samples at the vertices that are not on the surface."""
     inside = np.setdiff1d(np.arange(len(shape.vertices)), shape.surface)
     return SurfacePoints(np.repeat(inside[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(inside), 1)))
 
 
-def limp(part: BodyModel) -> bool:
-    """Whether a body cannot carry itself on Earth."""
+def collapses(part: BodyModel) -> bool:
+    """Whether a body cannot x_lo its own weight on Earth."""
     m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
-    return not part.shape.rigid and m.density * 9.81 * height > LIMP * m.young
+    return not part.shape.rigid and m.density * 9.81 * height > MAX_SELF_WEIGHT * m.young
 
 
 @ti.data_oriented
 class ContactSamples:
-    """Samples of all bodies on the device.
+    """Surface samples of all bodies on the device.
 
     ids vec3i[P] global vertex indices;   weight vec3[P];   body i32[P];   skin f32[P] [m]
-    of_vertex i32[V]: the sample that is vertex i, -1 for none;   single i32[P]: whether a sample is a vertex
+    of_vertex i32[V]: the sample that is vertex i, -1 for none;   on_vertex i32[P]: whether a sample is a vertex
     host_ids, host_weights: the same in NumPy
     """
 
-    def __init__(self, state: State, first: Model, spacing: float, capacity: Capacity = Capacity()):
+    def __init__(self, state, first: Model, spacing: float, capacity: Capacity = Capacity()):
         self.state, self.spacing = state, spacing
         count = sum(len(p.ids) for p in self._points(first))
-        inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if limp(p))
+        inner = sum(len(p.shape.once(inner_of).ids) for p in first.bodies if collapses(p))
         self.capacity = round_up_capacity(capacity.sized("samples", count + inner))
-        self.builder = ti.FieldsBuilder()
-        self.ids, self.weight = ti.Vector.field(3, ti.i32), ti.Vector.field(3, ti.f32)
-        self.body, self.single, self.skin = ti.field(ti.i32), ti.field(ti.i32), ti.field(ti.f32)
-        self.builder.dense(ti.i, self.capacity).place(self.ids, self.weight, self.body, self.single, self.skin)
-        self.of_vertex = ti.field(ti.i32)
-        self.builder.dense(ti.i, state.V).place(self.of_vertex)
-        self.count = ti.field(ti.i32)
-        self.builder.place(self.count)
-        self.tree = self.builder.finalize()
-        self._upload = Upload(
-            [self.ids, self.weight, self.single, self.of_vertex, self.body, self.skin, self.count],
-        )
+        group = self._group = FieldGroup()
+        with group.interleaved(self.capacity):
+            self.ids, self.weight = group.vector(dtype=ti.i32), group.vector()
+            self.body, self.on_vertex = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
+            self.skin = group.scalar()
+        self.of_vertex, self.count = group.scalar(state.V, dtype=ti.i32), group.scalar(dtype=ti.i32)
+        group.build()
+        self._upload = Upload([self.ids, self.weight, self.on_vertex, self.of_vertex, self.body, self.skin, self.count])
 
     def _points(self, model: Model) -> list[SurfacePoints]:
         return [s.once(points_of, self.spacing) for s in model.shapes]
@@ -161,27 +153,27 @@ class ContactSamples:
         fit("samples", sum(len(p.ids) for p in self._points(model)), self.capacity)
 
     def triangle_points(self, model: Model) -> int:
-        """How many samples are not vertices."""
+        """Number of samples that are not vertices."""
         return sum(int((p.weights[:, 0] != 1.0).sum()) for p in self._points(model))
 
     def load(self, model: Model) -> None:
-        """Take the samples of these bodies; inner vertices of limp ones too, as far as there is room."""
+        """Take the samples of these bodies; inner vertices of those that collapse too, as far as there is room."""
         points = self._points(model)
         skins = [s.once(skin_of, self.spacing) for s in model.shapes]
         left = self.capacity - sum(len(p.ids) for p in points)
         for k, part in enumerate(model.bodies):
             inner = part.shape.once(inner_of)
-            if limp(part) and len(inner.ids) <= left:
+            if collapses(part) and len(inner.ids) <= left:
                 left -= len(inner.ids)
                 points[k] = points[k].joined(inner)
                 skins[k] = np.r_[skins[k], np.zeros(len(inner.ids))]
         ids = [p.ids + o for p, o in zip(points, model.vertex_begin, strict=False)]
         self.host_ids, self.host_weights = stacked(ids, 3), stacked([p.weights for p in points], 3)
-        single = self.host_weights[:, 0] == 1.0
+        on_vertex = self.host_weights[:, 0] == 1.0
         of_vertex = np.full(self.state.V, -1)
-        of_vertex[self.host_ids[single, 0]] = np.flatnonzero(single)
+        of_vertex[self.host_ids[on_vertex, 0]] = np.flatnonzero(on_vertex)
         body = np.repeat(np.arange(len(points)), [len(p.ids) for p in points])
-        self._upload([self.host_ids, self.host_weights, single, of_vertex, body, stacked(skins), len(body)])
+        self._upload([self.host_ids, self.host_weights, on_vertex, of_vertex, body, stacked(skins), len(body)])
 
     @ti.func
     def blend(self, p, field: ti.template()):
@@ -190,10 +182,39 @@ class ContactSamples:
         return b[0] * field[ids[0]] + b[1] * field[ids[1]] + b[2] * field[ids[2]]
 
     @ti.func
-    def put(self, p, r, rows: ti.template()):
-        """Make the sample's vertices the first three of row r."""
+    def set_vertices(self, p, r, constraints: ti.template()):
+        """Make the vertices of sample p the first three of constraint r."""
         for k in ti.static(range(3)):
-            rows.set_vertex(r, k, self.ids[p][k], self.weight[p][k])
+            constraints.set_vertex(r, k, self.ids[p][k], self.weight[p][k])
 
-    def destroy(self) -> None:
-        self.tree.destroy()
+
+@ti.data_oriented
+class CapsuleSamples:
+    """Points on the axes of thin static capsules, so that nothing thin slips between the samples of a body.
+
+    position vec3, radius f32 [m], friction f32, group i32 = MAX_BODIES + index of the capsule
+    Per capsule: low, high vec3 the box of its axis, capsule_radius f32 [m].
+    """
+
+    def __init__(self, capsules: list[Capsule], spacing: float):
+        thin = [c for c in capsules if c.radius < 2 * spacing][:MAX_CAPSULES]  # thicker ones cannot slip through
+        samples, low, high = [], np.zeros((MAX_CAPSULES, 3)), np.zeros((MAX_CAPSULES, 3))
+        for k, c in enumerate(thin):
+            a, b = np.asarray(c.a, np.float64), np.asarray(c.b, np.float64)
+            n = int(np.clip(np.ceil(np.linalg.norm(b - a) / (0.5 * spacing)), 1, 256))
+            samples += [(*(a + (b - a) * i / n), c.radius, c.friction, MAX_BODIES + k) for i in range(n + 1)]
+            low[k], high[k] = np.minimum(a, b), np.maximum(a, b)
+        table = np.array(samples).reshape(-1, 6)
+        self.size = len(table)
+        n, group = round_up_capacity(self.size), FieldGroup()
+        self.position, self.radius, self.friction = group.vector(n), group.scalar(n), group.scalar(n)
+        self.group = group.scalar(n, dtype=ti.i32)
+        self.low, self.high, self.capsule_radius = (
+            group.vector(MAX_CAPSULES), group.vector(MAX_CAPSULES), group.scalar(MAX_CAPSULES),
+        )  # fmt: skip
+        self.count, self.capsule_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
+        self._group = group
+        group.build()
+        fields = [self.position, self.radius, self.friction, self.group, self.low, self.high, self.capsule_radius]
+        columns = [table[:, :3], table[:, 3], table[:, 4], table[:, 5], low, high, [c.radius for c in thin]]
+        Upload([*fields, self.count, self.capsule_count])([*columns, self.size, len(thin)])

@@ -1,4 +1,4 @@
-"""Contact between deformable bodies: a sample in (or near) a foreign tet is pushed out along that body's distance grid.
+"""Narrow phase of deformable bodies: a sample in (or near) a tet of another body is pushed out along its distance grid.
 
 With barycentric weights b of the sample in the host tet, X = sum_j b_j X_j is where it sits in the host's rest shape.
 The rest distance phi_0 there and its gradient N give, with F = dx/dX of the tet,
@@ -8,64 +8,67 @@ The rest distance phi_0 there and its gradient N give, with F = dx/dX of the tet
 and the contact acts on the sample with its weights, and on the tet's corners with -b.
 """
 
-import numpy as np
 import taichi as ti
 
 from core.distance_grid import DistanceGrid
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
 from scenes.scene import Capsule
-from sim.body_model import RestShape
 from sim.contact.broad_phase import BodyBounds
-from sim.contact.capsule_samples import CapsuleSamples
 from sim.contact.constraints import ContactConstraints
-from sim.contact.contact_samples import ContactSamples
-from sim.contact.device_grids import FAR, DistanceGrids
+from sim.contact.contact_samples import CapsuleSamples, ContactSamples
 from sim.contact.nearest_tet import NearestTets
-from sim.contact.rest_distance import rest_grid
 from sim.contact.self_collision import SelfCollision
+from sim.contact.signed_distance import DistanceGrids, grid_of, known, margin_of
 from sim.contact.static_shapes import Shape
-from sim.contact.vertex_normals import VertexNormals
+from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
 from sim.model import MAX_BODIES, Capacity, Model, fit
-from sim.state import State
 
-FLAT = 1e-3  # of its rest volume; a tet crushed flatter has no usable normal
-# Of the surfaces' normals, the cosine above which two surfaces do not face each other: a point that was forced right
-# through a body is let back in. Were it held on the far side, what is entangled would stay so.
-ALONG = 0.3
-NOTHING = DistanceGrid(np.full((2, 2, 2), FAR, np.float32), np.zeros(3), 1e-3)  # of what needs no grid
-OUTSIDE = -0.01  # the barycentric weight at which a sample moves on to the next tet
+# Cosine of the surfaces' normals above which two surfaces do not face each other: a point that was forced right through
+# a body is let back in. Were it held on the far side, what is entangled would stay so.
+MAX_FACING_COSINE = 0.3
+MIN_WEIGHT = -0.01  # barycentric; below it a sample moves on to the next tet
+NORMAL_STEPS = 2.0**20  # of a unit normal in integer sums, which do not depend on the order
+MIN_NORMAL_RATIO, MIN_GRADIENT = 1e-3, 0.1  # least |F^-T N| / |N| and |N| of a usable normal
+
+
+@ti.func
+def usable_normal(phi, N, normal):
+    """Whether a distance phi with gradient N, carried to `normal`, gives a contact."""
+    return known(phi) and N.norm() > MIN_GRADIENT and normal.norm() > MIN_NORMAL_RATIO * N.norm()
 
 
 @ti.data_oriented
 class DeformableContact:
-    """Fills the rows of points near foreign tets: row begin + p for point p (see sim/contact/nearest_tet.py)."""
+    """Contact of points and tets of other bodies: constraint begin + p for point p of sim/contact/nearest_tet.py.
+
+    grid_margin f32[B] [m]: distance around a body that its grid surely covers
+    """
 
     def __init__(
         self,
-        state: State,
+        state,
         first: Model,
         samples: ContactSamples,
         shapes: list[Shape],
         bounds: BodyBounds,
-        folding: SelfCollision | None,
+        self_collision: SelfCollision | None,
         capacity: Capacity = Capacity(),
         fingers: bool = False,
     ):
-        self.folding, self.folds = folding, folding is not None
+        self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
-        self.spots = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
+        self.capsules = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
         self.rigid = first.rigid or capacity.rigid
-        self.needed = capacity.sized("bodies", first.sizes.bodies) > 1 or self.spots.size > 0 or self.folds
-        self.needed = self.needed or fingers  # these look for tets and distances, too
-        self.needed = self.needed and (first.soft or capacity.grows)  # rigid bodies alone have no tets to be in
+        several = capacity.sized("bodies", first.sizes.bodies) > 1
+        partners = several or self.capsules.size > 0 or self.self_collides or fingers
+        self.needed = partners and (first.soft or capacity.grows)  # rigid bodies alone have no tets to be in
         self.grids = DistanceGrids(self._grids(first), capacity)
-        self.hosts = NearestTets(state, samples, self.spots, bounds, folding)
+        self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision)
         self.normals = VertexNormals(state)
-        self.rim = ti.field(ti.f32)
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, MAX_BODIES).place(self.rim)
-        self.tree = self.builder.finalize()
-        self._upload = Upload([self.rim])
+        self._group = FieldGroup()
+        self.grid_margin = self._group.scalar(MAX_BODIES)
+        self._group.build()
+        self._upload = Upload([self.grid_margin])
 
     def _grids(self, model: Model) -> list[DistanceGrid]:
         return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []
@@ -83,68 +86,60 @@ class DeformableContact:
             self.grids.load(self._grids(model))
         if self.needed:
             self.hosts.load(model)
-            self._upload([[s.once(rim_of) for s in model.shapes]])
+            self._upload([[s.once(margin_of) for s in model.shapes]])
 
     @property
     def size(self) -> int:
-        """Rows at most."""
+        """Largest number of constraints."""
         return self.hosts.hash.points if self.needed else 0
 
-    def detect(self, rows: ContactConstraints) -> None:
-        """List the rows of points that are near a foreign tet; needs up-to-date Bounds."""
+    def detect(self, constraints: ContactConstraints) -> None:
+        """Make the constraints of points near a tet of another body candidates; the bounds must be up to date."""
         if self.needed:
             self.normals.update()
-            self.hosts.find(rows, self.begin)
+            self.hosts.find(constraints, self.begin)
 
     @ti.func
-    def meet(self, r, rows: ti.template()):
-        """Take row r's distance, normal and vertices anew; whether the host's grid says anything there."""
+    def evaluate(self, r, constraints: ti.template()):
+        """Update constraint r's distance, normal and vertices; whether the host's grid has a distance there."""
         s = self.state
         p = r - self.begin
         sampled = p < self.samples.count[None]
         t = self.hosts.host[p]
-        a = s.tets[t]
-        x0, X0 = s.x[a[0]], s.rest[a[0]]
-        e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
-        E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
-        det = e1.dot(e2.cross(e3))
-        usable = rows.claimed[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
-        if det > FLAT * E1.dot(E2.cross(E3)):
-            g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det  # grad b_j
-            d = self.hosts.place(p) - x0
-            b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
-            b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
+        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(s, t, self.hosts.position(p))
+        usable = constraints.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
+        if thick:
             host = s.body_of_tet[t]
-            pace = self.bounds.pace[host]
+            closing_speed = self.bounds.max_speed[host]
             if sampled:
-                pace += self.bounds.pace[self.samples.body[p]]
-            X = X0 + b1 * E1 + b2 * E2 + b3 * E3
+                closing_speed += self.bounds.max_speed[self.samples.body[p]]
             phi, N = self.grids.sample(host, X)
-            normal = g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
+            normal = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
             length, slope = normal.norm(), N.norm()
-            usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
-            if usable and sampled and self.samples.blend(p, self.normals.normal).dot(normal) > ALONG * length:
-                usable = False
-                rows.rest(r, phi * slope / length, pace)
-            if ti.static(self.folds):
-                apart = 0.5 * self.folding.apart(host)
+            usable = usable_normal(phi, N, normal)
+            if usable and sampled:
+                if self.samples.blend(p, self.normals.normal).dot(normal) > MAX_FACING_COSINE * length:
+                    usable = False
+                    constraints.postpone(r, phi * slope / length, closing_speed)
+            if ti.static(self.self_collides):
+                min_distance = 0.5 * self.self_collision.min_rest_distance(host)
                 if usable and sampled and self.samples.body[p] == host:
-                    pace = self.folding.pace(host)
-                    away = (X - self.samples.blend(p, s.rest)).norm()
-                    if away < apart:  # it is just where it belongs
+                    closing_speed = self.self_collision.closing_speed(host)
+                    distance = (X - self.samples.blend(p, s.rest)).norm()
+                    if distance < min_distance:  # it is just where it belongs
                         usable = False
-                        rows.rest(r, apart - away, pace)
+                        constraints.postpone(r, min_distance - distance, closing_speed)
             self._walk(p, t, b)
             if usable:
                 b = ti.max(b, 0.0)
-                self._fill(r, p, t, b / b.sum(), phi * slope / length, normal / length, pace, rows)
-            elif phi >= 0.5 * FAR:  # outside the grid, whose rim is outside the body
-                rows.rest(r, self.rim[host] + self.grids.box_distance(host, X), pace)
+                self._fill(r, p, t, b / b.sum(), phi * slope / length, normal / length, closing_speed, constraints)
+            elif not known(phi):  # outside the grid, which ends outside the body
+                constraints.postpone(r, self.grid_margin[host] + self.grids.box_distance(host, X), closing_speed)
         return usable
 
     @ti.func
-    def _fill(self, r, p, t, b, distance, normal, pace, rows: ti.template()):
-        """Write row r: point p at a distance from tet t's body, with weights b in the tet."""
+    def _fill(self, r, p, t, b, distance, normal, closing_speed, constraints: ti.template()):
+        """Write constraint r: point p at a distance [m] from the body of tet t, with weights b in the tet."""
         s = self.state
         a = s.tets[t]
         host = s.body_of_tet[t]
@@ -152,53 +147,62 @@ class DeformableContact:
         if p < self.samples.count[None]:
             phi += self.samples.skin[p] + normal.dot(self.samples.blend(p, s.x_lo))
             friction *= s.frictions(self.samples.body[p])
-            self.samples.put(p, r, rows)
+            self.samples.set_vertices(p, r, constraints)
             first = 3
-            if ti.static(rows.coupled):
+            if ti.static(constraints.coupled):
                 body = self.samples.body[p]
-                rows.ends[r] = 0
-                if rows.movers.kind[body] != 0:
-                    rows.set_end(r, 0, body, self.samples.blend(p, s.x), 1.0)
-                    rows.ends[r], first = 1, 0
+                constraints.body_count[r] = 0
+                if constraints.rigid_bodies.kind[body] != 0:
+                    constraints.set_body(r, 0, body, self.samples.blend(p, s.x), 1.0)
+                    constraints.body_count[r], first = 1, 0
         else:
-            phi -= ti.min(self.hosts.reach(p), self.rim[host])
-            friction *= self.spots.friction[p - self.samples.count[None]]
+            phi -= ti.min(self.hosts.radius(p), self.grid_margin[host])
+            friction *= self.capsules.friction[p - self.samples.count[None]]
         for j in ti.static(range(4)):
             phi -= b[j] * normal.dot(s.x_lo[a[j]])
-            rows.set_vertex(r, first + j, a[j], -b[j])
-        rows.set_size(r, first + 4)
-        rows.set(r, phi, normal, ti.sqrt(friction), pace)
+            constraints.set_vertex(r, first + j, a[j], -b[j])
+        constraints.set_vertex_count(r, first + 4)
+        constraints.set_contact(r, phi, normal, ti.sqrt(friction), closing_speed)
 
     @ti.func
     def _walk(self, p, t, b):
         """From the next substep on, point p belongs to the tet across the face that it lies furthest outside of."""
-        if b.min() < OUTSIDE:
+        if b.min() < MIN_WEIGHT:
             for j in ti.static(range(4)):
                 if b[j] == b.min() and self.hosts.neighbor[t][j] >= 0:
                     self.hosts.host[p] = self.hosts.neighbor[t][j]
 
-    def destroy(self) -> None:
-        self.tree.destroy()
-        for part in (self.grids, self.hosts, self.spots, self.normals):
-            part.destroy()
 
+@ti.data_oriented
+class VertexNormals:
+    """Normals of the bodies' surfaces at their vertices, as they are at a search.
 
-def grid_of(shape: RestShape) -> DistanceGrid:
-    """The distance grid of a rest shape: its body's own, else one made of the mesh."""
-    if shape.boxed:  # its distance has a formula
-        return NOTHING
-    if shape.sdf is not None:
-        return shape.sdf
-    if shape.root is not shape:
-        return shape.root.once(grid_of).scaled(shape.factor)
-    return rest_grid(shape.vertices, shape.solid, shape.surface)
+    normal vec3[V]: unit mean of the normals of a vertex's triangles, 0 inside;   sum vec3i[V], in NORMAL_STEPS
+    """
 
+    def __init__(self, state):
+        self.state, group = state, FieldGroup()
+        with group.interleaved(state.V):
+            self.normal, self.sum = group.vector(), group.vector(dtype=ti.i32)
+        self._group = group
+        group.build()
 
-def rim_of(shape: RestShape) -> float:
-    return rim(shape.once(grid_of))
-
-
-def rim(grid) -> float:
-    """How far around the surface a grid surely reaches [m]: the least distance on its outermost nodes."""
-    v = np.asarray(grid.values, np.float64)
-    return float(max(0.0, min(face.min() for k in range(3) for face in (v.take(0, k), v.take(-1, k)))))
+    @ti.kernel
+    def update(self):
+        """Normals at the positions as they are now."""
+        s = self.state
+        for i in range(s.V):
+            self.sum[i] = ti.Vector([0, 0, 0])
+        for k in range(s.S):
+            if k < s.triangle_count[None]:
+                a = s.triangles[k]
+                n = (s.x[a[1]] - s.x[a[0]]).cross(s.x[a[2]] - s.x[a[0]])
+                length = n.norm()
+                if length > 0.0:
+                    step = ti.cast(n * (NORMAL_STEPS / length), ti.i32)
+                    for j in ti.static(range(3)):
+                        for axis in ti.static(range(3)):
+                            ti.atomic_add(self.sum[a[j]][axis], step[axis])
+        for i in range(s.V):
+            n = ti.cast(self.sum[i], ti.f32)
+            self.normal[i] = n / ti.max(n.norm(), 1.0)

@@ -1,10 +1,10 @@
-"""Which bodies are bent so far that they may touch themselves: the others are not searched for that.
+"""Self-collision candidates: bodies bent so far that they may touch themselves; the others are not searched.
 
 With the best affine map A of the rest shape onto a body, and r the largest distance of a vertex from where A has it,
-two points that are APART at rest are at least sigma_min(A) APART - 2 r from each other. Velocities are fitted likewise,
-by G and r_v; turning does not bring points together, so that in the time t they approach by at most 2 r_v t, and by
-the share |sym(G A^-1)| t of their distance. While something is left beyond the margin in which contacts are looked for,
-nothing of the body can meet itself. With X, x, v relative to the means,
+two points that are d apart at rest are at least sigma_min(A) d - 2 r from each other. Velocities are fitted likewise,
+by G and r_v; rotation does not bring points together, so that in the time t they approach by at most 2 r_v t, and by
+the fraction |sym(G A^-1)| t of their distance. While something is left beyond the margin in which contacts are looked
+for, nothing of the body can meet itself. With X, x, v relative to the means,
 
     A = (sum m x X^T) S^-1,   G = (sum m v X^T) S^-1,   S = sum m X X^T
 
@@ -14,62 +14,55 @@ and sigma_min from |A^T A - I|, or from |A^-1| where the body is squeezed as a w
 import numpy as np
 import taichi as ti
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
 from sim.body_model import RestShape
-from sim.contact.broad_phase import MARGIN, BodyBounds
+from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds
 from sim.model import MAX_BODIES, Model
-from sim.reductions import ReductionBlocks
-from sim.state import State
 
-APART = 5.0  # times a body's reach, which is half an edge: what is closer at rest does not meet
-LONG = 5.0  # edges: what is shorter has no two ends that are APART and could still meet
+MIN_REST_DISTANCE = 5.0  # [max. displacement of a substep, half an edge]: points closer at rest do not collide
+MIN_LENGTH = 5.0  # [edges]; a shorter body has no two ends that far apart that could still meet
 SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 
 
 @ti.data_oriented
 class SelfCollision:
-    """folded, loose i32[B]: what may touch itself, what passes through itself
-    way f32[B] [m]: how far two points may approach, apart from what the whole body does
+    """Per body: self_colliding i32[B], whether it may touch itself; disabled i32[B], whether it passes through itself.
 
+    search_distance f32[B] [m]: how far two points may approach, apart from the affine motion
     sums f32[blocks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
     center, rest_center, velocity vec3[B]: the means
-    strayed, restless f32[B]: the largest distances r [m] and r_v [m/s] from the fits
+    residual, speed_residual f32[B]: the largest distances r [m] and r_v [m/s] from the fits
     """
 
-    def __init__(self, state: State, blocks: ReductionBlocks, bounds: BodyBounds):
+    def __init__(self, state, blocks, bounds: BodyBounds):
         self.state, self.blocks, self.bounds = state, blocks, bounds
-        self.builder = ti.FieldsBuilder()
-        self.sums, self.total, self.folded = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.i32)
-        self.way, self.strayed, self.restless = (ti.field(ti.f32) for _ in range(3))
-        self.fit, self.gradient = (ti.Matrix.field(3, 3, ti.f32) for _ in range(2))
-        self.center, self.rest_center, self.velocity = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.builder.dense(ti.ij, (blocks.size, SUMS)).place(self.sums)
-        self.builder.dense(ti.ij, (MAX_BODIES, SUMS)).place(self.total)
-        bodies = self.builder.dense(ti.i, MAX_BODIES)
-        bodies.place(self.folded, self.way, self.strayed, self.restless, self.fit, self.gradient)
-        bodies.place(self.center, self.rest_center, self.velocity)
-        self.loose = ti.field(ti.i32)
-        bodies.place(self.loose)
-        self.tree = self.builder.finalize()
-        self._upload = Upload([self.loose])
+        group, B = FieldGroup(), MAX_BODIES
+        self.sums, self.total = group.scalar(blocks.size, SUMS), group.scalar(B, SUMS)
+        self.self_colliding, self.disabled = group.scalar(B, dtype=ti.i32), group.scalar(B, dtype=ti.i32)
+        self.search_distance, self.residual, self.speed_residual = (group.scalar(B) for _ in range(3))
+        self.fit, self.gradient = group.matrix(B), group.matrix(B)
+        self.center, self.rest_center, self.velocity = (group.vector(B) for _ in range(3))
+        self._group = group
+        group.build()
+        self._upload = Upload([self.disabled])
 
     def load(self, model: Model) -> None:
         """Take which of these bodies pass through themselves."""
         self._upload([np.array([not p.body.rigid and p.body.loose for p in model.bodies])])
 
     @ti.func
-    def apart(self, b):
-        """How far apart two points of body b must be at rest, so that they may meet [m]."""
-        return APART * self.state.max_step[b]
+    def min_rest_distance(self, b):
+        """Least distance at rest [m] of two points of body b that may collide."""
+        return MIN_REST_DISTANCE * self.state.max_step[b]
 
     @ti.func
-    def pace(self, b):
-        """The speed at which points of body b may come towards each other [m/s]."""
-        return 2.0 * self.restless[b] + self.bounds.extra[b] + MARGIN / self.state.detect_dt[None]
+    def closing_speed(self, b):
+        """Speed [m/s] at which points of body b may come towards each other."""
+        return 2.0 * self.speed_residual[b] + self.bounds.speed_gain[b] + CONTACT_MARGIN / self.state.detect_dt[None]
 
     @ti.kernel
     def update(self):
-        """Take `folded` and `way` anew; the bounds must be up to date."""
+        """Find the bodies that may touch themselves; the bounds must be up to date."""
         s = self.state
         c = self.blocks
         for j in range(c.size):
@@ -91,29 +84,29 @@ class SelfCollision:
                 X = s.rest[i] - self.rest_center[b]
                 r = (s.x[i] - self.center[b] - self.fit[b] @ X).norm()
                 r_v = (s.v[i] - self.velocity[b] - self.gradient[b] @ X).norm()
-                if r > self.strayed[b]:
-                    ti.atomic_max(self.strayed[b], r)
-                if r_v > self.restless[b]:
-                    ti.atomic_max(self.restless[b], r_v)
+                if r > self.residual[b]:
+                    ti.atomic_max(self.residual[b], r)
+                if r_v > self.speed_residual[b]:
+                    ti.atomic_max(self.speed_residual[b], r_v)
         for b in range(MAX_BODIES):
-            self.folded[b] = 0
+            self.self_colliding[b] = 0
             if b < s.body_count[None]:
                 A = self.fit[b]
                 t, stretch = s.detect_dt[None], A.transpose() @ A - ti.Matrix.identity(ti.f32, 3)
-                least = ti.sqrt(ti.max(1.0 - stretch.norm(), 0.0))
+                sigma = ti.sqrt(ti.max(1.0 - stretch.norm(), 0.0))
                 if ti.abs(A.determinant()) > 1e-6:
                     inverse = A.inverse()
                     L = self.gradient[b] @ inverse
-                    least = ti.max(least, 1.0 / inverse.norm()) * (1.0 - 0.5 * t * (L + L.transpose()).norm())
-                way = 2.0 * self.restless[b] * t + MARGIN
-                far = self.loose[b] != 0 or least * self.apart(b) >= 2.0 * self.strayed[b] + way
-                self.folded[b] = 0 if far else 1
+                    sigma = ti.max(sigma, 1.0 / inverse.norm()) * (1.0 - 0.5 * t * (L + L.transpose()).norm())
+                distance = 2.0 * self.speed_residual[b] * t + CONTACT_MARGIN
+                apart = self.disabled[b] != 0 or sigma * self.min_rest_distance(b) >= 2.0 * self.residual[b] + distance
+                self.self_colliding[b] = 0 if apart else 1
                 # farther, the search would cost too much; what is faster is met inside, where a body is thick enough
-                self.way[b] = ti.min(way, self.apart(b))
+                self.search_distance[b] = ti.min(distance, self.min_rest_distance(b))
 
     @ti.func
     def _sum(self, j, span):
-        """The sums of one block, about the body's first vertex."""
+        """Sums of one block, about the body's first vertex."""
         s = self.state
         first = s.vertex_begin[span[2]]
         M, p, P, q = 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
@@ -137,7 +130,7 @@ class SelfCollision:
 
     @ti.func
     def _fit(self, b):
-        """The affine maps of body b from the sums of its blocks."""
+        """Affine maps of body b from the sums of its blocks."""
         s = self.state
         total = ti.Vector([self.total[b, k] for k in range(SUMS)])
         M, first = total[0], s.vertex_begin[b]
@@ -149,12 +142,9 @@ class SelfCollision:
         H = ti.Matrix([[total[25 + 3 * k + axis] - M * q[k] * P[axis] for axis in range(3)] for k in range(3)])
         self.fit[b], self.gradient[b] = C @ inverse, H @ inverse
         self.center[b], self.rest_center[b], self.velocity[b] = s.x[first] + p, s.rest[first] + P, q
-        self.strayed[b], self.restless[b] = 0.0, 0.0
-
-    def destroy(self) -> None:
-        self.tree.destroy()
+        self.residual[b], self.speed_residual[b] = 0.0, 0.0
 
 
-def foldable(shape: RestShape) -> bool:
-    """Whether a body is long enough for one end to reach the other."""
-    return float(np.ptp(shape.vertices, axis=0).max()) > LONG * shape.edge
+def can_fold(shape: RestShape) -> bool:
+    """Whether a body is long enough for one end to touch the other."""
+    return float(np.ptp(shape.vertices, axis=0).max()) > MIN_LENGTH * shape.edge

@@ -1,24 +1,26 @@
-"""Static shapes on the device: planes, capsules, boxes and distance grids, and how far a point is from them."""
+"""Static shapes on the device: signed distances and normals of planes, capsules, boxes and distance grids."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import taichi as ti
+from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.fields import FieldGroup
 from core.rotation import matrices_from_quaternions
 from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
-from sim.contact.device_grids import FAR, DistanceGrids, corner
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
 
 PLANE, CAPSULE, BOX, GRID = range(4)
 MAX_SHAPES = 128
-SHELL = 4.0  # [voxels] under the surface of a scanned grid that still push; deeper, nobody saw what is there
+MAX_DEPTH = 4.0  # [voxels] under the surface of a scanned grid that still push; deeper, nobody saw what is there
 
 
 @dataclass(frozen=True)
 class StaticGrid:
-    """A static thing with a distance grid: x_world = scale * R(rotation) x_grid + position."""
+    """Static shape given by a distance grid: x_world = scale * R(rotation) x_grid + position."""
 
     grid: DistanceGrid
     rotation: Quat = IDENTITY
@@ -32,7 +34,7 @@ Shape = Plane | Capsule | Box | StaticGrid
 
 @ti.data_oriented
 class StaticShapes:
-    """All static shapes, flat.
+    """All static shapes in flat fields, one element each.
 
     kind i32, a vec3, b vec3, radius f32, friction f32, frame mat3 (grid from world, without scale), scale f32,
     grid i32, low, high vec3: the world box outside of which a shape is farther than zero.
@@ -42,28 +44,23 @@ class StaticShapes:
     def __init__(self, shapes: list[Shape]):
         if len(shapes) > MAX_SHAPES:
             raise BadInput(f"{len(shapes)} static shapes, the limit is {MAX_SHAPES}")
-        self.shapes = list(shapes)
         grids = [s.grid for s in shapes if isinstance(s, StaticGrid)]
         self.grids = DistanceGrids(grids)
         self.grids.load(grids)
-        self.builder = ti.FieldsBuilder()
-        self.kind, self.grid = ti.field(ti.i32), ti.field(ti.i32)
-        self.radius, self.friction, self.scale = ti.field(ti.f32), ti.field(ti.f32), ti.field(ti.f32)
-        self.a, self.b, self.low, self.high = (ti.Vector.field(3, ti.f32) for _ in range(4))
-        self.frame = ti.Matrix.field(3, 3, ti.f32)
-        scalars = (self.kind, self.grid, self.radius, self.friction, self.scale)
-        self.builder.dense(ti.i, MAX_SHAPES).place(*scalars, self.a, self.b, self.low, self.high, self.frame)
-        self.count = ti.field(ti.i32)
-        self.builder.place(self.count)
-        self.tree = self.builder.finalize()
+        group = self._group = FieldGroup()
+        self.kind, self.grid = (group.scalar(MAX_SHAPES, dtype=ti.i32) for _ in range(2))
+        self.radius, self.friction, self.scale = (group.scalar(MAX_SHAPES) for _ in range(3))
+        self.a, self.b, self.low, self.high = (group.vector(MAX_SHAPES) for _ in range(4))
+        self.frame, self.count = group.matrix(MAX_SHAPES), group.scalar(dtype=ti.i32)
+        group.build()
         self.count[None] = len(shapes)
-        grids = 0
+        gridded = 0
         for k, shape in enumerate(shapes):
-            self._put(k, shape, grids)
-            grids += isinstance(shape, StaticGrid)
+            self._put(k, shape, gridded)
+            gridded += isinstance(shape, StaticGrid)
 
     def _put(self, k: int, shape: Shape, grid: int) -> None:
-        low, high = (-FAR,) * 3, (FAR,) * 3
+        low, high = (-UNKNOWN_DISTANCE,) * 3, (UNKNOWN_DISTANCE,) * 3
         if isinstance(shape, Plane):
             kind, a, b = PLANE, shape.point, np.asarray(shape.normal) / np.linalg.norm(shape.normal)
         elif isinstance(shape, Capsule):
@@ -78,7 +75,7 @@ class StaticShapes:
             self.grid[k], self.scale[k] = grid, float(shape.scale)
             R = matrices_from_quaternions(np.asarray(shape.rotation, np.float64)[None])[0]
             self.frame[k] = R.T.tolist()
-            low, high = grid_bounds(shape, R)
+            low, high = grid_box(shape, R)
         else:
             raise TypeError(f"not a static shape: {shape!r}")
         self.kind[k], self.friction[k] = kind, float(shape.friction)
@@ -87,7 +84,7 @@ class StaticShapes:
 
     @ti.func
     def within(self, k, p, margin):
-        """Can shape k be closer to p than margin [m]? Early out by boxes, then by the distance itself."""
+        """Whether shape k may be closer to p than margin [m]: first by boxes, then by the distance itself."""
         near = False
         if (self.low[k] - p).max() < margin and (p - self.high[k]).max() < margin:
             if self.kind[k] == GRID:
@@ -101,18 +98,18 @@ class StaticShapes:
         return near
 
     @ti.func
-    def gap(self, k, p):
-        """Distance [m] from p to shape k, or to the box of its grid, if p is outside; FAR where that says nothing."""
+    def lower_bound(self, k, p):
+        """Distance [m] from p to shape k, or to the box of its grid if p is outside; may be UNKNOWN_DISTANCE."""
         phi, _ = self.distance(k, p)
-        if self.kind[k] == GRID and phi >= 0.5 * FAR:
+        if self.kind[k] == GRID and not known(phi):
             outside = self.grids.box_distance(self.grid[k], self._to_grid(k, p)) * self.scale[k]
             phi = outside if outside > 0.0 else phi
         return phi
 
     @ti.func
     def distance(self, k, p):
-        """Signed distance [m] from p to shape k and the outward unit normal; (FAR, 0) where a grid says nothing."""
-        phi, normal = FAR, corner(0.0)
+        """Signed distance [m] from p to shape k and outward unit normal; UNKNOWN_DISTANCE, 0 where a grid has none."""
+        phi, normal = UNKNOWN_DISTANCE, vec3(0.0)
         kind, a, b = self.kind[k], self.a[k], self.b[k]
         if kind == PLANE:
             normal = b
@@ -122,7 +119,7 @@ class StaticShapes:
             r = p - a - axis * ti.math.clamp((p - a).dot(axis) / ti.max(axis.norm_sqr(), 1e-12), 0.0, 1.0)
             length = r.norm()
             phi = length - self.radius[k]
-            normal = r / length if length > 1e-9 else across(axis)
+            normal = r / length if length > 1e-9 else any_normal(axis)
         elif kind == BOX:
             phi, normal = box_distance(p - a, b)
         else:
@@ -132,7 +129,7 @@ class StaticShapes:
     @ti.func
     def nearest(self, p):
         """Signed distance [m], outward unit normal and friction of the shape that is nearest to p (or deepest)."""
-        phi, normal, friction = FAR, corner(0.0), 0.0
+        phi, normal, friction = UNKNOWN_DISTANCE, vec3(0.0), 0.0
         for k in range(self.count[None]):
             if (self.low[k] - p).max() < phi and (p - self.high[k]).max() < phi:
                 d, n = self.distance(k, p)
@@ -149,20 +146,16 @@ class StaticShapes:
         g = self.grid[k]
         phi, gradient = self.grids.sample(g, self._to_grid(k, p))
         length = gradient.norm()
-        normal = corner(0.0)
-        if phi > -SHELL * self.grids.spacing[g] and length > 1e-6:
+        normal = vec3(0.0)
+        if phi > -MAX_DEPTH * self.grids.spacing[g] and length > 1e-6:
             phi *= self.scale[k]
             normal = self.frame[k].transpose() @ gradient / length
         else:
-            phi = FAR
+            phi = UNKNOWN_DISTANCE
         return phi, normal
 
-    def destroy(self) -> None:
-        self.tree.destroy()
-        self.grids.destroy()
 
-
-def grid_bounds(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def grid_box(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """World bounding box of the grid's own box."""
     origin = np.asarray(shape.grid.origin, np.float64)
     ends = np.stack(np.meshgrid(*zip(origin, shape.grid.upper, strict=True), indexing="ij"), -1).reshape(-1, 3)
@@ -171,8 +164,8 @@ def grid_bounds(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 @ti.func
-def across(axis):
-    """Some unit vector perpendicular to axis: the normal on a capsule's own axis, where any will do."""
+def any_normal(axis):
+    """A unit vector perpendicular to axis: the normal on a capsule's own axis, where any will do."""
     n = axis.cross(ti.Vector([1.0, 0.0, 0.0]))
     if axis.y**2 + axis.z**2 < axis.x**2:
         n = axis.cross(ti.Vector([0.0, 1.0, 0.0]))
@@ -181,10 +174,10 @@ def across(axis):
 
 @ti.func
 def box_distance(p, half):
-    """Signed distance and normal of the box |p| <= half. Inside, the way out is through the nearest face."""
+    """Signed distance and normal of the box |p| <= half; inside, those of the nearest face."""
     q = abs(p) - half
-    side = ti.select(p >= 0.0, corner(1.0), corner(-1.0))
-    phi, normal = q.max(), corner(0.0)
+    side = ti.select(p >= 0.0, vec3(1.0), vec3(-1.0))
+    phi, normal = q.max(), vec3(0.0)
     if phi > 0.0:
         out = ti.max(q, 0.0)
         phi = out.norm()

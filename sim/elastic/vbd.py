@@ -24,7 +24,6 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import Upload, round_up_capacity
 from sim.constraint import Constraint
-from sim.contact.response import inverse
 from sim.elastic.coloring import color_ranges, colors_of
 from sim.elastic.energy import Elasticity, corners_of, fine_stress
 from sim.elastic.modal_correction import ModalCorrection
@@ -255,3 +254,10 @@ class VBDSubsteps:
     def destroy(self) -> None:
         self.coarse.destroy()
         self.tree.destroy()
+
+
+@ti.func
+def inverse(H):
+    """H^-1 of a symmetric positive definite matrix of any size: scaled, so that float32 holds its determinant."""
+    scale = 3.0 / H.trace()
+    return (H * scale).inverse() * scale

@@ -1,233 +1,322 @@
-"""What the spots of sim/hands/fingers.py touch: the search, and each row's distance and normal anew in each substep."""
+"""Contact of finger capsules with soft and rigid bodies: search, narrow phase and forces.
 
+Each sample (sim/hands/finger_capsules.py) has a contact constraint with the tet that is nearest to it, along that
+body's distance grid as in sim/contact/deformable_contact.py, and another one with the nearest rigid body. With u =
+displacement / substeps the motion of a sample at c in this substep and r its radius, its constraint asks for
+
+    phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
+
+softly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through what it holds, and
+through what it has let go until they are apart.
+"""
+
+import numpy as np
 import taichi as ti
+from taichi.math import vec3
 
-from sim.contact.deformable_contact import FLAT, OUTSIDE
-from sim.contact.device_grids import FAR, corner
-from sim.contact.nearest_tet import NONE
-from sim.contact.tet_planes import beyond, outward
+from core.fields import FieldGroup
+from scenes.scene import Hand
+from sim.contact.broad_phase import BodyBounds
+from sim.contact.constraints import ContactConstraints
+from sim.contact.deformable_contact import MIN_WEIGHT, DeformableContact, usable_normal
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
+from sim.contact.tet_geometry import (
+    NO_TET,
+    deformed_gradient,
+    distance_outside,
+    face_normals,
+    rest_coordinates,
+    tet_key,
+    tet_of_key,
+)
+from sim.hands.finger_capsules import CAPSULES_PER_HAND, SAMPLES_PER_CAPSULE, SAMPLES_PER_HAND, FingerCapsules
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.rigid.rigid_motion import FREE
 
-CAPSULES = 20  # of a hand: its 19 bones, and one to spare
-SPOTS = 8  # of a capsule
-EACH = CAPSULES * SPOTS  # spots of a hand
-SKIN = 1.0  # coefficient of friction of skin; with a body, as ever, the geometric mean
-STRONGEST = 10.0  # [N] of one spot: 30 to 40 of a fingertip
+SKIN_FRICTION = 1.0  # coefficient; with a body, as always, the geometric mean
+MAX_SAMPLE_FORCE = 10.0  # [N]: 30 to 40 of a fingertip
 # A soft body yields to less: E r^2 presses a ball of radius r about half of r deep (Hertz); more would crush its cells.
-YOUNG = 2.6  # E = 2 (1 + nu) mu
+YOUNG_PER_MU = 2.6  # E = 2 (1 + nu) mu
+LIMIT_GROWTH = 1.1  # by which a hand that pressed too hard may press more again from search to search
+FORCE_STEP = 1e-6  # [N] of the integer sums of forces
+
+
+def finger_rows(hands: int, rigid: bool) -> int:
+    """Number of constraints of the fingers of this many hands."""
+    return max(hands, 1) * SAMPLES_PER_HAND * (2 if rigid else 1)
 
 
 @ti.data_oriented
 class FingerContact:
-    """Part of Fingers."""
+    """Sample p has the constraints begin + p (soft bodies) and begin + N + p (rigid bodies).
 
-    @ti.func
-    def _now(self):
-        """The part of the frame that has passed when the next substep begins."""
-        s = self.state
-        return ti.cast(s.substep_index[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+    tet i32[N], rigid_body i32[N]: what a sample may touch, -1 none;   spared i32[H]: a body that a hand passes through
+    limit f32[H]: fraction of each sample's greatest force, lest the hand exceed MAX_HAND_FORCE, by what it `pressed`
+    i64[H] with, in FORCE_STEP;   total i64[H,3]: force sums in FORCE_STEP
+    """
 
-    @ti.func
-    def _meets(self, c, low, high):
-        """Whether capsule c may come into a box until the next search."""
-        return (self.low[c] - high).max() <= 0.0 and (low - self.high[c]).max() <= 0.0
+    def __init__(
+        self,
+        state,
+        deformable: DeformableContact,
+        bounds: BodyBounds,
+        constraints: ContactConstraints,
+        begin: int,
+        *,
+        hands: int,
+        rigid_bodies=None,
+        shapes=None,
+    ):
+        """Rigid_bodies and their shapes: None without any."""
+        self.state, self.bounds, self.constraints, self.begin = state, bounds, constraints, begin
+        self.rigid_bodies, self.shapes, self.coupled = rigid_bodies, shapes, rigid_bodies is not None
+        self.hosts, self.grids = deformable.hosts, deformable.grids
+        self.capsules = FingerCapsules(state, bounds, hands)
+        self.hands, self.count = self.capsules.hands, self.capsules.count
+        self.size = finger_rows(hands, self.coupled)
+        H, N, group = self.hands, self.count, FieldGroup()
+        self.tet, self.rigid_body = group.scalar(N, dtype=ti.i32), group.scalar(N, dtype=ti.i32)
+        self.key, self.limit = group.scalar(N, dtype=ti.i64), group.scalar(H)
+        self.spared, self.overlaps = group.scalar(H, dtype=ti.i32), group.scalar(H, dtype=ti.i32)
+        self.pressed, self.total = group.scalar(H, dtype=ti.i64), group.scalar(H, 3, dtype=ti.i64)
+        self._group = group
+        group.build()
+        self._compiled = False
+        self.reset()
+
+    def reset(self) -> None:
+        """Touch nothing."""
+        self.capsules.reset()
+        for field in (self.tet, self.rigid_body, self.spared):
+            field.fill(-1)
+        self.limit.fill(1.0)
+
+    def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
+        """Move the capsules to their new poses over dt [s]; held[h] is the body in hand h, -1 for none."""
+        was_present = self.capsules.present
+        self.capsules.begin_frame(hands, held, dt)
+        if was_present and not self.capsules.present:
+            self.reset()
+
+    @property
+    def due(self) -> bool:
+        """Whether there is anything to search for; the first time always, lest the first touch wait for compilers."""
+        return self.capsules.present or not self._compiled
+
+    def detect(self) -> None:
+        """Make the constraints of samples that may touch something before the next search candidates; after `sweep`."""
+        self._find()
+        if not self._compiled:
+            self._sum()
+            self._compiled = True
 
     @ti.kernel
-    def find(self, rows: ti.template()):
-        """List the rows of spots that may touch something before the next search; after `widen`."""
+    def _find(self):
         s = self.state
         for h in range(self.hands):
             self.pressed[h] = 0
         for q in range(self.size):
-            strength = self._force(q, rows).norm()
+            strength = self._force(q).norm()
             if strength > 0.0:
-                ti.atomic_add(self.pressed[q % self.count // EACH], ti.cast(strength * 1e6, ti.i64))
+                ti.atomic_add(self.pressed[q % self.count // SAMPLES_PER_HAND], ti.cast(strength * 1e6, ti.i64))
         for h in range(self.hands):
             self._limit(h)
             self.overlaps[h] = 0
-            if self.held[h] >= 0:
-                self.spared[h] = self.held[h]
+            if self.capsules.held[h] >= 0:
+                self.spared[h] = self.capsules.held[h]
         for p in range(self.count):
-            self.key[p] = ti.i64(NONE)
+            self.key[p] = ti.i64(NO_TET)
         for t in range(s.T):
             if t < s.tet_count[None]:
                 self._visit(t)
         for p in range(self.count):
-            host, now = -1, self.tet[p]
-            if self.key[p] != ti.i64(NONE):
-                host = ti.cast(self.key[p] & ti.i64(0x7FFFFFFF), ti.i32)
+            host, before = tet_of_key(self.key[p]), self.tet[p]
             self.tet[p] = host
-            alike = host >= 0 and now >= 0
-            if alike:
-                alike = s.body_of_tet[host] == s.body_of_tet[now]
-            if not alike:
-                rows.forget(self.begin + p)
+            same_body = host >= 0 and before >= 0
+            if same_body:
+                same_body = s.body_of_tet[host] == s.body_of_tet[before]
+            if not same_body:
+                self.constraints.clear_impulse(self.begin + p)
             if host >= 0:
-                rows.wake[self.begin + p] = 0
-                rows.enlist(self.begin + p)
+                self.constraints.add_candidate(self.begin + p)
         for p in range(self.count if ti.static(self.coupled) else 0):
             if ti.static(self.coupled):
-                self._find_mover(p, rows)
+                self._find_rigid_body(p)
         for h in range(self.hands):
-            if self.held[h] < 0 and self.overlaps[h] == 0:
+            if self.capsules.held[h] < 0 and self.overlaps[h] == 0:
                 self.spared[h] = -1
 
     @ti.func
+    def _limit(self, h):
+        """Let a hand that pressed with more than MAX_HAND_FORCE press less."""
+        pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
+        if pressed > MAX_HAND_FORCE:
+            self.limit[h] *= MAX_HAND_FORCE / pressed
+        else:
+            self.limit[h] = ti.min(1.0, LIMIT_GROWTH * self.limit[h])
+
+    @ti.func
     def _visit(self, t):
-        """Offer tet t to the spots that it may meet until the next search; the lowest (distance, t) wins."""
+        """Offer tet t to the samples that it may meet until the next search; the lowest (distance, t) wins."""
         s = self.state
+        f = self.capsules
         a, b = s.tets[t], s.body_of_tet[t]
         x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
-        way = self.bounds.pace[b] * s.detect_dt[None]
-        low, high = ti.min(x0, x1, x2, x3) - way, ti.max(x0, x1, x2, x3) + way
+        margin = self.bounds.max_speed[b] * s.detect_dt[None]
+        low, high = ti.min(x0, x1, x2, x3) - margin, ti.max(x0, x1, x2, x3) + margin
         e1, e2, e3 = x1 - x0, x2 - x0, x3 - x0
         if e1.dot(e2.cross(e3)) > 0.0:
-            n0, n1, n2, n3 = outward(e1, e2, e3)
-            for c in range(self.hands * CAPSULES):
-                if self._meets(c, low, high):
-                    for p in range(c * SPOTS, (c + 1) * SPOTS):
-                        r = self.radius[p]
+            n0, n1, n2, n3 = face_normals(e1, e2, e3)
+            for c in range(self.hands * CAPSULES_PER_HAND):
+                if f.may_meet(c, low, high):
+                    for p in range(c * SAMPLES_PER_CAPSULE, (c + 1) * SAMPLES_PER_CAPSULE):
+                        r = f.radius[p]
                         if r > 0.0:
-                            outside = beyond(self._place(p) - x0, e1, n0, n1, n2, n3)
-                            if b == self.spared[p // EACH]:
+                            outside = distance_outside(f.next_position(p) - x0, e1, n0, n1, n2, n3)
+                            if b == self.spared[p // SAMPLES_PER_HAND]:
                                 if outside < r:
-                                    self.overlaps[p // EACH] = 1
-                            elif outside < r + way + self.way[p].norm():
-                                key = (ti.cast(outside * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)
-                                ti.atomic_min(self.key[p], key)
+                                    self.overlaps[p // SAMPLES_PER_HAND] = 1
+                            elif outside < r + margin + f.displacement[p].norm():
+                                ti.atomic_min(self.key[p], tet_key(outside, t))
 
     @ti.func
-    def _place(self, p):
-        """Where spot p is at a search [m]: when the next substep begins."""
-        return self.origin[p] + self._now() * self.way[p]
-
-    @ti.func
-    def _begin(self, p):
-        """Where spot p is when the substep in progress begins [m]."""
+    def _find_rigid_body(self, p):
+        """Make sample p's second constraint a candidate if a free rigid body is near: with the nearest."""
         s = self.state
-        return self.origin[p] + ti.cast(s.substep_index[None], ti.f32) / ti.cast(s.substeps[None], ti.f32) * self.way[p]
-
-    @ti.func
-    def _find_mover(self, p, rows: ti.template()):
-        """List spot p's second row if a free rigid body is near: the nearest."""
-        s = self.state
-        r, body, least = self.begin + self.count + p, -1, FAR
-        if self.radius[p] > 0.0:
-            x, h = self._place(p), p // EACH
+        f = self.capsules
+        r, body, least = self.begin + self.count + p, -1, UNKNOWN_DISTANCE
+        if f.radius[p] > 0.0:
+            x, h = f.next_position(p), p // SAMPLES_PER_HAND
             for b in range(s.body_count[None]):
-                reach = self.radius[p] + self.bounds.pace[b] * s.detect_dt[None] + self.way[p].norm()
+                max_distance = f.radius[p] + self.bounds.max_speed[b] * s.detect_dt[None] + f.displacement[p].norm()
                 outside = ti.max(self.bounds.low[b] - x, x - self.bounds.high[b]).max()
-                if self.movers.kind[b] == FREE and outside < reach:
-                    phi, _ = self.shapes.distance(b, x, corner(0.0))
-                    if phi >= 0.5 * FAR:
+                if self.rigid_bodies.kind[b] == FREE and outside < max_distance:
+                    phi, _ = self.shapes.distance(b, x, vec3(0.0))
+                    if not known(phi):
                         phi = outside
                     if b == self.spared[h]:
-                        if phi < self.radius[p]:
+                        if phi < f.radius[p]:
                             self.overlaps[h] = 1
-                    elif phi < ti.min(reach, least):
+                    elif phi < ti.min(max_distance, least):
                         body, least = b, phi
-        if body != self.mover[p]:
-            rows.forget(r)
-        self.mover[p] = body
+        if body != self.rigid_body[p]:
+            self.constraints.clear_impulse(r)
+        self.rigid_body[p] = body
         if body >= 0:
-            rows.wake[r] = 0
-            rows.enlist(r)
+            self.constraints.add_candidate(r)
 
     @ti.func
-    def meet(self, r, rows: ti.template()):
-        """Take row r's distance, normal and vertices anew; whether the body's shape says anything there."""
+    def evaluate(self, r):
+        """Update constraint r's distance, normal and vertices; whether the body's shape has a distance there."""
         q = r - self.begin
         usable = False
         if q < self.count:
-            usable = self._meet_tet(q, r, rows)
+            usable = self._evaluate_tet(q, r)
         else:
             if ti.static(self.coupled):
-                usable = self._meet_mover(q - self.count, r, rows)
+                usable = self._evaluate_rigid_body(q - self.count, r)
         return usable
 
     @ti.func
-    def _meet_tet(self, p, r, rows: ti.template()):
-        """See sim/contact/deformable_contact.py for the equations; beyond its grid, a body's distance goes on."""
+    def _evaluate_tet(self, p, r):
+        """As in sim/contact/deformable_contact.py; beyond its grid, a body's distance is extrapolated."""
         s = self.state
+        table = self.constraints
         t = self.tet[p]
-        a = s.tets[t]
-        x0, X0 = s.x[a[0]], s.rest[a[0]]
-        e1, e2, e3 = s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
-        E1, E2, E3 = s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0
-        det = e1.dot(e2.cross(e3))
-        usable = rows.claimed[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
-        if det > FLAT * E1.dot(E2.cross(E3)):
-            g1, g2, g3 = e2.cross(e3) / det, e3.cross(e1) / det, e1.cross(e2) / det
-            d = self._begin(p) - x0
-            b1, b2, b3 = g1.dot(d), g2.dot(d), g3.dot(d)
-            b = ti.Vector([1.0 - b1 - b2 - b3, b1, b2, b3])
+        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(s, t, self.capsules.position(p))
+        usable = table.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
+        if thick:
             body = s.body_of_tet[t]
-            phi, N = self._distance(body, X0 + b1 * E1 + b2 * E2 + b3 * E3)
-            normal = g1 * E1.dot(N) + g2 * E2.dot(N) + g3 * E3.dot(N)
-            length, slope = normal.norm(), N.norm()
-            usable = phi < 0.5 * FAR and slope > 0.1 and length > 1e-3 * slope
+            phi, N = self._distance(body, X)
+            normal = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
+            usable = usable_normal(phi, N, normal)
             self._walk(p, t, b)
             if usable:
+                length = normal.norm()
                 normal /= length
-                phi = phi * slope / length - self.radius[p]
+                phi = phi * N.norm() / length - self.capsules.radius[p]
                 b = ti.max(b, 0.0)
                 b /= b.sum()
+                a = s.tets[t]
                 for j in ti.static(range(4)):
                     phi -= b[j] * normal.dot(s.x_lo[a[j]])
-                    rows.set_vertex(r, j, a[j], -b[j])
-                rows.set_size(r, 4)
-                if ti.static(rows.coupled):
-                    rows.ends[r] = 0
-                firm = ti.min(STRONGEST, YOUNG * s.mu[body] * self.radius[p] ** 2)
-                self._fill(p, r, body, phi, normal, firm, rows)
+                    table.set_vertex(r, j, a[j], -b[j])
+                table.set_vertex_count(r, 4)
+                if ti.static(table.coupled):
+                    table.body_count[r] = 0
+                max_force = ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * s.mu[body] * self.capsules.radius[p] ** 2)
+                self._fill(p, r, body, phi, normal, max_force)
         return usable
 
     @ti.func
-    def _meet_mover(self, p, r, rows: ti.template()):
-        b, x = self.mover[p], self._begin(p)
-        phi, n = self.shapes.distance(b, x, corner(0.0))
-        usable = phi < 0.5 * FAR
+    def _evaluate_rigid_body(self, p, r):
+        b, x = self.rigid_body[p], self.capsules.position(p)
+        phi, n = self.shapes.distance(b, x, vec3(0.0))
+        usable = known(phi)
         if usable:
-            rows.set_size(r, 0)
-            rows.ends[r] = 1
-            rows.set_end(r, 0, b, x - phi * n, -1.0)
-            self._fill(p, r, b, phi - self.radius[p], n, STRONGEST, rows)
+            self.constraints.set_vertex_count(r, 0)
+            self.constraints.body_count[r] = 1
+            self.constraints.set_body(r, 0, b, x - phi * n, -1.0)
+            self._fill(p, r, b, phi - self.capsules.radius[p], n, MAX_SAMPLE_FORCE)
         return usable
 
     @ti.func
-    def _fill(self, p, r, body, phi, normal, firm, rows: ti.template()):
-        k, h, n = r - self.begin, p // EACH, ti.cast(self.state.substeps[None], ti.f32)
-        rows.drive[k], rows.most[k] = self.way[p] / n, firm * self.share[h]
-        friction = ti.sqrt(self.state.frictions(body) * SKIN)
-        rows.set(r, phi, normal, friction, self.bounds.pace[body] + self.swift[h])
+    def _fill(self, p, r, body, phi, normal, max_force):
+        """Write constraint r of sample p with a body at distance phi [m]."""
+        k, h, n = r - self.begin, p // SAMPLES_PER_HAND, ti.cast(self.state.substeps[None], ti.f32)
+        self.constraints.finger_motion[k] = self.capsules.displacement[p] / n
+        self.constraints.max_force[k] = max_force * self.limit[h]
+        friction = ti.sqrt(self.state.frictions(body) * SKIN_FRICTION)
+        closing_speed = self.bounds.max_speed[body] + self.capsules.speed[h]
+        self.constraints.set_contact(r, phi, normal, friction, closing_speed)
 
     @ti.func
     def _distance(self, k, X):
-        """Distance [m] and its gradient at X in the frame of grid k; outside the grid by way of its nearest point."""
+        """Distance [m] and its gradient at X in the frame of grid k; outside the grid from its nearest point."""
         g = self.grids
         low = g.origin[k]
         high = low + g.spacing[k] * ti.cast(g.dims[k] - 1, ti.f32)
-        inset = corner(1e-3 * g.spacing[k])  # lest rounding put it outside again
+        inset = vec3(1e-3 * g.spacing[k])  # lest rounding put it outside again
         edge = ti.min(ti.max(X, low + inset), high - inset)
         phi, N = g.sample(k, edge)
-        beyond_it = X - edge
-        if phi < 0.5 * FAR and beyond_it.norm_sqr() > 0.0:
-            whole = beyond_it + ti.max(phi, 0.0) * N / ti.max(N.norm(), 1e-9)
-            phi = whole.norm()
-            N = whole / ti.max(phi, 1e-9)
+        beyond = X - edge
+        if known(phi) and beyond.norm_sqr() > 0.0:
+            total = beyond + ti.max(phi, 0.0) * N / ti.max(N.norm(), 1e-9)
+            phi = total.norm()
+            N = total / ti.max(phi, 1e-9)
         return phi, N
 
     @ti.func
     def _walk(self, p, t, b):
-        """From the next substep on, spot p belongs to the tet across the worst face that has one behind it."""
-        worst = OUTSIDE
+        """From the next substep on, sample p belongs to the tet across the worst face that has a neighbour."""
+        worst = MIN_WEIGHT
         for j in ti.static(range(4)):
             if b[j] < worst and self.hosts.neighbor[t][j] >= 0:
                 worst = b[j]
                 self.tet[p] = self.hosts.neighbor[t][j]
 
     @ti.func
-    def _force(self, q, rows: ti.template()):
-        """What row q pushes the finger back with in the last substep [N]."""
+    def _force(self, q):
+        """Force [N] of constraint q on the finger in the last substep."""
         dt = ti.max(self.state.dt[None], 1e-9)
-        return rows.impulse[self.begin + q] / (dt * dt)
+        return self.constraints.impulse[self.begin + q] / (dt * dt)
+
+    def forces(self) -> list[np.ndarray]:
+        """Contact force of each hand's finger capsules on bodies that it does not grasp [N], (3,)."""
+        if not self.capsules.present:
+            return [np.zeros(3)] * self.hands
+        self._sum()
+        return list(self.total.to_numpy() * FORCE_STEP)
+
+    @ti.kernel
+    def _sum(self):
+        for h, axis in self.total:
+            self.total[h, axis] = 0
+        for q in range(self.size):
+            force = -self._force(q)
+            for axis in ti.static(range(3)):
+                ti.atomic_add(self.total[q % self.count // SAMPLES_PER_HAND, axis], ti.cast(force[axis] * 1e6, ti.i64))
+
+    def warm_up(self) -> None:
+        """See Solver.warm_up; the search does it for itself."""
+        self.total.to_numpy()

@@ -1,7 +1,8 @@
-"""What hands hold, as values that can be kept and given back (NumPy only)."""
+"""Grasps as values that can be kept and given back, their choice, and the limits of a hand (NumPy only)."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,52 +10,56 @@ import numpy as np
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Hand
 
-FEWEST = 4  # vertices that fix a body's attitude with some to spare
-WIDER = 1.5  # times the reach, where a coarse cage has fewer than FEWEST within reach
+SPRING_OMEGA = 2.0 * math.pi * 20.0  # [rad/s] of the whole body on its springs: stiffer than an arm, softer than a pin
+MIN_SPRING_MASS = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
+MAX_HAND_FORCE = 80.0  # [N] of one hand: a firm pull
+MIN_GRASP_VERTICES = 4  # that fix a body's attitude with some to spare
+MAX_WIDENING = 1.5  # times the reach, where a coarse cage has fewer vertices within reach
 
 
 @dataclass(frozen=True, eq=False)
-class Grip:
-    """What a hand holds: some vertices (n,) of a body, and their places in the hand's frame [m], (n, 3)."""
+class Grasp:
+    """One hand's grasp: some vertices (n,) of a body, and their positions in the hand's frame [m], (n, 3)."""
 
     body: int
     vertices: np.ndarray
-    places: np.ndarray
+    positions: np.ndarray
 
 
-Trail = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses (position, quaternion), the oldest first
+PoseHistory = tuple[tuple[float, tuple[float, ...]], ...]  # ages [s] and poses (position, quaternion), oldest first
 
 
 @dataclass(frozen=True)
-class Grips:
-    """What each hand holds, None for nothing; how it last was; its poses of the last moments; since when it is lost."""
+class GraspState:
+    """State of all hands: grasps (None for nothing), last inputs, pose histories, and times since when each is lost."""
 
-    held: tuple[Grip | None, ...]
+    grasps: tuple[Grasp | None, ...]
     last: tuple[Hand | None, ...]
-    trails: tuple[Trail, ...]
+    histories: tuple[PoseHistory, ...]
     lost: tuple[float, ...]
 
     @classmethod
-    def none(cls, hands: int) -> Grips:
+    def none(cls, hands: int) -> GraspState:
+        """Open hands that nobody has seen."""
         return cls((None,) * hands, (None,) * hands, ((),) * hands, (0.0,) * hands)
 
-    def moved(self, index: list[int | None]) -> Grips:
-        """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grip."""
-        held = [g if g is None or index[g.body] is None else replace(g, body=index[g.body]) for g in self.held]
-        gone = [g is not None and index[g.body] is None for g in self.held]
-        return replace(self, held=tuple(None if out else g for g, out in zip(held, gone, strict=True)))
+    def renumbered(self, index: list[int | None]) -> GraspState:
+        """The same after bodies were renumbered: index[old] is the new one, None if it is gone, and so is the grasp."""
+        kept = [None if g is None or index[g.body] is None else replace(g, body=index[g.body]) for g in self.grasps]
+        return replace(self, grasps=tuple(kept))
 
-    def shifted(self, body: int, shift: np.ndarray) -> Grips:
-        """The same after the vertices of a body were moved by (V, 3) [m]: the hands do not pull at them for it."""
-        held = list(self.held)
-        for h, grip in enumerate(held):
-            if grip is not None and grip.body == body:
-                world_from_hand = matrices_from_quaternions(unit(self.last[h].rotation)[None])[0]
-                held[h] = replace(grip, places=grip.places + shift[grip.vertices] @ world_from_hand)
-        return replace(self, held=tuple(held))
+    def shifted(self, body: int, shift: np.ndarray) -> GraspState:
+        """The same after the vertices of a body were moved by (V, 3) [m], so that the hands do not pull them back."""
+        grasps = list(self.grasps)
+        for h, grasp in enumerate(grasps):
+            if grasp is not None and grasp.body == body:
+                world_from_hand = matrices_from_quaternions(unit(self.last[h].rotation))
+                grasps[h] = replace(grasp, positions=grasp.positions + shift[grasp.vertices] @ world_from_hand)
+        return replace(self, grasps=tuple(grasps))
 
 
 def unit(quaternion) -> np.ndarray:
+    """The quaternion (4,), normalised, float64."""
     q = np.asarray(quaternion, np.float64)
     return q / np.linalg.norm(q)
 
@@ -64,20 +69,20 @@ def pose(hand: Hand) -> np.ndarray:
     return np.concatenate([np.asarray(hand.position, np.float64), unit(hand.rotation)])
 
 
-def finite(hand: Hand) -> bool:
-    """Whether a hand has a pose at all."""
+def has_pose(hand: Hand) -> bool:
+    """Whether a hand has a finite pose."""
     values = np.array([*hand.position, *hand.rotation], np.float64)
     return bool(np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-6)
 
 
-def longer(trail: Trail, dt: float, hand: Hand, most: float) -> Trail:
-    """The trail after dt [s], at whose end the hand is here, without poses older than `most` [s]."""
-    aged = ((age + dt, at) for age, at in trail)
-    return (*((age, at) for age, at in aged if age <= most + 1e-6), (0.0, tuple(pose(hand).tolist())))
+def extended(history: PoseHistory, dt: float, hand: Hand, max_age: float) -> PoseHistory:
+    """The history after dt [s], with the hand's pose of now and without poses older than max_age [s]."""
+    aged = ((age + dt, at) for age, at in history)
+    return (*((age, at) for age, at in aged if age <= max_age + 1e-6), (0.0, tuple(pose(hand).tolist())))
 
 
-def take(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grip | None:
-    """What a closing hand takes: the vertices within reach of the nearest body that is within reach itself.
+def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weights: np.ndarray) -> Grasp | None:
+    """Grasp of a closing hand: the vertices within reach of the nearest body that is within reach itself.
 
     x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
     the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
@@ -85,19 +90,19 @@ def take(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, weight
     if len(x) == 0:
         return None
     position = np.asarray(hand.position, np.float64)
-    away = np.linalg.norm(x - position, axis=1)
+    distance = np.linalg.norm(x - position, axis=1)
     surface = np.linalg.norm((x[ids] * weights[..., None]).sum(1) - position, axis=1)
     first = int(np.argmin(surface))
-    touched = int(np.argmin(away)) if away.min() <= surface[first] else int(ids[first, 0])
-    if min(away.min(), surface[first]) > hand.reach:
+    touched = int(np.argmin(distance)) if distance.min() <= surface[first] else int(ids[first, 0])
+    if min(distance.min(), surface[first]) > hand.reach:
         return None
     body = int(np.searchsorted(offsets, touched, side="right")) - 1
     mine = np.arange(offsets[body], offsets[body + 1])
-    taken = mine[away[mine] <= hand.reach]
-    if len(taken) < FEWEST:
-        nearest = mine[np.argsort(away[mine], kind="stable")][:FEWEST]
-        taken = nearest[away[nearest] <= WIDER * hand.reach]
+    taken = mine[distance[mine] <= hand.reach]
+    if len(taken) < MIN_GRASP_VERTICES:
+        nearest = mine[np.argsort(distance[mine], kind="stable")][:MIN_GRASP_VERTICES]
+        taken = nearest[distance[nearest] <= MAX_WIDENING * hand.reach]
     if len(taken) == 0:
         taken = np.unique(ids[first])
-    places = (x[taken] - position) @ matrices_from_quaternions(unit(hand.rotation)[None])[0]
-    return Grip(body, taken - int(offsets[body]), places)
+    positions = (x[taken] - position) @ matrices_from_quaternions(unit(hand.rotation))
+    return Grasp(body, taken - int(offsets[body]), positions)

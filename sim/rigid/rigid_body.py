@@ -1,4 +1,4 @@
-"""A rigid body as the host gives it: boxes, convex pieces, and anything with a cage (NumPy only)."""
+"""Description of a rigid body: boxes, convex pieces, or any cage, and its mass properties (NumPy only)."""
 
 from __future__ import annotations
 
@@ -15,18 +15,17 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from scenes.scene import IDENTITY, Quat, Vec3
-from sim.rigid.inertia import solid_inertia
 from sim.soft_body import SoftBody
 
 
 @dataclass(frozen=True)
 class RigidBody:
-    """One rigid body, and where it starts.
+    """Description of one rigid body and its start.
 
     vertices, tets, surface  as of a SoftBody: the cage in the body frame [m]; the mass is that of its tets
     density [kg/m^3], friction coefficient (static; kinetic_friction None: the same), restitution 0..1
     rotation, position       x = R(rotation) rest + position
-    velocity [m/s]           of the centre of mass;   spin [rad/s] in the world
+    velocity [m/s]           of the centre of mass;   angular_velocity [rad/s] in the world
     sdf                      signed distance in the body frame [m]; None: it is made from the cage
     kinematic                moves only as it is driven (Solver.drive), whatever pushes it
     boxed                    it is exactly the box that its vertices span, about the body frame's origin
@@ -43,7 +42,7 @@ class RigidBody:
     rotation: Quat = IDENTITY
     position: Vec3 = (0.0, 0.0, 0.0)
     velocity: Vec3 = (0.0, 0.0, 0.0)
-    spin: Vec3 = (0.0, 0.0, 0.0)
+    angular_velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
     kinematic: bool = False
     boxed: bool = False
@@ -58,7 +57,7 @@ class RigidBody:
             raise BadInput(f"{name}: a box needs three positive edge lengths, not {size.tolist()}")
         x = (np.array(list(product((0, 1), repeat=3))) - 0.5) * size
         tets = np.array([[0, 4 >> a, (4 >> a) | (4 >> b), 7] for a, b, _ in permutations(range(3))])
-        return cls(name, x, upright(x, tets), hull(name, x)[1], density, boxed=True, **options)
+        return cls(name, x, positively_oriented(x, tets), hull(name, x)[1], density, boxed=True, **options)
 
     @classmethod
     def convex(cls, name: str, points: np.ndarray, *, density: float, **options) -> RigidBody:
@@ -66,7 +65,7 @@ class RigidBody:
         x, surface = hull(name, points)
         tets = np.concatenate([surface, np.full((len(surface), 1), len(x))], axis=1)
         x = np.concatenate([x, x.mean(0, keepdims=True)])
-        return cls(name, x, upright(x, tets), surface, density, **options)
+        return cls(name, x, positively_oriented(x, tets), surface, density, **options)
 
     @classmethod
     def from_soft(cls, soft: SoftBody, **options) -> RigidBody:
@@ -82,7 +81,7 @@ class RigidBody:
 
     @property
     def material(self) -> Material:
-        """What of it a soft body's neighbours ask for; it has no elasticity, so no modulus means anything."""
+        """Density and friction as a Material; a rigid body has no elasticity, so that the moduli mean nothing."""
         return Material(1.0, 0.0, self.density, self.friction, 0.0, self.kinetic_friction)
 
     def of_material(self, material: Material) -> RigidBody:
@@ -101,7 +100,7 @@ class RigidBody:
         """Initial velocities [m/s], (V, 3) float64."""
         R = matrices_from_quaternions((np.asarray(self.rotation, np.float64) / np.linalg.norm(self.rotation))[None])[0]
         r = (np.asarray(self.vertices, np.float64) - self.inertia[1]) @ R.T
-        return np.asarray(self.velocity, np.float64) + np.cross(np.asarray(self.spin, np.float64), r)
+        return np.asarray(self.velocity, np.float64) + np.cross(np.asarray(self.angular_velocity, np.float64), r)
 
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""
@@ -144,7 +143,24 @@ def hull(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return x, triangles
 
 
-def upright(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
+def positively_oriented(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """The tets with their corners in positive order."""
     D = x[tets[:, 1:]] - x[tets[:, :1]]
     return np.where((np.linalg.det(D) < 0)[:, None], tets[:, [0, 2, 1, 3]], tets)
+
+
+def solid_inertia(vertices: np.ndarray, tets: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass [kg], centre of mass [m] (3,), inertia about it [kg m^2] (3, 3), of homogeneous tets.
+
+    Second moments of a tet of volume V and corners x_k: V/20 (sum_k x_k x_k^T + (sum_k x_k)(sum_k x_k)^T).
+    """
+    corners = np.asarray(vertices, np.float64)[np.asarray(tets)]
+    about = corners.reshape(-1, 3).mean(0)  # sums about a point of the body hardly cancel
+    corners = corners - about
+    volume = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
+    mass = density * volume.sum()
+    center = (volume[:, None] * corners.mean(1)).sum(0) / volume.sum()
+    total = corners.sum(1)
+    second = np.einsum("tki,tkj->tij", corners, corners) + np.einsum("ti,tj->tij", total, total)
+    moments = density * (volume[:, None, None] * second).sum(0) / 20 - mass * np.outer(center, center)
+    return mass, center + about, np.trace(moments) * np.eye(3) - moments

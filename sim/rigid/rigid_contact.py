@@ -1,170 +1,180 @@
 """Contact of rigid bodies with static shapes and with one another, and of soft bodies with rigid ones.
 
-Where rows share masses (mass splitting, Tonge et al. 2012), all rows between the same two rigid bodies count as one,
+Where constraints share masses (mass splitting, Tonge et al. 2012), all between the same two rigid bodies count as one,
 and are solved by Gauss-Seidel sweeps: four corners on a floor take no longer to agree than one. Restitution is a speed
-that a row asks for after an impact.
+that a constraint asks for after an impact.
 """
 
 import taichi as ti
+from taichi.math import vec3
 
-from sim.contact.device_grids import FAR, corner
-from sim.contact.response import grip, least
+from core.fields import FieldGroup
+from sim.contact.response import angular_inv_mass, friction_impulse, min_normal_motion, normal_impulse
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.model import MAX_BODIES
-from sim.rigid.rigid_bodies import SOFT
-from sim.rigid.rigid_broad_phase import WORLD, RigidSearch
+from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase
+from sim.rigid.rigid_motion import SOFT
 
-SWEEPS = 3  # over a group's rows in each pass
-IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce
-PATIENCE = 16  # substeps that an impact may take to reach its speed
+GROUP_SWEEPS = 3  # over a group's constraints in each pass
+MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce
+IMPACT_SUBSTEPS = 16  # that an impact may take to reach its speed
 
 
 @ti.data_oriented
-class RigidContacts(RigidSearch):
-    """The rows that the search lists, from substep to substep.
+class RigidContacts:
+    """Narrow phase and solution of the constraints that a RigidBroadPhase lists, from substep to substep.
 
-    bounce f32[4P] [m/s]: speed that an impact still asks for, patience i32[4P]: for how long
+    impact_left i32[4P]: substeps for which an impact still asks for its speed
     """
 
+    def __init__(self, search: RigidBroadPhase):
+        self.search, self.state, self.rigid_bodies = search, search.state, search.rigid_bodies
+        self.constraints, self.samples, self.begin = search.constraints, search.samples, search.begin
+        self._group = FieldGroup()
+        self.impact_left = self._group.scalar(search.shape.shape[0], dtype=ti.i32)
+        self._group.build()
+
     @ti.func
-    def meet(self, r):
-        """Take row r's distance, normal and ends anew; whether the shape says anything there."""
+    def evaluate(self, r):
+        """Update constraint r's distance, normal and bodies; whether the shape has a distance there."""
         s = self.state
-        rows = self.rows
+        table = self.constraints
+        f = self.search
         q = r - self.begin
-        p, k = q % self.samples.capacity, self.shape[q]
+        p, k = q % self.samples.capacity, f.shape[q]
         b = self.samples.body[p]
         x = self.samples.blend(p, s.x)
-        phi, n, friction, pace = FAR, corner(0.0), s.frictions(b), self.bounds.pace[b]
-        rigid = self.movers.kind[b] != SOFT
+        phi, n, friction, closing_speed = UNKNOWN_DISTANCE, vec3(0.0), s.frictions(b), f.bounds.max_speed[b]
+        rigid = self.rigid_bodies.kind[b] != SOFT
         if rigid:
-            rows.set_end(r, 0, b, x, 1.0)
+            table.set_body(r, 0, b, x, 1.0)
         if k < MAX_SHAPES:
-            phi, n = self.colliders.distance(k, x)
-            friction *= self.colliders.friction[k]
+            phi, n = f.static_shapes.distance(k, x)
+            friction *= f.static_shapes.friction[k]
         else:
             m = k - MAX_SHAPES
-            phi, n = self.shapes.distance(m, x, self.shapes.facing(p))
+            phi, n = f.shapes.distance(m, x, f.shapes.normal(p))
             friction *= s.frictions(m)
-            pace += self.bounds.pace[m]
-            rows.set_end(r, 1 if rigid else 0, m, x, -1.0)
-        usable = phi < 0.5 * FAR
+            closing_speed += f.bounds.max_speed[m]
+            table.set_body(r, 1 if rigid else 0, m, x, -1.0)
+        usable = known(phi)
         if usable:
             phi += self.samples.skin[p] + n.dot(self.samples.blend(p, s.x_lo))
-            rows.set(r, phi, n, ti.sqrt(friction), pace)
+            table.set_contact(r, phi, n, ti.sqrt(friction), closing_speed)
         return usable
 
     @ti.func
-    def claim(self, r, usable, first: ti.template(), integrator: ti.template()):
-        """As Rows.claim, for a row of a group, of which the first one that carries a load claims for all."""
-        rows = self.rows
+    def activate(self, r, usable, first: ti.template(), integrator: ti.template()):
+        """As ContactConstraints.activate, for one of a group, of which the first that carries a load counts for all."""
+        table = self.constraints
         q = r - self.begin
-        g = self._group(q % self.samples.capacity, self.shape[q])
+        g = self.search.group_of(q)
         dt = self.state.dt[None]
-        rows.claimed[r] = 0
+        table.active[r] = 0
         loaded, fall = False, self.state.gravity[None].norm() * dt * dt
         if usable:
-            way = rows.normal[r].dot(rows.motion(r, 0, integrator))
-            loaded = rows.impulse[r].norm_sqr() > 0.0
-            if self.bounce[q] > 0.0:
-                self.patience[q] -= 1
-                rows.forget(r)  # what stopped a body is not what must be borne from now on
-                if way >= 0.999 * self.bounce[q] * dt - 1.01 * fall or self.patience[q] < 0:
-                    self.bounce[q] = 0.0
-                loaded = self.bounce[q] > 0.0
-            elif not loaded and way < least(rows.phi[r], dt):
+            y_n = table.normal[r].dot(table.relative_motion(r, 0, integrator))
+            loaded = table.impulse[r].norm_sqr() > 0.0
+            if self.search.bounce_speed[q] > 0.0:
+                self.impact_left[q] -= 1
+                table.clear_impulse(r)  # what stopped a body is not what must be borne from now on
+                if y_n >= 0.999 * self.search.bounce_speed[q] * dt - 1.01 * fall or self.impact_left[q] < 0:
+                    self.search.bounce_speed[q] = 0.0
+                loaded = self.search.bounce_speed[q] > 0.0
+            elif not loaded and y_n < min_normal_motion(table.phi[r], dt):
                 loaded = True
-                if way < -IMPACT * fall:
-                    self.bounce[q] = -way / dt * self._restitution(g)
-                    self.patience[q] = PATIENCE
+                if y_n < -MIN_IMPACT * fall:
+                    self.search.bounce_speed[q] = -y_n / dt * self._restitution(g)
+                    self.impact_left[q] = IMPACT_SUBSTEPS
         if loaded:
-            rows.claimed[r] = 1
+            table.active[r] = 1
             a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
-            if ti.atomic_max(self.active[g], 1) == 0:
-                self.movers.claim(a, 1.0)
+            if ti.atomic_max(self.search.active[g], 1) == 0:
+                self.rigid_bodies.count_split(a)
                 if b != WORLD:
-                    self.movers.claim(b, 1.0)
+                    self.rigid_bodies.count_split(b)
             if ti.static(first):
-                rows.push(r, rows.impulse[r], 0)
+                table.add_impulse(r, table.impulse[r], 0)
         else:
-            rows.forget(r)
+            table.clear_impulse(r)
             if usable:
-                rows.rest(r, rows.phi[r], rows.pace[r])
+                table.postpone(r, table.phi[r], table.closing_speed[r])
 
     @ti.func
-    def _least(self, r, q, e):
-        """The least normal motion [m] of row r in this substep, with restitution e.
+    def _min_normal_motion(self, r, q, restitution):
+        """Least normal motion [m] of constraint r in this substep.
 
-        An impact asks for `bounce`; in its first substep for as much less as the body first has to go to get there.
+        An impact asks for its bounce speed; in its first substep for as much less as the body first has to go to get
+        there.
         """
         dt = self.state.dt[None]
-        way = least(self.rows.phi[r], dt)
-        if self.bounce[q] > 0.0:
-            way = self.bounce[q] * dt
-            if self.patience[q] == PATIENCE:
-                way -= (1.0 + e) * ti.max(self.rows.phi[r], 0.0)
-        return way
+        y_n = min_normal_motion(self.constraints.phi[r], dt)
+        if self.search.bounce_speed[q] > 0.0:
+            y_n = self.search.bounce_speed[q] * dt
+            if self.impact_left[q] == IMPACT_SUBSTEPS:
+                y_n -= (1.0 + restitution) * ti.max(self.constraints.phi[r], 0.0)
+        return y_n
 
     @ti.func
     def _restitution(self, g):
-        """Of the livelier one of a group's two bodies."""
+        """Restitution of the livelier of a group's two bodies."""
         a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
-        e = self.movers.restitution[a]
+        e = self.rigid_bodies.restitution[a]
         if b != WORLD:
-            e = ti.max(e, self.movers.restitution[b])
+            e = ti.max(e, self.rigid_bodies.restitution[b])
         return e
 
     @ti.func
     def solve(self, g, j: ti.template()):
-        """Pass j over group g: sweeps over its rows, on copies of its bodies with their shares of mass."""
-        m = self.movers
-        rows = self.rows
-        if self.size[g] > 0 and self.active[g] != 0:
+        """Pass j over group g: sweeps over its constraints, on copies of its bodies with their parts of mass."""
+        m = self.rigid_bodies
+        table = self.constraints
+        f = self.search
+        if f.size[g] > 0 and f.active[g] != 0:
             a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
             dt = self.state.dt[None]
-            claims = m.claims(a)
-            d_a, t_a = m.moved(a, j)
-            w_a, I_a = claims * m.w[a], claims * m.world[a]
-            d_b, t_b, w_b, I_b = corner(0.0), corner(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
+            splits = m.splits(a)
+            d_a, t_a = m.increments(a, j)
+            w_a, I_a = splits * m.inv_mass[a], splits * m.inverse_inertia_world[a]
+            d_b, t_b, w_b, I_b = vec3(0.0), vec3(0.0), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
             if b != WORLD:
-                claims = m.claims(b)
-                d_b, t_b = m.moved(b, j)
-                w_b, I_b = claims * m.w[b], claims * m.world[b]
+                splits = m.splits(b)
+                d_b, t_b = m.increments(b, j)
+                w_b, I_b = splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
             restitution = self._restitution(g)
-            push, moment_a, moment_b = corner(0.0), corner(0.0), corner(0.0)
-            for _ in range(SWEEPS):
-                for e in range(self.begin_of[g], self.begin_of[g] + self.size[g]):
-                    q = self.entry[e]
+            impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
+            for _ in range(GROUP_SWEEPS):
+                for e in range(f.group_begin[g], f.group_begin[g] + f.size[g]):
+                    q = f.entry[e]
                     r = self.begin + q
-                    if rows.claimed[r]:
-                        flip = 1.0 if rows.end[r, 0] == a else -1.0
-                        r_a, r_b = rows.arm[r, 0], corner(0.0)
+                    if table.active[r]:
+                        sign = 1.0 if table.body[r, 0] == a else -1.0
+                        r_a, r_b = table.lever_arm[r, 0], vec3(0.0)
                         if b != WORLD:
-                            r_b = rows.arm[r, 1]
-                            if flip < 0.0:
+                            r_b = table.lever_arm[r, 1]
+                            if sign < 0.0:
                                 r_a, r_b = r_b, r_a
-                        y = flip * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
-                        n, old = rows.normal[r], rows.impulse[r]
-                        y_n, old_n = n.dot(y), n.dot(old)
+                        y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
+                        n, old = table.normal[r], table.impulse[r]
+                        y_n = n.dot(y)
                         y_t = y - y_n * n
                         u = y_t / ti.max(y_t.norm(), 1e-20)
-                        A, B, C, D = r_a.cross(n), r_b.cross(n), r_a.cross(u), r_b.cross(u)
-                        mass = w_a + w_b + A.dot(I_a @ A) + B.dot(I_b @ B)
-                        mass_t = w_a + w_b + C.dot(I_a @ C) + D.dot(I_b @ D)
-                        new_n = ti.max(old_n + (self._least(r, q, restitution) - y_n) / mass, 0.0)
-                        new_t = (old - old_n * n) - y_t / mass_t
-                        new = new_n * n + new_t * grip(new_t.norm(), new_n, rows.friction[r], mass_t, dt)
-                        rows.impulse[r] = new
-                        c = flip * (new - old)
+                        w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
+                        w_t = w_a + w_b + angular_inv_mass(r_a, u, I_a) + angular_inv_mass(r_b, u, I_b)
+                        new_n = normal_impulse(n.dot(old), y_n, self._min_normal_motion(r, q, restitution), w_n)
+                        new = new_n * n + friction_impulse(old, n, y, new_n, table.friction[r], w_t, dt)
+                        table.impulse[r] = new
+                        c = sign * (new - old)
                         d_a += w_a * c
                         d_b -= w_b * c
                         t_a += I_a @ r_a.cross(c)
                         t_b -= I_b @ r_b.cross(c)
-                        push += c
+                        impulse += c
                         moment_a += r_a.cross(c)
                         moment_b += r_b.cross(c)
-            m.push(a, push, moment_a, j)
+            m.add_impulse(a, impulse, moment_a, j)
             if b != WORLD:
-                m.push(b, -push, -moment_b, j)
-            if ti.static(j == self.movers.passes):
-                self.active[g] = 0
+                m.add_impulse(b, -impulse, -moment_b, j)
+            if ti.static(j == m.passes):
+                f.active[g] = 0

@@ -1,34 +1,34 @@
-"""The shapes of rigid bodies as others meet them: exact boxes, or distance grids, in the body's frame."""
+"""Collision shapes of rigid bodies: exact boxes, or distance grids, in the body's frame."""
 
 import numpy as np
 import taichi as ti
+from taichi.math import vec3
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
 from sim.body_model import RestShape
 from sim.contact.contact_samples import ContactSamples, points_of
-from sim.contact.device_grids import FAR, DistanceGrids, corner
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
 from sim.contact.static_shapes import box_distance
 from sim.model import MAX_BODIES, Model
 from sim.rigid.rigid_bodies import RigidBodies
 
-OVERHANG = 5e-4  # [m] a corner so far beyond a box's edge still stands on it: bodies as wide as each other are stacked
-AGAINST = -0.05  # cosine; a face can bear a sample whose surface faces it by more than this
+MAX_OVERHANG = 5e-4  # [m] of a corner beyond the edge of a box that bears it: bodies as wide as each other are stacked
+MAX_BEARING_COSINE = -0.05  # of the normals of a face and of the surface at a sample that it can bear
 
 
 @ti.data_oriented
 class RigidShapes:
-    """boxed i32[B], half vec3[B] [m];   outward vec3[P]: where a rigid body's surface faces at a sample, in its frame.
+    """boxed i32[B], half vec3[B] [m];   outward vec3[P]: surface normal of a rigid body at a sample, in its frame.
 
     On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
     """
 
-    def __init__(self, movers: RigidBodies, samples: ContactSamples, grids: DistanceGrids):
-        self.movers, self.samples, self.grids = movers, samples, grids
-        self.boxed, self.half, self.outward = ti.field(ti.i32), ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
-        self.builder = ti.FieldsBuilder()
-        self.builder.dense(ti.i, MAX_BODIES).place(self.boxed, self.half)
-        self.builder.dense(ti.i, samples.capacity).place(self.outward)
-        self.tree = self.builder.finalize()
+    def __init__(self, rigid_bodies: RigidBodies, samples: ContactSamples, grids: DistanceGrids):
+        self.rigid_bodies, self.samples, self.grids = rigid_bodies, samples, grids
+        group = self._group = FieldGroup()
+        self.boxed, self.half = group.scalar(MAX_BODIES, dtype=ti.i32), group.vector(MAX_BODIES)
+        self.outward = group.vector(samples.capacity)
+        group.build()
         self._upload = Upload([self.boxed, self.half, self.outward])
 
     def load(self, model: Model) -> None:
@@ -39,51 +39,48 @@ class RigidShapes:
         self._upload([[s.boxed for s in shapes], half, np.concatenate([np.zeros((0, 3)), *outward])])
 
     @ti.func
-    def facing(self, p):
-        """Where the surface faces at sample p, in the world; 0 on soft bodies."""
-        n = corner(0.0)
+    def normal(self, p):
+        """Surface normal at sample p in the world; 0 on soft bodies."""
+        n = vec3(0.0)
         b = self.samples.body[p]
-        if self.movers.kind[b] != 0:
-            n = self.movers.R[b] @ self.outward[p]
+        if self.rigid_bodies.kind[b] != 0:
+            n = self.rigid_bodies.R[b] @ self.outward[p]
         return n
 
     @ti.func
     def distance(self, b, x, facing):
-        """Signed distance [m] from x to body b, and the outward unit normal; (FAR, 0) where a grid says nothing."""
-        m = self.movers
+        """Signed distance [m] from x to body b and outward unit normal; UNKNOWN_DISTANCE, 0 where a grid has none."""
+        m = self.rigid_bodies
         R = m.R[b]
         q = R.transpose() @ ((x - m.x[b]) - m.x_lo[b]) + m.center[b]
-        phi, normal = FAR, corner(0.0)
+        phi, normal = UNKNOWN_DISTANCE, vec3(0.0)
         if self.boxed[b]:
             phi, normal = bearing_distance(q, self.half[b], R.transpose() @ facing)
         else:
             value, gradient = self.grids.sample(b, q)
-            if value < 0.5 * FAR and gradient.norm() > 0.1:
+            if known(value) and gradient.norm() > 0.1:
                 phi, normal = value / gradient.norm(), gradient.normalized()
         return phi, R @ normal
-
-    def destroy(self) -> None:
-        self.tree.destroy()
 
 
 @ti.func
 def bearing_distance(p, half, facing):
     """Distance and normal of the box |p| <= half for a point of a surface that faces `facing` (0: unknown).
 
-    Inside the box, and up to OVERHANG beside it, the nearest of those faces counts that the surface can rest on.
+    Inside the box, and up to MAX_OVERHANG beside it, the nearest of those faces counts that the surface can rest on.
     Without this, the corners of a box that stands on an equal one would be pushed off sideways.
     """
     phi, normal = box_distance(p, half)
     q = abs(p) - half
-    if q.max() < OVERHANG:
-        best = -FAR
+    if q.max() < MAX_OVERHANG:
+        best = -UNKNOWN_DISTANCE
         for k in ti.static(range(3)):
             side = 1.0 if p[k] >= 0.0 else -1.0
-            if side * facing[k] < AGAINST and q[k] > best:
+            if side * facing[k] < MAX_BEARING_COSINE and q[k] > best:
                 best = q[k]
-                normal = corner(0.0)
+                normal = vec3(0.0)
                 normal[k] = side
-        phi = best if best > -FAR else phi
+        phi = best if best > -UNKNOWN_DISTANCE else phi
     return phi, normal
 
 

@@ -10,7 +10,7 @@ from bench.soak import EnergyAudit, Failure, inverted, soak, work
 from bench.soak_acts import MAX_BODIES, Hands, Ranges, generator, population
 from scenes.scene import Hand
 from sim.body_model import BodyModel
-from sim.hands.grasp import FORCE
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.solver import Solver
 
 RANGES = Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=6, max_load=0.5)
@@ -38,7 +38,7 @@ def test_an_episode_is_the_same_each_time(ti_cpu):
 def test_hands_work_no_more_than_their_force_along_their_way():
     still, moved = Hand(grip=True), Hand(position=(0.0, 0.3, 0.4), grip=True)
     assert work(still, still) == 0
-    assert_allclose(work(still, moved), FORCE * 0.5)
+    assert_allclose(work(still, moved), MAX_HAND_FORCE * 0.5)
     assert work(Hand(), moved) == 0  # the grasp begins
     assert work(still, Hand(position=(1.0, 0.0, 0.0))) == 0
 

@@ -13,8 +13,7 @@ from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Box, Hand
 from sim.body_model import BodyModel, RestShape
-from sim.contact.device_grids import DistanceGrids
-from sim.contact.rest_distance import rest_grid
+from sim.contact.signed_distance import DistanceGrids, grid_of, rest_grid
 from sim.model import Capacity
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -173,11 +172,11 @@ def test_a_copy_can_be_put_elsewhere_and_turned(solver):
 
 def test_scaling_multiplies_masses_and_grid_and_leaves_free_fall(solver):
     run(solver, 3)
-    before, grid = solver.bodies()[0], solver.body_models[0].shape.once(grid_of())
+    before, grid = solver.bodies()[0], solver.body_models[0].shape.once(grid_of)
     solver.rescale(0, 2.0)
     part = solver.body_models[0]
     assert_allclose(part.mass.sum(), 8 * 0.06**3 * 1000)
-    assert_allclose(part.shape.once(grid_of()).values, 2 * grid.values)
+    assert_allclose(part.shape.once(grid_of).values, 2 * grid.values)
     after = solver.bodies()[0]
     assert_allclose(after.centroid, before.centroid, atol=1e-6)
     assert_allclose(after.velocity, before.velocity, atol=1e-6)
@@ -191,12 +190,6 @@ def test_scaling_multiplies_masses_and_grid_and_leaves_free_fall(solver):
     assert_allclose(solver.bodies()[0].velocity[1], v - 9.81 * 3 * DT, rtol=1e-4)
     stats = solver.stats
     assert stats["stability"] <= stats["stability_limit"] and stats["finite"]
-
-
-def grid_of():
-    from sim.contact.deformable_contact import grid_of
-
-    return grid_of
 
 
 def test_a_scaled_body_hangs_four_times_as_far_and_rests_on_its_own_skin(ti_cpu):
@@ -314,7 +307,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(solver):
 def test_without_room_for_several_a_second_body_is_refused(ti_cpu):
     """Whether bodies can touch is decided when the kernels are compiled."""
     lonely = Solver([CUBE], [TABLE], hands=0)
-    assert not lonely.contacts.pairs.needed
+    assert not lonely.contacts.deformable.needed
     with pytest.raises(BadInput, match="bodies"):
         lonely.add(cube("single", cells=1))
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Box, Capsule, Hand, Plane
-from sim.contact.rest_distance import rest_grid
+from sim.contact.signed_distance import rest_grid
 from sim.contact.static_shapes import StaticGrid
 from sim.soft_body import SoftBody
 from sim.solver import Solver

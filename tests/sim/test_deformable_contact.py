@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box, torus
 from core.material import Material
 from scenes.scene import Capsule, Plane
-from sim.contact.tet_planes import neighbors
+from sim.contact.tet_geometry import tet_neighbors
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -52,15 +52,15 @@ def speed(solver):
 def rows(solver):
     """Point, distance, normal and impulse of the listed pair rows."""
     contacts = solver.contacts
-    r, n = contacts.rows.listed.to_numpy(), contacts.rows.listed_count[None]
-    r = np.sort(r[:n][r[:n] >= contacts.pairs.begin])
-    table = (contacts.rows.phi, contacts.rows.normal, contacts.rows.impulse)
-    return r - contacts.pairs.begin, *(f.to_numpy()[r] for f in table)
+    r, n = contacts.constraints.candidate.to_numpy(), contacts.constraints.candidate_count[None]
+    r = np.sort(r[:n][r[:n] >= contacts.deformable.begin])
+    table = (contacts.constraints.phi, contacts.constraints.normal, contacts.constraints.impulse)
+    return r - contacts.deformable.begin, *(f.to_numpy()[r] for f in table)
 
 
 def test_neighbours_share_a_face():
     _, tets, surface = box((1, 1, 1), (3, 2, 2))
-    across = neighbors(tets)
+    across = tet_neighbors(tets)
     assert (across == -1).sum() == len(surface)
     for t, k in np.argwhere(across >= 0):
         assert set(np.delete(tets[t], k)) < set(tets[across[t, k]])

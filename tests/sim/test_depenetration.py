@@ -6,8 +6,8 @@ import pytest
 from bench.sample_meshes import box
 from core.material import Material
 from scenes.scene import Box, Hand
-from sim.contact.response import RECOVERY_SPEED
-from sim.contact.rest_distance import rest_grid
+from sim.contact.response import MAX_RECOVERY_SPEED
+from sim.contact.signed_distance import rest_grid
 from sim.contact.static_shapes import StaticGrid
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -47,7 +47,7 @@ def test_what_hands_push_into_a_wall_comes_out_slowly(cubes):
         cubes.step(DT, [])
         speeds.append(np.linalg.norm(cubes.v.to_numpy()[: cubes.vertex_offset[2]], axis=1).max())
         heights.append([b.centroid[1] for b in cubes.bodies()[:2]])
-    assert max(speeds) < 2 * RECOVERY_SPEED, max(speeds)
+    assert max(speeds) < 2 * MAX_RECOVERY_SPEED, max(speeds)
     assert np.max(heights) < SIDE / 2 + 0.06
     assert min(b.low[1] for b in cubes.bodies()[:2]) > -1e-3
 
@@ -63,9 +63,9 @@ def test_what_starts_inside_comes_out_slowly(cubes):
     for _ in range(60):
         cubes.step(DT, [])
         top = max(top, fastest(cubes))
-    assert top < 3 * RECOVERY_SPEED, top
+    assert top < 3 * MAX_RECOVERY_SPEED, top
     states = cubes.bodies()
     assert min(s.low[1] for s in states[:2]) > -1e-3
     lower, upper = states[2:]
     assert upper.low[1] > lower.high[1] - 2e-3
-    assert max(np.linalg.norm(s.velocity) for s in states) < 1.5 * RECOVERY_SPEED  # they spring back, too
+    assert max(np.linalg.norm(s.velocity) for s in states) < 1.5 * MAX_RECOVERY_SPEED  # they spring back, too

@@ -8,7 +8,13 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from scenes.scene import Box, Hand, Touch
-from sim.hands.fingers import CAPSULES, SPOTS, THICKEST, capsules_of, place_spots
+from sim.hands.finger_capsules import (
+    CAPSULES_PER_HAND,
+    MAX_RADIUS,
+    SAMPLES_PER_CAPSULE,
+    capsules_of,
+    sample_positions,
+)
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -175,14 +181,14 @@ def test_a_repeated_poke_agrees_bit_for_bit(solver):
 def test_only_numbers_touch():
     bad = (Touch((0, 0, np.nan), (0, 0, 0), 0.01), Touch((0, 0, 0), (1, 0, 0), -0.01), Touch((0, 0, 0), (1, 0, 0), 9.0))
     table = capsules_of(Hand(touch=bad * 20))
-    assert table.shape == (CAPSULES, 7)
-    assert_allclose(table[:, 6], np.tile([0, 0, THICKEST], 7)[:CAPSULES])
+    assert table.shape == (CAPSULES_PER_HAND, 7)
+    assert_allclose(table[:, 6], np.tile([0, 0, MAX_RADIUS], 7)[:CAPSULES_PER_HAND])
     assert not capsules_of(None).any()
 
 
 def test_spots_are_even_from_end_to_end():
     ends = np.array([[[[0.0, 0, 0], [0.06, 0, 0]], [[1.0, 1, 1], [1, 1, 1]]]])
-    at = place_spots(ends, np.array([[4.0, 1.0]]))
-    assert at.shape == (1, 2, SPOTS, 3)
+    at = sample_positions(ends, np.array([[4.0, 1.0]]))
+    assert at.shape == (1, 2, SAMPLES_PER_CAPSULE, 3)
     assert_allclose(at[0, 0, :4, 0], [0, 0.02, 0.04, 0.06])
     assert_allclose(at[0, 1, 0], 1.0)

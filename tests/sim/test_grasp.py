@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from scenes.scene import Box, Hand
-from sim.hands.grasp import FORCE
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -50,17 +50,17 @@ def still(*position):
 
 def test_a_hand_grips_the_nearest_body_within_reach(solver):
     play(solver, 2 * DT, still(0.2, 0.07, 0))
-    assert contacts(solver).gripped() == [1, -1]
+    assert contacts(solver).grasped_bodies() == [1, -1]
     assert [b.held for b in solver.bodies()] == [False, True]
     play(solver, DT, still(0.2, 0.07, 0), grip=False)
-    assert contacts(solver).gripped() == [-1, -1]
+    assert contacts(solver).grasped_bodies() == [-1, -1]
 
 
 def test_a_hand_out_of_reach_grips_nothing(solver):
     play(solver, 2 * DT, still(0.0, 0.12, 0))
-    assert contacts(solver).gripped() == [-1, -1]
+    assert contacts(solver).grasped_bodies() == [-1, -1]
     play(solver, 2 * DT, still(0.0, 0.03, 0))  # closed already: coming near does not grip
-    assert contacts(solver).gripped() == [-1, -1]
+    assert contacts(solver).grasped_bodies() == [-1, -1]
 
 
 def test_a_small_reach_takes_the_nearest_vertices(solver):
@@ -107,7 +107,7 @@ def test_pulling_through_the_table_stays_finite_and_comes_back(solver):
     play(solver, 0.5, still(0, 0.05, 0))
     play(solver, 0.5, lambda t: np.array([0, 0.05 - 2 * t, 0]))
     force = np.linalg.norm(contacts(solver).hands.forces()[0])
-    assert force <= 1.001 * FORCE
+    assert force <= 1.001 * MAX_HAND_FORCE
     assert solver.stats["finite"]
     play(solver, 0.5, lambda t: np.array([0, -0.95 + 2 * t, 0]))
     play(solver, DT, still(0, 0.05, 0), grip=False)
@@ -119,7 +119,7 @@ def test_pulling_through_the_table_stays_finite_and_comes_back(solver):
 
 def test_two_hands_stretch_a_body(solver):
     play(solver, 0.3, still(-0.03, 0.03, 0), still(0.03, 0.03, 0), reach=0.025)
-    assert contacts(solver).gripped() == [0, 0]
+    assert contacts(solver).grasped_bodies() == [0, 0]
     for sign in (1, -1):
         play(
             solver,
@@ -141,7 +141,7 @@ def test_transform_reports_what_is_gripped(solver):
         before = solver.x.to_numpy()[:64]
         play(solver, DT, still(0, 0.05, 0))
         play(solver, 10 * DT, lambda t: np.array([t, 0.05, 0]))
-        assert contacts(solver).gripped() == [0, -1]
+        assert contacts(solver).grasped_bodies() == [0, -1]
         assert_allclose(solver.x.to_numpy()[:64], before + (10 * DT, 0, 0), atol=1e-6)
     finally:
         solver.interaction = "physics"
@@ -152,5 +152,5 @@ def test_a_grip_begins_without_a_jerk(solver):
     solver.gravity = (0.0, 0.0, 0.0)
     play(solver, DT, still(0.0, 0.15, 0), grip=False)
     play(solver, DT, still(0.0, 0.05, 0))
-    assert contacts(solver).gripped()[0] == 0
+    assert contacts(solver).grasped_bodies()[0] == 0
     assert np.abs(solver.v.to_numpy()).max() < 1e-3

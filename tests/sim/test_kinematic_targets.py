@@ -89,7 +89,7 @@ def momentum(solver, bodies):
         p += q.sum(0)
         if solver.body_models[b].body.rigid:
             at = m.x.to_numpy()[b].astype(np.float64)
-            L += np.cross(at, q.sum(0)) + m.spin.to_numpy()[b]
+            L += np.cross(at, q.sum(0)) + m.angular_momentum.to_numpy()[b]
         else:
             L += np.cross(x[mine], q).sum(0)
     return p, L

@@ -44,14 +44,17 @@ def found(rings, speed):
     n = contacts.samples.count[None]
     rings.state.detect_dt[None] = DT
     contacts.detect()
-    listed = contacts.rows.listed.to_numpy()[: contacts.rows.listed_count[None]] - contacts.pairs.begin
+    listed = (
+        contacts.constraints.candidate.to_numpy()[: contacts.constraints.candidate_count[None]]
+        - contacts.deformable.begin
+    )
     host = np.full(n, -1)
     mine = listed[(listed >= 0) & (listed < n)]
-    host[mine] = contacts.pairs.hosts.host.to_numpy()[mine]
+    host[mine] = contacts.deformable.hosts.host.to_numpy()[mine]
     ids, weight = contacts.samples.ids.to_numpy()[:n], contacts.samples.weight.to_numpy()[:n]
     x = rings.x.to_numpy().astype(np.float64)
     points = (weight[:, :, None] * x[ids]).sum(1)
-    return points, contacts.samples.body.to_numpy()[:n], host, contacts.pairs.hosts.hash.cell[None], x
+    return points, contacts.samples.body.to_numpy()[:n], host, contacts.deformable.hosts.hash.cell[None], x
 
 
 @pytest.mark.long

@@ -54,8 +54,8 @@ def bent(radius=0.06):
 
 def listed(solver):
     """Depths [m] of the rows that carry something, and how many rows there are at all."""
-    rows = solver.contacts.rows
-    r = rows.listed.to_numpy()[: rows.listed_count[None]]
+    rows = solver.contacts.constraints
+    r = rows.candidate.to_numpy()[: rows.candidate_count[None]]
     active = r[np.linalg.norm(rows.impulse.to_numpy()[r], axis=1) > 0]
     return -rows.phi.to_numpy()[active], len(r)
 

@@ -7,10 +7,11 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
+from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
-from sim.contact.contact_samples import skin, surface_points
-from sim.contact.rest_distance import rest_grid
+from sim.contact.contact_samples import skin_depth, surface_points
+from sim.contact.signed_distance import rest_grid
 from sim.contact.static_shapes import StaticGrid, StaticShapes
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
@@ -57,7 +58,7 @@ def measure(shapes, points):
 
     run()
     result = phi.to_numpy(), normal.to_numpy(), friction.to_numpy()
-    colliders.destroy()
+    destroy_fields(colliders)
     return result
 
 
@@ -158,5 +159,5 @@ def test_skin_is_what_the_cage_adds_to_the_visible_surface():
     grid = sphere_grid(48, dtype=np.float32)
     x = 0.33 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, 0, 0]], np.float64)
     points = surface_points(x, np.array([[0, 1, 2], [0, 2, 3]]), 1.0)
-    assert_allclose(skin(points, x, grid), 0.03, atol=2e-3)
-    assert (skin(points, x, None) == 0).all()
+    assert_allclose(skin_depth(points, x, grid), 0.03, atol=2e-3)
+    assert (skin_depth(points, x, None) == 0).all()

@@ -10,7 +10,8 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from scenes.scene import Hand
-from sim.hands.grasp import FORCE, PATIENCE
+from sim.hands.grasp import TRACKING_TIMEOUT
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -56,7 +57,7 @@ def play(solver, seconds, left, right, *, grip=True):
                 hands.append(Hand(tuple(place + position), rotation, grip, REACH))
         solver.step(DT, hands)
         for force in solver.hand_forces():
-            assert np.linalg.norm(force) <= 1.001 * FORCE
+            assert np.linalg.norm(force) <= 1.001 * MAX_HAND_FORCE
 
 
 def at(x, turn=0.0):
@@ -201,7 +202,7 @@ def test_a_throw_is_no_stronger_than_the_hand(solver):
     solver.set_material(0, replace(MATERIALS[2], density=30000.0))
     try:
         body = release(solver, carried(0.3, lambda t: np.array([0.0, 15.0 * (t - DT), 0.0])))
-        assert 0.1 < body.velocity[1] * MASS * 30 < FORCE * (0.3 + 0.08) * 1.1
+        assert 0.1 < body.velocity[1] * MASS * 30 < MAX_HAND_FORCE * (0.3 + 0.08) * 1.1
     finally:
         solver.set_material(0, MATERIALS[0])
 
@@ -214,7 +215,7 @@ def test_a_jump_of_the_hand_is_not_followed(solver):
         solver.step(DT, [hand])
     assert np.abs(bars(solver)[0] - X).max() < 1e-3
     assert solver.bodies()[0].held
-    for _ in range(round(PATIENCE / DT) + 2):
+    for _ in range(round(TRACKING_TIMEOUT / DT) + 2):
         solver.step(DT, [away])
     assert not solver.bodies()[0].held
     assert np.abs(bars(solver)[0] - X).max() < 1e-3

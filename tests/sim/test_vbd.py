@@ -52,7 +52,7 @@ def test_the_plan_takes_the_cheaper_path_and_what_is_forced():
 def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     """n . y' is the least; what sticks has no tangential motion, what slides is at the edge of the cone."""
     ti = ti_cpu
-    from sim.contact.response import REST, WEDGED, respond_metric
+    from sim.contact.response import CONTACT_SLOP, MIN_COMPLIANCE_RATIO, project_contact_metric
 
     N, friction = 256, 1.0
     rng = np.random.default_rng(3)
@@ -67,8 +67,8 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     def solve(firm: ti.f32):
         for k in range(N):
             up = ti.Vector([0.0, 1.0, 0.0])
-            corrected[k], force[k] = respond_metric(
-                -REST, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k], prior[None], firm
+            corrected[k], force[k] = project_contact_metric(
+                -CONTACT_SLOP, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k], prior[None], firm
             )
 
     for field, value in ((h, H), (a, np.linalg.inv(H)), (motion, y)):
@@ -85,11 +85,15 @@ def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
     assert (tangential[touching & ~slides] <= friction * normal[touching & ~slides] * (1 + 1e-4)).all()
     A, u = np.linalg.inv(H), y * [1, 0, 1]
     u /= np.linalg.norm(u, axis=1)[:, None]
-    most = (1 - WEDGED) * A[:, 1, 1] / np.maximum(np.einsum("ki,ki->k", A[:, 1], u), 1e-9)  # else it would jam
+    most = (
+        (1 - MIN_COMPLIANCE_RATIO) * A[:, 1, 1] / np.maximum(np.einsum("ki,ki->k", A[:, 1], u), 1e-9)
+    )  # else it would jam
     cone = touching & slides & (tangential > 1e-6)
     assert (most[cone] < friction).any() and (most[cone] > friction).any()
     assert_allclose(tangential[cone], np.minimum(friction, most)[cone] * normal[cone], rtol=1e-3)
-    assert (normal[touching] < -y[touching, 1] / (WEDGED * A[touching, 1, 1]) * 1.001)[slides[touching]].all()
+    assert (normal[touching] < -y[touching, 1] / (MIN_COMPLIANCE_RATIO * A[touching, 1, 1]) * 1.001)[
+        slides[touching]
+    ].all()
     assert ((p * y)[cone][:, [0, 2]].sum(1) < 0).all()
     # A push that begins has at most a given stiffness; one that was there before goes on.
     for before in (0.0, 0.2):

@@ -1,0 +1,146 @@
+"""Finger capsules: the samples on what the hands touch with, their motion in a frame, and where they may be.
+
+A capsule is a row of up to SAMPLES_PER_CAPSULE samples on its axis, a radius apart or less.
+"""
+
+import numpy as np
+import taichi as ti
+
+from core.fields import FieldGroup, Upload
+from scenes.scene import Hand
+from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds
+from sim.contact.response import FINGERTIP_DAMPING_TIME, FINGERTIP_MAX_DEPTH
+from sim.model import MAX_BODIES
+
+CAPSULES_PER_HAND = 20  # its 19 bones, and one to spare
+SAMPLES_PER_CAPSULE = 8
+SAMPLES_PER_HAND = CAPSULES_PER_HAND * SAMPLES_PER_CAPSULE
+MIN_RADIUS, MAX_RADIUS = 0.002, 0.05  # [m]; others are clamped
+MAX_FINGER_SPEED = 10.0  # [m/s]; what is faster was lost, or held up, and is placed instead of swept
+
+
+@ti.data_oriented
+class FingerCapsules:
+    """Capsules of up to `hands` hands; sample p is one of hand p // SAMPLES_PER_HAND.
+
+    start vec3[N], displacement vec3[N] [m]: of a sample at the frame's begin, and in the frame
+    radius f32[N] [m]: 0 is no sample;   held i32[H]: the body that a hand holds, -1 none
+    low, high vec3[H C] [m]: box of what a capsule may touch until the next search;   speed f32[H] [m/s]: of a hand
+    """
+
+    def __init__(self, state, bounds: BodyBounds, hands: int):
+        self.state, self.bounds = state, bounds
+        self.hands, self.count = max(hands, 1), max(hands, 1) * SAMPLES_PER_HAND
+        H, N, group = self.hands, self.count, FieldGroup()
+        with group.interleaved(N):
+            self.start, self.displacement, self.radius = group.vector(), group.vector(), group.scalar()
+        self.low, self.high = group.vector(H * CAPSULES_PER_HAND), group.vector(H * CAPSULES_PER_HAND)
+        self.speed, self.held = group.scalar(H), group.scalar(H, dtype=ti.i32)
+        self._group = group
+        group.build()
+        self._upload = Upload([self.start, self.displacement, self.radius, self.held])
+        self._upload([np.zeros(0)] * 3 + [[-1] * H])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all capsules."""
+        self.last, self.present = np.zeros((self.hands, CAPSULES_PER_HAND, 7)), False
+        self.radius.fill(0.0)
+
+    def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
+        """Move the capsules to their new poses over dt [s].
+
+        A capsule that is new, or was faster than MAX_FINGER_SPEED, is placed without sweeping.
+        """
+        now = np.stack([capsules_of(hands[h] if h < len(hands) else None) for h in range(self.hands)])
+        self.present = bool(now[..., 6].any())
+        before, self.last = self.last, now
+        if not self.present:
+            return
+        motion = np.linalg.norm((now - before)[..., :6].reshape(*now.shape[:2], 2, 3), axis=-1).max(-1)
+        new = (motion > MAX_FINGER_SPEED * dt) | (before[..., 6] == 0.0)
+        before = np.where(new[..., None], now, before)
+        length = np.linalg.norm(now[..., 3:6] - now[..., :3], axis=-1)
+        counts = np.clip(np.ceil(length / np.maximum(now[..., 6], MIN_RADIUS)) + 1, 1, SAMPLES_PER_CAPSULE)
+        radii = np.where(np.arange(SAMPLES_PER_CAPSULE) < counts[..., None], now[..., 6:], 0.0)
+        starts, ends = (sample_positions(capsule_ends(c), counts) for c in (before, now))
+        held = [*held, *[-1] * self.hands][: self.hands]
+        self._upload([starts.reshape(-1, 3), (ends - starts).reshape(-1, 3), radii.reshape(-1), held])
+
+    @ti.func
+    def elapsed(self):
+        """Fraction of the frame that has passed when the next substep begins."""
+        s = self.state
+        return ti.cast(s.substep_index[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+
+    @ti.func
+    def next_position(self, p):
+        """Position [m] of sample p when the next substep begins: at a search."""
+        return self.start[p] + self.elapsed() * self.displacement[p]
+
+    @ti.func
+    def position(self, p):
+        """Position [m] of sample p when the substep in progress begins."""
+        s = self.state
+        f = ti.cast(s.substep_index[None], ti.f32) / ti.cast(s.substeps[None], ti.f32)
+        return self.start[p] + f * self.displacement[p]
+
+    @ti.func
+    def may_meet(self, c, low, high):
+        """Whether capsule c may come into a box until the next search."""
+        return (self.low[c] - high).max() <= 0.0 and (low - self.high[c]).max() <= 0.0
+
+    @ti.kernel
+    def sweep(self):
+        """Boxes of the capsules until the next search; the bounds, up to date, of bodies that they may push widen."""
+        s = self.state
+        f, part = self.elapsed(), s.detect_dt[None] / (s.dt[None] * ti.cast(s.substeps[None], ti.f32))
+        for h in range(self.hands):
+            self.speed[h] = 0.0
+        for c in range(self.hands * CAPSULES_PER_HAND):
+            low, high, speed = ti.Vector([1e9, 1e9, 1e9]), ti.Vector([-1e9, -1e9, -1e9]), 0.0
+            for k in range(SAMPLES_PER_CAPSULE):
+                p = c * SAMPLES_PER_CAPSULE + k
+                if self.radius[p] > 0.0:
+                    a = self.start[p] + f * self.displacement[p]
+                    b = a + part * self.displacement[p]
+                    low = ti.min(low, a - self.radius[p], b - self.radius[p])
+                    high = ti.max(high, a + self.radius[p], b + self.radius[p])
+                    speed = ti.max(speed, self.displacement[p].norm() * part / s.detect_dt[None])
+            self.low[c], self.high[c] = low, high
+            ti.atomic_max(self.speed[c // CAPSULES_PER_HAND], speed)
+        for b in range(MAX_BODIES):
+            if b < s.body_count[None]:
+                box = self.bounds
+                margin, gain = box.max_speed[b] * s.detect_dt[None] + CONTACT_MARGIN, 0.0
+                for c in range(self.hands * CAPSULES_PER_HAND):
+                    if self.may_meet(c, box.low[b] - margin, box.high[b] + margin):
+                        speed = self.speed[c // CAPSULES_PER_HAND]
+                        gain = ti.max(gain, speed + FINGERTIP_MAX_DEPTH / FINGERTIP_DAMPING_TIME)
+                box.v_min[b] -= gain
+                box.v_max[b] += gain
+                box.speed_gain[b] += gain
+                box.max_speed[b] += gain
+
+
+def capsules_of(hand: Hand | None) -> np.ndarray:
+    """Ends and radius [m] of what a hand touches with, (CAPSULES_PER_HAND, 7); radius 0 for none, or no number."""
+    table = np.zeros((CAPSULES_PER_HAND, 7))
+    if hand is not None:
+        for row, touch in zip(table, hand.touch, strict=False):
+            values = np.array([*touch.a, *touch.b, touch.radius], np.float64)
+            if np.isfinite(values).all() and touch.radius > 0.0:
+                row[:] = values
+                row[6] = np.clip(touch.radius, MIN_RADIUS, MAX_RADIUS)
+    return table
+
+
+def capsule_ends(capsules: np.ndarray) -> np.ndarray:
+    """Both ends of capsules (H, C, 7), (H, C, 2, 3)."""
+    return capsules[..., :6].reshape(*capsules.shape[:2], 2, 3)
+
+
+def sample_positions(ends: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Samples of capsules: `counts` (H, C) of them evenly from end to end, (H, C, SAMPLES_PER_CAPSULE, 3)."""
+    f = np.minimum(np.arange(SAMPLES_PER_CAPSULE) / np.maximum(counts[..., None] - 1, 1), 1.0)[..., None]
+    return (1 - f) * ends[..., :1, :] + f * ends[..., 1:, :]

@@ -1,4 +1,4 @@
-"""Mouse and keys: what they do to camera, hand and world. Knows no window system: events come by name."""
+"""Mouse and keys for camera, hand and world, independent of the window system: events come by name."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ SCALE_STEP = 1.25  # of a key or a button
 TURN_STEP = np.pi / 12  # [rad]
 
 HELP = [
-    ("Drag a body", "grab it, let go to throw"),
+    ("Drag a body", "grab it, release to throw"),
     ("  + wheel, or Shift", "nearer and farther"),
     ("Drag elsewhere", "turn around the scene"),
-    ("Right drag", "look about"),
+    ("Right drag", "look around"),
     ("Shift + right drag", "shift the view"),
     ("Wheel", "nearer and farther"),
     ("W A S D, Q E", "walk, down and up"),

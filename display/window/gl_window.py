@@ -22,7 +22,7 @@ def import_glfw():
 
 
 def has_display() -> bool:
-    """Whether this process can open a window."""
+    """True if this process can open a window."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return False
     glfw = import_glfw()
@@ -119,11 +119,11 @@ class GLWindow:
 
     @property
     def closing(self) -> bool:
-        """Whether the user has asked to close the window."""
+        """True once the user has asked to close the window."""
         return bool(self.glfw.window_should_close(self.handle))
 
     def asleep(self) -> bool:
-        """Whether the window is minimised; then wait a little for it to come back."""
+        """True while the window is minimised; waits briefly in that case."""
         if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
             self.glfw.wait_events_timeout(0.1)
             return True

@@ -61,7 +61,7 @@ class Window:
         return tuple(max(MIN_SIDE, round(side * scale)) for side in self._surface.frame_size)
 
     def loading(self, text: str) -> None:
-        """Show a line of text in an otherwise empty window, while something takes its time."""
+        """Show a line of text in an otherwise empty window during a long operation."""
         from imgui_bundle import imgui
 
         self._surface.begin()
@@ -115,13 +115,13 @@ class Window:
         world.timings.frame()
 
     def _camera_moved(self) -> bool:
-        """Whether the last frame's camera differed from the one before it."""
+        """True if the last frame's camera differed from the one before it."""
         before, self._last_view = self._last_view, self._camera.world_to_camera.tobytes()
         return before != self._last_view
 
     def _resize(self, now: float, world: WorldView) -> None:
-        """Let the world draw in the size that is wanted; a window's new size must have settled, until then pictures
-        are stretched."""
+        """Let the world draw in the size that is wanted; a window's new size must be stable first, until then
+        pictures are stretched."""
         window = self._surface.frame_size
         if self._resized[0] != window:
             self._resized = (window, now)

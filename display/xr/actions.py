@@ -1,4 +1,4 @@
-"""The session's action set: what the user does with the controllers, of whatever make, and their haptics.
+"""The session's action set: controller input of any make, and haptics.
 
 The names of the interaction profiles and of their inputs are those of the OpenXR specification (chapter "Interaction
 profiles").
@@ -78,7 +78,7 @@ class Controller:
 
     @property
     def used(self) -> bool:
-        """Whether the user does anything with it but hold it."""
+        """True if the user does more with it than hold it."""
         return max(self.grab, self.pinch) > IDLE_BELOW or np.hypot(*self.stick) > IDLE_BELOW or bool(self.pressed)
 
     @property
@@ -173,7 +173,7 @@ class ActionSet:
         return matrix_of(location.pose) if location.location_flags & both == both else None
 
     def pulse(self, h: int, strength: float, seconds: float) -> None:
-        """Let the left (0) or right (1) controller vibrate with a strength of 0 to 1."""
+        """Vibrate the left (0) or right (1) controller with a strength of 0 to 1."""
         xr = self.xr
         vibration = xr.HapticVibration(
             duration=int(seconds * 1e9), frequency=xr.FREQUENCY_UNSPECIFIED, amplitude=float(np.clip(strength, 0, 1))

@@ -1,6 +1,6 @@
 """The player's avatar: hands or controllers, the finger that pokes, the ray that points, corners of the selected body.
 
-Everything is drawn where the solver has it, not where it is a moment later: a hand must not slip on what it holds.
+Everything is drawn at the pose that the solver used, not at a later one: a hand must not slip on what it holds.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FINE_SPACING = 0.6 * SPACING  # [m] between Gaussians of what is thin
 
 
 def skins() -> list[Skin]:
-    """All that can be shown; what casts no shadow first, as World wants it."""
+    """Skins of all props; those without a shadow first, as World requires."""
     solid = hand_mesh.hand_skins()
     for side in (0, 1):
         solid.append(rigid_skin(*controller_points(), CONTROLLER + side))
@@ -44,7 +44,7 @@ def skins() -> list[Skin]:
 
 
 def rigid_skin(x, n, colour, part: int) -> Skin:
-    """A rigid, solid thing of flat Gaussians at points x (N, 3) with normals n (N, 3)."""
+    """Rigid, solid skin of flat Gaussians at points x (N, 3) with normals n (N, 3)."""
     return one_part(discs(x, n, 0.8 * SPACING, 0.0005, colour, np.full(len(x), 0.99)), n, part, solid=True)
 
 

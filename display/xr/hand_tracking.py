@@ -1,4 +1,4 @@
-"""Hands without controllers (XR_EXT_hand_tracking): trackers, gestures, and the choice of what plays on each side."""
+"""Hands without controllers (XR_EXT_hand_tracking): trackers, gestures, and the choice between hand and controller on each side."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def joints_of(table: np.ndarray) -> HandJoints | None:
 
 
 def supported(xr, instance, system) -> bool:
-    """Whether this headset tracks hands; the extension must be enabled."""
+    """True if this headset tracks hands; the extension must be enabled."""
     answer = xr.SystemHandTrackingPropertiesEXT()
     properties = xr.SystemProperties()
     properties.next = ctypes.cast(ctypes.pointer(answer), ctypes.c_void_p)

@@ -92,7 +92,7 @@ class Headset:
 
     @staticmethod
     def props() -> list[Skin]:
-        """What World should be able to draw besides the scene: the player's avatar."""
+        """Props for World to draw besides the scene: the player's avatar."""
         return avatar.skins()
 
     def _connect(self, timeout: float, *, depth: bool = True) -> OpenXrRuntime:
@@ -202,7 +202,7 @@ class Headset:
             self._session.actions.pulse(1, TAP_STRENGTH, TAP_SECONDS)
 
     def _choose_resolution(self, world: WorldView) -> None:
-        """Draw as many pixels from now on as hold the headset's rate, or as the user wants."""
+        """Draw as many pixels from now on as hold the headset's rate, or as the user chose."""
         scale = self._mirror.resolution
         if scale is None:
             drawing = world.timings.latest("render", "present")
@@ -218,8 +218,8 @@ class Headset:
         time.sleep(0.05)
 
     def _reconnect(self, why: str, world: WorldView) -> bool:
-        """Wait for the runtime that went away, or for another, and go on playing; whether one came. BadInput if it has
-        gone away too often."""
+        """Wait for the runtime that went away, or for another, and go on playing; returns True if one came. BadInput after too many
+        losses."""
         self._messages.lost(self._runtime.name, why)
         self._session.close()
         self._runtime.close()

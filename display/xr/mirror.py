@@ -23,7 +23,7 @@ class Mirror:
 
     @property
     def closing(self) -> bool:
-        """Whether the user has asked to close the window."""
+        """True once the user has asked to close the window."""
         return self._surface.closing
 
     @property
@@ -56,7 +56,7 @@ class NoMirror:
         self.texture = PictureTexture(self.gl, views=views)
 
     def show(self, world: WorldView) -> list[Command]:
-        """Do nothing: there is no window, and no command."""
+        """No-op: there is no window, and no command."""
         return []
 
     def close(self) -> None:

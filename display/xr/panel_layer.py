@@ -24,7 +24,7 @@ TITLE_SIZE, SMALL_SIZE, LABEL_SIZE = 34, 28, 34  # [px] of letters
 
 @dataclass(frozen=True)
 class PanelContent:
-    """What the panel shows; two that are equal look the same."""
+    """Content of the panel; equal contents look the same."""
 
     message: str = ""
     note: str = ""

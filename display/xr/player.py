@@ -228,7 +228,7 @@ class PinchTeleport:
 
 
 def is_near(body: BodyState, point: np.ndarray) -> bool:
-    """Whether a point (3,) is at most PINCH_MARGIN from the bounds of a body."""
+    """True if a point (3,) is at most PINCH_MARGIN from the bounds of a body."""
     outside = np.maximum(np.maximum(body.low - point, point - body.high), 0.0)
     return float(np.linalg.norm(outside)) <= PINCH_MARGIN
 

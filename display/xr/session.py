@@ -71,7 +71,7 @@ class XrSession:
 
     @property
     def has_depth(self) -> bool:
-        """Whether the runtime takes the pictures' depth."""
+        """True if the runtime takes the pictures' depth."""
         return self._eyes.has_depth
 
     def guarded(self, call):
@@ -119,7 +119,7 @@ class XrSession:
         return state
 
     def inputs(self, time: int) -> list[Controller]:
-        """What plays on each side at `time` [XrTime]: a controller or a bare hand."""
+        """Input of each side at `time` [XrTime]: a controller or a bare hand."""
 
         def read():
             hands = [None, None] if self._trackers is None else self._trackers.read(self.space, time)

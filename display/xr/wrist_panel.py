@@ -47,7 +47,7 @@ class Button:
     box: tuple[int, int, int, int]
 
     def contains(self, u: float, v: float) -> bool:
-        """Whether a point [px] is on it."""
+        """True if a point [px] is on it."""
         x, y, w, h = self.box
         return x <= u < x + w and y <= v < y + h
 
@@ -116,7 +116,7 @@ def point_on_panel(panel: np.ndarray, u: float, v: float, distance: float = 0.0)
 
 
 def is_inside(u: float, v: float) -> bool:
-    """Whether a pixel is on the panel."""
+    """True if a pixel is on the panel."""
     return 0 <= u < PIXELS[0] and 0 <= v < PIXELS[1]
 
 

@@ -1,4 +1,4 @@
-"""Hands without controllers (XR_EXT_hand_tracking): trackers, gestures, and the choice between hand and controller on each side."""
+"""Hands without controllers (XR_EXT_hand_tracking): trackers, gestures, choice of hand or controller on each side."""
 
 from __future__ import annotations
 

@@ -218,8 +218,7 @@ class Headset:
         time.sleep(0.05)
 
     def _reconnect(self, why: str, world: WorldView) -> bool:
-        """Wait for the runtime that went away, or for another, and go on playing; returns True if one came. BadInput after too many
-        losses."""
+        """Wait for the lost runtime or another one; True if the play goes on. BadInput after too many losses."""
         self._messages.lost(self._runtime.name, why)
         self._session.close()
         self._runtime.close()

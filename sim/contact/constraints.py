@@ -52,7 +52,7 @@ class ContactConstraints:
         self.rigid_bodies, self.coupled = rigid_bodies, rigid_bodies is not None
         self.fingers, self.first_finger = finger_rows > 0, capacity - finger_rows
         self.passes = rigid_bodies.passes if self.coupled else 1
-        # side by side, the vertices' loads wait for memory once instead of one after the other; a CPU gains nothing
+        # unrolled, the loads of all vertices overlap; a CPU gains nothing
         self.unrolled = ti.cfg.arch == ti.cuda
         group = self._group = FieldGroup()
         with group.interleaved(capacity):

@@ -13,13 +13,13 @@ from sim.body_model import BodyModel, RestShape
 from sim.contact.static_shapes import Shape, StaticGrid
 from sim.model import MAX_BODIES, Capacity, Model, fit, stacked
 
-MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m] that is worth its cost; that still finds a finger
+MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m]: a smaller one costs more than it gains; a larger one misses a finger
 MIN_SEPARATION = 0.75  # [spacings] between points after thinning: one spacing at most on average
 MIN_RIGID_SPACING = 0.1  # of the size of a rigid body
 MAX_SAMPLES = 6000  # of a body; a longer list is thinned by a larger spacing
 MAX_CAPSULES = 32  # static capsules with samples
-# Of E, the pressure of a body's own weight at its foot, above which its inner vertices are samples too: it cannot x_lo
-# them, and they would hang through the floor by many times its size.
+# Of E, the pressure of a body's own weight at its foot, above which its inner vertices are samples too: it cannot
+# support them, and they would hang through the floor by many times its size.
 MAX_SELF_WEIGHT = 0.5
 
 
@@ -55,7 +55,7 @@ def surface_points(vertices: np.ndarray, surface: np.ndarray, spacing: float, mo
     ids, weights = np.repeat(used[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(used), 1))
     edges = np.linalg.norm(x[surface] - x[np.roll(surface, -1, axis=1)], axis=-1).max(1)
     area = np.linalg.norm(np.cross(*np.diff(x[surface], axis=1).swapaxes(0, 1)), axis=1).sum() / 2
-    spacing = max(spacing, 0.8 * np.sqrt(area / most))  # as many points would be far too many already
+    spacing = max(spacing, 0.8 * np.sqrt(area / most))  # a smaller spacing gives far too many points
     while True:
         lattice = [
             triangle_lattice(surface[steps == n], n)
@@ -101,7 +101,7 @@ def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | 
 
 def points_of(shape: RestShape, spacing: float) -> SurfacePoints:
     """Samples of a rest shape."""
-    if shape.rigid:  # it bends nowhere: between its corners and edges few points will do
+    if shape.rigid:  # few points suffice between the corners and edges of a body that does not bend
         spacing = max(spacing, MIN_RIGID_SPACING * float(np.ptp(shape.vertices, axis=0).max()))
     return surface_points(shape.vertices, shape.surface, spacing)
 
@@ -118,7 +118,7 @@ def inner_of(shape: RestShape) -> SurfacePoints:
 
 
 def collapses(part: BodyModel) -> bool:
-    """Whether a body cannot x_lo its own weight on Earth."""
+    """True if a body cannot support its own weight on Earth."""
     m, height = part.material, float(np.ptp(part.shape.vertices, axis=0).max())
     return not part.shape.rigid and m.density * 9.81 * height > MAX_SELF_WEIGHT * m.young
 

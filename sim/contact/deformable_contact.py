@@ -33,7 +33,7 @@ MIN_NORMAL_RATIO, MIN_GRADIENT = 1e-3, 0.1  # least |F^-T N| / |N| and |N| of a 
 
 @ti.func
 def usable_normal(phi, N, normal):
-    """Whether a distance phi with gradient N, carried to `normal`, gives a contact."""
+    """True if a distance phi with gradient N, mapped to `normal`, gives a contact."""
     return known(phi) and N.norm() > MIN_GRADIENT and normal.norm() > MIN_NORMAL_RATIO * N.norm()
 
 

@@ -153,7 +153,7 @@ class NearestTets:
 
     @ti.func
     def _searches(self, p):
-        """Whether some body comes near point p's group."""
+        """True if some body comes near point p's group."""
         result = False
         if self.any_near[None] and p < self.samples.count[None] + self.capsules.count[None]:
             result = self.wanted[self.group(p)] != 0
@@ -272,7 +272,7 @@ class NearestTets:
 
     @ti.func
     def _may_collide(self, p, t, body):
-        """Whether tet t of a body may meet point p: of another body that comes near, or far away at rest."""
+        """True if tet t of a body may meet point p: of another body that comes near, or far away at rest."""
         result = self.max_approach[body, self.group(p)] > 0.0
         if ti.static(self.self_collides):
             s = self.state

@@ -17,11 +17,11 @@ MIN_COMPLIANCE_RATIO = 0.5
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
 CONTACT_STIFFNESS = 0.5
-FINGERTIP_STIFFNESS = 1200.0  # [N/m] of one sample of a finger: a fingertip's few yield 1 mm to 3 N
+FINGERTIP_STIFFNESS = 1200.0  # [N/m] of one sample of a finger: the few of a fingertip yield 1 mm at 3 N
 FINGERTIP_DAMPING_TIME = 0.01  # [s]: critical for 50 g on two samples, and what is lighter creeps out
 FINGERTIP_MAX_DEPTH = 0.008  # [m] of penetration that count: a finger's radius
-# [m/s] at which friction is fully kinetic. Were it so at any speed, a soft block would let go far below mu_s: what
-# slips first, at its edge, would load the next with what it drops (Stribeck's curve has this shape too).
+# [m/s] at which friction is fully kinetic. If it were so at any speed, a soft block would slip far below mu_s: the
+# edge that slips first would pass its load to its neighbours (Stribeck's curve has this shape too).
 KINETIC_FRICTION_SPEED = 0.02
 
 

@@ -146,5 +146,5 @@ class SelfCollision:
 
 
 def can_fold(shape: RestShape) -> bool:
-    """Whether a body is long enough for one end to touch the other."""
+    """True if a body is long enough for one end to touch the other."""
     return float(np.ptp(shape.vertices, axis=0).max()) > MIN_LENGTH * shape.edge

@@ -19,7 +19,7 @@ UNREACHED = 1e9  # [nodes] where no triangle is near
 
 @ti.func
 def known(phi):
-    """Whether phi [m] is a distance at all, and not UNKNOWN_DISTANCE."""
+    """True if phi [m] is a distance, not UNKNOWN_DISTANCE."""
     return phi < 0.5 * UNKNOWN_DISTANCE
 
 

@@ -15,7 +15,7 @@ from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
 
 PLANE, CAPSULE, BOX, GRID = range(4)
 MAX_SHAPES = 128
-MAX_DEPTH = 4.0  # [voxels] under the surface of a scanned grid that still push; deeper, nobody saw what is there
+MAX_DEPTH = 4.0  # [voxels] under the surface of a scanned grid that still push; deeper, the scan knows nothing
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class StaticShapes:
 
     @ti.func
     def within(self, k, p, margin):
-        """Whether shape k may be closer to p than margin [m]: first by boxes, then by the distance itself."""
+        """True if shape k may be closer to p than margin [m]: tested by boxes, then by the distance."""
         near = False
         if (self.low[k] - p).max() < margin and (p - self.high[k]).max() < margin:
             if self.kind[k] == GRID:

@@ -1,6 +1,6 @@
 """Swept (speculative) bounds: the speed that each body may gain before the next search, by springs, hands and impacts.
 
-Contacts are looked for as far away as bodies can come, so a bound that is too low lets a thin plate slip through. Of
+Contacts are searched as far away as bodies can come, so a bound that is too low lets a thin plate tunnel. Of
 body b, whose vertices move at speed_b, with t the time until the next search,
 
     gain_b = |g| t + sqrt(2 max Psi / rho) + max min(|target - x| / t, a t)

@@ -1,4 +1,4 @@
-"""Finger capsules: the samples on what the hands touch with, their motion in a frame, and where they may be.
+"""Finger capsules: samples on the capsules of the hands, their motion in a frame, and their swept boxes.
 
 A capsule is a row of up to SAMPLES_PER_CAPSULE samples on its axis, a radius apart or less.
 """
@@ -16,7 +16,7 @@ CAPSULES_PER_HAND = 20  # its 19 bones, and one to spare
 SAMPLES_PER_CAPSULE = 8
 SAMPLES_PER_HAND = CAPSULES_PER_HAND * SAMPLES_PER_CAPSULE
 MIN_RADIUS, MAX_RADIUS = 0.002, 0.05  # [m]; others are clamped
-MAX_FINGER_SPEED = 10.0  # [m/s]; what is faster was lost, or held up, and is placed instead of swept
+MAX_FINGER_SPEED = 10.0  # [m/s]; faster capsules were lost by the tracking and are placed instead of swept
 
 
 @ti.data_oriented
@@ -87,7 +87,7 @@ class FingerCapsules:
 
     @ti.func
     def may_meet(self, c, low, high):
-        """Whether capsule c may come into a box until the next search."""
+        """True if capsule c may enter a box before the next search."""
         return (self.low[c] - high).max() <= 0.0 and (low - self.high[c]).max() <= 0.0
 
     @ti.kernel
@@ -124,7 +124,7 @@ class FingerCapsules:
 
 
 def capsules_of(hand: Hand | None) -> np.ndarray:
-    """Ends and radius [m] of what a hand touches with, (CAPSULES_PER_HAND, 7); radius 0 for none, or no number."""
+    """Ends and radius [m] of a hand's finger capsules, (CAPSULES_PER_HAND, 7); radius 0 for none, or no number."""
     table = np.zeros((CAPSULES_PER_HAND, 7))
     if hand is not None:
         for row, touch in zip(table, hand.touch, strict=False):

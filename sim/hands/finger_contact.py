@@ -6,7 +6,7 @@ displacement / substeps the motion of a sample at c in this substep and r its ra
 
     phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
 
-softly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through what it holds, and
+compliantly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through what it holds, and
 through what it has let go until they are apart.
 """
 
@@ -85,7 +85,7 @@ class FingerContact:
         self.reset()
 
     def reset(self) -> None:
-        """Touch nothing."""
+        """Forget all contacts."""
         self.capsules.reset()
         for field in (self.tet, self.rigid_body, self.spared):
             field.fill(-1)
@@ -100,7 +100,7 @@ class FingerContact:
 
     @property
     def due(self) -> bool:
-        """Whether there is anything to search for; the first time always, lest the first touch wait for compilers."""
+        """True if there is anything to search for; always at the first call, so that kernels are compiled before a touch."""
         return self.capsules.present or not self._compiled
 
     def detect(self) -> None:
@@ -148,7 +148,7 @@ class FingerContact:
 
     @ti.func
     def _limit(self, h):
-        """Let a hand that pressed with more than MAX_HAND_FORCE press less."""
+        """Reduce the limit of a hand that pressed with more than MAX_HAND_FORCE."""
         pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
         if pressed > MAX_HAND_FORCE:
             self.limit[h] *= MAX_HAND_FORCE / pressed

@@ -1,7 +1,7 @@
 """Grasps: what each hand holds, and the springs that hold it.
 
 A held vertex i is tied to its position p in the hand's frame by a critically damped spring. The springs of one hand
-together x_lo the whole body, of mass M, at omega = SPRING_OMEGA (or faster, a body lighter than MIN_SPRING_MASS):
+together carry the whole body, of mass M, at omega = SPRING_OMEGA (or faster, a body lighter than MIN_SPRING_MASS):
 
     kappa = omega^2 max(M, MIN_SPRING_MASS) / m_held,   gamma = 2 sqrt(kappa M / m_held)
     |force_i| <= MAX_HAND_FORCE m_i / m_held
@@ -34,7 +34,7 @@ from sim.hands.grasp_state import (
 from sim.hands.throw import THROW_WINDOW, throw_velocities
 from sim.model import Model, stacked
 
-MAX_HAND_JUMP = 1.0  # [m] in a frame: no arm is so fast, the tracking was lost
+MAX_HAND_JUMP = 1.0  # [m] in a frame; faster than any arm, so the tracking was lost
 TRACKING_TIMEOUT = 0.25  # [s] that a hand is held where it was lost
 
 
@@ -78,7 +78,7 @@ class Grasps:
         return GraspState(tuple(self.grasps), tuple(self.last), tuple(self.histories), tuple(self.lost))
 
     def set_state(self, state: GraspState) -> None:
-        """Hold what the state says and nothing else."""
+        """Replace all grasps by those of the state."""
         self.grasps, self.last = list(state.grasps), list(state.last)
         self.histories, self.lost = list(state.histories), list(state.lost)
         self.held.fill(0)
@@ -105,7 +105,7 @@ class Grasps:
             elif now is not None and now.grip and not (before is not None and before.grip):
                 x = self._motion(int(self.offsets[-1]))[0].astype(np.float64)
                 self._hold(h, find_grasp(now, x, self.offsets, *self.samples))
-                before = None  # targets are measured at the present pose: nothing may jerk them there
+                before = None  # targets are measured at the present pose, so that nothing jumps
             if now is not None:
                 poses[h, 0], poses[h, 1] = pose(now if before is None else before), pose(now)
             self.last[h] = None if now is None else replace(now)

@@ -1,4 +1,4 @@
-"""Grasps as values that can be kept and given back, their choice, and the limits of a hand (NumPy only)."""
+"""Grasps as values that can be saved and restored, their selection, and the limits of a hand (NumPy only)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scenes.scene import Hand
 SPRING_OMEGA = 2.0 * math.pi * 20.0  # [rad/s] of the whole body on its springs: stiffer than an arm, softer than a pin
 MIN_SPRING_MASS = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed
 MAX_HAND_FORCE = 80.0  # [N] of one hand: a firm pull
-MIN_GRASP_VERTICES = 4  # that fix a body's attitude with some to spare
+MIN_GRASP_VERTICES = 4  # one more than fix a body's attitude
 MAX_WIDENING = 1.5  # times the reach, where a coarse cage has fewer vertices within reach
 
 
@@ -40,7 +40,7 @@ class GraspState:
 
     @classmethod
     def none(cls, hands: int) -> GraspState:
-        """Open hands that nobody has seen."""
+        """State of open hands that were never tracked."""
         return cls((None,) * hands, (None,) * hands, ((),) * hands, (0.0,) * hands)
 
     def renumbered(self, index: list[int | None]) -> GraspState:
@@ -70,7 +70,7 @@ def pose(hand: Hand) -> np.ndarray:
 
 
 def has_pose(hand: Hand) -> bool:
-    """Whether a hand has a finite pose."""
+    """True if a hand has a finite pose."""
     values = np.array([*hand.position, *hand.rotation], np.float64)
     return bool(np.isfinite(values).all() and np.linalg.norm(values[3:]) > 1e-6)
 

@@ -1,4 +1,4 @@
-"""Bodies that are moved as a whole, from where they once were, so that nothing drifts however often."""
+"""Rigid placement of bodies relative to their positions at grasp time, so that repeated edits accumulate no error."""
 
 import numpy as np
 import taichi as ti
@@ -8,7 +8,7 @@ from sim.state import State
 
 @ti.data_oriented
 class RigidPlacement:
-    """start vec3[V] [m]: where the vertices of such a body were when it was kept."""
+    """start vec3[V] [m]: positions of the vertices of a body when it was kept."""
 
     def __init__(self, state: State):
         self.state = state
@@ -19,14 +19,14 @@ class RigidPlacement:
 
     @ti.kernel
     def keep(self, body: ti.i32):
-        """Its places from now on are measured from where it is."""
+        """Measure later placements of the body from its present positions."""
         s = self.state
         for i in range(s.V):
             if i < s.vertex_count[None] and s.body_of_vertex[i] == body:
                 self.start[i] = s.x[i]
 
     def to(self, body: int, A, t) -> None:
-        """Put it at A start + t, A (3, 3), t (3,) [m], at rest."""
+        """Place the body at A start + t, A (3, 3), t (3,) [m], at rest."""
         self._to(body, ti.Matrix(A.tolist()), ti.Vector(t.tolist()))
 
     @ti.kernel

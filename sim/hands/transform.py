@@ -12,8 +12,8 @@ from sim.state import State
 class Transform:
     """x = hand_now hand_at_grip^-1 x_at_grip for all vertices of a gripped body.
 
-    Always from the positions at the grip, so that nothing drifts however long a body is held. What two hands hold
-    follows both (sim/hands/two_hand_scaling.py).
+    Always from the positions at the grip, so that no error accumulates however long a body is held. A body held by two
+    hands follows both (sim/hands/two_hand_scaling.py).
     """
 
     def __init__(self, state: State):
@@ -44,13 +44,13 @@ class Transform:
         self._poses = {h: world_from_hand(hands[h]) for h in self.grips if h < len(hands)}
 
     def reset(self, *, held: bool = False) -> None:
-        """Bodies are elsewhere; those that are `held` go on from there with the hands, where these were."""
+        """Restart from changed positions; bodies that are `held` stay in the hands, relative to their last poses."""
         self.grips.clear()
         self.stretch.reset()
         self._held = self._poses if held else {}
 
     def end(self) -> None:
-        """Let two hands go of all that they scale."""
+        """Release all bodies that two hands scale."""
         self.stretch.end()
 
     def warm_up(self) -> None:

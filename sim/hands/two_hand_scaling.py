@@ -1,10 +1,10 @@
-"""Two hands on one body while time stands still (interaction = "transform"): it follows both, and its size with them.
+"""Two-hand scaling (interaction = "transform"): a body held by two hands follows both in position, attitude and size.
 
     x = m + s R (x_0 - m_0),   s = |q_2 - q_1| / |p_2 - p_1|,   m the middle of the hands q; m_0 of p, at the grip
 
-with R the shortest turn that takes the line of the hands then to their line now. When a hand lets go, the
-body has its own size again, about the point about which a rescaled one stays (its foot, or its centre of mass if the
-other hand holds it on), and `finished` says by how much it is to be rescaled.
+with R the shortest rotation that takes the line of the hands at the grip to their present line. When a hand lets go,
+the body gets its own size back about the fixed point of a rescaling (its foot, or its centre of mass if the other hand
+goes on holding it), and `take_finished` returns the factor by which it is to be rescaled.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from scenes.scene import Hand
 from sim.hands.rigid_placement import RigidPlacement
 from sim.state import State
 
-LEAST, MOST = 0.25, 4.0  # times as large, in one go
-CLOSEST = 0.03  # [m]; hands that began closer together would scale by their trembling
-ALIKE = 0.02  # a smaller change of size was none
+MIN_SCALE, MAX_SCALE = 0.25, 4.0  # in one gesture
+MIN_HAND_DISTANCE = 0.03  # [m] at the grip; closer hands would scale by their tremor
+MIN_SCALE_CHANGE = 0.02  # a smaller change of size is ignored
 
 
 @dataclass
 class Pair:
-    """Hands h and k on a body: where they were when they took it (2, 3) [m], and how it has changed since."""
+    """Hands h and k on a body: their positions at the grip (2, 3) [m], and the change since."""
 
     h: int
     k: int
@@ -33,14 +33,14 @@ class Pair:
 
 
 class TwoHandScaling:
-    """What two hands hold; `moved` has the vertices of such bodies as they were when the second hand took them."""
+    """Bodies held by two hands; `moved` has their vertices at the second grip."""
 
     def __init__(self, state: State):
         self.state, self.moved = state, RigidPlacement(state)
         self.reset()
 
     def reset(self) -> None:
-        """No body is held by two hands."""
+        """Forget all pairs of hands."""
         self.pairs: dict[int, Pair] = {}
         self.finished: tuple[int, float] | None = None
 
@@ -59,7 +59,7 @@ class TwoHandScaling:
                 continue
             places = np.array([hands[h].position for h in by[:2]], np.float64)
             if body not in self.pairs:
-                if np.linalg.norm(places[1] - places[0]) < CLOSEST:
+                if np.linalg.norm(places[1] - places[0]) < MIN_HAND_DISTANCE:
                     continue
                 self.pairs[body] = Pair(*by[:2], places)
                 self.moved.keep(body)
@@ -72,7 +72,7 @@ class TwoHandScaling:
         pair = self.pairs[body]
         before, now = pair.places[1] - pair.places[0], places[1] - places[0]
         lengths = np.linalg.norm(before), np.linalg.norm(now)
-        pair.factor = float(np.clip(lengths[1] / lengths[0], LEAST, MOST))
+        pair.factor = float(np.clip(lengths[1] / lengths[0], MIN_SCALE, MAX_SCALE))
         pair.turn = turn_between(before / lengths[0], now / max(lengths[1], 1e-9))
         pair.middle = places.mean(0)
         self._place(body, pair.factor, pair.turn, pair.places.mean(0), pair.middle)
@@ -82,12 +82,12 @@ class TwoHandScaling:
         self.moved.to(body, A, to - A @ origin)
 
     def end(self) -> None:
-        """Both hands let go of all."""
+        """Release all bodies."""
         for body in list(self.pairs):
             self._end(body, alone=False)
 
     def _end(self, body: int, *, alone: bool) -> None:
-        """A body has its own size again; `alone`: one hand holds it on."""
+        """Give a body its own size back; `alone`: one hand goes on holding it."""
         pair, s = self.pairs.pop(body), self.state
         n = s.sizes.vertices
         mine = s.body_of_vertex.to_numpy()[:n] == body
@@ -98,7 +98,7 @@ class TwoHandScaling:
             stay = stay + up * ((x - stay) @ up).min()
         to = pair.middle + pair.factor * pair.turn @ (stay - pair.places.mean(0))
         self._place(body, 1.0, pair.turn, stay, to)
-        if abs(pair.factor - 1.0) > ALIKE:
+        if abs(pair.factor - 1.0) > MIN_SCALE_CHANGE:
             self.finished = (body, pair.factor)
 
     def warm_up(self) -> None:

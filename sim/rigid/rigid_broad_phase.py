@@ -118,7 +118,7 @@ class RigidBroadPhase:
 
     @ti.func
     def _may_touch(self, p, k):
-        """Whether shape k is another body, and one of both moves freely."""
+        """True if shape k is another body and at least one of the two moves freely."""
         b = self.samples.body[p]
         result = self.rigid_bodies.kind[b] == FREE
         if k >= MAX_SHAPES:

@@ -42,6 +42,13 @@ class DistanceGrid:
         """Trilinear distance [m] at points (..., 3), (...) float64; beyond the grid that of its nearest point."""
         return sample(self.values, self.origin, self.spacing, points)
 
+    def sample_extended(self, points: np.ndarray) -> np.ndarray:
+        """As `sample`, plus the distance to the grid for points beyond it: a shape that its border cuts is closed."""
+        points = np.asarray(points, np.float64)
+        beyond = np.linalg.norm(points - points.clip(self.origin, self.upper), axis=-1)
+        distance = self.sample(points)
+        return np.where(beyond > 0, np.maximum(distance, 0) + beyond, distance)
+
     def scaled(self, factor: float) -> DistanceGrid:
         """The grid of a shape `factor` times as large, values float32."""
         values = np.asarray(self.values, np.float32) * np.float32(factor)

@@ -132,5 +132,5 @@ def contact_grid(shapes: list[DistanceGrid]) -> DistanceGrid:
     nodes = np.ceil((high - low) / step).astype(int) + 1 + 2 * CONTACT_MARGIN
     start = (low + high) / 2 - (nodes - 1) * step / 2
     points = start + step * np.moveaxis(np.indices(nodes), 0, -1)
-    values = np.min([shape.sample_beyond(points) for shape in shapes], axis=0)
+    values = np.min([shape.sample_extended(points) for shape in shapes], axis=0)
     return DistanceGrid(values.astype(np.float16), start, float(step))

@@ -184,7 +184,7 @@ def crossings(phi: np.ndarray, position: np.ndarray, inside: np.ndarray, outside
     for _ in range(SECANT_STEPS):
         t = a - fa * (b - a) / (fb - fa)
         points = position[inside] + t[:, None] * (position[outside] - position[inside])
-        f = distance.sample_beyond(points)
+        f = distance.sample_extended(points)
         within = f < 0
         a, b = np.where(within, t, a), np.where(within, b, t)
         now = np.where(within, -1.0, 1.0)
@@ -208,7 +208,7 @@ def stuff(lattice: Lattice, distance: DistanceGrid, *, largest_only: bool = True
     rest = lattice.origin + coordinates * lattice.unit
     rank = ((coordinates // lattice.width[:, None]).sum(1) % 2) * len(coordinates) + np.arange(len(coordinates))
 
-    phi = distance.sample_beyond(rest)
+    phi = distance.sample_extended(rest)
     tets = lattice.tets[(phi[lattice.tets] < 0).any(1)]
     inside, outside = crossed_edges(tets, phi)
     fraction = crossings(phi, rest, inside, outside, distance)

@@ -113,7 +113,7 @@ def test_two_far_apart_are_as_well_made_as_two_near(ti_cpu):
 def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_cpu, monkeypatch):
     """A gap of 4 % of the extent: the Gaussians count as one cluster, the filled shape, as fine as for 15,000 vertices,
     falls into two."""
-    monkeypatch.setattr("prepare.cage.component_cages.NODES_RANGE", (144, 144))
+    monkeypatch.setattr("prepare.cage.component_cages.GRID_NODES_RANGE", (144, 144))
     near = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
     assert clean_components(near)[1].max() == 0
     asset = prepare(near, Options(vertices=800, up="+y", pieces=True))

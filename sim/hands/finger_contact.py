@@ -6,8 +6,8 @@ displacement / substeps the motion of a sample at c in this substep and r its ra
 
     phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
 
-compliantly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through what it holds, and
-through what it has let go until they are apart.
+compliantly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through a body that
+it holds, and through one that it has let go until they are apart.
 """
 
 import numpy as np
@@ -100,7 +100,7 @@ class FingerContact:
 
     @property
     def due(self) -> bool:
-        """True if there is anything to search for; always at the first call, so that kernels are compiled before a touch."""
+        """True if there is anything to search for; always at first, so that kernels are compiled before a touch."""
         return self.capsules.present or not self._compiled
 
     def detect(self) -> None:

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from scenes.scene import Box, Hand
-from sim.hands.two_hand_scaling import LEAST, MOST, turn_between
+from sim.hands.two_hand_scaling import MIN_SCALE, MAX_SCALE, turn_between
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -92,9 +92,9 @@ def test_a_trembling_hand_rescales_nothing(solver):
 def test_sizes_are_bounded(solver):
     a, b, _ = gripped(solver)
     wide = hold(solver, a - [0.9, 0, 0], b)
-    assert_allclose(np.ptp(wide[:, 0]), MOST * SIDE, rtol=1e-3)
+    assert_allclose(np.ptp(wide[:, 0]), MAX_SCALE * SIDE, rtol=1e-3)
     narrow = hold(solver, b, b)
-    assert_allclose(np.ptp(narrow, axis=0).max(), LEAST * SIDE, rtol=0.01)
+    assert_allclose(np.ptp(narrow, axis=0).max(), MIN_SCALE * SIDE, rtol=0.01)
     assert np.isfinite(narrow).all()
 
 

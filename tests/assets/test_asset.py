@@ -185,19 +185,6 @@ def test_what_cannot_be_loaded_is_not_saved(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
-    some_asset(3).save(tmp_path / "a.h5")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(BadInput, match="No space left"):
-        some_asset(20).save(tmp_path / "a.h5")
-    assert len(Asset.load(tmp_path / "a.h5").gaussians) == 3
-    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
-
-
 def test_files_that_are_no_assets(tmp_path):
     assert "no such file" in refused(tmp_path / "none.h5")
     assert "folder" in refused(tmp_path)

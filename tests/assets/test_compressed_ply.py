@@ -7,62 +7,9 @@ from assets.formats.compressed_ply import chunk_order
 from assets.formats.ply import read_ply
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
-from core.errors import BadInput
 from core.spherical_harmonics import C0
-from tests.assets.test_splat_formats import refused
-from tests.support.samples import FIELDS, damaged, read_or_refuse, some_gaussians
-
-NAMES = [f"{end}_{prefix}{axis}" for prefix in ("", "scale_") for end in ("min", "max") for axis in "xyz"]
-COLORS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
-
-
-def packed_quat(wxyz) -> int:
-    """A word from a quaternion, spelled out."""
-    largest = int(np.argmax(np.abs(wxyz)))
-    word = largest
-    for k, value in enumerate(wxyz * np.sign(wxyz[largest])):
-        if k != largest:
-            word = word << 10 | round((value / 2**0.5 + 0.5) * 1023)
-    return word
-
-
-def share(value, low, high, bits) -> int:
-    return 0 if high <= low else round(float((value - low) / (high - low)) * (2**bits - 1))
-
-
-def compressed_bytes(g: Gaussians, *, colored=True, order="<") -> bytes:
-    """A compressed .ply, one Gaussian after the other, written from the description of the format."""
-    ranges, words = [], []
-    for first in range(0, len(g), 256):
-        part = slice(first, first + 256)
-        color = g.sh[part, 0].astype(np.float64) * C0 + 0.5
-        p, s = g.means[part], g.log_scales[part]
-        box = (color.min(0), color.max(0)) if colored else (np.zeros(3), np.ones(3))
-        ranges.append([*p.min(0), *p.max(0), *s.min(0), *s.max(0), *(np.concatenate(box) if colored else [])])
-        for i in range(len(p)):
-            position = [share(p[i, k], p[:, k].min(), p[:, k].max(), (11, 10, 11)[k]) for k in range(3)]
-            scale = [share(s[i, k], s[:, k].min(), s[:, k].max(), (11, 10, 11)[k]) for k in range(3)]
-            rgb = [min(max(share(color[i, k], box[0][k], box[1][k], 8), 0), 255) for k in range(3)]
-            alpha = round(float(g.opacities[first + i]) * 255)
-            words.append(
-                [
-                    position[0] << 21 | position[1] << 11 | position[2],
-                    packed_quat(g.quats[first + i]),
-                    scale[0] << 21 | scale[1] << 11 | scale[2],
-                    rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | alpha,
-                ]
-            )
-    rest = g.sh[:, 1:].transpose(0, 2, 1).reshape(len(g), -1)
-    form = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
-    lines = ["ply", f"format {form} 1.0", "comment made by a test", f"element chunk {len(ranges)}"]
-    lines += [f"property float {name}" for name in [*NAMES, *(COLORS if colored else [])]]
-    lines += [f"element vertex {len(g)}"]
-    lines += [f"property uint packed_{name}" for name in ("position", "rotation", "scale", "color")]
-    if rest.shape[1]:
-        lines += [f"element sh {len(g)}", *(f"property uchar f_rest_{i}" for i in range(rest.shape[1]))]
-    body = np.array(ranges, order + "f4").tobytes() + np.array(words, order + "u4").tobytes()
-    sh = np.clip(np.floor((rest.astype(np.float64) / 8 + 0.5) * 256), 0, 255).astype(np.uint8)
-    return ("\n".join([*lines, "end_header"]) + "\n").encode() + body + sh.tobytes()
+from tests.support.samples import FIELDS, refused, some_gaussians
+from tests.support.splat_encoders import compressed_bytes
 
 
 def steps(values: np.ndarray, levels) -> np.ndarray:
@@ -192,17 +139,6 @@ def test_chunks_that_are_not_finite_are_dropped_or_refused(tmp_path):
     assert len(lines) == 1 and "dropped 256 of 300" in lines[0]
     small = compressed_bytes(some_gaussians(30, 0))
     assert "none of its 30" in refused(tmp_path / "a.ply", small[: start - 1] + nan + small[start + 3 :])
-
-
-def test_damaged_files_load_finite_or_are_refused(tmp_path):
-    good = compressed_bytes(some_gaussians(270, 1))
-    outcomes = read_or_refuse(lambda path: read_ply(path, report=str), tmp_path / "a.ply", damaged(good, 400))
-    assert min(outcomes.values()) > 50
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    with pytest.raises(BadInput, match="does not exist"):
-        write_gaussians(tmp_path / "none" / "a.compressed.ply", some_gaussians())
 
 
 @pytest.mark.shared

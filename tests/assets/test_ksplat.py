@@ -6,78 +6,10 @@ import numpy as np
 import pytest
 
 from assets.formats.ksplat import read_ksplat
-from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import read_gaussians
 from core.spherical_harmonics import C0
-from tests.assets.test_splat_formats import refused
-from tests.support.samples import damaged, read_or_refuse, some_gaussians
-
-BLOCK, BUCKET, RANGE = 2.0, 8, 32767  # few Gaussians a bucket, so that some are full
-
-
-def section_bytes(g: Gaussians, level: int, sh_range=(-1.5, 1.5), room=0, bucket_bytes=12) -> tuple[bytes, bytes]:
-    """Header and content of one section, Gaussian by Gaussian; it stores them bucket by bucket (see `stored`)."""
-    full, partial = buckets(g)
-    sizes = [len(members) for _, members in partial]
-    content = b""
-    if level:
-        content += struct.pack(f"<{len(sizes)}I", *sizes)
-        content += b"".join(struct.pack("<3f", *c) + bytes(bucket_bytes - 12) for c, _ in full + partial)
-    for center, members in full + partial:
-        for i in members:
-            rgb = np.clip(np.round((0.5 + C0 * g.sh[i, 0]) * 255), 0, 255)
-            color = bytes(int(v) for v in [*rgb, round(float(g.opacities[i]) * 255)])
-            numbers = [*np.exp(g.log_scales[i]), *g.quats[i]]
-            if level == 0:
-                content += struct.pack("<10f", *g.means[i], *numbers) + color
-            else:
-                offset = np.round((g.means[i] - center) * (RANGE / (BLOCK / 2))) + RANGE
-                content += struct.pack("<3H7e", *(int(v) for v in offset), *numbers) + color
-            for first, last in ((1, 4), (4, 9))[: g.sh_degree]:
-                values = g.sh[i, first:last].T.ravel()  # red, green, blue
-                low, high = sh_range
-                as_bytes = np.clip(np.round((values - low) / (high - low) * 255), 0, 255).astype(np.uint8).tobytes()
-                content += [
-                    struct.pack(f"<{len(values)}f", *values),
-                    struct.pack(f"<{len(values)}e", *values),
-                    as_bytes,
-                ][level]
-    content += bytes(room * row_size(level, g.sh_degree))
-    about = (BUCKET, len(full + partial), BLOCK, bucket_bytes, RANGE) if level else (0, 0, 0.0, 0, 0)
-    counts = (len(full), len(partial)) if level else (0, 0)
-    fields = (len(g), len(g) + room, *about, len(content), *counts, g.sh_degree)
-    return struct.pack("<IIIIfHxxIIIIH", *fields).ljust(1024, b"\0"), content
-
-
-def row_size(level: int, degree: int) -> int:
-    return (44, 24, 24)[level] + 3 * (SH_COUNTS[degree] - 1) * (4, 2, 1)[level]
-
-
-def buckets(g: Gaussians) -> tuple[list, list]:
-    """(centre, members) of the cubes of side BLOCK that hold BUCKET Gaussians, and of those that hold fewer."""
-    full, open_ones = [], {}
-    for i, cell in enumerate(map(tuple, np.floor(g.means / BLOCK).astype(int))):
-        members = open_ones.setdefault(cell, [])
-        members.append(i)
-        if len(members) == BUCKET:
-            full.append(((np.array(cell) + 0.5) * BLOCK, open_ones.pop(cell)))
-    return full, [((np.array(cell) + 0.5) * BLOCK, members) for cell, members in open_ones.items()]
-
-
-def stored(g: Gaussians) -> Gaussians:
-    """In the order of the file."""
-    full, partial = buckets(g)
-    return g.select(np.concatenate([members for _, members in full + partial]))
-
-
-def ksplat_bytes(parts: list[Gaussians], level: int, sh_range=(-1.5, 1.5), spare=0, **options) -> bytes:
-    """A whole file of one section a part, and `spare` empty section headers."""
-    sections = [section_bytes(g, level, sh_range, **options) for g in parts]
-    n = sum(map(len, parts))
-    places = len(parts) + spare
-    fields = (0, 1, places, len(parts), n, n, level, 0.0, 0.0, 0.0, *sh_range)
-    head = struct.pack("<BBxxIIIIHxxfffff", *fields).ljust(4096, b"\0")
-    return head + b"".join(h for h, _ in sections) + bytes(1024 * spare) + b"".join(c for _, c in sections)
+from tests.support.samples import refused, some_gaussians
+from tests.support.splat_encoders import BLOCK, OFFSET_RANGE, ksplat_bytes, stored
 
 
 @pytest.mark.parametrize("degree", range(3))
@@ -92,7 +24,7 @@ def test_reads_what_a_plain_encoder_wrote(tmp_path, level, degree):
         np.testing.assert_array_equal(read.means, g.means)
         np.testing.assert_allclose(read.sh[:, 1:], g.sh[:, 1:])
     else:
-        np.testing.assert_allclose(read.means, g.means, atol=BLOCK / 4 / RANGE + 1e-6)  # half a step
+        np.testing.assert_allclose(read.means, g.means, atol=BLOCK / 4 / OFFSET_RANGE + 1e-6)  # half a step
         half = 1.5 / 255 if level == 2 else 2.0**-11  # a byte of -1.5..1.5; float16 of numbers below 2
         np.testing.assert_allclose(read.sh[:, 1:], g.sh[:, 1:], atol=half + 1e-6)
     np.testing.assert_allclose(read.log_scales, g.log_scales, atol=1e-6 if level == 0 else 6e-4)  # float16: 2^-11
@@ -103,9 +35,11 @@ def test_reads_what_a_plain_encoder_wrote(tmp_path, level, degree):
 
 
 @pytest.mark.parametrize("level", range(3))
-def test_sections_of_their_own_degree_and_with_spare_room(tmp_path, level):
+def test_sections_of_their_own_degree_and_with_spare_space(tmp_path, level):
     a, b = some_gaussians(30, 1), some_gaussians(50, 2, seed=1)
-    (tmp_path / "a.ksplat").write_bytes(ksplat_bytes([a, b], level, spare=2, room=3, bucket_bytes=16 if level else 12))
+    (tmp_path / "a.ksplat").write_bytes(
+        ksplat_bytes([a, b], level, spare=2, capacity=3, bucket_bytes=16 if level else 12)
+    )
     read = read_gaussians(tmp_path / "a.ksplat")
     assert len(read) == 80 and read.sh_degree == 2
     np.testing.assert_allclose(read.means[:30], stored(a).means, atol=1e-4)
@@ -167,30 +101,3 @@ def test_what_cannot_be_is_refused(tmp_path):
     assert "buckets" in refused(path, ksplat_bytes([some_gaussians(30, 1)], 1).replace(
         struct.pack("<fH", BLOCK, 12), struct.pack("<fH", BLOCK, 0)))  # fmt: skip
     assert ".ply" in refused(path, b"ply\n" + good[4:])
-
-
-@pytest.mark.parametrize("level", range(3))
-def test_damaged_files_load_finite_or_are_refused(tmp_path, level):
-    """The 5 KB of the headers are mostly empty: they are damaged apart from the rest."""
-    good = ksplat_bytes([some_gaussians(200, 1)], level)
-    used = [*range(44), *range(4096, 4096 + 42)]
-    rng = np.random.default_rng(0)
-
-    def copies():
-        yield from damaged(good, 200)
-        for _ in range(300):
-            data = bytearray(good)
-            data[rng.choice(used)] ^= 1 << rng.integers(0, 8)
-            yield bytes(data)
-
-    outcomes = read_or_refuse(lambda path: read_ksplat(path, report=str), tmp_path / "a.ksplat", copies())
-    assert min(outcomes.values()) > 50
-
-
-@pytest.mark.shared
-def test_the_same_scene_as_splat(shared):
-    """Four Gaussians, written by others as .splat and .ksplat."""
-    folder = shared / "data" / "splats" / "formats"
-    a, b = (read_gaussians(folder / f"minimal.{kind}") for kind in ("splat", "ksplat"))
-    for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
-        np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-6)

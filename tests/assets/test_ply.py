@@ -4,49 +4,10 @@ import numpy as np
 import pytest
 
 from assets.formats.ply import read_ply, write_ply
-from assets.gaussians import Gaussians
-from core.errors import BadInput
-from tests.support.samples import damaged, read_or_refuse, some_gaussians
+from tests.support.samples import refused, some_gaussians
+from tests.support.splat_encoders import ply_bytes, properties
 
 EXACT = ("means", "log_scales", "logit_opacities", "sh")
-
-
-def properties(g: Gaussians) -> dict[str, np.ndarray]:
-    """Columns by property name, written down from the format, not through the code under test."""
-    columns = {axis: g.means[:, i] for i, axis in enumerate("xyz")}
-    columns |= {f"f_dc_{c}": g.sh[:, 0, c] for c in range(3)}
-    k = g.sh.shape[1] - 1
-    columns |= {f"f_rest_{c * k + i}": g.sh[:, 1 + i, c] for c in range(3) for i in range(k)}
-    columns |= {"opacity": g.logit_opacities}
-    columns |= {f"scale_{i}": g.log_scales[:, i] for i in range(3)}
-    return columns | {f"rot_{i}": g.quats[:, i] for i in range(4)}
-
-
-def ply_bytes(columns, types=None, form="binary_little_endian", before="", prefix=b"", after=b"", end="\n") -> bytes:
-    """A .ply whose vertex element has these columns in this order."""
-    types = types or {}
-    n = len(next(iter(columns.values())))
-    order = ">" if "big" in form else "<"
-    kinds = {"float": "f4", "double": "f8", "uchar": "u1", "short": "i2"}
-    lines = ["ply", f"format {form} 1.0", "comment made by a test", *before.split("\n")[:-1], f"element vertex {n}"]
-    lines += [f"property {types.get(name, 'float')} {name}" for name in columns]
-    header = end.join([*lines, "end_header"]) + end
-    rows = np.zeros(n, [(name, order + kinds[types.get(name, "float")]) for name in columns])
-    for name, values in columns.items():
-        rows[name] = values
-    body = rows.tobytes() if form != "ascii" else "".join(" ".join(map(repr, r.tolist())) + "\n" for r in rows).encode()
-    return header.encode() + prefix + body + after
-
-
-def refused(path, data: bytes | None = None) -> str:
-    """The one line with which the file is refused."""
-    if data is not None:
-        path.write_bytes(data)
-    with pytest.raises(BadInput) as error:
-        read_ply(path, report=lambda line: None)
-    message = str(error.value)
-    assert str(path) in message and "\n" not in message
-    return message
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -54,13 +15,14 @@ def test_properties_may_come_in_any_order(tmp_path, degree):
     g = some_gaussians(degree=degree, seed=degree)
     columns = properties(g)
     names = list(np.random.default_rng(degree).permutation(list(columns)))
-    path = tmp_path / "a.ply"
+    columns |= {f"rot_{i}": g.quats[:, i] * np.linspace(0.1, 1e3, len(g)) for i in range(4)}
+    path, lines = tmp_path / "a.ply", []
     path.write_bytes(ply_bytes({name: columns[name] for name in names}))
-    read = read_ply(path)
-    assert read.sh_degree == degree
+    read = read_ply(path, report=lines.append)
+    assert read.sh_degree == degree and lines == []
     for name in EXACT:
         np.testing.assert_array_equal(getattr(read, name), getattr(g, name))
-    np.testing.assert_allclose(read.quats, g.quats, atol=1e-7)  # normalised again
+    np.testing.assert_allclose(read.quats, g.quats, atol=1e-6)  # normalised again
     assert not read.object_id.any()
 
 
@@ -77,12 +39,11 @@ def test_round_trip_is_exact(tmp_path, degree):
 
 def test_written_layout_is_inria_s(tmp_path):
     write_ply(tmp_path / "a.ply", some_gaussians(2, 1))
-    names = [
-        line.split()[-1] for line in (tmp_path / "a.ply").read_bytes().split(b"\n") if line.startswith(b"property")
-    ]
-    rest = [b"f_rest_%d" % i for i in range(9)]
-    shape = [b"opacity", b"scale_0", b"scale_1", b"scale_2", b"rot_0", b"rot_1", b"rot_2", b"rot_3"]
-    assert names == [b"x", b"y", b"z", b"nx", b"ny", b"nz", b"f_dc_0", b"f_dc_1", b"f_dc_2", *rest, *shape]
+    header = (tmp_path / "a.ply").read_bytes().split(b"end_header")[0].decode().splitlines()
+    names = [line.split()[-1] for line in header if line.startswith("property")]
+    rest = [f"f_rest_{i}" for i in range(9)]
+    shape = ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    assert names == [*"xyz", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *rest, *shape]
 
 
 @pytest.mark.parametrize("form", ["binary_big_endian", "ascii"])
@@ -105,14 +66,6 @@ def test_foreign_properties_elements_types_and_line_ends(tmp_path):
     read = read_ply(tmp_path / "a.ply")
     np.testing.assert_array_equal(read.means, g.means)
     np.testing.assert_array_equal(read.log_scales, g.log_scales)
-
-
-def test_quaternions_are_normalised(tmp_path):
-    g = some_gaussians()
-    columns = properties(g)
-    stretch = np.linspace(0.1, 1e3, len(g))
-    (tmp_path / "a.ply").write_bytes(ply_bytes(columns | {f"rot_{i}": g.quats[:, i] * stretch for i in range(4)}))
-    np.testing.assert_allclose(read_ply(tmp_path / "a.ply").quats, g.quats, atol=1e-6)
 
 
 def test_unusable_gaussians_are_dropped_and_counted_in_one_line(tmp_path):
@@ -146,13 +99,6 @@ def test_infinite_logits_are_opaque_or_transparent(tmp_path):
     np.testing.assert_allclose(read.opacities, [1, 0, 1 / (1 + np.exp(-3)), 1], atol=2e-6)
 
 
-def test_a_clean_file_reports_nothing(tmp_path):
-    write_ply(tmp_path / "a.ply", some_gaussians())
-    lines = []
-    read_ply(tmp_path / "a.ply", report=lines.append)
-    assert lines == []
-
-
 @pytest.mark.parametrize("name", ["x", "f_dc_2", "opacity", "scale_0", "rot_3", "f_rest_5"])
 def test_a_missing_property_is_named(tmp_path, name):
     columns = properties(some_gaussians(3, 1))
@@ -167,8 +113,6 @@ def test_broken_headers_are_refused(tmp_path):
     good = ply_bytes(properties(some_gaussians(3, 0)))
     assert "empty" in refused(path, b"")
     assert "not a .ply" in refused(path, b"garbage" * 100)
-    assert "no such file" in refused(tmp_path / "none.ply")
-    assert "folder" in refused(tmp_path)
     assert "does not end" in refused(path, good[: good.index(b"end_header")])
     assert "format" in refused(path, good.replace(b"format binary_little_endian 1.0\n", b""))
     assert "understand" in refused(path, good.replace(b"property float x", b"property quad x"))
@@ -200,28 +144,6 @@ def test_ascii_rows_that_are_not_numbers_are_refused(tmp_path):
 def test_a_file_without_a_usable_gaussian_is_refused(tmp_path):
     columns = properties(some_gaussians(3, 0))
     assert "none of its 3" in refused(tmp_path / "a.ply", ply_bytes(columns | {"x": np.full(3, np.nan)}))
-
-
-def test_damaged_files_load_finite_or_are_refused(tmp_path):
-    """Truncations and bit flips: finite Gaussians or BadInput, nothing else."""
-    good = ply_bytes(properties(some_gaussians(12, 1)))
-    outcomes = read_or_refuse(lambda path: read_ply(path, report=str), tmp_path / "a.ply", damaged(good, 400))
-    assert min(outcomes.values()) > 50
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "a.ply"
-    path.write_bytes(b"precious")
-
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.replace", full)
-    with pytest.raises(BadInput, match="No space left"):
-        write_ply(path, some_gaussians())
-    assert path.read_bytes() == b"precious" and [p.name for p in tmp_path.iterdir()] == ["a.ply"]
-    with pytest.raises(BadInput, match="does not exist"):
-        write_ply(tmp_path / "none" / "a.ply", some_gaussians())
 
 
 @pytest.mark.shared

@@ -1,11 +1,9 @@
 """SOG, versions 1 and 2, zipped or in a folder, against an encoder written from its description."""
 
-import io
 import json
 import struct
 import tracemalloc
 import zipfile
-import zlib
 
 import cv2
 import numpy as np
@@ -16,84 +14,8 @@ from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
-from tests.assets.test_splat_formats import refused
-from tests.support.samples import damaged, read_or_refuse, riff, some_gaussians
-
-BOOK = np.sinh(np.linspace(-3, 3, 256)) / 5  # codebooks are uneven: finer near 0
-
-
-def webp(rows: np.ndarray, width: int) -> bytes:
-    """Lossless WebP of RGB(A) rows (N, C), padded to whole lines of `width`."""
-    height = -(-len(rows) // width)
-    pixels = np.zeros((height * width, rows.shape[1]), np.uint8)
-    pixels[: len(rows)] = rows
-    pixels = pixels.reshape(height, width, -1)
-    bgr = pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
-    ok, data = cv2.imencode(".webp", np.ascontiguousarray(bgr), [cv2.IMWRITE_WEBP_QUALITY, 101])
-    assert ok
-    return data.tobytes()
-
-
-def nearest(values, book) -> np.ndarray:
-    return np.abs(np.asarray(values)[..., None] - book).argmin(-1).astype(np.uint8)
-
-
-def sog_files(g: Gaussians, version: int = 2, width: int = 12, palette: int | None = None) -> dict[str, bytes]:
-    """meta.json and images. The palette holds the SH of the first `palette` Gaussians (all, if None)."""
-    n = len(g)
-    logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
-    low, high = logs.min(0), logs.max(0)
-    codes = np.round((logs - low) / (high - low) * 65535).astype(int)
-    quats = np.zeros((n, 4), np.uint8)
-    for i, q in enumerate(g.quats.astype(np.float64)):
-        k = int(np.argmax(np.abs(q)))
-        rest = [c * np.sign(q[k]) for j, c in enumerate(q) if j != k]
-        quats[i] = [*(round((c * 2**0.5 / 2 + 0.5) * 255) for c in rest), 252 + k]
-    meta: dict = {"means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}}
-    meta["quats"] = {"files": ["quats.webp"]}
-    files = {"means_l.webp": webp(codes % 256, width), "means_u.webp": webp(codes // 256, width)}
-    files["quats.webp"] = webp(quats, width)
-    if version == 2:
-        scales, dc = nearest(g.log_scales, BOOK - 3), nearest(g.sh[:, 0], BOOK)
-        alpha = np.maximum(np.round(g.opacities * 255), 1)  # 0 would lose its colour in the test's encoder
-        meta |= {"version": 2, "count": n, "scales": {"codebook": list(BOOK - 3)}, "sh0": {"codebook": list(BOOK)}}
-    else:
-        ranges = {}
-        for name, values in (("scales", g.log_scales), ("sh0", np.c_[g.sh[:, 0], g.logit_opacities])):
-            ranges[name] = {"mins": values.min(0).tolist(), "maxs": values.max(0).tolist()}
-        meta |= ranges
-        meta["means"]["shape"], meta["quats"]["encoding"] = [n, 3], "quaternion_packed"
-        span = np.ptp(g.log_scales, axis=0)
-        scales = np.round((g.log_scales - g.log_scales.min(0)) / span * 255)
-        values = np.c_[g.sh[:, 0], g.logit_opacities]
-        dc = np.round((values - values.min(0)) / np.ptp(values, axis=0) * 255)
-        dc, alpha = dc[:, :3], np.maximum(dc[:, 3], 1)
-    files["scales.webp"], files["sh0.webp"] = webp(scales, width), webp(np.c_[dc, alpha], width)
-    if g.sh_degree:
-        entries = palette or n
-        labels = np.arange(n) % entries
-        meta["shN"], book = {"files": ["shN_centroids.webp", "shN_labels.webp"]}, BOOK
-        if version == 2:
-            meta["shN"] |= {"count": entries, "bands": g.sh_degree, "codebook": list(BOOK)}
-        else:
-            meta["shN"] |= {"mins": -1.5, "maxs": 1.5}
-            book = np.linspace(-1.5, 1.5, 256)
-        lines = -(-entries // 64) * 64
-        table = np.zeros((lines, g.sh.shape[1] - 1, 3), np.uint8)
-        table[:entries] = nearest(g.sh[:entries, 1:], book)
-        files["shN_centroids.webp"] = webp(table.reshape(-1, 3), 64 * table.shape[1])
-        files["shN_labels.webp"] = webp(np.c_[labels % 256, labels // 256, 0 * labels], width)
-    for name in ("scales", "sh0"):
-        meta[name]["files"] = [f"{name}.webp"]
-    return {"meta.json": json.dumps(meta).encode(), **files}
-
-
-def zipped(files: dict[str, bytes], method=zipfile.ZIP_STORED, folder="") -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", method) as archive:
-        for name, data in files.items():
-            archive.writestr(folder + name, data)
-    return buffer.getvalue()
+from tests.support.samples import refused, riff, some_gaussians
+from tests.support.splat_encoders import BOOK, sog_files, zipped
 
 
 def with_meta(files: dict[str, bytes], change) -> bytes:
@@ -243,43 +165,22 @@ def test_metas_that_cannot_be(tmp_path):
 
 
 def test_bombs_are_refused_without_unpacking_them(tmp_path):
-    """An image of 16,384 x 16,384 in its header, an honest one of a colour all over, a gigabyte of deflated zeros."""
+    """An image of 16,384 x 16,384 in its header, an honest one of a colour all over, megabytes of deflated zeros."""
     path = tmp_path / "a.sog"
     files = sog_files(some_gaussians(30, 0))
-    size = 16383 | 16383 << 14
-    claims = zipped(files | {"means_l.webp": riff(b"VP8L", b"\x2f" + struct.pack("<I", size) + bytes(60))})
-    flat = cv2.imencode(".webp", np.full((5000, 5000, 3), 7, np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
-    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
-    zeros = b"".join(packer.compress(bytes(1 << 20)) for _ in range(300)) + packer.flush()
-    deflated = zipped(files | {"means_l.webp": bytes(300 << 20)}, zipfile.ZIP_DEFLATED)
-    lying = deflated.replace(struct.pack("<I", 300 << 20), struct.pack("<I", 1 << 20))
-    assert zeros[:1000] in deflated
+    side, size = 16383 | 16383 << 14, (160 << 20) + 12345
+    claims = zipped(files | {"means_l.webp": riff(b"VP8L", b"\x2f" + struct.pack("<I", side) + bytes(60))})
+    flat = cv2.imencode(".webp", np.full((4200, 4200, 3), 7, np.uint8), [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+    deflated = zipped(files | {"means_l.webp": bytes(size)}, zipfile.ZIP_DEFLATED)
+    lying = deflated.replace(struct.pack("<I", size), struct.pack("<I", 1 << 20))
     tracemalloc.start()
     assert "pixels" in refused(path, claims)
     assert "pixels" in refused(path, zipped(files | {"means_l.webp": flat}))
-    assert "claims 314572800 bytes" in refused(path, deflated)
+    assert f"claims {size} bytes" in refused(path, deflated)
     assert "means_l.webp" in refused(path, lying)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100 << 20
-
-
-@pytest.mark.parametrize("version", [1, 2])
-def test_damaged_archives_load_finite_or_are_refused(tmp_path, version, capfd):
-    """Damage to the archive, which checksums find, and to what stands in it, behind honest checksums."""
-    files = sog_files(some_gaussians(60, 1), version)
-    path = tmp_path / "a.sog"
-
-    def inside():
-        for seed, (name, data) in enumerate(files.items()):
-            for copy in damaged(data, 60, seed):
-                yield zipped(files | {name: copy})
-
-    outcomes = read_or_refuse(lambda p: read_sog(p, report=str), path, damaged(zipped(files), 300))
-    assert outcomes["refused"] > 100
-    outcomes = read_or_refuse(lambda p: read_sog(p, report=str), path, inside())
-    assert min(outcomes.values()) > 30
-    assert capfd.readouterr().err == ""  # OpenCV, too, says nothing beside the one line
 
 
 def test_colours_come_in_their_order(tmp_path):

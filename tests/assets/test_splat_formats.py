@@ -1,49 +1,27 @@
-"""The format .splat, the choice of the reader by name and content, and files that others wrote."""
+"""All splat formats together: the choice of the reader, damage, failed writes, files of others; and .splat."""
 
+import gzip
 import struct
 
 import numpy as np
 import pytest
 
 from assets.asset import Asset
-from assets.gaussians import concatenate
-from assets.splat_files import read_gaussians, write_gaussians
+from assets.gaussians import Gaussians
+from assets.splat_files import WRITERS, read_gaussians, write_gaussians
 from core.errors import BadInput
-from core.rotation import matrices_from_quaternions
 from core.spherical_harmonics import C0
-from tests.support.samples import damaged, read_or_refuse, some_gaussians
-
-HALF_TURN = np.diag([1.0, -1.0, -1.0])  # right-up-back to right-down-front
-
-
-def refused(path, data: bytes | None = None) -> str:
-    """The one line with which the file is refused."""
-    if data is not None:
-        path.write_bytes(data)
-    with pytest.raises(BadInput) as error:
-        read_gaussians(path, report=str)
-    message = str(error.value)
-    assert str(path) in message and "\n" not in message
-    return message
-
-
-def covariances(g) -> np.ndarray:
-    axes = matrices_from_quaternions(g.quats) * np.exp(g.log_scales)[:, None, :]
-    return axes @ axes.transpose(0, 2, 1)
-
-
-# --- .splat
-
-
-def splat_bytes(g) -> bytes:
-    """Rows of a .splat written from its description."""
-    rows = b""
-    for i in range(len(g)):
-        rgb = np.clip(np.round((0.5 + C0 * g.sh[i, 0]) * 255), 0, 255)
-        quat = np.clip(np.round(g.quats[i] * 128 + 128), 0, 255)
-        rows += struct.pack("<6f", *g.means[i], *np.exp(g.log_scales[i]))
-        rows += bytes(int(v) for v in [*rgb, round(float(g.opacities[i]) * 255), *quat])
-    return rows
+from tests.support.samples import FIELDS, covariances, damaged, read_or_refuse, refused, some_gaussians
+from tests.support.splat_encoders import (
+    compressed_bytes,
+    ksplat_bytes,
+    ply_bytes,
+    properties,
+    sog_files,
+    splat_bytes,
+    spz_4_bytes,
+    zipped,
+)
 
 
 def test_splat_is_read_within_its_quantisation(tmp_path):
@@ -84,14 +62,82 @@ def test_splat_drops_what_has_no_size_or_rotation(tmp_path):
     assert len(lines) == 1 and "dropped 3 of 6" in lines[0]
 
 
-def test_damaged_splat(tmp_path):
-    good = splat_bytes(some_gaussians(10, 0))
-    outcomes = read_or_refuse(lambda p: read_gaussians(p, report=str), tmp_path / "a.splat", damaged(good, 200))
-    assert min(outcomes.values()) > 40
-    assert "multiple of 32" in refused(tmp_path / "a.splat", good[:-1])
+def written(suffix: str, g: Gaussians, folder) -> bytes:
+    write_gaussians(folder / f"written{suffix}", g)
+    return (folder / f"written{suffix}").read_bytes()
 
 
-# --- the choice of the reader
+def flipped(good: bytes, places, trials: int):
+    """Copies with one flipped bit at one of the places."""
+    rng = np.random.default_rng(0)
+    for _ in range(trials):
+        data = bytearray(good)
+        data[rng.choice(places)] ^= 1 << rng.integers(0, 8)
+        yield bytes(data)
+
+
+def damaged_ksplat(level: int):
+    """Its headers of 5 KB are mostly empty: they are damaged apart from the rest."""
+    good = ksplat_bytes([some_gaussians(60, 1)], level)
+    yield from damaged(good, 80)
+    yield from flipped(good, [*range(44), *range(4096, 4096 + 42)], 120)
+
+
+def damaged_images(version: int):
+    """Damage behind a ZIP archive's honest checksums."""
+    files = sog_files(some_gaussians(60, 1), version)
+    for seed, (name, data) in enumerate(files.items()):
+        for copy in damaged(data, 20, seed):
+            yield zipped(files | {name: copy})
+
+
+SMALL = some_gaussians(12, 1)
+DAMAGE = {  # damaged copies, at least so many of which are read, and refused
+    "ply": (".ply", lambda folder: damaged(ply_bytes(properties(SMALL)), 200), 25, 25),
+    "compressed": (".ply", lambda folder: damaged(compressed_bytes(some_gaussians(270, 1)), 200), 25, 25),
+    "splat": (".splat", lambda folder: damaged(splat_bytes(SMALL), 100), 20, 20),
+    "ksplat 0": (".ksplat", lambda folder: damaged_ksplat(0), 25, 25),
+    "ksplat 1": (".ksplat", lambda folder: damaged_ksplat(1), 25, 25),
+    "ksplat 2": (".ksplat", lambda folder: damaged_ksplat(2), 25, 25),
+    "spz 3": (".spz", lambda folder: damaged(written(".spz", SMALL, folder), 100), 0, 50),
+    "spz 4": (".spz", lambda folder: damaged(spz_4_bytes(written(".spz", SMALL, folder)), 100), 0, 50),
+    "spz, inside": (  # the gzip layer, whose checksum guards the content
+        ".spz",
+        lambda folder: (gzip.compress(c, 1) for c in damaged(gzip.decompress(written(".spz", SMALL, folder)), 100)),
+        10,
+        10,
+    ),
+    "sog": (".sog", lambda folder: damaged(zipped(sog_files(SMALL)), 100), 0, 50),
+    "sog 1, inside": (".sog", lambda folder: damaged_images(1), 15, 15),
+    "sog 2, inside": (".sog", lambda folder: damaged_images(2), 15, 15),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_files_load_finite_or_are_refused(tmp_path, capfd, name):
+    """Truncations and bit flips: finite Gaussians or BadInput in one line, and nothing said beside it."""
+    suffix, copies, read, refusals = DAMAGE[name]
+    outcomes = read_or_refuse(lambda p: read_gaussians(p, report=str), tmp_path / f"a{suffix}", copies(tmp_path))
+    assert outcomes["read"] >= read and outcomes["refused"] >= refusals
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", [*WRITERS, ".h5"])
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch, suffix):
+    write = (lambda path, g: Asset(g).save(path)) if suffix == ".h5" else write_gaussians
+    path = tmp_path / f"a{suffix}"
+    write(path, some_gaussians(3))
+    old = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as m, pytest.raises(BadInput, match="No space left"):
+        m.setattr("os.replace", full)
+        write(path, some_gaussians(20))
+    assert path.read_bytes() == old and [p.name for p in tmp_path.iterdir()] == [path.name]
+    with pytest.raises(BadInput, match="does not exist"):
+        write(tmp_path / "none" / path.name, some_gaussians())
 
 
 def test_names_and_contents_must_agree(tmp_path):
@@ -118,9 +164,9 @@ def test_names_and_contents_must_agree(tmp_path):
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["minimal-v3.spz", "minimal-v4.spz"])
+@pytest.mark.parametrize("name", ["minimal-v3.spz", "minimal-v4.spz", "minimal.ksplat"])
 def test_the_same_scene_in_each_format(shared, name):
-    """Four Gaussians, written by others as .splat and .spz."""
+    """Four Gaussians, written by others."""
     folder = shared / "data" / "splats" / "formats"
     a, b = read_gaussians(folder / "minimal.splat"), read_gaussians(folder / name)
     np.testing.assert_array_equal(a.means, b.means)
@@ -135,11 +181,10 @@ def test_unpacked_spz_equals_packed(shared):
     """`raw` is the stream of `v2` without gzip. Both were written without the half turn and the colour's 0.15."""
     folder = shared / "data" / "splats" / "formats"
     packed, raw = (read_gaussians(folder / f"minimal-{name}.spz") for name in ("v2", "raw"))
-    both = concatenate([packed, raw])
-    np.testing.assert_array_equal(both.means[:4], both.means[4:])
-    np.testing.assert_array_equal(both.sh[:4], both.sh[4:])
+    for name in FIELDS:
+        np.testing.assert_array_equal(getattr(packed, name), getattr(raw, name))
     splat = read_gaussians(folder / "minimal.splat")
-    np.testing.assert_array_equal(packed.means, splat.means @ HALF_TURN)
+    np.testing.assert_array_equal(packed.means, splat.means * [1, -1, -1])
     np.testing.assert_allclose(packed.opacities, splat.opacities, atol=1e-6)
 
 

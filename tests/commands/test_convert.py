@@ -11,9 +11,8 @@ from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
 from commands.convert import run
 from core.errors import BadInput
-from tests.assets.test_ksplat import ksplat_bytes
-from tests.assets.test_sog import sog_files, zipped
 from tests.support.samples import FIELDS, some_gaussians
+from tests.support.splat_encoders import ksplat_bytes, sog_files, zipped
 
 
 def convert(source, target, capsys) -> str:
@@ -80,7 +79,7 @@ def test_all_that_is_read_converts_to_all_that_is_written(tmp_path, capsys, kind
 
 
 def test_progress_of_long_work_goes_to_stderr(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("commands.convert.LONG", 1)
+    monkeypatch.setattr("commands.convert.PROGRESS_SIZE_MIN", 1)
     write_gaussians(tmp_path / "a.ply", some_gaussians(5))
     run(Namespace(input=str(tmp_path / "a.ply"), output=str(tmp_path / "a.spz")))
     out, err = capsys.readouterr()

@@ -1,11 +1,14 @@
-"""Small made-up inputs that several test files use."""
+"""Small made-up inputs that several test files use, and what is asked of readers."""
 
 import struct
 
 import numpy as np
+import pytest
 
 from assets.gaussians import SH_COUNTS, Gaussians
+from assets.splat_files import read_gaussians
 from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -55,3 +58,20 @@ def read_or_refuse(read, path, copies) -> dict[str, int]:
 def riff(kind: bytes, body: bytes) -> bytes:
     """A WebP container with one chunk."""
     return b"RIFF" + struct.pack("<I", 12 + len(body)) + b"WEBP" + kind + struct.pack("<I", len(body)) + body
+
+
+def refused(path, data: bytes | None = None) -> str:
+    """The one line with which the file is refused."""
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(BadInput) as error:
+        read_gaussians(path, report=str)
+    message = str(error.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+def covariances(g: Gaussians) -> np.ndarray:
+    """(N, 3, 3) [m^2]."""
+    axes = matrices_from_quaternions(g.quats) * np.exp(g.log_scales)[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)

@@ -69,7 +69,7 @@ class FieldGroup:
 
     @property
     def destroyed(self) -> bool:
-        """Whether the device memory has been freed."""
+        """True once the device memory has been freed."""
         return self._tree is not None and self._tree.destroyed
 
     def _place(self, fields: list, shape, column_major: bool = False) -> list:

@@ -24,7 +24,7 @@ def clamp(x, low, high):
 
 @ti.func
 def meets_picture(x: ti.f32, y: ti.f32, half_width: ti.f32, half_height: ti.f32, grid: ti.template()):
-    """Whether a box about the pixel position (x, y) and the picture overlap."""
+    """True if a box about the pixel position (x, y) overlaps the picture."""
     middle_x, middle_y = 0.5 * grid[None][0], 0.5 * grid[None][1]
     return ti.abs(x - middle_x) < half_width + middle_x and ti.abs(y - middle_y) < half_height + middle_y
 

@@ -229,7 +229,7 @@ def times(s: ti.template(), x: ti.template()):
 
 @ti.func
 def is_covariance(s: ti.template()):
-    """Whether no principal minor up to 2 x 2 of (xx, xy, xz, yy, yz, zz) is negative, within rounding."""
+    """True if no principal minor up to 2 x 2 of (xx, xy, xz, yy, yz, zz) is negative, within rounding."""
     xy, xz, yz = 1.001 * s[0] * s[3] - s[1] ** 2, 1.001 * s[0] * s[5] - s[2] ** 2, 1.001 * s[3] * s[5] - s[4] ** 2
     return s[0] >= 0 and s[3] >= 0 and s[5] >= 0 and xy >= 0 and xz >= 0 and yz >= 0
 

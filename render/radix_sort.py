@@ -99,7 +99,7 @@ class RadixSort:
 
     @ti.func
     def _is_kept(self, key: ti.u32, p: ti.template()):
-        """Whether pass `p` moves an item of this key."""
+        """True if pass `p` moves an item of this key."""
         return key != ti.u32(DROPPED) if ti.static(self.drop and p == 0) else True
 
     # ---- CPU: a block is one loop iteration over a long span of items

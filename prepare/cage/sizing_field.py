@@ -103,7 +103,7 @@ class ShapeWidths:
         return self._once((name, int((self.widths < np.float32(width)).sum()), octave), make)
 
     def _once(self, key, make: Callable[[], np.ndarray | None]) -> np.ndarray | None:
-        """What `make` returns, at the nodes `only`; computed at the first request."""
+        """Result of `make` at the nodes `only`; computed at the first request."""
         if key not in self._cached:
             made = make()
             self._cached[key] = made if made is None or self.only is None else made.reshape(-1)[self.only]

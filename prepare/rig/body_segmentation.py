@@ -243,7 +243,7 @@ def shortened(g: Gaussians, person: SegmentedPerson, joined: Joined) -> tuple[Ga
 
 
 def skeleton_adjacency(body: Retargeted) -> Joined:
-    """Where segments are joined: trunk with trunk; a limb with it, or with its own next bone, about the joint."""
+    """Pairs of joined segments: trunk with trunk; a limb with it, or with its own next bone, about the joint."""
     at = {n: body.rest[k] for k, n in enumerate(BONES)}
     trunk = np.array([n in TRUNK for n in BONES])
     tree = np.array([-1 if TREE[n] is None else BONES.index(TREE[n]) for n in BONES])

@@ -173,7 +173,7 @@ def transferred_weights(cage, points: np.ndarray, target: np.ndarray) -> np.ndar
 
 
 def mesh_adjacency(cage, parents: np.ndarray, x: np.ndarray, faces: np.ndarray, label: np.ndarray) -> Joined:
-    """Where segments are joined: parent and child joints, and others near where their segments of the mesh touch."""
+    """Pairs of joined segments: parent and child joints, and others near where their segments of the mesh touch."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
     middle, pair = x[ends].mean(1), np.sort(label[ends], axis=1)

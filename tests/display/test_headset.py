@@ -1,4 +1,4 @@
-"""The headset's arithmetic and its player, without a runtime; tests/display/test_headset_play.py plays in a real one."""
+"""The headset's arithmetic and its player, without a runtime; test_headset_play.py plays in a real one."""
 
 import dataclasses
 import os

@@ -226,7 +226,7 @@ def test_it_comes_when_the_palm_turns_to_the_face_and_goes(world):
     panel = WristPanel()
 
     def seen(degrees, **inputs):
-        """Whether it is on view once the left hand's palm, +x of its grip, is that far from the direction to the eyes."""
+        """Whether it is on view once the left palm, +x of its grip, is that far from the direction to the eyes."""
         x = HEAD[:3, 3] - LEFT.grip[:3, 3]
         x /= np.linalg.norm(x)
         y = np.cross([0.0, 0.0, 1.0], x)

@@ -1,12 +1,13 @@
 """A world of one ball before a coloured sky, cheap enough to test displays with.
 
-Run as a program it opens the real window on it and writes what each frame asked for, one JSON a line:
-    python tests/support/fake_world.py LOG.jsonl [--width W] [--height H] [--frames N] [--no-vsync]
+Run as a program it opens the real window, or the headset, on it and logs each frame, one JSON a line:
+    python tests/support/fake_world.py LOG.jsonl [--size W H] [--frames N] [--xr]
 """
 
 import argparse
 import json
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from scenes.scene import BodyState, Light, Scene
 
 RADIUS = 0.3  # [m]
 RED = (230, 60, 50)
+PERIOD = 1 / 60  # [s] a frame at least: what is drawn faster only costs
 vec3 = ti.types.vector(3, ti.f32)
 
 
@@ -161,8 +163,9 @@ class FakeWorld(BallWorld):
             with self.timings.stage("simulate"):
                 self.move(frame)
         height = self.picture_size[1]
+        self.cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
         with self.timings.stage("render"):
-            for view, camera in enumerate(frame.cameras):
+            for view, camera in enumerate(self.cameras):
                 assert (camera.width, camera.height) == self.picture_size
                 axes = [vec3(*row) for row in camera.world_to_camera[:3, :3]]
                 eye, ball, light = vec3(*camera.position), vec3(*self.ball), vec3(*self.light.position)
@@ -170,37 +173,47 @@ class FakeWorld(BallWorld):
 
 
 def main() -> None:
-    """Open the window and log its frames."""
+    """Open the window, or the headset, and log its frames."""
     parser = argparse.ArgumentParser()
     parser.add_argument("log")
-    parser.add_argument("--width", type=int, default=960)
-    parser.add_argument("--height", type=int, default=540)
+    parser.add_argument("--size", type=int, nargs=2, default=(960, 540))
     parser.add_argument("--frames", type=int, default=10**9)
-    parser.add_argument("--no-vsync", action="store_true")
+    parser.add_argument("--xr", action="store_true")
     args = parser.parse_args()
-    from display.window.window import Window
 
     ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True)
     scene = fake_scene()
-    with Window(scene, title="Ball", width=args.width, height=args.height, vsync=not args.no_vsync) as window:
-        world = FakeWorld(scene, width=window.size[0], height=window.size[1])
-        with open(args.log, "w", encoding="utf-8", buffering=1) as log:
-            for frame in window.frames(world):
-                world.step(frame)
-                window.present(world)
-                log.write(json.dumps(record(frame, world)) + "\n")
-                if world.steps >= args.frames:
-                    break
+    with open_display(scene, args) as display, open(args.log, "w", encoding="utf-8", buffering=1) as log:
+        world = FakeWorld(scene, width=display.size[0], height=display.size[1], views=1 + args.xr)
+        for frame in display.frames(world):
+            begin = time.perf_counter()
+            world.step(frame)
+            display.present(world)
+            log.write(json.dumps(record(frame, world)) + "\n")
+            if world.steps >= args.frames:
+                break
+            time.sleep(max(0.0, PERIOD - (time.perf_counter() - begin)))
     print(json.dumps({"fps": world.timings.fps, **world.timings.as_dict()}))
+
+
+def open_display(scene: Scene, args):
+    if args.xr:
+        from display.xr.headset import Headset
+
+        return Headset(scene, title="Ball")
+    from display.window.window import Window
+
+    return Window(scene, title="Ball", width=args.size[0], height=args.size[1])
 
 
 def record(frame, world) -> dict:
     """One frame for the log."""
     hand = frame.hands[0] if frame.hands else None
+    camera = world.cameras[0] if world.cameras else None
     return {
         "dt": frame.dt,
-        "eye": frame.cameras[0].position.tolist(),
-        "forward": frame.cameras[0].world_to_camera[2, :3].tolist(),
+        "eye": camera and camera.position.tolist(),
+        "forward": camera and camera.world_to_camera[2, :3].tolist(),
         "size": world.picture_size,
         "hand": list(hand.position) if hand else None,
         "grip": hand is not None and hand.grip,

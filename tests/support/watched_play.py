@@ -2,12 +2,15 @@
 
 import json
 import sys
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import vrgs  # noqa: E402
+
+PERIOD = 1 / 25  # [s] a frame at least: what is drawn faster only costs
 
 
 def watch(log) -> None:
@@ -16,21 +19,22 @@ def watch(log) -> None:
     from display.world import World
 
     step = World.step
+    last = [0.0]
 
     def watched(self, frame):
         step(self, frame)
         bodies = [
-            {"name": b.name, "centroid": b.centroid.tolist(), "velocity": b.velocity.tolist(), "held": b.held}
-            | {"size": (b.high - b.low).tolist()}
+            {"name": b.name, "centroid": b.centroid.tolist(), "held": b.held, "size": (b.high - b.low).tolist()}
             for b in self.bodies()
         ]
-        state = {"time": self.time, "score": self.score, "paused": self.paused, "bodies": bodies}
-        state["hands"] = [{"position": h.position, "grip": h.grip} for h in frame.hands]
-        state["touched"] = [float(abs(f).sum()) for f in self.touch_forces()]
-        state["interaction"], state["commands"] = self.interaction, sorted(NAMES[type(c)] for c in frame.commands)
-        state["light"] = self.light.position
+        hands = [{"position": h.position, "grip": h.grip, "touches": len(h.touch)} for h in frame.hands]
+        commands = sorted(NAMES[type(c)] for c in frame.commands)
+        state = {"time": self.time, "paused": self.paused, "bodies": bodies, "hands": hands, "commands": commands}
+        state |= {"interaction": self.interaction, "light": self.light.position}
         log.write(json.dumps(state) + "\n")
         log.flush()
+        time.sleep(max(0.0, PERIOD - (time.monotonic() - last[0])))
+        last[0] = time.monotonic()
 
     World.step = watched
 

@@ -2,8 +2,8 @@
 
 Both eyes of 1800x1920, with the player's hands and finger contact. As in a headset, the head is located after the
 simulation, at the start of drawing; the time from there until the picture is in the eyes' textures is the program's
-part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Per-stage times
-synchronise after each stage, which takes longer than the frame itself.
+part of the motion-to-photon latency. The runtime then waits for its next refresh, half a period on average. Times of
+single stages wait for the device after each stage, which takes longer than the frame itself.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from display.xr.mirror import NoMirror
 from display.xr.swapchains import FRAGMENT, VERTEX
 from scenes import ring_toss
 
-SIZE = (1800, 1920)  # [px] of an eye
+EYE_SIZE = (1800, 1920)  # [px] of an eye
 APART = 0.064  # [m] between the eyes
 RATE = 90.0  # [Hz]
 FRAMES = 1000
-WARM = 2  # warm-up frames: kernels are compiled, and everything is in motion
+WARM_FRAMES = 2  # warm-up frames: kernels are compiled, and everything is in motion
 
 
 def run(args) -> None:
@@ -52,7 +52,9 @@ def eyes(k: int) -> list[Camera]:
     for side in (-0.5, 0.5):
         eye = np.asarray(scene.eye) + sway + [side * APART, 0.0, 0.0]
         view = look_at(eye, np.asarray(scene.target) + [side * APART, 0.0, 0.0])
-        cameras.append(Camera(*SIZE, 0.55 * SIZE[0], 0.55 * SIZE[0], SIZE[0] / 2, SIZE[1] / 2, view))
+        cameras.append(
+            Camera(*EYE_SIZE, 0.55 * EYE_SIZE[0], 0.55 * EYE_SIZE[0], EYE_SIZE[0] / 2, EYE_SIZE[1] / 2, view)
+        )
     return cameras
 
 
@@ -72,21 +74,21 @@ def measure(exact: bool) -> dict:
     """Times [ms] of FRAMES frames and their stages; with `exact` each stage waits for the device."""
     scene = ring_toss.build()
     how = {"fingers": True, "grown": True, "props": avatar.skins()}
-    world = World(scene, width=SIZE[0], height=SIZE[1], views=2, **how)
+    world = World(scene, width=EYE_SIZE[0], height=EYE_SIZE[1], views=2, **how)
     world.warm_up()
     opengl = NoMirror(2)
     gl, picture = opengl.gl, opengl.texture
-    targets = [gl.framebuffer(color_attachments=[gl.texture(SIZE, 4)]) for _ in range(2)]
+    targets = [gl.framebuffer(color_attachments=[gl.texture(EYE_SIZE, 4)]) for _ in range(2)]
     program = gl.program(VERTEX, FRAGMENT)
     triangle = gl.vertex_array(program, [])
     frames, photon, located = [], [], [0.0]
-    for k in range(WARM + FRAMES):
+    for k in range(WARM_FRAMES + FRAMES):
 
         def cameras(k=k) -> list[Camera]:
             located[0] = perf_counter()
             return eyes(k)
 
-        if k == WARM:
+        if k == WARM_FRAMES:
             world.timings = Timings(exact=exact)
         begin = perf_counter()
         parts = avatar.hidden()
@@ -100,12 +102,12 @@ def measure(exact: bool) -> dict:
             picture.texture.use(0)
             for view, target in enumerate(targets):
                 target.use()
-                gl.viewport = (0, 0, *SIZE)
-                program["rows"] = (view * SIZE[1], SIZE[1])
+                gl.viewport = (0, 0, *EYE_SIZE)
+                program["rows"] = (view * EYE_SIZE[1], EYE_SIZE[1])
                 triangle.render(gl.TRIANGLES, vertices=3)
             gl.finish()
         end = perf_counter()
-        if k >= WARM:
+        if k >= WARM_FRAMES:
             frames.append(1e3 * (end - begin))
             photon.append(1e3 * (end - located[0]))
     stages = world.timings.as_dict()

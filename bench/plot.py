@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape
 INK = "#757d87"
 COLORS = ("#3b82f6", "#e07b1a", "#1f9d55", "#a855f7", "#d6456b", "#0f9bb0")
 WIDTH, HEIGHT = 400, 320  # [px] of a panel
-LEFT, RIGHT, TOP, BOTTOM = 58, 22, 34, 46  # [px] around its axes
+MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, MARGIN_BOTTOM = 58, 22, 34, 46  # [px] around its axes
 LEGEND = 26  # [px] under all panels
 LETTER = 6.5  # [px] of width, about, at 12 px
 
@@ -48,26 +48,26 @@ def svg(panels: list[Panel]) -> str:
 def _panel(panel: Panel, names: list[str], low: int, high: int) -> list[str]:
     """Axes and curves; y from 10^low to 10^high."""
     first, last = math.log10(panel.ticks[0]), math.log10(panel.ticks[-1])
-    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+    right, bottom = WIDTH - MARGIN_RIGHT, HEIGHT - MARGIN_BOTTOM
 
     def at(x: float, y: float) -> tuple[float, float]:
         across = (math.log10(x) - first) / max(last - first, 1e-9)
         up = (math.log10(y) - low) / (high - low)
-        return LEFT + across * (right - LEFT), bottom - up * (bottom - TOP)
+        return MARGIN_LEFT + across * (right - MARGIN_LEFT), bottom - up * (bottom - MARGIN_TOP)
 
-    parts = [_text(0.5 * (LEFT + right), 18, panel.title, "middle", weight="600")]
+    parts = [_text(0.5 * (MARGIN_LEFT + right), 18, panel.title, "middle", weight="600")]
     for decade in range(low, high + 1):
         y = at(panel.ticks[0], 10.0**decade)[1]
-        parts += [_line(LEFT, y, right, y), _text(LEFT - 8, y + 4, f"{10.0**decade:,g}", "end")]
+        parts += [_line(MARGIN_LEFT, y, right, y), _text(MARGIN_LEFT - 8, y + 4, f"{10.0**decade:,g}", "end")]
         for digit in (2, 5) if decade < high else ():
             y = at(panel.ticks[0], digit * 10.0**decade)[1]
-            parts.append(_line(LEFT, y, right, y, faint=True))
+            parts.append(_line(MARGIN_LEFT, y, right, y, faint=True))
     for tick in panel.ticks:
         x = at(tick, 10.0**low)[0]
-        parts += [_line(x, TOP, x, bottom, faint=True), _text(x, bottom + 18, f"{tick:g}", "middle")]
-    parts.append(_text(0.5 * (LEFT + right), bottom + 36, panel.x_label, "middle"))
-    turned = f' transform="rotate(-90 14 {0.5 * (TOP + bottom):g})"'
-    parts.append(_text(14, 0.5 * (TOP + bottom) + 4, panel.y_label, "middle", turned))
+        parts += [_line(x, MARGIN_TOP, x, bottom, faint=True), _text(x, bottom + 18, f"{tick:g}", "middle")]
+    parts.append(_text(0.5 * (MARGIN_LEFT + right), bottom + 36, panel.x_label, "middle"))
+    turned = f' transform="rotate(-90 14 {0.5 * (MARGIN_TOP + bottom):g})"'
+    parts.append(_text(14, 0.5 * (MARGIN_TOP + bottom) + 4, panel.y_label, "middle", turned))
     for name, curve in panel.curves.items():
         color = COLORS[names.index(name) % len(COLORS)]
         points = [at(x, y) for x, y in sorted(curve)]

@@ -22,15 +22,15 @@ from display.viewer import camera_around, upright
 from render import SORTS
 
 DEGREES, STEPS, SHARPER = 1.0, 20, 3
-SIZE = (480, 360)  # [px] of the pictures that are compared
-EDGE = 0.1  # of a side, left out: the rotation reveals what was not seen
-REFERENCE = 64  # splats that its pixels sort; more changed the dining room by less than 1e-4 of 255
+COMPARED_SIZE = (480, 360)  # [px] of the pictures that are compared
+CUT_MARGIN = 0.1  # of a side, left out: the rotation reveals what was not seen
+REFERENCE_BUFFER = 64  # splats that its pixels sort; more changed the dining room by less than 1e-4 of 255
 
 
 def run(args) -> None:
     """Run the command: measure every sort order, print a table, write --json."""
     gaussians, _ = upright(args.splats, None)
-    camera = camera_around(gaussians, SHARPER * SIZE[0], SHARPER * SIZE[1], 0.4)
+    camera = camera_around(gaussians, SHARPER * COMPARED_SIZE[0], SHARPER * COMPARED_SIZE[1], 0.4)
     rows = measure(gaussians, camera)
     print("differences in 1/255")
     print(f"{'sort':10} {'popping':>9} {'change':>9} {'worst step':>11} {'error':>9} {'ms':>8}")
@@ -49,8 +49,8 @@ def turned(camera: Camera, degrees: float) -> Camera:
     return replace(camera, world_to_camera=turn @ camera.world_to_camera)
 
 
-def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> list[dict]:
-    """One row per sort order, the reference first: options of Renderer by name, all sort orders if None.
+def measure(gaussians, camera: Camera, *, size: tuple[int, int] = COMPARED_SIZE, buffer_size: int = REFERENCE_BUFFER):
+    """One row (dict) per sort order, the reference first, whose pixels sort `buffer_size` splats.
 
     All differences in 1/255, means over pixels, channels and steps: popping, beyond the reference's change; change,
     from step to step; worst, that of the worst step; error, against the reference. ms: the median time of a picture.
@@ -61,10 +61,11 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
     from render.renderer import Renderer
     from render.splats import Splats
 
-    ways = {sort: {"sort": sort} for sort in SORTS} if ways is None else ways
-    ways = {"reference": {"sort": "pixel", "buffer_size": REFERENCE}, **ways}
+    orders = {"reference": {"sort": "pixel", "buffer_size": buffer_size}, **{sort: {"sort": sort} for sort in SORTS}}
     splats = Splats(gaussians)
-    renderers = [Renderer(splats, camera.width, camera.height, outputs="float", **how) for how in ways.values()]
+    renderers = [
+        Renderer(splats, camera.width, camera.height, outputs="float", **options) for options in orders.values()
+    ]
     times, changes, popping, errors, before = [], [], [], [], None
     for k in range(STEPS + 1):
         now = turned(camera, DEGREES * k / STEPS)
@@ -76,7 +77,7 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
                 renderer.render([now])
                 ti.sync()
             times.append(perf_counter() - begin)
-            pictures.append(255 * compared(renderer.rgb.to_numpy()[0], camera, now))
+            pictures.append(255 * compared(renderer.rgb.to_numpy()[0], camera, now, size))
         pictures = np.stack(pictures)
         if before is not None:
             step = pictures - before
@@ -94,15 +95,15 @@ def measure(gaussians, camera: Camera, ways: dict[str, dict] | None = None) -> l
             "change": float(np.mean(changes, axis=0)[i]),
             "worst": float(np.max(changes, axis=0)[i]),
             "error": float(np.mean(errors, axis=0)[i]),
-            "ms": 1e3 * median(times[i :: len(ways)][2:]),
+            "ms": 1e3 * median(times[i :: len(orders)][2:]),
             "arch": str(ti.cfg.arch).removeprefix("Arch."),
         }
-        for i, name in enumerate(ways)
+        for i, name in enumerate(orders)
     ]
 
 
-def compared(picture: np.ndarray, camera: Camera, now: Camera) -> np.ndarray:
-    """A picture of `now`, resampled to the directions of `camera`, at SIZE and without its margin."""
+def compared(picture: np.ndarray, camera: Camera, now: Camera, size: tuple[int, int]) -> np.ndarray:
+    """A picture of `now`, resampled to the directions of `camera`, at `size` and without its margin."""
     import cv2
 
     K = np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]])
@@ -111,5 +112,5 @@ def compared(picture: np.ndarray, camera: Camera, now: Camera) -> np.ndarray:
     flat = cv2.WARP_INVERSE_MAP | cv2.INTER_LINEAR
     picture = cv2.GaussianBlur(picture, (0, 0), SHARPER / 2)  # makes the resampling insensitive to subpixel positions
     picture = cv2.warpPerspective(picture, H, (camera.width, camera.height), flags=flat)
-    left, top = (round(EDGE * side) for side in SIZE)
-    return cv2.resize(picture, SIZE, interpolation=cv2.INTER_AREA)[top:-top, left:-left]
+    left, top = (round(CUT_MARGIN * side) for side in size)
+    return cv2.resize(picture, size, interpolation=cv2.INTER_AREA)[top:-top, left:-left]

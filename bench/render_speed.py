@@ -21,7 +21,7 @@ from render.renderer import Renderer
 from render.splats import Splats
 
 TURN = 0.002  # [rad] between two frames: 10 degrees a second at 90 Hz
-WARM = 5  # uncounted frames: they compile and determine the capacity
+WARM_PICTURES = 5  # uncounted frames: they compile and determine the capacity
 
 
 def run(args) -> None:
@@ -64,7 +64,7 @@ def times(
     height: int,
     rounds: int,
     *,
-    warm: int = WARM,
+    warm: int = WARM_PICTURES,
     most: float = math.inf,
 ) -> list[float]:
     """Wall times [s] of `rounds` pictures of a slowly turning head; at least three, then no more after `most` [s]."""

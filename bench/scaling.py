@@ -20,14 +20,14 @@ from display.headless.video import claim
 from display.run_stats import write_stats
 
 MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
-EYE = (1800, 1920)  # [px]
+EYE_SIZE = (1800, 1920)  # [px]
 MEGAPIXELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 ROOM_GAUSSIANS = 1_313_000  # in the sweep over pixels
 SECONDS = 12.0  # for a row: a slow device draws fewer pictures than --rounds, but at least three
-WARM = 2  # uncounted pictures: the first compiles and determines the capacity
+SCALING_WARM_PICTURES = 2  # uncounted pictures: the first compiles and determines the capacity
 # Panel title, axis label and axis ticks of each sweep
 SWEEPS = {
-    "gaussians": (f"Two eyes of {EYE[0]}×{EYE[1]}", "million Gaussians", MILLIONS),
+    "gaussians": (f"Two eyes of {EYE_SIZE[0]}×{EYE_SIZE[1]}", "million Gaussians", MILLIONS),
     "pixels": (f"{ROOM_GAUSSIANS / 1e6:g} million Gaussians, one picture", "megapixels", MEGAPIXELS),
 }
 
@@ -65,7 +65,7 @@ def measure_all(rounds: int) -> list[dict]:
     for million in MILLIONS:
         count = round(1e6 * million)
         splats = Splats(room(count))
-        add(by="gaussians", x=million, gaussians=count, **measure(splats, [EYE], 2, rounds)[0])
+        add(by="gaussians", x=million, gaussians=count, **measure(splats, [EYE_SIZE], 2, rounds)[0])
         splats.destroy()
     splats = Splats(room(ROOM_GAUSSIANS))
     for megapixels, row in zip(MEGAPIXELS, measure(splats, map(sides, MEGAPIXELS), 1, rounds), strict=True):
@@ -95,7 +95,13 @@ def measure(splats, sizes, views: int, rounds: int) -> list[dict]:
             renderer.resize(width, height)
         draw = renderer.render
         took = times(
-            lambda eyes, draw=draw: draw(eyes[:views]), ti.sync, width, height, rounds, warm=WARM, most=SECONDS
+            lambda eyes, draw=draw: draw(eyes[:views]),
+            ti.sync,
+            width,
+            height,
+            rounds,
+            warm=SCALING_WARM_PICTURES,
+            most=SECONDS,
         )
         pairs = renderer.rasterizer.pairs
         if pairs > renderer.rasterizer.pair_capacity:

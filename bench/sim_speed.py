@@ -23,16 +23,16 @@ from sim.contact.static_shapes import StaticGrid
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
-SUBSTEP, SUBSTEPS, HEADSET = 1e-4, 400, 1 / 90
+SUBSTEP, SUBSTEPS, HEADSET_FRAME = 1e-4, 400, 1 / 90
 PASSES = 4  # contact searches in a frame of 400 substeps: about as often per second as in a headset
-STIFFEST = (
+MAX_STIFFNESS = (
     1.0e6  # young / (density edge^2) [1/s^2] that the stability rule allows at this substep, whatever the corners
 )
-EDGE = 0.01  # [m] of a cell
+CELL_SIZE = 0.01  # [m] of a cell
 # grid points along each axis of the only body; of each of two; of each of many
-ONE = {"1.7k": (12, 12, 12), "9.3k": (21, 21, 21), "24k": (29, 29, 29), "46k": (36, 36, 36)}
-TWO = {"1.7k": (9, 9, 11), "9.3k": (16, 17, 17), "24k": (23, 23, 23), "46k": (28, 29, 29)}
-MANY, COUNT = (6, 6, 6), 43
+SINGLE_POINTS = {"1.7k": (12, 12, 12), "9.3k": (21, 21, 21), "24k": (29, 29, 29), "46k": (36, 36, 36)}
+PAIR_POINTS = {"1.7k": (9, 9, 11), "9.3k": (16, 17, 17), "24k": (23, 23, 23), "46k": (28, 29, 29)}
+SMALL_POINTS, SMALL_COUNT = (6, 6, 6), 43
 TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times real")
 
 
@@ -54,22 +54,30 @@ def run(args) -> None:
 def scenes(sizes: list[str]) -> Iterator[tuple[str, list[SoftBody], list, bool]]:
     """Name, bodies, static shapes and whether contact is simulated, from the smallest to the largest."""
     for size in sizes:
-        yield f"{size}, no contact", [block("block", ONE[size])], [], False
-    yield f"{COUNT} bodies, no contact", [block(f"{k}", MANY, at=(0.1 * k, 0, 0)) for k in range(COUNT)], [], False
+        yield f"{size}, no contact", [block("block", SINGLE_POINTS[size])], [], False
+    yield (
+        f"{SMALL_COUNT} bodies, no contact",
+        [block(f"{k}", SMALL_POINTS, at=(0.1 * k, 0, 0)) for k in range(SMALL_COUNT)],
+        [],
+        False,
+    )
     for size in sizes:
-        lower = block("lower", TWO[size], velocity=(1.0, 0.0, 0.0))
+        lower = block("lower", PAIR_POINTS[size], velocity=(1.0, 0.0, 0.0))
         height = float(np.max(lower.vertices[:, 1]))
-        upper = block("upper", TWO[size], at=(0.0, height, 0.0), velocity=(1.0, 0.0, 0.0))
+        upper = block("upper", PAIR_POINTS[size], at=(0.0, height, 0.0), velocity=(1.0, 0.0, 0.0))
         yield f"{size}, sliding, two touch", [lower, upper], [ground()], True
-    pile = [block(f"{k}", MANY, at=(0.06 * (k % 4), 0.06 * (k // 16), 0.06 * (k // 4 % 4))) for k in range(COUNT)]
-    yield f"{COUNT} bodies, in a pile", pile, [ground()], True
+    pile = [
+        block(f"{k}", SMALL_POINTS, at=(0.06 * (k % 4), 0.06 * (k // 16), 0.06 * (k // 4 % 4)))
+        for k in range(SMALL_COUNT)
+    ]
+    yield f"{SMALL_COUNT} bodies, in a pile", pile, [ground()], True
 
 
 def block(name: str, points: tuple[int, int, int], *, at=(0.0, 0.0, 0.0), velocity=(0.0, 0.0, 0.0)) -> SoftBody:
-    """A block of cells of EDGE, six tets each, about as stiff as the substep allows."""
+    """A block of cells of CELL_SIZE, six tets each, about as stiff as the substep allows."""
     cells = np.array(points) - 1
-    x, tets, surface = box(cells * EDGE, cells)
-    material = Material(STIFFEST * 1000.0 * EDGE**2, 0.3, 1000.0, friction=0.5, damping=2.0)
+    x, tets, surface = box(cells * CELL_SIZE, cells)
+    material = Material(MAX_STIFFNESS * 1000.0 * CELL_SIZE**2, 0.3, 1000.0, friction=0.5, damping=2.0)
     return SoftBody(name, x, tets, surface, material, position=at, velocity=velocity)
 
 
@@ -89,7 +97,7 @@ def measure(name: str, bodies: list[SoftBody], shapes: list, contacts: bool, *, 
     long = times(solver, frame, frames)
     touching = 0 if solver.contacts is None else int(solver.contacts.constraints.active.to_numpy().sum())
     solver.collision_passes = 1
-    short = times(solver, HEADSET, frames)
+    short = times(solver, HEADSET_FRAME, frames)
     if not solver.stats["finite"]:
         sys.exit(f"vrgs: bench sim: {name} is not finite")
     return {
@@ -104,7 +112,7 @@ def measure(name: str, bodies: list[SoftBody], shapes: list, contacts: bool, *, 
         "worst_ms": 1e3 * max(long),
         "us_per_substep": 1e6 * median(long) / SUBSTEPS,
         "headset_ms": 1e3 * median(short),
-        "simulated_per_second": HEADSET / median(short),
+        "simulated_per_second": HEADSET_FRAME / median(short),
         "arch": str(ti.cfg.arch).removeprefix("Arch."),
     }
 

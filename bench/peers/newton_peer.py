@@ -27,7 +27,7 @@ from sim.soft_body import SoftBody
 ROOT = Path(__file__).resolve().parents[2]
 BUNNY = ROOT.parent / "shared" / "data" / "tets" / "bunny_gaia.npz"
 SOFT = Material(1e6, 0.3, 1000.0, damping=0.0)
-FRAME = 1 / 240  # [s] after each of which a body whose kinetic energy falls is stopped, in both solvers
+STOP_INTERVAL = 1 / 240  # [s] after each of which a body whose kinetic energy falls is stopped, in both solvers
 LINEAR = 0.02  # displacement of the tip / size up to which linear elements are a reference
 
 
@@ -103,11 +103,11 @@ def by_us(c: Case) -> dict:
 
     body = SoftBody(c.name, c.vertices, c.tets, boundary_surface(c.tets), c.material, pinned=c.pinned)
     solver = Solver([body], contacts=False, gravity=(0.0, -c.gravity, 0.0))
-    solver.step(FRAME)  # compiles
+    solver.step(STOP_INTERVAL)  # compiles
     solver.reset()
     masses, before, begin = body.masses(), 0.0, perf_counter()
-    for _ in range(round(c.duration / FRAME)):
-        solver.step(FRAME)
+    for _ in range(round(c.duration / STOP_INTERVAL)):
+        solver.step(STOP_INTERVAL)
         velocities = solver.snapshot()["v"].astype(np.float64)
         energy = masses @ (velocities**2).sum(1)
         if energy < before:

@@ -81,12 +81,8 @@ def test_the_measure_of_popping_sees_what_sorting_by_distance_avoids(ti_cpu):
     means, sh = rng.uniform(-0.5, 0.5, (n, 3)), rng.choice([-1.5, 1.5], (n, 1, 3))
     g = Gaussians.of(means, rng.normal(size=(n, 4)), np.full((n, 3), np.log(0.1)), np.zeros(n), sh)
     camera = camera_around(g, popping.SHARPER * 120, popping.SHARPER * 90, 0.4)
-    kept = popping.SIZE, popping.REFERENCE
-    popping.SIZE, popping.REFERENCE = (120, 90), 24  # a window that compiles in seconds
-    try:
-        rows = {row["sort"]: row for row in popping.measure(g, camera)}
-    finally:
-        popping.SIZE, popping.REFERENCE = kept
+    found = popping.measure(g, camera, size=(120, 90), buffer_size=24)  # a buffer that compiles in seconds
+    rows = {row["sort"]: row for row in found}
     assert list(rows) == ["reference", "z", "radial", "pixel"]
     assert rows["radial"]["change"] < 0.75 * rows["z"]["change"]
     assert rows["z"]["popping"] > max(0.01, 1.2 * rows["radial"]["popping"])

@@ -13,7 +13,8 @@ from assets.gaussians import Gaussians
 from bench import embedding_ablation, render_speed, scaling
 from bench import synthetic_room as rooms
 from bench.plot import Panel, svg
-from bench.sample_meshes import boundary, random_gaussians, tet_bar
+from bench.sample_meshes import random_gaussians, tet_bar
+from core.tetmesh import boundary_surface
 
 
 def rows(device: str, factor: float) -> list[dict]:
@@ -115,7 +116,7 @@ def test_two_levels_are_smoother_than_one_and_the_page_shows_them(ti_cpu):
     x = (x - [0.05, 0.0, 0.05]).astype(np.float32)
     low, high = (-0.05, 0, -0.05), (0.05, 0.4, 0.05)
     g = random_gaussians(np.random.default_rng(0), 2000, low=low, high=high, sigma=0.002)
-    bar, found = Asset(g, Cage(x, tets, boundary(tets)), embed(g.means, g.quats, np.exp(g.log_scales), x, tets)), {}
+    bar, found = Asset(g, Cage(x, tets, boundary_surface(tets)), embed(g.means, g.quats, np.exp(g.log_scales), x, tets)), {}
     for scheme in embedding_ablation.SCHEMES:
         draw = scheme == "two-level"
         found[scheme], picture = embedding_ablation.measure_ablation("bar", bar, "180 degrees", scheme, draw=draw)

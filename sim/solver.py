@@ -26,7 +26,7 @@ from sim.elastic.vbd import VBDSubsteps
 from sim.elastic.xpbd import XPBDSubsteps
 from sim.hands.grasp import Grasps
 from sim.hands.grasp_state import GraspState
-from sim.hands.transform import Transform
+from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Capacity, Model
 from sim.recovery import NonFiniteRecovery
@@ -98,7 +98,7 @@ class Solver:
         self.untangling = Untangling(s, self._reductions, self.damping)
         self._targets = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)
-        self._transform = Transform(s)
+        self._rigid_editing = RigidEditing(s)
         self._integrators: dict = {}
         self._compiled: set[str] = set()  # integrators that have made a substep
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
@@ -115,7 +115,7 @@ class Solver:
         if self.interaction == "transform":
             self._step_transform(dt, hands)
             return
-        self._transform.end()
+        self._rigid_editing.end()
         if dt == 0.0 or not self._model.bodies:
             return
         schedule = Schedule.of(dt / self._integration.substep, self.collision_passes, self.integrator.max_substeps)
@@ -150,7 +150,7 @@ class Solver:
         if self.contacts is not None:
             self.contacts.begin_frame(hands, dt, 0)
             grasped, tracked = self.contacts.grasped_bodies(), self.contacts.tracked_hands()
-        self._transform.step(tracked, grasped)
+        self._rigid_editing.step(tracked, grasped)
         if any(b >= 0 and self._model.bodies[b].body.rigid for b in grasped):
             self._fit_rigid_bodies()
         self._last_schedule = (0, 0.0)
@@ -224,7 +224,7 @@ class Solver:
 
     def take_scaling(self) -> tuple[int, float] | None:
         """Body and factor for `rescale`, if two hands have just scaled a body in "transform"; each only once."""
-        return self._transform.stretch.take_finished()
+        return self._rigid_editing.take_scaling()
 
     @property
     def body_models(self) -> tuple[BodyModel, ...]:
@@ -335,12 +335,12 @@ class Solver:
             motion += [high, snapshot.get(low, value - high)]
         self._set_bodies(models, motion, snapshot.get("grasps"))
         self.untangling.restore(snapshot.get("untangling"))
-        self._transform.reset()
+        self._rigid_editing.reset()
 
     def warm_up(self) -> None:
         """Compile what a first grasp, throw, pick or edit needs, so that the user does not wait in the midst of play."""
         self._read_motion(0)
-        for part in (self._transform, self.untangling, *self._constraints):
+        for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 
@@ -399,7 +399,7 @@ class Solver:
         """Take edited bodies; return the index of the last one."""
         motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *bodies.motions], axis=1)
         self._set_bodies(bodies.models, motion, bodies.grasps)
-        self._transform.reset(held=True)
+        self._rigid_editing.reset(held=True)
         return len(bodies.models) - 1
 
     def _moving_bodies(self) -> MovingBodies:

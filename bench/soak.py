@@ -21,8 +21,8 @@ import numpy as np
 from bench.setups import FRAME, G, energies
 from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
 from scenes.scene import Hand, Plane
+from sim.capacity import Capacity
 from sim.hands.grasp_state import MAX_HAND_FORCE
-from sim.model import Capacity
 from sim.solver import Solver
 
 HANDLING, RESTING = 6.0, 3.0  # [s]

@@ -67,6 +67,15 @@ class DistanceGrid:
             raise BadInput(f"{where}: the distance grid's spacing is not positive")
 
 
+def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:
+    """True if two grids have equal nodes and values; None equals None alone."""
+    if a is None or b is None:
+        return a is b
+    return a is b or (
+        a.spacing == b.spacing and np.array_equal(a.origin, b.origin) and np.array_equal(a.values, b.values)
+    )
+
+
 def sample(values: np.ndarray, origin, spacing: float, points: np.ndarray) -> np.ndarray:
     """Trilinear interpolation of `values` (X, Y, Z) at points [m] (..., 3); beyond the grid the border's value.
 

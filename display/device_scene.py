@@ -27,8 +27,8 @@ from render.shadow_map import ShadowMap
 from render.skinned_props import Skin, SkinnedProps
 from render.splats import Splats
 from scenes.scene import Light, Scene
+from sim.capacity import MAX_BODIES, Capacity
 from sim.embedding import BodySpan, Embedding, PackedBody
-from sim.model import MAX_BODIES, Capacity
 from sim.solver import Solver
 
 GROWTH = 4.0  # capacity for vertices and Gaussians of bodies after `grow`, in multiples of the scene's own

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, same_grid
 from core.material import Material
 from core.tetmesh import tet_volumes
 from sim.elastic.time_step import clamp_stiffness, stiffness_bounds, wave_speed
@@ -185,11 +185,3 @@ def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
-
-
-def same_grid(a: DistanceGrid | None, b: DistanceGrid | None) -> bool:
-    if a is None or b is None:
-        return a is b
-    return a is b or (
-        a.spacing == b.spacing and np.array_equal(a.origin, b.origin) and np.array_equal(a.values, b.values)
-    )

@@ -8,7 +8,7 @@ forgotten, because they hold its infinities. The solver's stats count such bodie
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.model import MAX_BODIES
+from sim.capacity import MAX_BODIES
 from sim.reductions import finite
 from sim.state import State
 

@@ -8,7 +8,8 @@ import taichi as ti
 from core.fields import FieldGroup, Upload, round_up_capacity
 from core.rotation import best_fit_rotation
 from scenes.scene import BodyState
-from sim.model import MAX_BODIES, Model, stacked
+from sim.capacity import MAX_BODIES, stacked
+from sim.model import Model
 from sim.state import State
 
 BLOCK_SIZE = 64  # vertices

@@ -16,6 +16,7 @@ from scenes.scene import IDENTITY, BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
 from sim.body_model import BodyModel
+from sim.capacity import Capacity
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
 from sim.elastic.damping import Damping
@@ -28,7 +29,7 @@ from sim.hands.grasp import Grasps
 from sim.hands.grasp_state import GraspState
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
-from sim.model import Capacity, Model
+from sim.model import Model
 from sim.recovery import NonFiniteRecovery
 from sim.reductions import ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_PASSES, MAX_RIGID_SUBSTEP, SUBSTEP_PER_PASS, RigidBodies
@@ -47,7 +48,7 @@ class Solver:
     substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or by
     "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is the number of searches for contacts a frame;
     hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the
-    hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/model.py). Without
+    hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/capacity.py). Without
     contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact a body
     passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies.
     """

@@ -17,7 +17,8 @@ launch, and equal capacities let scenes of different sizes share compiled kernel
 import taichi as ti
 
 from core.fields import FieldGroup, Upload, round_up_capacity, two_sum
-from sim.model import MAX_BODIES, Capacity, Model, Sizes, fit
+from sim.capacity import MAX_BODIES, Capacity, Sizes, fit
+from sim.model import Model
 
 SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
 

@@ -17,8 +17,8 @@ from core.material import Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from scenes.scene import BodyState, Hand
+from sim.capacity import MAX_BODIES, CapacityError
 from sim.embedding import BodySpan
-from sim.model import MAX_BODIES, CapacityError
 
 FULL_NOTICE = "There is no room for that: remove something first."
 GROWTH_NOTICE = "Making room for more bodies: some seconds, once."

@@ -1,11 +1,16 @@
 """Broad phase: bounding boxes of the bodies' positions and velocities, and a spatial hash of points, on the device."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, round_up_capacity
-from sim.model import MAX_BODIES
+from sim.capacity import MAX_BODIES
+
+if TYPE_CHECKING:
+    from sim.state import State
 
 CONTACT_MARGIN = 0.002  # [m] added to the motion that is expected: what that estimate may lack
 FLOAT_MAX = 3.0e38  # larger than any coordinate, finite in float32
@@ -22,7 +27,7 @@ class BodyBounds:
     max_speed f32[B] [m/s]: the speed that no vertex is expected to exceed, on average, until the next search.
     """
 
-    def __init__(self, state, blocks):
+    def __init__(self, state: "State", blocks):
         self.state, self.blocks = state, blocks
         group = self._group = FieldGroup()
         self.partial = group.vector(blocks.size, 4)

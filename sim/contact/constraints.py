@@ -15,12 +15,17 @@ So impulses stay equal and opposite, constraints that agree are solved in one st
 over constraints are integers: their order, and the number of threads, do not matter.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
+from sim.capacity import MAX_BODIES
 from sim.contact.response import fingertip_impulse, friction_impulse, min_normal_motion, normal_impulse
-from sim.model import MAX_BODIES
+
+if TYPE_CHECKING:
+    from sim.state import State
 
 STEPS_PER_METER = 2.0**44  # of the integer sums: 6e-14 m, and 5e5 m before overflow
 STEPS_PER_COEFFICIENT = 2.0**20  # of the integer sums of coefficients
@@ -47,7 +52,7 @@ class ContactConstraints:
     of this substep; max_force f32 [N].
     """
 
-    def __init__(self, state, capacity: int, rigid_bodies=None, finger_rows: int = 0):
+    def __init__(self, state: "State", capacity: int, rigid_bodies=None, finger_rows: int = 0):
         self.state, self.capacity = state, capacity
         self.rigid_bodies, self.coupled = rigid_bodies, rigid_bodies is not None
         self.fingers, self.first_finger = finger_rows > 0, capacity - finger_rows
@@ -155,7 +160,7 @@ class ContactConstraints:
                     inv_mass += self._vertex_inv_mass(r, e, integrator)
             n, old, y, dt = self.normal[r], self.impulse[r], self.relative_motion(r, j, integrator), self.state.dt[None]
             old_n, y_n = n.dot(old), n.dot(y)
-            inverse_mass_t = inv_mass
+            inv_mass_t = inv_mass
             if ti.static(self.coupled):
                 y_t = y - y_n * n
                 along = y_t / ti.max(y_t.norm(), 1e-20)
@@ -163,14 +168,14 @@ class ContactConstraints:
                     b, arm = self.body[r, e], self.lever_arm[r, e]
                     count = self.rigid_bodies.splits(b)
                     inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
-                    inverse_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
+                    inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
                 new_n = normal_impulse(old_n, y_n, min_normal_motion(self.phi[r], dt), inv_mass)
-                if ti.static(self.fingers):
+                if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:
                         most = self.max_force[r - self.first_finger] * dt * dt
                         new_n = fingertip_impulse(old_n, self.phi[r], y_n, inv_mass, dt, most)
-                new = new_n * n + friction_impulse(old, n, y, new_n, self.friction[r], inverse_mass_t, dt)
+                new = new_n * n + friction_impulse(old, n, y, new_n, self.friction[r], inv_mass_t, dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
 
@@ -202,7 +207,7 @@ class ContactConstraints:
             for e in range(self.body_count[r]):
                 d, rotation = self.rigid_bodies.increments(self.body[r, e], passed)
                 y += self.sign[r, e] * (d + rotation.cross(self.lever_arm[r, e]))
-        if ti.static(self.fingers):
+        if ti.static(self.fingers):  # noqa: SIM102
             if r >= self.first_finger:
                 y += self.finger_motion[r - self.first_finger]
         return y
@@ -277,7 +282,7 @@ class ContactForces:
     correction vec3[V] [m]: by static shapes, of each vertex in the last substep;   total i64[B,3] in FORCE_STEP.
     """
 
-    def __init__(self, state, constraints: ContactConstraints):
+    def __init__(self, state: "State", constraints: ContactConstraints):
         self.state, self.constraints, self._group = state, constraints, FieldGroup()
         self.correction = self._group.vector(state.V)
         self.total = self._group.scalar(MAX_BODIES, 3, dtype=ti.i64)

@@ -8,33 +8,32 @@ The rest distance phi_0 there and its gradient N give, with F = dx/dX of the tet
 and the contact acts on the sample with its weights, and on the tet's corners with -b.
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup, Upload
 from scenes.scene import Capsule
-from sim.contact.broad_phase import BodyBounds
-from sim.contact.constraints import ContactConstraints
-from sim.contact.contact_samples import CapsuleSamples, ContactSamples
+from sim.capacity import MAX_BODIES, Capacity, fit
+from sim.contact.contact_samples import CapsuleSamples
 from sim.contact.nearest_tet import NearestTets
-from sim.contact.self_collision import SelfCollision
-from sim.contact.signed_distance import DistanceGrids, grid_of, known, margin_of
-from sim.contact.static_shapes import Shape
-from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
-from sim.model import MAX_BODIES, Capacity, Model, fit
+from sim.contact.signed_distance import DistanceGrids, grid_of, known, margin_of, usable_normal
+from sim.contact.tet_geometry import MIN_WEIGHT, deformed_gradient, rest_coordinates
+
+if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.constraints import ContactConstraints
+    from sim.contact.contact_samples import ContactSamples
+    from sim.contact.self_collision import SelfCollision
+    from sim.contact.static_shapes import Shape
+    from sim.model import Model
+    from sim.state import State
 
 # Cosine of the surfaces' normals above which two surfaces do not face each other: a point that was forced right through
 # a body is let back in. Were it held on the far side, what is entangled would stay so.
 MAX_FACING_COSINE = 0.3
-MIN_WEIGHT = -0.01  # barycentric; below it a sample moves on to the next tet
 NORMAL_STEPS = 2.0**20  # of a unit normal in integer sums, which do not depend on the order
-MIN_NORMAL_RATIO, MIN_GRADIENT = 1e-3, 0.1  # least |F^-T N| / |N| and |N| of a usable normal
-
-
-@ti.func
-def usable_normal(phi, N, normal):
-    """True if a distance phi with gradient N, mapped to `normal`, gives a contact."""
-    return known(phi) and N.norm() > MIN_GRADIENT and normal.norm() > MIN_NORMAL_RATIO * N.norm()
 
 
 @ti.data_oriented
@@ -46,12 +45,12 @@ class DeformableContact:
 
     def __init__(
         self,
-        state,
-        first: Model,
-        samples: ContactSamples,
-        shapes: list[Shape],
-        bounds: BodyBounds,
-        self_collision: SelfCollision | None,
+        state: "State",
+        first: "Model",
+        samples: "ContactSamples",
+        shapes: "list[Shape]",
+        bounds: "BodyBounds",
+        self_collision: "SelfCollision | None",
         capacity: Capacity = Capacity(),
         fingers: bool = False,
     ):
@@ -70,17 +69,17 @@ class DeformableContact:
         self._group.build()
         self._upload = Upload([self.grid_margin])
 
-    def _grids(self, model: Model) -> list[DistanceGrid]:
+    def _grids(self, model: "Model") -> list[DistanceGrid]:
         return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []
 
-    def check_capacity(self, model: Model) -> None:
+    def check_capacity(self, model: "Model") -> None:
         if model.soft:
             fit("bodies in contact", model.sizes.bodies, MAX_BODIES if self.needed else 1)
         if model.rigid:
             fit("rigid bodies", 1, int(self.rigid))
         self.grids.check_capacity(self._grids(model))
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take the grids and tets of these bodies."""
         if self.needed or self.rigid:
             self.grids.load(self._grids(model))
@@ -93,7 +92,7 @@ class DeformableContact:
         """Largest number of constraints."""
         return self.hosts.hash.points if self.needed else 0
 
-    def detect(self, constraints: ContactConstraints) -> None:
+    def detect(self, constraints: "ContactConstraints") -> None:
         """Make the constraints of points near a tet of another body candidates; the bounds must be up to date."""
         if self.needed:
             self.normals.update()
@@ -117,10 +116,10 @@ class DeformableContact:
             normal = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
             length, slope = normal.norm(), N.norm()
             usable = usable_normal(phi, N, normal)
-            if usable and sampled:
-                if self.samples.blend(p, self.normals.normal).dot(normal) > MAX_FACING_COSINE * length:
-                    usable = False
-                    constraints.postpone(r, phi * slope / length, closing_speed)
+            facing = MAX_FACING_COSINE * length
+            if usable and sampled and self.samples.blend(p, self.normals.normal).dot(normal) > facing:
+                usable = False
+                constraints.postpone(r, phi * slope / length, closing_speed)
             if ti.static(self.self_collides):
                 min_distance = 0.5 * self.self_collision.min_rest_distance(host)
                 if usable and sampled and self.samples.body[p] == host:
@@ -180,7 +179,7 @@ class VertexNormals:
     normal vec3[V]: unit mean of the normals of a vertex's triangles, 0 inside;   sum vec3i[V], in NORMAL_STEPS
     """
 
-    def __init__(self, state):
+    def __init__(self, state: "State"):
         self.state, group = state, FieldGroup()
         with group.interleaved(state.V):
             self.normal, self.sum = group.vector(), group.vector(dtype=ti.i32)

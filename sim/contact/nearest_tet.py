@@ -5,18 +5,26 @@ static capsules. Bodies and capsules are *groups*; a point looks for tets of oth
 that may touch itself (sim/contact/self_collision.py).
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from sim.body_model import RestShape
-from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds, PointHash
-from sim.contact.contact_samples import MAX_CAPSULES, CapsuleSamples, ContactSamples
-from sim.contact.self_collision import SelfCollision
+from sim.capacity import MAX_BODIES, stacked
+from sim.contact.broad_phase import CONTACT_MARGIN, PointHash
+from sim.contact.contact_samples import MAX_CAPSULES
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import NO_TET, distance_outside, face_normals, tet_key, tet_neighbors, tet_of_key
-from sim.model import MAX_BODIES, Model, stacked
+
+if TYPE_CHECKING:
+    from sim.body_model import RestShape
+    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.contact_samples import CapsuleSamples, ContactSamples
+    from sim.contact.self_collision import SelfCollision
+    from sim.model import Model
+    from sim.state import State
 
 GROUPS = MAX_BODIES + MAX_CAPSULES
 SEEDS = 64  # tets of a body at which the search for what is far away begins
@@ -35,11 +43,11 @@ class NearestTets:
 
     def __init__(
         self,
-        state,
-        samples: ContactSamples,
-        capsules: CapsuleSamples,
-        bounds: BodyBounds,
-        self_collision: SelfCollision | None,
+        state: "State",
+        samples: "ContactSamples",
+        capsules: "CapsuleSamples",
+        bounds: "BodyBounds",
+        self_collision: "SelfCollision | None",
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
@@ -53,7 +61,7 @@ class NearestTets:
         group.build()
         self._upload = Upload([self.neighbor, self.hash.cell])
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take the tets of these bodies."""
         shapes, begin = model.shapes, model.tet_begin
         near = [s.root.once(neighbors_of) for s in shapes]
@@ -175,7 +183,7 @@ class NearestTets:
                 near = self._near(g)
                 part_low, part_high = ti.max(part_low, low - near), ti.min(part_high, high + near)
                 approach = ti.min(approach, near)
-                if ti.static(self.self_collides):
+                if ti.static(self.self_collides):  # noqa: SIM102
                     if g == body:  # the part of its own box that the tet can meet
                         approach = self.self_collision.search_distance[body]
                         part_low = ti.max(low - approach, self.bounds.low[body])
@@ -287,6 +295,6 @@ class NearestTets:
         return result
 
 
-def neighbors_of(shape: RestShape) -> np.ndarray:
+def neighbors_of(shape: "RestShape") -> np.ndarray:
     """Neighbours of the tets of a rest shape, (T, 4) int32."""
     return tet_neighbors(shape.tets)

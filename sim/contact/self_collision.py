@@ -11,13 +11,20 @@ for, nothing of the body can meet itself. With X, x, v relative to the means,
 and sigma_min from |A^T A - I|, or from |A^-1| where the body is squeezed as a whole.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
-from sim.body_model import RestShape
-from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds
-from sim.model import MAX_BODIES, Model
+from sim.capacity import MAX_BODIES
+from sim.contact.broad_phase import CONTACT_MARGIN
+
+if TYPE_CHECKING:
+    from sim.body_model import RestShape
+    from sim.contact.broad_phase import BodyBounds
+    from sim.model import Model
+    from sim.state import State
 
 MIN_REST_DISTANCE = 5.0  # [max. displacement of a substep, half an edge]: points closer at rest do not collide
 MIN_LENGTH = 5.0  # [edges]; a shorter body has no two ends that far apart that could still meet
@@ -34,7 +41,7 @@ class SelfCollision:
     residual, speed_residual f32[B]: the largest distances r [m] and r_v [m/s] from the fits
     """
 
-    def __init__(self, state, blocks, bounds: BodyBounds):
+    def __init__(self, state: "State", blocks, bounds: "BodyBounds"):
         self.state, self.blocks, self.bounds = state, blocks, bounds
         group, B = FieldGroup(), MAX_BODIES
         self.sums, self.total = group.scalar(blocks.size, SUMS), group.scalar(B, SUMS)
@@ -46,7 +53,7 @@ class SelfCollision:
         group.build()
         self._upload = Upload([self.disabled])
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take which of these bodies pass through themselves."""
         self._upload([np.array([not p.body.rigid and p.body.loose for p in model.bodies])])
 
@@ -145,6 +152,6 @@ class SelfCollision:
         self.residual[b], self.speed_residual[b] = 0.0, 0.0
 
 
-def can_fold(shape: RestShape) -> bool:
+def can_fold(shape: "RestShape") -> bool:
     """True if a body is long enough for one end to touch the other."""
     return float(np.ptp(shape.vertices, axis=0).max()) > MIN_LENGTH * shape.edge

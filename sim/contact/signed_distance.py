@@ -1,19 +1,24 @@
 """Signed distance grids on the device, many in one flat field, and the grid of a cage that has none."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 from scipy.ndimage import distance_transform_edt
 from taichi.math import vec3
 
-from core.distance_grid import DistanceGrid
+from core.distance_grid import DistanceGrid, same_grid
 from core.fields import FieldGroup, Upload, round_up_capacity
-from sim.body_model import RestShape, same_grid
-from sim.model import Capacity, fit
+from sim.capacity import Capacity, fit
+
+if TYPE_CHECKING:
+    from sim.body_model import RestShape
 
 UNKNOWN_DISTANCE = 1e3  # [m], the distance where a grid says nothing
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache
 PADDING = 4  # [nodes] around the cage's box: contact begins outside
 EXACT_BAND = 3.5  # [nodes] around the surface with exact distances; further away only sign and trend matter
+MIN_NORMAL_RATIO, MIN_GRADIENT = 1e-3, 0.1  # least |F^-T N| / |N| and |N| of a usable normal
 UNREACHED = 1e9  # [nodes] where no triangle is near
 
 
@@ -21,6 +26,12 @@ UNREACHED = 1e9  # [nodes] where no triangle is near
 def known(phi):
     """True if phi [m] is a distance, not UNKNOWN_DISTANCE."""
     return phi < 0.5 * UNKNOWN_DISTANCE
+
+
+@ti.func
+def usable_normal(phi, N, normal):
+    """True if a distance phi [m] with gradient N at rest, carried to `normal` = F^-T N, gives a contact."""
+    return known(phi) and N.norm() > MIN_GRADIENT and normal.norm() > MIN_NORMAL_RATIO * N.norm()
 
 
 @ti.data_oriented
@@ -180,7 +191,7 @@ def triangle_distance_squared(a, b, c):
     return nearest
 
 
-def grid_of(shape: RestShape) -> DistanceGrid:
+def grid_of(shape: "RestShape") -> DistanceGrid:
     """Distance grid of a rest shape: its body's own, else one made of the mesh; an empty one of a box."""
     if shape.boxed:
         return DistanceGrid(np.full((2, 2, 2), UNKNOWN_DISTANCE, np.float32), np.zeros(3), 1e-3)
@@ -191,7 +202,7 @@ def grid_of(shape: RestShape) -> DistanceGrid:
     return rest_grid(shape.vertices, shape.solid, shape.surface)
 
 
-def margin_of(shape: RestShape) -> float:
+def margin_of(shape: "RestShape") -> float:
     """Distance [m] around the surface that the grid of a rest shape surely covers: the least on its outermost nodes."""
     v = np.asarray(shape.once(grid_of).values, np.float64)
     return float(max(0.0, min(face.min() for k in range(3) for face in (v.take(0, k), v.take(-1, k)))))

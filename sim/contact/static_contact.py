@@ -4,11 +4,12 @@ A vertex meets them at once and exactly, one after the other; a point on a trian
 (sim/contact/constraints.py).
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from sim.contact.constraints import ContactConstraints, ContactForces
 from sim.contact.response import (
     CONTACT_STIFFNESS,
     min_normal_motion,
@@ -17,6 +18,10 @@ from sim.contact.response import (
 )
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 
+if TYPE_CHECKING:
+    from sim.contact.constraints import ContactConstraints, ContactForces
+    from sim.state import State
+
 MAX_NEAR = 8  # static shapes that one sample can be near at once; of more, the nearest count
 
 
@@ -24,7 +29,9 @@ MAX_NEAR = 8  # static shapes that one sample can be near at once; of more, the 
 class StaticContact:
     """near i32[P,8]: shapes near sample p, near_count i32[P]."""
 
-    def __init__(self, state, samples, shapes, bounds, constraints: ContactConstraints, forces: ContactForces):
+    def __init__(
+        self, state: "State", samples, shapes, bounds, constraints: "ContactConstraints", forces: "ContactForces"
+    ):
         self.state, self.samples, self.shapes, self.bounds = state, samples, shapes, bounds
         self.constraints, self.forces = constraints, forces
         group = self._group = FieldGroup()

@@ -10,12 +10,18 @@ critically: its vertices go to their target and not beyond, with the acceleratio
 may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on); so may what that hits.
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds
+from sim.capacity import MAX_BODIES
+from sim.contact.broad_phase import CONTACT_MARGIN
 from sim.elastic.energy import energy_density
-from sim.model import MAX_BODIES
+
+if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.state import State
 
 IMPACT_CHAIN = 3  # impacts in a row before the next search: a, b, c, d
 
@@ -24,7 +30,7 @@ IMPACT_CHAIN = 3  # impacts in a row before the next search: a, b, c, d
 class SweptBounds:
     """spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[2,B] [m/s]: speeds passed on."""
 
-    def __init__(self, state, grasps, bounds: BodyBounds):
+    def __init__(self, state: "State", grasps, bounds: "BodyBounds"):
         self.state, self.grasps, self.bounds = state, grasps, bounds
         group = self._group = FieldGroup()
         self.spring_speed, self.grasp_speed = group.scalar(MAX_BODIES), group.scalar(MAX_BODIES)

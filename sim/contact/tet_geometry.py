@@ -4,6 +4,7 @@ import numpy as np
 import taichi as ti
 
 MIN_VOLUME_RATIO = 1e-3  # of the rest volume; a tet crushed flatter has no usable normal
+MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet
 NO_TET = 2**62  # a key above those of all tets
 
 

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.quaternion import polar_quaternion, to_matrix
-from sim.model import MAX_BODIES
+from sim.capacity import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

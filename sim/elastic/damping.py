@@ -9,7 +9,7 @@ substeps (t is their sum; c t << 1), because the sums over a body cost as much a
 import taichi as ti
 
 from core.fields import FieldGroup, two_sum
-from sim.model import MAX_BODIES
+from sim.capacity import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

@@ -10,7 +10,8 @@ import taichi as ti
 
 from core.fields import Upload
 from sim.body_model import RestShape
-from sim.model import Model, stacked
+from sim.capacity import stacked
+from sim.model import Model
 from sim.state import State
 
 FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis

@@ -17,10 +17,11 @@ nothing of the energy here: the step would become nothing, and what the push lef
 import taichi as ti
 
 from core.fields import Upload
+from sim.capacity import MAX_BODIES, stacked
 from sim.elastic.best_fit_rotation import BestFitRotation
 from sim.elastic.energy import Elasticity, fine_stress
 from sim.elastic.modes import MODES, modes_of
-from sim.model import MAX_BODIES, Model, stacked
+from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

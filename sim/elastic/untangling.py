@@ -17,9 +17,10 @@ import taichi as ti
 
 from core.fields import FieldGroup, Upload
 from core.quaternion import polar_quaternion
+from sim.capacity import MAX_BODIES
 from sim.elastic.damping import Damping
 from sim.elastic.time_step import lame
-from sim.model import MAX_BODIES, Model
+from sim.model import Model
 from sim.recovery import RECOVERED
 from sim.reductions import Reductions
 from sim.state import State

@@ -23,12 +23,13 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import Upload, round_up_capacity
+from sim.capacity import stacked
 from sim.constraint import Constraint
 from sim.elastic.coloring import color_ranges, colors_of
 from sim.elastic.energy import Elasticity, corners_of, fine_stress
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.substep import block_size, commit, phase_kernels
-from sim.model import Model, stacked
+from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

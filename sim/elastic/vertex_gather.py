@@ -10,8 +10,9 @@ import numpy as np
 import taichi as ti
 
 from core.fields import Upload
+from sim.capacity import stacked
 from sim.elastic.energy import CRUSHED, FAR_STRETCHED, energy_density, safe_step, slots_of, stress
-from sim.model import Model, stacked
+from sim.model import Model
 from sim.state import State
 
 OTHERS = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]  # the other corners of each corner

@@ -3,14 +3,20 @@
 A capsule is a row of up to SAMPLES_PER_CAPSULE samples on its axis, a radius apart or less.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
 from scenes.scene import Hand
-from sim.contact.broad_phase import CONTACT_MARGIN, BodyBounds
+from sim.capacity import MAX_BODIES
+from sim.contact.broad_phase import CONTACT_MARGIN
 from sim.contact.response import FINGERTIP_DAMPING_TIME, FINGERTIP_MAX_DEPTH
-from sim.model import MAX_BODIES
+
+if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.state import State
 
 CAPSULES_PER_HAND = 20  # its 19 bones, and one to spare
 SAMPLES_PER_CAPSULE = 8
@@ -28,7 +34,7 @@ class FingerCapsules:
     low, high vec3[H C] [m]: box of what a capsule may touch until the next search;   speed f32[H] [m/s]: of a hand
     """
 
-    def __init__(self, state, bounds: BodyBounds, hands: int):
+    def __init__(self, state: "State", bounds: "BodyBounds", hands: int):
         self.state, self.bounds = state, bounds
         self.hands, self.count = max(hands, 1), max(hands, 1) * SAMPLES_PER_HAND
         H, N, group = self.hands, self.count, FieldGroup()

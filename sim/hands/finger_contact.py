@@ -10,17 +10,17 @@ compliantly and with bounded force (`fingertip_impulse` in sim/contact/response.
 it holds, and through one that it has let go until they are apart.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
 from scenes.scene import Hand
-from sim.contact.broad_phase import BodyBounds
-from sim.contact.constraints import ContactConstraints
-from sim.contact.deformable_contact import MIN_WEIGHT, DeformableContact, usable_normal
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, known, usable_normal
 from sim.contact.tet_geometry import (
+    MIN_WEIGHT,
     NO_TET,
     deformed_gradient,
     distance_outside,
@@ -32,6 +32,12 @@ from sim.contact.tet_geometry import (
 from sim.hands.finger_capsules import CAPSULES_PER_HAND, SAMPLES_PER_CAPSULE, SAMPLES_PER_HAND, FingerCapsules
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.rigid.rigid_motion import FREE
+
+if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.constraints import ContactConstraints
+    from sim.contact.deformable_contact import DeformableContact
+    from sim.state import State
 
 SKIN_FRICTION = 1.0  # coefficient; with a body, as always, the geometric mean
 MAX_SAMPLE_FORCE = 10.0  # [N]: 30 to 40 of a fingertip
@@ -57,10 +63,10 @@ class FingerContact:
 
     def __init__(
         self,
-        state,
-        deformable: DeformableContact,
-        bounds: BodyBounds,
-        constraints: ContactConstraints,
+        state: "State",
+        deformable: "DeformableContact",
+        bounds: "BodyBounds",
+        constraints: "ContactConstraints",
         begin: int,
         *,
         hands: int,

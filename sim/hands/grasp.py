@@ -13,26 +13,30 @@ per mass of vertex, and are integrated implicitly in each substep, with the hand
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
 
 from core.fields import Download, FieldGroup
 from scenes.scene import Hand
+from sim.capacity import stacked
 from sim.hands.grasp_state import (
     MAX_HAND_FORCE,
     MIN_SPRING_MASS,
     SPRING_OMEGA,
-    Grasp,
     GraspState,
-    PoseHistory,
     extended,
     find_grasp,
     has_pose,
     pose,
 )
 from sim.hands.throw import THROW_WINDOW, throw_velocities
-from sim.model import Model, stacked
+
+if TYPE_CHECKING:
+    from sim.hands.grasp_state import Grasp, PoseHistory
+    from sim.model import Model
+    from sim.state import State
 
 MAX_HAND_JUMP = 1.0  # [m] in a frame; faster than any arm, so the tracking was lost
 TRACKING_TIMEOUT = 0.25  # [s] that a hand is held where it was lost
@@ -48,7 +52,7 @@ class Grasps:
     total i64[H,3]: force sums [1e-6 N]
     """
 
-    def __init__(self, state, count: int):
+    def __init__(self, state: "State", count: int):
         self.state, self.count = state, count
         H, V, group = max(count, 1), state.V, FieldGroup()
         self.held, self.target, self.correction = group.scalar(V, dtype=ti.i32), group.vector(H, V), group.vector(H, V)
@@ -59,7 +63,7 @@ class Grasps:
         group.build()
         self._motion = Download([state.x, state.v])
 
-    def load(self, model: Model, ids: np.ndarray, weights: np.ndarray) -> None:
+    def load(self, model: "Model", ids: np.ndarray, weights: np.ndarray) -> None:
         """Take other bodies, with the vertices (P, 3) and weights (P, 3) of their surface samples."""
         self.model, self.offsets, self.samples = model, model.vertex_begin, (ids, weights)
         self.masses = stacked([p.mass for p in model.bodies])
@@ -128,7 +132,7 @@ class Grasps:
             return given
         return replace(last, grip=given.grip)
 
-    def _throw(self, body: int, history: PoseHistory) -> None:
+    def _throw(self, body: int, history: "PoseHistory") -> None:
         """Let a body move on as the hand did that has held it."""
         part = self.model.bodies[body]
         first, last = (int(o) for o in self.offsets[body : body + 2])
@@ -142,7 +146,7 @@ class Grasps:
         for i in range(n):
             self.state.v[first + i] += ti.Vector([dv[i, c] for c in range(3)])
 
-    def _hold(self, h: int, grasp: Grasp | None) -> None:
+    def _hold(self, h: int, grasp: "Grasp | None") -> None:
         """Let hand h hold exactly this."""
         self.grasps[h] = grasp
         count = 1 if grasp is None else len(grasp.vertices)  # Taichi takes no empty arrays

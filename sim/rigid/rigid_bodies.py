@@ -10,6 +10,8 @@ The angular momentum L in the world is the state, not omega, so that a free body
 term is that omega changes with the attitude. Kinematic bodies have w = 0 and follow their targets.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 
@@ -17,12 +19,10 @@ from core import quaternion
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
-from sim.body_model import BodyModel
+from sim.capacity import MAX_BODIES
 from sim.constraint import Constraint
 from sim.contact.constraints import STEPS_PER_METER
 from sim.contact.response import angular_inv_mass
-from sim.model import MAX_BODIES, Model
-from sim.rigid.rigid_body import RigidBody
 from sim.rigid.rigid_grasp import RigidGrasp
 from sim.rigid.rigid_motion import (
     DRIVEN,
@@ -34,6 +34,12 @@ from sim.rigid.rigid_motion import (
     predict_body,
     update_rotation,
 )
+
+if TYPE_CHECKING:
+    from sim.body_model import BodyModel
+    from sim.model import Model
+    from sim.rigid.rigid_body import RigidBody
+    from sim.state import State
 
 SUBSTEP_PER_PASS = 1.25e-4  # [s] of a substep for each pass over the constraints
 MAX_PASSES = 4
@@ -58,7 +64,7 @@ class RigidBodies(Constraint):
     has_pairs = True
     phase_sizes = (MAX_BODIES,)
 
-    def __init__(self, state, grasps=None, *, passes: int):
+    def __init__(self, state: "State", grasps=None, *, passes: int):
         """Allocate for MAX_BODIES; grasps: those of sim/hands/grasp.py, None without hands; passes: see constraints."""
         self.state, self.passes = state, passes
         group, B = FieldGroup(), MAX_BODIES
@@ -82,7 +88,7 @@ class RigidBodies(Constraint):
         self.bodies: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take these bodies, of which those that are rigid move here; poses and momenta come by `set_motion`."""
         self.bodies, self.begin = model.bodies, model.vertex_begin
         B = len(self.bodies)
@@ -97,7 +103,7 @@ class RigidBodies(Constraint):
         self._constants([kind, center, inv_mass, restitution, max_step, inertia, inverse_inertia])
         self.targets.clear()
 
-    def _rigid(self) -> list[tuple[int, RigidBody]]:
+    def _rigid(self) -> "list[tuple[int, RigidBody]]":
         """Index and body of each rigid one."""
         return [(b, p.body) for b, p in enumerate(self.bodies) if p.body.rigid]
 

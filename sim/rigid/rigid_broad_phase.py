@@ -5,18 +5,24 @@ Each sample keeps a few slots for the shapes that it is near; each slot is a con
 bodies alone form groups, one for each two bodies that touch; all static shapes count as one body.
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.contact.broad_phase import BodyBounds
-from sim.contact.constraints import ContactConstraints
-from sim.contact.contact_samples import ContactSamples
+from sim.capacity import MAX_BODIES
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
-from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
-from sim.model import MAX_BODIES
-from sim.rigid.rigid_bodies import RigidBodies
+from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_motion import FREE, SOFT
-from sim.rigid.rigid_shapes import RigidShapes
+
+if TYPE_CHECKING:
+    from sim.contact.broad_phase import BodyBounds
+    from sim.contact.constraints import ContactConstraints
+    from sim.contact.contact_samples import ContactSamples
+    from sim.contact.static_shapes import StaticShapes
+    from sim.rigid.rigid_bodies import RigidBodies
+    from sim.rigid.rigid_shapes import RigidShapes
+    from sim.state import State
 
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
@@ -24,7 +30,7 @@ GROUPS = MAX_BODIES * (MAX_BODIES + 1)
 REDUNDANT_DISTANCE = 3e-4  # [m]; a sample between corners that are as near, up to this, adds nothing
 
 
-def slot_count(samples: ContactSamples) -> int:
+def slot_count(samples: "ContactSamples") -> int:
     """Number of slots, which is that of the constraints."""
     return SLOTS * samples.capacity
 
@@ -41,13 +47,13 @@ class RigidBroadPhase:
 
     def __init__(
         self,
-        state,
-        rigid_bodies: RigidBodies,
-        samples: ContactSamples,
-        static_shapes: StaticShapes,
-        shapes: RigidShapes,
-        bounds: BodyBounds,
-        constraints: ContactConstraints,
+        state: "State",
+        rigid_bodies: "RigidBodies",
+        samples: "ContactSamples",
+        static_shapes: "StaticShapes",
+        shapes: "RigidShapes",
+        bounds: "BodyBounds",
+        constraints: "ContactConstraints",
         begin: int,
     ):
         self.state, self.rigid_bodies, self.samples, self.bounds = state, rigid_bodies, samples, bounds

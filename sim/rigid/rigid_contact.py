@@ -5,16 +5,21 @@ and are solved by Gauss-Seidel sweeps: four corners on a floor take no longer to
 that a constraint asks for after an impact.
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
+from sim.capacity import MAX_BODIES
 from sim.contact.response import angular_inv_mass, friction_impulse, min_normal_motion, normal_impulse
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
-from sim.model import MAX_BODIES
-from sim.rigid.rigid_broad_phase import WORLD, RigidBroadPhase
+from sim.rigid.rigid_broad_phase import WORLD
 from sim.rigid.rigid_motion import SOFT
+
+if TYPE_CHECKING:
+    from sim.rigid.rigid_broad_phase import RigidBroadPhase
 
 GROUP_SWEEPS = 3  # over a group's constraints in each pass
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce
@@ -28,7 +33,7 @@ class RigidContacts:
     impact_left i32[4P]: substeps for which an impact still asks for its speed
     """
 
-    def __init__(self, search: RigidBroadPhase):
+    def __init__(self, search: "RigidBroadPhase"):
         self.search, self.state, self.rigid_bodies = search, search.state, search.rigid_bodies
         self.constraints, self.samples, self.begin = search.constraints, search.samples, search.begin
         self._group = FieldGroup()

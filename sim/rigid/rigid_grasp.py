@@ -6,12 +6,17 @@
 for the centre of mass, which the hand wants at p and to move by `step` in this substep, and alike for the attitude.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 
 from core import quaternion
 from core.fields import FieldGroup
 from sim.hands.grasp_state import MAX_HAND_FORCE, MIN_SPRING_MASS, SPRING_OMEGA
+
+if TYPE_CHECKING:
+    from sim.state import State
 
 MAX_HAND_TORQUE = 0.1 * MAX_HAND_FORCE  # [N m] of one hand: its force at the width of a hand
 
@@ -23,7 +28,7 @@ class RigidGrasp:
     force vec3[H] [N]: of the last substep, on the body.   grasps: the hands' poses and grasps, None without hands.
     """
 
-    def __init__(self, state, grasps):
+    def __init__(self, state: "State", grasps):
         self.state, self.grasps = state, grasps
         self.count = 0 if grasps is None else grasps.count
         H, group = max(self.count, 1), FieldGroup()

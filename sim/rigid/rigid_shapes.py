@@ -1,16 +1,23 @@
 """Collision shapes of rigid bodies: exact boxes, or distance grids, in the body's frame."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from sim.body_model import RestShape
-from sim.contact.contact_samples import ContactSamples, points_of
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
+from sim.capacity import MAX_BODIES
+from sim.contact.contact_samples import points_of
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import box_distance
-from sim.model import MAX_BODIES, Model
-from sim.rigid.rigid_bodies import RigidBodies
+
+if TYPE_CHECKING:
+    from sim.body_model import RestShape
+    from sim.contact.contact_samples import ContactSamples
+    from sim.contact.signed_distance import DistanceGrids
+    from sim.model import Model
+    from sim.rigid.rigid_bodies import RigidBodies
 
 MAX_OVERHANG = 5e-4  # [m] of a corner beyond the edge of a box that bears it: bodies as wide as each other are stacked
 MAX_BEARING_COSINE = -0.05  # of the normals of a face and of the surface at a sample that it can bear
@@ -23,7 +30,7 @@ class RigidShapes:
     On a corner or an edge `outward` is the mean of the faces that meet there; 0 for samples of soft bodies.
     """
 
-    def __init__(self, rigid_bodies: RigidBodies, samples: ContactSamples, grids: DistanceGrids):
+    def __init__(self, rigid_bodies: "RigidBodies", samples: "ContactSamples", grids: "DistanceGrids"):
         self.rigid_bodies, self.samples, self.grids = rigid_bodies, samples, grids
         group = self._group = FieldGroup()
         self.boxed, self.half = group.scalar(MAX_BODIES, dtype=ti.i32), group.vector(MAX_BODIES)
@@ -31,7 +38,7 @@ class RigidShapes:
         group.build()
         self._upload = Upload([self.boxed, self.half, self.outward])
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take the shapes of these bodies."""
         shapes = model.shapes
         half = [s.vertices.max(0) if s.boxed else np.zeros(3) for s in shapes]
@@ -84,7 +91,7 @@ def bearing_distance(p, half, facing):
     return phi, normal
 
 
-def outward_of(shape: RestShape, spacing: float) -> np.ndarray:
+def outward_of(shape: "RestShape", spacing: float) -> np.ndarray:
     """Unit sum of the different face normals that meet at each sample of a rigid shape, (P, 3)."""
     points = shape.once(points_of, spacing)
     result = np.zeros((len(points.ids), 3))

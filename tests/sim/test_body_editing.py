@@ -13,8 +13,8 @@ from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Box, Hand
 from sim.body_model import BodyModel, RestShape
+from sim.capacity import Capacity
 from sim.contact.signed_distance import DistanceGrids, grid_of, rest_grid
-from sim.model import Capacity
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 

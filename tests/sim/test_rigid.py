@@ -22,7 +22,9 @@ def place(ti_cpu):
 @pytest.fixture(scope="module")
 def free(ti_cpu):
     """A book that spins about its middle axis, and a box that only flies."""
-    book = RigidBody.box("book", (0.3, 0.2, 0.1), density=1000.0, angular_velocity=(0.05, 5.0, 0.0), velocity=(0.1, 0, 0))
+    book = RigidBody.box(
+        "book", (0.3, 0.2, 0.1), density=1000.0, angular_velocity=(0.05, 5.0, 0.0), velocity=(0.1, 0, 0)
+    )
     return Solver([book, RigidBody.box("box", (0.1,) * 3, density=500.0, position=(3, 3, 3))], contacts=False)
 
 

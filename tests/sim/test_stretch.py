@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from scenes.scene import Box, Hand
-from sim.hands.two_hand_scaling import MIN_SCALE, MAX_SCALE, turn_between
+from sim.hands.rigid_editing import MAX_SCALE, MIN_SCALE, shortest_rotation
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
@@ -114,7 +114,7 @@ def test_the_shortest_turn():
         a, b = rng.normal(size=(2, 3))
         a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
         for to in (b, a, -a):
-            R = turn_between(a, to)
+            R = shortest_rotation(a, to)
             assert_allclose(R @ a, to, atol=1e-4)
             assert_allclose(R @ R.T, np.eye(3), atol=1e-9)
             assert np.linalg.det(R) > 0

@@ -123,7 +123,10 @@ def statics() -> list[dict]:
 
 
 def elastic_forces(vertices: np.ndarray, x: np.ndarray, tets: np.ndarray, young: float, poisson: float) -> np.ndarray:
-    """Forces [N] on vertices at x (V, 3) of a body with this rest shape, in float64; the energy of sim/elastic/energy.py without its last term."""
+    """Forces [N] on vertices at x (V, 3) of a body with this rest shape, in float64.
+
+    The energy is that of sim/elastic/energy.py without its last term, which is 0 unless a tet is crushed.
+    """
     mu = young / (2 * (1 + poisson))
     lam = mu + young * poisson / ((1 + poisson) * (1 - 2 * poisson))
     before, now = (np.swapaxes(p[tets[:, 1:]] - p[tets[:, :1]], 1, 2) for p in (vertices, x))

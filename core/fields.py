@@ -154,7 +154,7 @@ class Download:
 
 
 class Upload:
-    """A kernel that fills several fields (single values, or one-dimensional) at once: one each takes long to compile."""
+    """Kernel that fills several fields (single values, or one-dimensional) at once: one each takes long to compile."""
 
     def __init__(self, fields: list):
         self.fields = fields

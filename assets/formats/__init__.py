@@ -1,4 +1,4 @@
 """One module for each file format of splats and skinned meshes.
 
-In: bytes from untrusted sources. Out: checked Gaussians (or rigs and meshes), and files of the formats that are written.
+In: bytes from untrusted sources. Out: checked Gaussians (or rigs and meshes), and files of some formats.
 """

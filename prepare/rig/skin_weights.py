@@ -37,14 +37,14 @@ def laplacian(vertices: np.ndarray, tets: np.ndarray):
 
 
 def diffuse_weights(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Weights W (V, J) of (L + diag(m held)) W = diag(m held) target; held [1/m^2] (V,), target (V, J), rows sum to 1."""
+    """Weights W (V, J) of (L + diag(m held)) W = diag(m held) target; held [1/m^2], (V,); rows of target (V, J) sum to 1."""
     L, mass = laplacian(vertices, tets)
     H = mass * held
     return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)
 
 
 def largest_influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The JOINTS_PER_VERTEX largest weights of each row (V, J), normalised: joints (V, 4) int32, weights (V, 4) float32."""
+    """Largest JOINTS_PER_VERTEX weights of each row (V, J), normalised: joints (V, 4) int32, weights (V, 4) float32."""
     if weights.shape[1] < JOINTS_PER_VERTEX:
         weights = np.pad(weights, ((0, 0), (0, JOINTS_PER_VERTEX - weights.shape[1])))
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :JOINTS_PER_VERTEX]

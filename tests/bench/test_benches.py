@@ -116,7 +116,8 @@ def test_two_levels_are_smoother_than_one_and_the_page_shows_them(ti_cpu):
     x = (x - [0.05, 0.0, 0.05]).astype(np.float32)
     low, high = (-0.05, 0, -0.05), (0.05, 0.4, 0.05)
     g = random_gaussians(np.random.default_rng(0), 2000, low=low, high=high, sigma=0.002)
-    bar, found = Asset(g, Cage(x, tets, boundary_surface(tets)), embed(g.means, g.quats, np.exp(g.log_scales), x, tets)), {}
+    embedded, found = embed(g.means, g.quats, np.exp(g.log_scales), x, tets), {}
+    bar = Asset(g, Cage(x, tets, boundary_surface(tets)), embedded)
     for scheme in embedding_ablation.SCHEMES:
         draw = scheme == "two-level"
         found[scheme], picture = embedding_ablation.measure_ablation("bar", bar, "180 degrees", scheme, draw=draw)

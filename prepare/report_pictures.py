@@ -76,7 +76,7 @@ def coarsened(cells: np.ndarray, step: int) -> np.ndarray:
 
 
 def behind(points: np.ndarray, camera: Camera, middle: np.ndarray) -> np.ndarray:
-    """Mask (N,) of the points behind a plane through `middle`, (3,) or (N, 3), normal to the axis x or z of the view."""
+    """Mask (N,) of the points behind a plane through `middle`, (3,) or (N, 3), normal to x or z as the camera faces."""
     to = camera.position - middle
     axis = 0 if np.abs(to[..., 0]).max() > np.abs(to[..., 2]).max() else 2
     return (points[:, axis] - middle[..., axis]) * to[..., axis] < 0

@@ -37,7 +37,7 @@ def laplacian(vertices: np.ndarray, tets: np.ndarray):
 
 
 def diffuse_weights(vertices: np.ndarray, tets: np.ndarray, held: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Solution W (V, J) of (L + diag(m held)) W = diag(m held) target; held (V,) [1/m^2], target (V, J) rows sum to 1."""
+    """Solution W (V, J) of (L + diag(m held)) W = diag(m held) target; held (V,) [1/m^2], rows of target sum to 1."""
     L, mass = laplacian(vertices, tets)
     H = mass * held
     return splu((L + diags(H)).tocsc()).solve(H[:, None] * target)

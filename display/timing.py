@@ -52,10 +52,22 @@ class Timings:
         else:
             self._samples[name].append(seconds)
 
-    def frame(self, missed: int | None = None) -> None:
-        """Mark the end of a frame. The first one only starts the clock: it holds the compilation. `missed`: how many
-        the display has missed before this one, if it knows; else that is told by the time."""
+    def measure_exactly(self, on: bool) -> None:
+        """Let stages wait for the device from now on, or not."""
+        self.exact = on
+
+    def note_photon(self, seconds: float) -> None:
+        """Record a time from motion to light [s]."""
+        self.photon.append(seconds)
+
+    def frame(self, missed: int | None = None, *, budget: float | None = None, dropped: float = 0.0) -> None:
+        """Mark the end of a frame. The first one only starts the clock: it holds the compilation.
+
+        A display that knows them says how many frames it has `missed` before this one (else the time tells), its
+        period, which is the `budget` [s], and the time [s] `dropped` so far.
+        """
         now = perf_counter()
+        self.budget, self.dropped = self.budget if budget is None else budget, max(self.dropped, dropped)
         if self._mark is not None:
             self._frames.append(now - self._mark)
             self.missed += now - self._mark > 1.5 * self.budget if missed is None else missed

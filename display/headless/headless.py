@@ -96,7 +96,7 @@ class Headless:
                     self._video.write(pixels)
                 if kept:
                     save_png(self.snapshot, pixels)
-        world.timings.exact = True  # from the second frame on; the first compiles
+        world.timings.measure_exactly(True)  # from the second frame on; the first compiles
         world.timings.frame()
 
 

@@ -14,7 +14,7 @@ CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on the key
 
 
 def import_glfw():
-    """The module glfw. ImGui comes first: it names the GLFW library that both then share."""
+    """Import the module glfw. ImGui comes first: it names the GLFW library that both then use."""
     import imgui_bundle  # noqa: F401
     import glfw  # isort: skip
 

@@ -111,7 +111,7 @@ class Window:
                 self._draw_marker(body)
             self._surface.end()
         self._surface.swap()
-        world.timings.exact = self._panel.details
+        world.timings.measure_exactly(self._panel.details)
         world.timings.frame()
 
     def _camera_moved(self) -> bool:

@@ -16,7 +16,7 @@ from display.xr.poses import pose_matrix
 from render.skinned_props import Skin
 from scenes.scene import BodyState
 
-# Indices of the parts: the joints of both hands, then of each side (left, right) what a controller looks like.
+# Indices of the parts: the joints of both hands, then each side's (left, right) controller.
 CONTROLLER, FINGER, FINGERTIP = 2 * JOINT_COUNT, 2 * JOINT_COUNT + 2, 2 * JOINT_COUNT + 4
 RAY, TARGET = 2 * JOINT_COUNT + 6, 2 * JOINT_COUNT + 7
 CORNERS = TARGET + 1
@@ -79,21 +79,21 @@ def controller_points() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals and colours (N, 3) of a handle with a ring around its head, in the frame of the grip pose."""
     x, n = tube(0.095, lambda t: HANDLE_RADIUS * (1.0 + 0.28 * (2 * t - 1) ** 2))
     end, flip = dome(HANDLE_RADIUS * 1.28), np.array([1.0, 1.0, -1.0])
-    pieces = [(x + [0, 0, 0.052], n, HANDLE_COLOUR), (end[0] + [0, 0, -0.043], end[1], HANDLE_COLOUR)]
-    pieces.append((end[0] * flip + [0, 0, 0.052], end[1] * flip, HANDLE_COLOUR))
+    patches = [(x + [0, 0, 0.052], n, HANDLE_COLOUR), (end[0] + [0, 0, -0.043], end[1], HANDLE_COLOUR)]
+    patches.append((end[0] * flip + [0, 0, 0.052], end[1] * flip, HANDLE_COLOUR))
     angles = (np.arange(0, 2 * np.pi, FINE_SPACING / radius) for radius in (RING_RADIUS, TUBE_RADIUS))
     a, b = np.meshgrid(*angles, indexing="ij")
     n = np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], -1).reshape(-1, 3)
     ring = TUBE_RADIUS * n + RING_RADIUS * np.stack([np.cos(a), np.sin(a), 0 * a], -1).reshape(-1, 3)
     tilt = rotation_about((1.0, 0.0, 0.0), RING_TILT)
-    pieces.append((ring @ tilt.T + [0, 0.012, -0.055], n @ tilt.T, RING_COLOUR))
-    return coloured(pieces)
+    patches.append((ring @ tilt.T + [0, 0.012, -0.055], n @ tilt.T, RING_COLOUR))
+    return coloured(patches)
 
 
-def coloured(pieces) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and colours (N, 3) of pieces (points, normals, colour)."""
-    x, n = (np.concatenate([p[k] for p in pieces]) for k in (0, 1))
-    return x, n, np.concatenate([np.tile(p[2], (len(p[0]), 1)) for p in pieces])
+def coloured(patches) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points, normals and colours (N, 3) of patches (points, normals, colour)."""
+    x, n = (np.concatenate([p[k] for p in patches]) for k in (0, 1))
+    return x, n, np.concatenate([np.tile(p[2], (len(p[0]), 1)) for p in patches])
 
 
 def ray_skin() -> Skin:

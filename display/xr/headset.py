@@ -66,7 +66,7 @@ class Headset:
             raise
         self.depth = self._session.has_depth
         self._resolution = DynamicResolution(self.size)
-        self._player, self._eye_height = Player(scene), float(scene.eye[1])
+        self._player = Player(scene)
         self._clock, self._filter, self._messages, self._panel = Clock(), PoseFilter(), StatusMessages(), WristPanel()
         self._commands: list[Command] = []  # from the mirror's panel, for the next frame
         self._frame_state = None  # XrFrameState of the frame that has begun
@@ -133,14 +133,13 @@ class Headset:
 
     def _begin_frame(self, session: XrSession, world: WorldView) -> Frame:
         """Wait for the next frame, and see what the player does in it."""
-        # A runtime without a floor puts y = 0 where the head was: then it stands as high as the scene's eye.
-        self._player.play_space.y = 0.0 if session.has_floor else self._eye_height
+        self._player.stand(on_floor=session.has_floor)
         state = session.wait_frame()
         self._frame_begin = time.perf_counter()
         display_time = state.predicted_display_time
         tick = self._clock.advance(display_time, state.predicted_display_period, world.simulation_cost)
         controllers = session.inputs(display_time)
-        self._filter.apply(controllers, tick.dt)
+        controllers = self._filter.apply(controllers, tick.dt)
         head = session.locate_views(display_time)[0][0]
         world_from_play = self._player.play_space.world_from_play
         controllers[1], panel_commands = self._panel.advance(controllers, head, world_from_play, world)
@@ -164,7 +163,7 @@ class Headset:
         except SessionLost:  # `frames` sees it, too; until then nothing is drawn
             return []
         if now is not None:
-            world.timings.photon.append((display_time - now) * 1e-9)
+            world.timings.note_photon((display_time - now) * 1e-9)
         world_from_play = self._player.play_space.world_from_play
         return [eye_camera(*world.picture_size, fov, world_from_play @ eye) for eye, fov in located]
 
@@ -179,9 +178,7 @@ class Headset:
                 pass  # `frames` sees it, too
         with world.timings.stage("mirror"):
             self._commands += self._mirror.show(world)
-        timings = world.timings
-        timings.budget, timings.dropped = self._tick.period, self._clock.dropped
-        timings.frame(self._tick.missed)
+        world.timings.frame(self._tick.missed, budget=self._tick.period, dropped=self._clock.dropped)
         if state.should_render:
             self._choose_resolution(world)
 

@@ -39,7 +39,7 @@ class Player:
     """
 
     def __init__(self, scene: Scene):
-        self.play_space = PlaySpace.of(scene)
+        self.play_space, self._eye_height = PlaySpace.of(scene), float(scene.eye[1])
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None
         self._grips = [False, False]
         self._poses: list[np.ndarray | None] = [None, None]  # of the hands in the play space, as last tracked
@@ -49,6 +49,11 @@ class Player:
         self._pokes = [FingerPoke(), FingerPoke()]
         self._stick_pushed, self._teleport = False, PinchTeleport()
         self._held, self._touch_force = [False, False], [0.0, 0.0]
+
+    def stand(self, *, on_floor: bool) -> None:
+        """Put y = 0 of the play space on the floor, or, where a runtime without a floor has it at the head, as high as
+        the scene's eye."""
+        self.play_space.y = 0.0 if on_floor else self._eye_height
 
     def advance(
         self, controllers: list[Controller], head: np.ndarray, world: WorldView
@@ -256,19 +261,22 @@ class PoseFilter:
         self._shown: list[np.ndarray | None] = [None, None]  # grip poses as they were given on
         self._remaining: list[float | None] = [0.0, 0.0]  # [s] until the hand is there; None while it is lost
 
-    def apply(self, controllers: list[Controller], dt: float) -> None:
-        """Change the grip poses of hands that have just been found. `dt` [s] is the frame's."""
-        for h, c in enumerate(controllers):
-            before = self._shown[h]
-            if c.grip is None:
-                self._remaining[h] = None
-                continue
-            if self._remaining[h] is None:
-                self._remaining[h] = 0.0 if before is None else lead_time(before, c.grip)
-            if before is not None and self._remaining[h] > 0.0:
-                c.grip = interpolate_pose(before, c.grip, min(1.0, dt / self._remaining[h]))
-                self._remaining[h] -= dt
-            self._shown[h] = c.grip
+    def apply(self, controllers: list[Controller], dt: float) -> list[Controller]:
+        """The controllers, those that have just been found with another grip pose. `dt` [s] is the frame's."""
+        return [replace(c, grip=self._lead(h, c.grip, dt)) for h, c in enumerate(controllers)]
+
+    def _lead(self, h: int, found: np.ndarray | None, dt: float) -> np.ndarray | None:
+        before = self._shown[h]
+        if found is None:
+            self._remaining[h] = None
+            return None
+        if self._remaining[h] is None:
+            self._remaining[h] = 0.0 if before is None else lead_time(before, found)
+        if before is not None and self._remaining[h] > 0.0:
+            found = interpolate_pose(before, found, min(1.0, dt / self._remaining[h]))
+            self._remaining[h] -= dt
+        self._shown[h] = found
+        return found
 
 
 def lead_time(a: np.ndarray, b: np.ndarray) -> float:

@@ -6,7 +6,7 @@ look along +z with y down. A pose is a (4, 4) matrix that maps points of a space
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -66,8 +66,7 @@ class PlaySpace:
         start = cls.facing(scene.eye, scene.target)
         distances = [np.hypot(b.position[0] - start.x, b.position[2] - start.z) for b in scene.bodies if b.material]
         step = float(np.clip(min(distances, default=ARM_LENGTH) - ARM_LENGTH, 0.0, MAX_STEP_AHEAD))
-        start.x, start.z = start.x - step * float(np.sin(start.yaw)), start.z - step * float(np.cos(start.yaw))
-        return start
+        return replace(start, x=start.x - step * float(np.sin(start.yaw)), z=start.z - step * float(np.cos(start.yaw)))
 
     @property
     def world_from_play(self) -> np.ndarray:
@@ -75,7 +74,7 @@ class PlaySpace:
         return pose_matrix((self.x, self.y, self.z), Rotation.from_rotvec([0.0, self.yaw, 0.0]).as_matrix())
 
     def turn(self, angle: float, about: np.ndarray) -> None:
-        """Turn the player by `angle` [rad] on the spot: `about` is the head's position in the world."""
+        """Turn the player by `angle` [rad] in place: `about` is the head's position in the world."""
         c, s = np.cos(angle), np.sin(angle)
         dx, dz = self.x - about[0], self.z - about[2]
         self.x, self.z = float(about[0] + c * dx + s * dz), float(about[2] - s * dx + c * dz)

@@ -1,4 +1,4 @@
-"""What a machine can hold of the architecture: the import order of the packages, and one name for one module."""
+"""Architecture: the import order of the packages, and unique module names."""
 
 import ast
 from collections import Counter

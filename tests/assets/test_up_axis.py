@@ -1,4 +1,4 @@
-"""Which way is up: scenes by their planes, a cup by its inside; and the convex hull by hand against SciPy's."""
+"""Up axis: scenes by their planes, a cup by its inside; and the convex hull by hand against SciPy's."""
 
 import numpy as np
 import pytest

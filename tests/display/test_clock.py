@@ -134,7 +134,7 @@ def test_a_hand_that_was_found_elsewhere_is_there_at_once():
 
 @dataclass(frozen=True)
 class Touch:
-    """What a hand may push with."""
+    """A capsule that a hand pushes with."""
 
     a: tuple
     radius: float = 0.1

@@ -10,7 +10,7 @@ from display.window.cuda_gl_interop import Copy2D, NoInterop
 
 
 class Texture:
-    """What a texture of moderngl does here."""
+    """Stand-in for a moderngl texture."""
 
     def __init__(self, size, components):
         self.size, self.written, self.released = size, [], False

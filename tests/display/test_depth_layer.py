@@ -13,7 +13,7 @@ WIDTH, HEIGHT = 24, 16
 
 
 def depth_of(z):
-    """What stands in a depth buffer for a distance z [m] along the view."""
+    """Value of a depth buffer for a distance z [m] along the view."""
     return np.clip(DEPTH_FAR / (DEPTH_FAR - DEPTH_NEAR) * (1 - DEPTH_NEAR / np.maximum(z, 1e-9)), 0, 1)
 
 

@@ -35,7 +35,7 @@ def frame(position=(0.0, 1.0, -0.4), yaw=0.3):
 
 
 def does(*poses, left=False):
-    """What a hand does in these poses, one after the other."""
+    """Gestures of a hand in these poses, one after the other."""
     hand = HandGestures()
     return [("grab", "pinch", "")[0 if c.grab else 1 if c.pinch else 2] for c in map(hand.read, track(poses, left))]
 

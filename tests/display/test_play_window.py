@@ -45,7 +45,7 @@ def test_a_ring_is_grabbed_lifted_and_thrown_and_all_is_reset(tmp_path):
 
 def throw(play, screen) -> None:
     def shows_yellow(at) -> bool:
-        """Whether most of a patch of the screen around a pixel is the ring's yellow."""
+        """True if most of a patch of the screen around a pixel is the ring's yellow."""
         x, y = np.round(at).astype(int)
         patch = screen.pixels()[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 3).astype(int)
         return bool((np.minimum(patch[:, 0], patch[:, 1]) > patch[:, 2] + 110).mean() > 0.5)

@@ -1,4 +1,4 @@
-"""What is recorded plays again: exactly, whatever hands are made of, after a death too; and nothing else is taken."""
+"""Recordings play again exactly, with all kinds of hands, also after an abnormal end; anything else is refused."""
 
 import dataclasses
 import json

@@ -34,7 +34,7 @@ class Play:
         self.world = FakeView(bodies=lambda: list(bodies))
 
     def frame(self, joints, right=None):
-        """Whether each hand grips, and the place that is aimed at, (3,) [m] or None."""
+        """Grip of each hand, and the place that is aimed at, (3,) [m] or None."""
         left = joints if isinstance(joints, Controller) else self.gestures.read(joints)
         hands, _ = self.player.advance([left, right or Controller()], HEAD, self.world)
         target = None if self.player.pointing is None else self.player.pointing[1]

@@ -172,7 +172,7 @@ def test_a_trigger_pulled_elsewhere_presses_nothing_here_and_holds_on(panel, wor
 
 def test_a_finger_presses_by_going_through_from_the_front(panel, world):
     def pressed(*distances):
-        """Whether the finger of a controller, which points with the hand, presses at these distances."""
+        """True if the finger of a controller, which points with the hand, presses at these distances."""
         fingers = [pointing(panel, "copy", d + FINGER_LENGTH) for d in distances]
         return [advance(panel, world, finger)[0] == [Duplicate()] for finger in fingers]
 
@@ -226,7 +226,7 @@ def test_it_comes_when_the_palm_turns_to_the_face_and_goes(world):
     panel = WristPanel()
 
     def seen(degrees, **inputs):
-        """Whether it is on view once the left palm, +x of its grip, is that far from the direction to the eyes."""
+        """True if the panel is shown once the left palm, +x of its grip, is that far from the direction to the eyes."""
         x = HEAD[:3, 3] - LEFT.grip[:3, 3]
         x /= np.linalg.norm(x)
         y = np.cross([0.0, 0.0, 1.0], x)

@@ -55,7 +55,7 @@ def to_code(points, matrix):
 
 
 def distance(asset: Asset, points: np.ndarray) -> np.ndarray:
-    """What the colliders say at points [m] (N, 3): the least of all grids that say something."""
+    """Signed distance of the colliders at points (N, 3) [m]: the least of all grids that have one."""
     found = np.full(len(points), 1e3)
     for grid in asset.grids:
         q = (points - grid.origin) / grid.spacing

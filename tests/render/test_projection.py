@@ -33,7 +33,7 @@ def members_of_tiles(bins) -> list[np.ndarray]:
 
 
 def tiles_with_a_visible_pixel(uv, sigma, opacity, tile: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
-    """Which tiles (rows, columns) hold a pixel where alpha reaches 1/255."""
+    """Mask of tiles (rows, columns) with a pixel where alpha reaches 1/255."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
     a, b, c = np.linalg.inv(sigma)[[0, 0, 1], [0, 1, 1]]
     dx, dy = u - uv[0], v - uv[1]

@@ -1,4 +1,4 @@
-"""What is drawn besides the scene: parts that carry Gaussians, hands that follow joints, and what casts no shadow."""
+"""Skinned props: parts that carry Gaussians, hands that follow joints, and Gaussians without shadows."""
 
 import numpy as np
 import pytest

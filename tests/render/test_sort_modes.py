@@ -52,7 +52,7 @@ def test_the_order_is_by_distance(drawings):
 
 
 def test_one_gaussian_before_another_looks_the_same_either_way(drawings):
-    """Where both orders agree, so do the pictures, and with the twin."""
+    """Pictures of both orders agree, with each other and with the twin, where the orders agree."""
     g = gaussians(3000, 0)
     g = g.select(np.flatnonzero(np.linalg.norm(g.means - CAMERA.position, axis=1) > 0.5)[:6])
     by_z, by_distance = (drawing.draw(g, [CAMERA])[0][0] for drawing in drawings.values())

@@ -1,4 +1,4 @@
-"""What moves by itself among other things: rings bounce off the dancer, and hands do not carry it off."""
+"""A body that moves by itself: rings bounce off the dancer, and hands do not carry it away."""
 
 import numpy as np
 import pytest

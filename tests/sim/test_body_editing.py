@@ -109,7 +109,7 @@ def test_two_hundred_edits_compile_and_allocate_nothing(solver, monkeypatch):
 
 
 def test_only_new_meshes_are_measured(solver, monkeypatch):
-    """What is known of a mesh is kept with it: a copy and its neighbours cost no samples, grids or slots again."""
+    """Data derived from a mesh is kept with it: a copy and its neighbours compute no samples, grids or slots again."""
     derived = []
     once = RestShape.once
 
@@ -305,7 +305,7 @@ def test_what_does_not_fit_is_refused_and_changes_nothing(solver):
 
 
 def test_without_room_for_several_a_second_body_is_refused(ti_cpu):
-    """Whether bodies can touch is decided when the kernels are compiled."""
+    """Contact between bodies is enabled when the kernels are compiled."""
     lonely = Solver([CUBE], [TABLE], hands=0)
     assert not lonely.contacts.deformable.needed
     with pytest.raises(BadInput, match="bodies"):

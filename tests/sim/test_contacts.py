@@ -142,7 +142,7 @@ def test_a_cube_slides_on_a_slope_one_degree_above_the_friction_angle(floor_solv
 
 
 def linked(state, peg=(0.0, 0.0), radius=0.08):
-    """Does the peg (a vertical line) pass through the ring's disc?"""
+    """True if the peg (a vertical line) passes through the ring's disc."""
     n, c = state.axis, state.centroid
     foot = np.array([peg[0], 0, peg[1]])
     height = (c - foot) @ n / n[1] if abs(n[1]) > 0.05 else np.inf

@@ -1,4 +1,4 @@
-"""What is pushed into something, or starts there, comes out slowly: nothing is thrown."""
+"""Depenetration: bodies that are pushed into something, or start there, come out slowly; none is thrown."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What strikes a wall is stopped by it, however stiff and light it is."""
+"""Impact: a body that strikes a wall is stopped by it, however stiff and light it is."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What the descent path prepares: colours of vertices, and the softest modes of bodies."""
+"""Preparation of VBD: colours of vertices, and the softest modes of bodies."""
 
 import numpy as np
 import pytest

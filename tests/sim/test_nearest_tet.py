@@ -14,7 +14,7 @@ DT = 1 / 60
 
 
 def outside(x, corners):
-    """How far each point x (N, 3) is beyond the worst face of each tet (T, 4, 3), 0 inside: (N, T) [m]."""
+    """Distance (N, T) [m] of each point x (N, 3) beyond the worst face of each tet (T, 4, 3), 0 inside."""
     worst = np.zeros((len(x), len(corners)))
     for j, face in enumerate([(1, 3, 2), (0, 2, 3), (0, 3, 1), (0, 1, 2)]):
         a, b, c = (corners[:, k] for k in face)

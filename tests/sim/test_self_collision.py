@@ -61,7 +61,7 @@ def listed(solver):
 
 
 def apart(x):
-    """How far the upper half is above the lower one [m]."""
+    """Height of the upper half above the lower one [m]."""
     return x[UPPER, 1].mean() - x[LOWER, 1].mean()
 
 

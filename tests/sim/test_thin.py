@@ -51,7 +51,7 @@ def bodies_of(solver, x=None):
 
 
 def passed(solver) -> bool:
-    """Whether any vertex of a surface is under its plate, within the plate's outline.
+    """True if any vertex of a surface is under its plate, within the plate's outline.
 
     Hit faster than their waves of 5 m/s run, bodies are crushed, and a vertex inside may dive deeper for a moment.
     """

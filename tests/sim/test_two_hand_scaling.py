@@ -1,4 +1,4 @@
-"""What two hands can do to a body, in several materials at once; throwing; and hands that the tracking loses."""
+"""Two hands on a body, in several materials at once; throwing; and hands that the tracking loses."""
 
 from dataclasses import replace
 
@@ -198,7 +198,7 @@ def test_what_another_hand_holds_is_not_thrown(solver):
 
 
 def test_a_throw_is_no_stronger_than_the_hand(solver):
-    """What is held back is not shot off: 80 N for 80 ms at most."""
+    """A body that is held back is not shot off: 80 N for 80 ms at most."""
     solver.set_material(0, replace(MATERIALS[2], density=30000.0))
     try:
         body = release(solver, carried(0.3, lambda t: np.array([0.0, 15.0 * (t - DT), 0.0])))

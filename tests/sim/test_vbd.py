@@ -130,7 +130,7 @@ class Twin:
         return self.volume @ psi + self.mass @ ((y - target) ** 2).sum(1) / (2 * self.dt**2)
 
     def descend(self, y, target, i):
-        """Where vertex i has the least energy."""
+        """Position of vertex i of least energy."""
         from sim.elastic.vbd import CRUSHED, NEARLY_CRUSHED
 
         t, k = np.nonzero(self.tets == i)

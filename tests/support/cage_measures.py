@@ -21,7 +21,7 @@ CHUNK = 100_000  # tets whose matrices are made at once
 
 
 def figures(cage: Cage, filled: float, points: np.ndarray, wanted: int) -> dict:
-    """What is promised of a cage, measured. filled: volume [m^3] of the filled shape; points (N, 3) to be inside."""
+    """Measured guarantees of a cage. filled: volume [m^3] of the filled shape; points (N, 3) to be inside."""
     volume = tet_volumes(cage.vertices, cage.tets)
     return {
         "vertices": len(cage.vertices),
@@ -72,7 +72,7 @@ def ball_with_ear(spacing: float, thick: float = THICK) -> np.ndarray:
 
 
 def bent_by(cage: Cage, spacing: float) -> float:
-    """How far [m] the ear's tip goes under FORCE across it, the ball's lower half held."""
+    """Deflection [m] of the ear's tip under FORCE across it, the ball's lower half held."""
     x = cage.vertices.astype(np.float64) * spacing + np.array([-RADIUS - 0.02] * 3)
     tip = x[:, 1] > TIP
     volume = cage.volumes() * spacing**3

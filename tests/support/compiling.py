@@ -1,4 +1,4 @@
-"""What Taichi compiles, or fetches compiled, while something runs."""
+"""Record of the kernels that Taichi compiles, or loads from its cache, while something runs."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -60,7 +60,7 @@ def free_port() -> int:
 
 
 class Controller:
-    """What one hand's controller does."""
+    """State of one hand's controller."""
 
     def __init__(self, x: float):
         self.rotation, self.position = (0.0, 0.0, 0.0, 1.0), (x, 1.2, -0.3)

@@ -57,7 +57,7 @@ def brick(rng, low, high, step: float, noise: float, faces: str = "xXyYzZ") -> G
 
 
 def floaters(rng, count: int, low, high) -> Gaussians:
-    """What training leaves in mid-air: faint blobs, some of them opaque."""
+    """Floaters that training leaves in mid-air: faint blobs, some of them opaque."""
     return Gaussians.of(
         rng.uniform(low, high, (count, 3)),
         rng.normal(size=(count, 4)),

@@ -39,7 +39,7 @@ def damaged(good: bytes, trials: int, seed: int = 0):
 
 
 def read_or_refuse(read, path, copies) -> dict[str, int]:
-    """How many copies were read, as finite Gaussians, and how many refused in one line; fails on anything else."""
+    """Number of copies read as finite Gaussians, and number refused in one line; fails on anything else."""
     outcomes = {"read": 0, "refused": 0}
     for data in copies:
         path.write_bytes(data)

@@ -1,4 +1,7 @@
-"""Location of assets: shipped ones by name, the user's by path, prepared splats in a cache."""
+"""Location of assets: shipped ones by name, the user's by path, prepared splats in a cache.
+
+HDF5 is imported in the functions, since the command line lists the shipped assets before anything is read.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,6 @@ import os
 import sys
 from pathlib import Path
 
-from assets.asset import read_material
-from assets.hdf5 import open_hdf5
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL, Material
 
@@ -29,6 +30,9 @@ def find_asset(name: str) -> Path:
 
 def asset_material(name: str) -> Material | None:
     """The material that an asset file names, checked; None if it names none. Raises BadInput."""
+    from assets.asset import read_material
+    from assets.hdf5 import open_hdf5
+
     path = find_asset(name)
     with open_hdf5(path) as file:
         material = read_material(file)
@@ -39,12 +43,16 @@ def asset_material(name: str) -> Material | None:
 
 def default_material(name: str) -> str | None:
     """Material name for an asset if the user gives none: flesh for an animated one, else None. Raises BadInput."""
+    from assets.hdf5 import open_hdf5
+
     with open_hdf5(find_asset(name)) as file:
         return ANIMATED_MATERIAL if file.has("animation") else None
 
 
 def animated_height(name: str) -> float | None:
     """Height [m] of an asset with an animation of its own, None if it has none. Raises BadInput."""
+    from assets.hdf5 import open_hdf5
+
     with open_hdf5(find_asset(name)) as file:
         if not file.has("animation"):
             return None

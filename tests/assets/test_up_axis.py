@@ -97,3 +97,18 @@ def test_corners_are_those_of_scipy_and_run_counterclockwise(seed):
 def test_a_line_or_less_has_fewer_than_three_corners(count):
     assert len(convex_hull(np.arange(count)[:, None] * np.array([[1.0, 2.0]]))) < 3
     assert len(convex_hull(np.ones((count, 2)))) < 3
+
+
+def test_what_looks_the_same_from_all_sides_is_taken_as_most_files_are():
+    """A sphere whose points are mirrored in all planes: no cue tells its axes apart."""
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    turned = np.concatenate([np.roll(points, k, axis=1) for k in range(3)])
+    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 1, 3)
+    means = (signs * turned).reshape(-1, 3)
+    n = len(means)
+    g = Gaussians.of(
+        means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
+    )
+    up, sure = guess_up_axis(g)
+    assert up == "-y" and sure < 0.4

@@ -5,8 +5,8 @@ runtime decodes them. A runtime without sRGB textures gets them decoded. Rows: t
 first is the bottom.
 
 Depth (XR_KHR_composition_layer_depth) lets a runtime shift late pictures to where the head is by now: a depth texture
-for each eye beside its picture, drawn in the same pass (gl_FragDepth). 0 is at render.renderer.NEAR, 1 at DEPTH_FAR,
-between them as in OpenGL's depth buffer; nearer is less.
+for each eye beside its picture, drawn in the same pass (gl_FragDepth). 0 is at render.renderer.DEPTH_NEAR, 1 at
+DEPTH_FAR, between them as in OpenGL's depth buffer; nearer is less.
 """
 
 from __future__ import annotations

@@ -50,11 +50,11 @@ def load_member(drawer: ti.template(), shared: ti.template(), v, i, j, exists, x
 
     `drawer.words(v, g, mean2d, conic)` are the numbers of a splat that blending reads, ten at most.
     """
-    projection = ti.static(drawer.bins.projection)
     touches = 0  # a bit for each cell
     if exists != 0:
         g = value_of(drawer.bins.members[i])
-        mean2d, conic, box = projection.mean2d[v, g], projection.conic[v, g], projection.box[v, g]
+        mean2d, conic = drawer.projection.mean2d[v, g], drawer.projection.conic[v, g]
+        box = drawer.projection.box[v, g]
         at, words = 4 * (j & (BATCH - 1)), drawer.words(v, g, mean2d, conic)
         for k in ti.static(range(10)):
             shared[QUAD * (k // 4) + at + k % 4] = words[k]

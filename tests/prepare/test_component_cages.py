@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 import vrgs
 from assets.asset import Asset
-from assets.components import split_components
 from assets.file_access import atomic_write_all
 from assets.gaussians import Gaussians, concatenate
 from assets.splat_files import write_gaussians
@@ -18,10 +17,11 @@ from core.point_location import TetLocator
 from core.tetmesh import face_components, vertex_components
 from display.scene_bodies import load_bodies
 from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN
-from prepare.cage.component_cages import vertex_counts
+from prepare.cage.component_cages import MIN_COMPONENT, Grid, components_of, vertex_counts
+from prepare.cage.level_set import level_sets
 from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.cleaning import clean, clean_components
-from prepare.pipeline import Options, prepare
+from prepare.pipeline import Options, fill, prepare
 from prepare.prepared_files import prepare_file
 from scenes.scene import Body, Light, Scene
 from tests.support.shells import ball, ring
@@ -110,17 +110,17 @@ def test_two_far_apart_are_as_well_made_as_two_near(ti_cpu):
     assert asset.provenance["figures"]["inside"] >= INSIDE_MIN
 
 
-def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_cpu, monkeypatch):
-    """A gap of 4 % of the extent: the Gaussians count as one cluster, the filled shape, as fine as for 15,000 vertices,
-    falls into two."""
-    monkeypatch.setattr("prepare.cage.component_cages.GRID_NODES_RANGE", (144, 144))
-    near = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
-    assert clean_components(near)[1].max() == 0
-    asset = prepare(near, Options(vertices=800, up="+y", pieces=True))
-    assert asset.provenance["figures"]["pieces"] == 2
-    assert_allclose(*(p.cage.volumes().sum() for p in split_components(asset)), rtol=0.1)
-    alone = prepare(near, Options(vertices=400, up="+y"))
-    assert alone.provenance["figures"]["pieces"] == 1 and alone.provenance["counts"]["stray"] > 2000
+def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_cpu):
+    """A gap of 4 % of the extent: the Gaussians count as one cluster; the filled shape falls into two."""
+    g = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
+    assert clean_components(g)[1].max() == 0
+    every, grid = np.arange(len(g)), Grid.over(g.means.astype(np.float64), 20_000)
+    solid = fill(g, grid)["solid"]
+    found = components_of(g, every, grid, level_sets(solid, MIN_COMPONENT), 0)
+    assert [len(c.indices) for c in found] == [6000, 6000]
+    assert_allclose(*(c.area() for c in found), rtol=0.05)
+    (alone,) = components_of(g, every, grid, level_sets(solid), 0)
+    assert len(g) - len(alone.indices) > 2000
 
 
 def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):

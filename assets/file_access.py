@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -44,6 +45,22 @@ def open_input(path: Path) -> Iterator:
             yield file
     except OSError as e:
         raise BadInput(f"{path}: cannot be read ({e.strerror or e})") from e
+
+
+def check_writable(path: Path, part: Path | None = None, *, bytes_needed: float = 0.0) -> None:
+    """Check, before any time is spent, that a file can be written by way of `part` beside it. Raises BadInput."""
+    part = part or path.with_name(f".{path.name}.part")
+    if path.is_dir():
+        raise BadInput(f"{path}: is a folder")
+    try:
+        with open(part, "wb"):
+            pass
+        free = shutil.disk_usage(path.parent).free
+    except OSError as e:
+        raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
+    part.unlink()
+    if free < bytes_needed:
+        raise BadInput(f"{path}: the disk has {free / 1e6:.0f} MB left, about {bytes_needed / 1e6:.0f} MB are needed")
 
 
 @contextmanager

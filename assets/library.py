@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from core.errors import BadInput
-from core.material import ANIMATED_MATERIAL, Material
+from core.material import ANIMATED_MATERIAL, DEFAULT_MATERIAL, Material
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 
@@ -41,12 +41,15 @@ def asset_material(name: str) -> Material | None:
     return material
 
 
-def default_material(name: str) -> str | None:
-    """Material name for an asset if the user gives none: flesh for an animated one, else None. Raises BadInput."""
+def default_material(name: str) -> Material:
+    """The asset's own material; of one without, flesh if it is animated, else plush. Raises BadInput."""
     from assets.hdf5 import open_hdf5
 
+    own = asset_material(name)
+    if own is not None:
+        return own
     with open_hdf5(find_asset(name)) as file:
-        return ANIMATED_MATERIAL if file.has("animation") else None
+        return Material.named(ANIMATED_MATERIAL if file.has("animation") else DEFAULT_MATERIAL)
 
 
 def animated_height(name: str) -> float | None:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 
+from assets.file_access import check_writable
 from bench import physics, physics_contact
-from display.headless.video import claim
 from display.run_stats import write_stats
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
@@ -48,7 +48,7 @@ MEASUREMENTS = (
 def run(args) -> int:
     """Run the command; returns the exit status, 1 if a row fails."""
     if args.json:
-        claim(args.json, args.json.with_name(f".{args.json.name}.part"))  # fail before minutes are spent
+        check_writable(args.json)  # fail before minutes are spent
     begin = perf_counter()
     rows = list(show(measured(MEASUREMENTS, quick=args.quick)))
     if args.json:

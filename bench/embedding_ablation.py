@@ -15,6 +15,7 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import Asset
+from assets.file_access import check_writable
 from assets.gaussians import Gaussians
 from assets.library import SHIPPED_FOLDER
 from assets.splat_files import read_gaussians
@@ -22,7 +23,6 @@ from bench.sample_meshes import random_gaussians, tet_bar
 from bench.synthetic_room import box_surface, turns_to
 from core.camera import look_at, perspective
 from display.headless.picture_strip import PAPER, write
-from display.headless.video import claim
 from display.picture import pixels_of, save_png
 from display.run_stats import write_stats
 from prepare.cage.embedding_hosts import embed
@@ -43,7 +43,7 @@ PANEL, LABEL = 300, 30  # [px] sides of a picture on the page, height of a line 
 def run(args) -> None:
     """Run the command: measure, print tables, write --json and --out."""
     for file in filter(None, (args.json, args.out)):
-        claim(file, file.with_name(f".{file.name}.part"))
+        check_writable(file)
     rows = [measure_hosts(args.count), measure_deform(args.count, args.rounds)]
     names = ["bar", *([args.splats] if args.splats != SHIPPED_FOLDER / "dining_room.h5" else [])]
     pictures = {}

@@ -13,9 +13,9 @@ from time import perf_counter
 
 import taichi as ti
 
+from assets.file_access import check_writable
 from bench.synthetic_room import SIZES, eyes, room
 from core.camera import Camera
-from display.headless.video import claim
 from display.run_stats import write_stats
 from render.renderer import Renderer
 from render.splats import Splats
@@ -27,7 +27,7 @@ WARM_PICTURES = 5  # uncounted frames: they compile and determine the capacity
 def run(args) -> None:
     """Run the command: measure every room, print a table, write --json."""
     if args.json:
-        claim(args.json, args.json.with_name(f".{args.json.name}.part"))
+        check_writable(args.json)
     rows = []
     print(f"{'Gaussians':>10} {'pairs':>11} {'median ms':>10} {'worst ms':>10}", flush=True)
     for name in args.gaussians:

@@ -13,10 +13,9 @@ import os
 from pathlib import Path
 from statistics import median
 
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, check_writable
 from bench.plot import Panel, svg
 from core.errors import BadInput
-from display.headless.video import claim
 from display.run_stats import write_stats
 
 MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
@@ -38,7 +37,7 @@ def run(args) -> None:
         raise BadInput(f"{args.plot}: the plot's name must end in .svg")
     for out in (args.json, args.plot):
         if out:
-            claim(out, out.with_name(f".{out.name}.part"))
+            check_writable(out)
     rows = [row for path in args.earlier for row in read_rows(path)] if args.earlier else measure_all(args.rounds)
     print(tables(rows))
     if args.json:

@@ -14,10 +14,10 @@ from time import perf_counter
 import numpy as np
 import taichi as ti
 
+from assets.file_access import check_writable
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.material import Material
-from display.headless.video import claim
 from display.run_stats import write_stats
 from sim.contact.static_shapes import StaticGrid
 from sim.soft_body import SoftBody
@@ -39,7 +39,7 @@ TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times r
 def run(args) -> None:
     """Run the command: measure every scene, print a table, write --json."""
     if args.json:
-        claim(args.json, args.json.with_name(f".{args.json.name}.part"))
+        check_writable(args.json)
     rows = []
     print(f"{'scene':28}" + "".join(f" {title:>12}" for title in TITLES), flush=True)
     for name, bodies, ground, contacts in scenes(args.sizes):

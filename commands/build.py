@@ -1,4 +1,4 @@
-"""`vrgs.py build`: model the shipped assets anew."""
+"""`vrgs.py build`: build the shipped assets anew from code."""
 
 from __future__ import annotations
 
@@ -8,11 +8,22 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.library import SHIPPED_FOLDER
 from core.errors import BadInput
+from core.runtime import start_taichi
 
-SHIPPED = Path(__file__).resolve().parents[1] / "assets" / "data"
 NAMES = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow", "dancer")
 SEED = 7
+
+
+HELP = "build the shipped assets anew from code"
+EXAMPLES = ("build ring_red",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("names", nargs="*", metavar="NAME", help="names of assets (default: all)")
+    parser.add_argument("--out", type=Path, default=SHIPPED_FOLDER, metavar="DIR")
 
 
 def run(args: argparse.Namespace) -> None:
@@ -21,7 +32,8 @@ def run(args: argparse.Namespace) -> None:
     for name in names:
         if name not in NAMES:
             raise BadInput(f"{name}: no such model; there are {', '.join(NAMES)}")
-    out = Path(args.out or SHIPPED)
+    start_taichi(args.arch)
+    out = Path(args.out or SHIPPED_FOLDER)
     start = time.perf_counter()
 
     def report(line: str) -> None:

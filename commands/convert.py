@@ -1,4 +1,4 @@
-"""`vrgs.py convert IN OUT`: convert between splat file formats."""
+"""`vrgs.py convert`: convert between splat formats."""
 
 from __future__ import annotations
 
@@ -12,10 +12,19 @@ import numpy as np
 from assets.formats.compressed_ply import chunk_order
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import COMPRESSED, kind_to_write, read_gaussians, write_gaussians
+from commands.options import SPLATS
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
+HELP = "convert between splat formats"
+EXAMPLES = ("convert cat.sog cat.spz",)
 PROGRESS_SIZE_MIN = 20 << 20  # [bytes] of input; less takes about a second
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("input", type=Path, metavar="IN", help=f"{SPLATS} or .h5")
+    parser.add_argument("output", type=Path, metavar="OUT", help=".ply, .compressed.ply, .spz or .splat")
 
 
 def run(args: argparse.Namespace) -> None:

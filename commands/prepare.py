@@ -1,4 +1,4 @@
-"""vrgs.py prepare: a splat file in, a simulatable asset or a static environment out."""
+"""`vrgs.py prepare`: make a splat simulatable, or a room a stage."""
 
 from __future__ import annotations
 
@@ -6,17 +6,50 @@ import argparse
 from pathlib import Path
 
 from assets.file_access import file_size
+from assets.library import cached_asset
+from commands.options import SPLATS, add_arch, add_preparation, positive
 from core.errors import BadInput
-from prepare.environment.environment_pipeline import EnvironmentOptions
-from prepare.pipeline import Options
-from prepare.prepared_files import object_file, prepare_environment_file, prepare_file
-from prepare.report import report_names
+from core.material import MATERIALS
+from core.runtime import start_taichi
+
+HELP = "make a splat simulatable, or a room a stage"
+EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 2, 2  # of what `cached_body` and `cached_environment` make
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
+    parser.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
+    parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="a standing person takes over this rig's motion")
+    text = "positions of the person's joints (default: guessed)"
+    parser.add_argument("--landmarks", type=Path, metavar="L.json", help=text)
+    add_preparation(parser)
+    *others, last = MATERIALS
+    text = f"{', '.join(others)} or {last} (default plush, with a rig flesh)"
+    parser.add_argument("--material", metavar="NAME", default=argparse.SUPPRESS, help=text)
+    text = "it is a room or a garden: a stage for the sandbox"
+    parser.add_argument("--static", action="store_true", help=text)
+    text = "--static: spacing of the distance grid (default: by size)"
+    parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
+    text = "--static: objects to take out of it"
+    parser.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help=text)
+    parser.add_argument("--force", action="store_true", help="overwrite OUT")
+    text = "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)"
+    parser.add_argument("--mesher", choices=("stuffing", "tetgen"), default="stuffing", help=text)
+    text = "leave out ASSET.report.html and ASSET.report.json"
+    parser.add_argument("--no-report", action="store_true", help=text)
+    add_arch(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """vrgs.py prepare SPLATS --out ASSET.h5 [--vertices N] [--scale S] [--up AXIS] [--material NAME] [--force]
-    [--rig RIG.glb [--landmarks L.json]] [--mesher M] [--cells adaptive|uniform] [--pieces], or with
-    --static [--cell M] [--cut ID ...]."""
+    """Prepare a body, or with --static an environment, after a check of where its files go. Raises BadInput."""
+    start_taichi(args.arch)
+    from prepare.environment.environment_pipeline import EnvironmentOptions
+    from prepare.pipeline import Options
+    from prepare.prepared_files import object_file, prepare_environment_file, prepare_file
+    from prepare.report import report_names
+
     out = Path(args.out)
     cut = tuple(sorted(set(args.cut or ())))
     static = args.static or args.cell is not None or bool(cut)
@@ -51,3 +84,38 @@ def _check_static(args: argparse.Namespace) -> None:
         raise BadInput("--material belongs to bodies; with --static nothing is simulated")
     if args.pieces:
         raise BadInput("--pieces belongs to bodies; objects are cut out of a scene with --cut")
+
+
+def cached_body(splats: Path, args: argparse.Namespace) -> Path:
+    """The asset prepared from a splat file with the options; made now unless it is in the cache. Raises BadInput."""
+    key = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
+    key |= {} if args.cells == "adaptive" else {"cells": args.cells}
+    key |= {"pieces": True} if args.pieces else {}
+    out = cached_asset(splats, key | {"version": BODY_CACHE_VERSION})
+    if not out.is_file():
+        from prepare.pipeline import Options
+        from prepare.prepared_files import prepare_file
+
+        _begin(splats, out, args)
+        adaptive = args.cells == "adaptive"
+        options = Options(args.vertices, args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
+        prepare_file(splats, out, options)
+    return out
+
+
+def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
+    """The environment prepared from a splat file; made now unless it is in the cache. Raises BadInput."""
+    file_size(splats)
+    out = cached_asset(splats, {"stage": ENVIRONMENT_CACHE_VERSION})
+    if not out.is_file():
+        from prepare.prepared_files import prepare_environment_file
+
+        _begin(splats, out, args)
+        prepare_environment_file(splats, out)
+    return out
+
+
+def _begin(splats: Path, out: Path, args: argparse.Namespace) -> None:
+    start_taichi(args.arch, args.seed)
+    print(f"preparing {splats.name} (once; kept as {out})", flush=True)
+    out.parent.mkdir(parents=True, exist_ok=True)

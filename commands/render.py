@@ -1,8 +1,9 @@
-"""`vrgs.py render`: draw a splat file from given cameras into PNG or NPZ files."""
+"""`vrgs.py render`: draw a splat file from given cameras, or film a turn around it."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
 from pathlib import Path
 
@@ -11,12 +12,46 @@ import numpy as np
 from assets.camera_file import read_cameras
 from assets.file_access import atomic_write
 from assets.splat_files import read_gaussians
+from commands.options import AXES, SPLATS, add_arch, add_sort, elevation, positive, size
 from core.camera import Camera
 from core.errors import BadInput
+from core.runtime import start_taichi
+
+HELP = "draw a splat file, or film a turn around it"
+EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
+TURNTABLE_FPS = 30.0  # [1/s]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS} or .h5")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
+    where.add_argument("--turntable", action="store_true", help="film it from all sides")
+    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4")
+    parser.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
+    text = "turntable: (default 960x540)"
+    parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)
+    text = "turntable: pictures (default 180)"
+    parser.add_argument("--frames", type=positive(int), default=180, metavar="N", help=text)
+    text = "turntable: seen from (default 15)"
+    parser.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help=text)
+    add_sort(parser, "z")
+    parser.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
+    add_arch(parser)
 
 
 def run(args: argparse.Namespace) -> None:
-    """Draw `args.splats` through `args.camera` into `args.out`: .png, 8 bits on black, or .npz, float32.
+    """Draw `args.splats` into `args.out`. Raises BadInput."""
+    start_taichi(args.arch)
+    if args.turntable:
+        film_turntable(args)
+    else:
+        draw_pictures(args)
+
+
+def draw_pictures(args: argparse.Namespace) -> None:
+    """Draw through `args.camera`: .png, 8 bits on black, or .npz, float32.
 
     Several cameras give OUT_000.png, OUT_001.png, ... or one NPZ with rgb (V, H, W, 3), alpha and
     depth [m] (V, H, W), unclamped and without a background. Raises BadInput.
@@ -37,16 +72,16 @@ def run(args: argparse.Namespace) -> None:
             np.savez_compressed(file, **images)
     else:
         for path, picture in zip(
-            names(out, len(cameras)), draw_rgba8(gaussians, cameras, args.antialias, args.sort), strict=True
+            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, args.antialias, args.sort), strict=True
         ):
             _write_png(path, picture)
-    size = f"{cameras[0].width}x{cameras[0].height}"
+    pixels = f"{cameras[0].width}x{cameras[0].height}"
     count = "1 picture" if len(cameras) == 1 else f"{len(cameras)} pictures"
-    print(f"{out}: {count} {size} of {len(gaussians)} Gaussians, {time.perf_counter() - start:.1f} s")
+    print(f"{out}: {count} {pixels} of {len(gaussians)} Gaussians, {time.perf_counter() - start:.1f} s")
 
 
-def names(out: Path, count: int) -> list[Path]:
-    """Where each of `count` pictures goes."""
+def picture_names(out: Path, count: int) -> list[Path]:
+    """The file names of `count` pictures."""
     return [out] if count == 1 else [out.with_name(f"{out.stem}_{i:03d}{out.suffix}") for i in range(count)]
 
 
@@ -84,3 +119,32 @@ def _write_png(path: Path, rgba: np.ndarray) -> None:
         raise BadInput(f"{path}: the picture could not be encoded")
     with atomic_write(path) as beside:
         beside.write_bytes(data.tobytes())
+
+
+def film_turntable(args: argparse.Namespace) -> None:
+    """Film the splats from all sides: an MP4 of `args.frames` pictures. Raises BadInput."""
+    from display.headless.headless import Progress
+    from display.headless.video import Video
+    from display.picture import pixels_of
+    from display.viewer import BACKGROUND, camera_around, upright
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    width, height = args.size
+    video = Video(args.out, width, height, fps=TURNTABLE_FPS, frames=args.frames)
+    with contextlib.ExitStack() as at_end:
+        at_end.callback(video.discard)
+        start = time.perf_counter()
+        gaussians, up = upright(args.splats, args.up)
+        options = {"antialias": args.antialias, "sort": args.sort, "background": BACKGROUND}
+        renderer = Renderer(Splats(gaussians), width, height, **options)
+        progress = Progress(args.frames)
+        for k in range(args.frames):
+            yaw = 2 * np.pi * k / args.frames
+            renderer.render([camera_around(gaussians, width, height, yaw, elevation=np.radians(args.elevation))])
+            video.write(pixels_of(renderer.picture))
+            progress.show(k + 1)
+        progress.end()
+        video.close()
+    seconds, count = time.perf_counter() - start, len(gaussians)
+    print(f"{args.out}: {args.frames} pictures {width}x{height} of {count} Gaussians, {up}, {seconds:.1f} s")

@@ -53,13 +53,13 @@ class Material:
         return replace(MATERIALS[name], **changes)
 
     @classmethod
-    def animated(cls, name: str, height: float) -> Material:
-        """A material of the table for an animated body of this height [m]: softer than a person's, if it is smaller.
+    def animated(cls, material: Material | str, height: float) -> Material:
+        """The material, given or named, for an animated body of this height [m]: a small one is softer than a person.
 
         Inertial stresses rho a L grow with the square of the size where motions take the same time: a small body holds
         its shape with less stiffness, and can then be simulated by as few substeps as a large one. Raises BadInput.
         """
-        material = cls.named(name)
+        material = material if isinstance(material, Material) else cls.named(material)
         ratio = min(height / PERSON_HEIGHT, 1.0) ** 2
         return replace(material, young=max(ratio * material.young, ANIMATED_YOUNG_MIN))
 
@@ -87,6 +87,9 @@ MATERIALS = {
     "foam": Material(young=3e4, poisson=0.3, density=30.0, friction=0.6, kinetic_friction=0.5),
     # Natural rubber: Ashby, Materials Selection in Mechanical Design: 1.5 to 2.5 MPa, 920 to 930 kg/m^3, 0.4999.
     "rubber": Material(young=2e6, poisson=0.48, density=930.0, friction=1.0, kinetic_friction=0.8),
+    # A silicone elastomer softer than Smooth-On's Ecoflex 00-10 (0.055 MPa at 100% strain, 1,040 kg/m^3), with filler:
+    # the rings of the ring toss. Real ones keep their volume; with 0.4 a thin ring stays cheap to simulate.
+    "silicone": Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6),
     # A toy of 0.3 kg in 3 l, fibre fill in cloth; 10 N of a hand on 50 cm^2 press it in by about a fifth (an estimate).
     "plush": Material(young=1e4, poisson=0.2, density=100.0, friction=0.6, kinetic_friction=0.5),
     # A gelatine dessert of 3 to 5%: shear moduli of 1 to 3 kPa, so E = 3 G of 3 to 9 kPa; it is mostly water, and wet.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from assets.file_access import atomic_write
 from core.errors import BadInput
 from display.window.cuda_gl_interop import CudaTexture, NoInterop
 
@@ -63,13 +63,8 @@ def save_png(path: str | Path, pixels: np.ndarray) -> None:
     ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., 2::-1]))
     if not ok:
         raise BadInput(f"{path}: cannot encode a picture of {pixels.shape[1]}x{pixels.shape[0]} pixels")
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_bytes(data.tobytes())
-        os.replace(part, path)
-    except OSError as e:
-        part.unlink(missing_ok=True)
-        raise BadInput(f"{path}: cannot write the picture ({e.strerror})") from e
+    with atomic_write(path) as beside:
+        beside.write_bytes(data.tobytes())
 
 
 def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int, int]:

@@ -241,6 +241,10 @@ class WorldView(Protocol):
         """Contact force of each hand's finger capsules on bodies that it does not hold [N], (3,); [] without fingers."""
         return []
 
+    def scripted_hands(self, time: float) -> list[Hand]:
+        """Hands of the scene's scripted player at `time` [s]."""
+        return []
+
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`."""
         ...

@@ -1,16 +1,15 @@
-"""The numbers of a run, as `--stats` writes them."""
+"""Statistics of a run, as `--stats` writes them."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from core.errors import BadInput
+from assets.file_access import atomic_write
 
 
 def run_stats(world, frames: int) -> dict:
@@ -31,15 +30,9 @@ def run_stats(world, frames: int) -> dict:
 
 
 def write_stats(path: str | Path, stats: dict) -> None:
-    """Write JSON beside `path`, then rename: no reader sees half a file. NaN becomes null. Raises BadInput."""
-    path = Path(path)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(json.dumps(plain(stats), indent=2) + "\n", encoding="utf-8")
-        os.replace(part, path)
-    except OSError as e:
-        part.unlink(missing_ok=True)
-        raise BadInput(f"{path}: cannot write the statistics ({e.strerror})") from e
+    """Write JSON, whole or not at all; NaN becomes null. Raises BadInput."""
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(plain(stats), indent=2) + "\n", encoding="utf-8")
 
 
 def plain(value):

@@ -6,10 +6,9 @@ import numpy as np
 
 from assets.library import animated_height
 from core.errors import BadInput
-from core.material import ANIMATED_MATERIAL, Material
-from scenes.ring_toss import BOTTLE, PLASTER, TABLE_TOP, room
-from scenes.sandbox import Sandbox, rings
-from scenes.scene import Body, BodyState, Light, Scene
+from scenes.dining_table import BACKGROUND, TABLE_TOP, colliders, furniture, lamp
+from scenes.sandbox import Sandbox, body_material, rings
+from scenes.scene import Body, BodyState, Scene
 
 PLACE = (0.0, TABLE_TOP, 0.05)  # [m] on the table, before the bottle
 
@@ -19,15 +18,15 @@ class JustDance(Sandbox):
 
     def reset(self) -> None:
         super().reset()
-        self.hits, self.open = 0, False  # open: the ring flies, and has met nobody yet
+        self.hits, self.flying = 0, False  # flying: the ring was thrown and has met nobody yet
 
     def update(self, time: float, bodies: list[BodyState]) -> None:
         super().update(time, bodies)
         dancer, ring = bodies[:2]
         if ring.held:
-            self.open = True
-        elif self.open and (ring.centroid > dancer.low).all() and (ring.centroid < dancer.high).all():
-            self.open, self.hits = False, self.hits + 1
+            self.flying = True
+        elif self.flying and (ring.centroid > dancer.low).all() and (ring.centroid < dancer.high).all():
+            self.flying, self.hits = False, self.hits + 1
 
     @property
     def score(self) -> int:
@@ -43,23 +42,18 @@ class JustDance(Sandbox):
         assert np.isfinite(bodies[1].centroid).all() and bodies[0].low[1] > TABLE_TOP - 0.05
 
 
-def build(body: str = "dancer", material: str = ANIMATED_MATERIAL) -> Scene:
-    """`body` is an asset that moves by itself, `material` a name (see core/material.py). Raises BadInput."""
+def build(body: str = "dancer", material: str | None = None) -> Scene:
+    """`body` is an animated asset, `material` a name (core/material.py) or None for its own. Raises BadInput."""
     height = animated_height(body)
     if height is None:
-        raise BadInput(f"{body}: does not move by itself; make it (vrgs.py prepare PERSON.ply --rig RIG.glb)")
-    far = float(np.clip(1.5 * height - 0.5, 0.0, 1.2))  # to see it from head to foot
+        raise BadInput(f"{body}: is not animated; make such an asset by vrgs.py prepare PERSON.ply --rig RIG.glb")
+    back = float(np.clip(1.5 * height - 0.5, 0.0, 1.2))  # [m], to see it from head to foot
     return Scene(
-        bodies=[
-            Body("dining_room"),
-            Body("bottle", position=BOTTLE),
-            Body(body, Material.animated(material, height), position=PLACE),
-            *rings(PLACE, height),
-        ],
-        colliders=room(),
-        light=Light(position=(0.0, 1.9, 0.1), target=PLACE),
-        background=PLASTER,
-        eye=(0.0, 1.15 + 0.4 * far, 0.75 + far),
-        target=(0.0, 0.9 + 0.5 * far, 0.0),
+        bodies=[*furniture(), Body(body, body_material(body, material, height), position=PLACE), *rings(PLACE, height)],
+        colliders=colliders(),
+        light=lamp(PLACE),
+        background=BACKGROUND,
+        eye=(0.0, 1.15 + 0.4 * back, 0.75 + back),
+        target=(0.0, 0.9 + 0.5 * back, 0.0),
         game=JustDance(PLACE, height),
     )

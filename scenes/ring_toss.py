@@ -4,35 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.material import Material
-from scenes.scene import Body, BodyState, Box, Capsule, Hand, Light, Plane, Scene
+from scenes.dining_table import BACKGROUND, BOTTLE, BOTTLE_HEIGHT, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp
+from scenes.scene import Body, BodyState, Capsule, Hand, Scene
 from scenes.scripted_throw import Throw
 
-RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
-TABLE_TOP = 0.75  # [m]
-BOTTLE = (0.0, TABLE_TOP, -0.15)
-BOTTLE_HEIGHT = 0.30  # [m]
-PLASTER = (0.5, 0.47, 0.4)  # the colour behind the few pixels that no Gaussian covers
 RING_RADIUS = 0.08  # [m], of the tube's centre line
 STARTS = [(-0.24, 0.30), (-0.03, 0.34), (0.17, 0.30)]  # x, z of each ring on the table [m]
 COLOURS = ["ring_red", "ring_yellow", "ring_blue"]
-TURN = 3.4  # [s] from one scripted throw to the next
+THROW_PERIOD = 3.4  # [s] from one scripted throw to the next
 
 
 class RingToss:
     """A ring scores once it has come to rest around the bottle: its disc holds the bottle's axis."""
 
-    duration = TURN * len(STARTS) + 0.6
+    duration = THROW_PERIOD * len(STARTS) + 0.6
 
     def __init__(self):
         above = (BOTTLE[0], TABLE_TOP + BOTTLE_HEIGHT + 0.03, BOTTLE[2])
         self.throws = [
             Throw(
-                grip=(x, TABLE_TOP + 0.02, z),
-                release=(0.4 * x, 1.16, 0.42),  # far and high enough for the swing to stay clear of the table
+                grasp=(x, TABLE_TOP + 0.02, z),
+                release=(0.4 * x, 1.16, 0.42),  # far and high enough for the run-up to stay clear of the table
                 target=above,
-                reach=0.11,
-                swing_time=0.15,
+                grab_radius=0.11,
+                acceleration_time=0.15,
                 flight_time=0.42,
             )
             for x, z in STARTS
@@ -46,8 +41,8 @@ class RingToss:
         self.ringed = {i for i, b in enumerate(bodies) if around_bottle(b) and not b.held}
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
-        turn = min(int(time / TURN), len(self.throws) - 1)
-        return [self.throws[turn].hand(time - turn * TURN)]
+        turn = min(int(time / THROW_PERIOD), len(self.throws) - 1)
+        return [self.throws[turn].hand(time - turn * THROW_PERIOD)]
 
     @property
     def score(self) -> int:
@@ -66,7 +61,7 @@ class RingToss:
 
 
 def around_bottle(ring: BodyState) -> bool:
-    """Does the bottle's axis pass through the ring's disc, below the bottle's mouth?"""
+    """Test if the bottle's axis passes through the ring's disc, below the bottle's mouth."""
     slope = ring.axis[1]
     if abs(slope) < 0.2:  # the ring stands upright
         return False
@@ -78,27 +73,16 @@ def around_bottle(ring: BodyState) -> bool:
 
 def build() -> Scene:
     rings = [
-        Body(asset, RUBBER, position=(x, TABLE_TOP + 0.018, z)) for asset, (x, z) in zip(COLOURS, STARTS, strict=True)
+        Body(asset, RING_MATERIAL, position=(x, TABLE_TOP + 0.018, z))
+        for asset, (x, z) in zip(COLOURS, STARTS, strict=True)
     ]
     neck = Capsule((BOTTLE[0], TABLE_TOP + 0.2, BOTTLE[2]), (BOTTLE[0], TABLE_TOP + 0.28, BOTTLE[2]), 0.014)
     return Scene(
-        bodies=[Body("dining_room"), Body("bottle", position=BOTTLE), *rings],
-        colliders=[*room(), neck],
-        light=Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0)),
-        background=PLASTER,
+        bodies=[*furniture(), *rings],
+        colliders=[*colliders(), neck],
+        light=lamp(),
+        background=BACKGROUND,
         eye=(0.0, 1.42, 1.15),
         target=(0.0, 0.86, -0.12),
         game=RingToss(),
     )
-
-
-def room() -> list[Plane | Box]:
-    """The dining room's floor, walls and table top."""
-    return [
-        Plane((0, 0, 0), (0, 1, 0)),
-        Plane((-2, 0, 0), (1, 0, 0)),
-        Plane((2, 0, 0), (-1, 0, 0)),
-        Plane((0, 0, -2.2), (0, 0, 1)),
-        Plane((0, 0, 2.3), (0, 0, -1)),
-        Box((0, TABLE_TOP - 0.02, 0), (0.8, 0.02, 0.45), friction=0.5),
-    ]

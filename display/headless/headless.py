@@ -1,29 +1,30 @@
-"""The display without a screen: a fixed number of frames, written as a video and a picture."""
+"""The display without a screen: a fixed number of frames, written as a video and a picture; progress on stderr."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
+from assets.file_access import check_writable
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
-from display.headless.video import Video, claim
+from display.headless.video import Video
 from display.picture import pixels_of, save_png, side_by_side
 from display.protocol import Frame, WorldView
-from scenes.scene import Hand, Scene
+from scenes.scene import Scene
 
 FRAME_DT = 1 / 60  # [s]
 EYE_DISTANCE = 0.063  # [m] between the two eyes of a stereo pair, the adult mean
-LONG_RUN = 120  # frames; shorter runs show no progress
+PROGRESS_FRAMES = 120  # shorter runs show no progress
 
 
 class Headless:
     """A display: `for frame in headless.frames(world): world.step(frame); headless.present(world)`.
 
-    Yields `frames` frames of 1/60 s from the scene's camera; `hands(time)`, if set, plays. `record` is
+    Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`. `record` is
     an MP4 with every `every`-th frame, in real time; `snapshot` a PNG of frame `snapshot_frame` (from 0,
     default the last). With `views=2` the pictures are stereo pairs, written side by side. Raises
     BadInput before the first frame if a file cannot be written.
@@ -41,11 +42,11 @@ class Headless:
         snapshot_frame: int | None = None,
         views: int = 1,
         every: int = 1,
-        hands: Callable[[float], list[Hand]] | None = None,
+        scripted: bool = True,
     ):
         if frames < 1:
             raise BadInput(f"cannot run {frames} frames: at least one is needed")
-        self.size, self.views, self.count, self.hands = (width, height), views, frames, hands
+        self.size, self.views, self.count, self._scripted = (width, height), views, frames, scripted
         camera = perspective(width, height, scene.fov_y, look_at(scene.eye, scene.target))
         self.cameras = [camera] if views == 1 else stereo_pair(camera)
         self.snapshot = Path(snapshot) if snapshot else None
@@ -53,7 +54,7 @@ class Headless:
         if not 0 <= self.snapshot_frame < frames:
             raise BadInput(f"no frame {self.snapshot_frame} to take a picture of: there are {frames}")
         if self.snapshot:
-            claim(self.snapshot, self.snapshot.with_name(f".{self.snapshot.name}.part"))
+            check_writable(self.snapshot)
         self._every, self._video, self._index = every, None, 0
         if record:
             planned = -(-frames // every)
@@ -76,7 +77,7 @@ class Headless:
         try:
             for index in range(self.count):
                 self._index, time = index, (index + 1) * FRAME_DT
-                hands = self.hands(time) if self.hands is not None else []
+                hands = world.scripted_hands(time) if self._scripted else []
                 yield Frame(FRAME_DT, time, self.cameras, hands)
                 progress.show(index + 1)
             if self._video is not None:
@@ -119,7 +120,7 @@ class Progress:
 
     def show(self, done: int) -> None:
         """`done` frames are finished."""
-        if self.total < LONG_RUN:
+        if self.total < PROGRESS_FRAMES:
             return
         now = perf_counter()
         rate = done / (now - self._begin)

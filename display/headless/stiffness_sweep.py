@@ -1,43 +1,50 @@
-"""`vrgs.py tune`: drop a body on a floor with one stiffness after another, measure, and draw it as a strip.
+"""How stiff should a body be? It is dropped on a floor with one Young's modulus after another, measured and drawn.
 
-How the paper finds a material: watch how far each Young's modulus lets the body deform (VR-GS, Sec. 5).
+This is how the paper finds a material: watch how far each modulus lets the body deform (VR-GS, Sec. 5).
 """
 
 from __future__ import annotations
 
-import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from assets.asset import Asset
-from assets.library import find_asset
-from core.errors import BadInput
-from core.material import DEFAULT_MATERIAL, Material
-from display.headless.picture_strip import PANEL, strip
-from display.headless.test_floor import framing, studio
-from display.headless.video import claim
-from display.picture import pixels_of, save_png
+from assets.gaussians import Gaussians
+from core.camera import Camera, look_at, perspective
+from core.material import Material
+from core.spherical_harmonics import C0
+from display.headless.picture_strip import PANEL, mark_height
+from display.picture import pixels_of
 from display.protocol import Frame
-from display.run_stats import write_stats
+from scenes.scene import Body, Light, Plane, Scene
 
-STEP = 1 / 120  # [s] between two looks at the body: a stiff one touches the floor for some milliseconds only
-LONGEST = 4.0  # [s] of a drop
-RESTS_AT = 0.02  # [m/s], root mean square over the vertices
-RESTS_FOR = 0.25  # [s]
+STEP = 1 / 120  # [s] between two measurements: a stiff body touches the floor for some milliseconds only
+DROP_TIME_MAX = 4.0  # [s]
+REST_SPEED = 0.02  # [m/s], root mean square over the vertices
+REST_TIME = 0.25  # [s] below REST_SPEED
+BACKGROUND = (0.93, 0.92, 0.90)
+FLOOR_COLOUR, LINE_COLOUR = (0.80, 0.78, 0.75), (0.66, 0.64, 0.62)
+FLOOR_CELLS = 160  # Gaussians along each side of the floor
+LINE_SPACING = 10  # Gaussians
+FLOOR_SIZE = 8.0  # sides of the floor, in sizes of the body
+FOV = 0.55  # [rad]
+ELEVATION, AZIMUTH = 0.33, 0.35  # [rad] of the camera above the floor, and from +z to +x
+FRAMING = 0.9  # what the picture shows to each side, of the body's half diagonal
 
 
 @dataclass(frozen=True)
 class Drop:
-    """What one stiffness did. Heights are shares of the undeformed body's in the attitude that it has then."""
+    """Result of one drop. Heights are relative to that of the undeformed body in the same orientation."""
 
     young: float  # [Pa]
-    compression: float  # the greatest, of the height
-    rebound: float  # [m] that its lowest point rises afterwards
-    settled: float  # height at the end
-    at_rest: bool  # whether the end is that
+    compression: float  # the greatest loss of height
+    rebound: float  # [m] by which its lowest point rises afterwards
+    settled: float  # final height
+    at_rest: bool  # at the end
     substeps: int  # of a frame of 1/60 s
     dt: float  # [s]
     path: str
@@ -49,77 +56,51 @@ class Drop:
         return {key: value for key, value in vars(self).items() if key != "pictures"}
 
 
-def run(args) -> None:
-    """vrgs.py tune ASSET [--young E ... | --from E --to E --steps N] [--height M] [--out STRIP.png] [--json OUT]."""
-    path = find_asset(args.asset)
-    asset = Asset.load(path)
-    if asset.cage is None:
-        raise BadInput(f"{args.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
-    youngs = args.young or np.geomspace(args.lowest, args.highest, args.steps).tolist()
-    out = args.out or Path(f"{path.stem}_tune.png")
-    for file in filter(None, (out, args.json)):
-        claim(file, file.with_name(f".{file.name}.part"))
-    material = Material.named(args.material) if args.material else asset.material or Material.named(DEFAULT_MATERIAL)
-    height = np.ptp(asset.cage.vertices[:, 1])
-    drop = args.height or float(max(0.1, 0.5 * height))
-    drops = []
-    print(f"{path.stem}, {100 * height:.1f} cm high, dropped from {drop:.2f} m")
-    print(f"{'young [Pa]':>10} {'compression':>12} {'rebound':>10} {'settled':>9} {'substeps':>9} {'dt [s]':>10}  path")
-    for d in drop_each(path, asset.cage.vertices, material, youngs, drop):
-        notes = ["" if d.at_rest else "still moving", "" if d.finite else "not finite"]
-        print(
-            f"{d.young:10.3g} {d.compression:12.1%} {100 * d.rebound:7.1f} cm {d.settled:9.1%} {d.substeps:9d}"
-            f" {d.dt:10.3g}  {d.path}  {', '.join(filter(None, notes))}".rstrip(),
-            flush=True,
-        )
-        drops.append(d)
-    save_png(out, strip(path.stem, drops, drop))
-    if args.json:
-        write_stats(args.json, [d.row() for d in drops])
-    print(f"wrote {out}", file=sys.stderr)
-
-
-def drop_each(path: Path, cage: np.ndarray, material: Material, youngs: list[float], height: float):
+def drop_each(path: Path, cage: np.ndarray, material: Material, youngs: list[float], height: float) -> Iterator[Drop]:
     """Drop the asset with each Young's modulus [Pa] from `height` [m]; yields a Drop each."""
     from display.world import World
 
     with tempfile.TemporaryDirectory() as folder:
-        scene = studio(path, cage, replace(material, young=youngs[0]), height, Path(folder))
+        scene = drop_scene(path, cage, replace(material, young=youngs[0]), height, Path(folder))
         world = World(scene, width=PANEL, height=PANEL)
     for young in youngs:
         for body in range(len(world.bodies())):  # the pieces of the asset
             world.device.solver.set_material(body, replace(material, young=young))
         world.device.solver.reset()
-        yield dropped(world, cage.astype(np.float64), young)
+        yield _drop(world, cage.astype(np.float64), young)
 
 
-def dropped(world, cage: np.ndarray, young: float) -> Drop:
-    """One drop to the end."""
+def _drop(world, cage: np.ndarray, young: float) -> Drop:
+    """One drop, until the body rests."""
     solver = world.device.solver
     crushed, least, rebound, quiet, time = solver.snapshot(), np.inf, 0.0, 0.0, 0.0
-    while time < LONGEST and quiet < RESTS_FOR:
+    while time < DROP_TIME_MAX and quiet < REST_TIME:
         solver.step(STEP)
         time += STEP
         now = solver.snapshot()
         x = now["x"].astype(np.float64)
         if not np.isfinite(x).all():
             break
-        share = np.ptp(x[:, 1]) / upright(cage, x)
+        relative = np.ptp(x[:, 1]) / undeformed_height(cage, x)
         touched = least < np.inf
         if x[:, 1].min() < 1e-3 * np.ptp(cage, axis=0).max() or touched:
-            if share < least:
-                least, crushed, rebound = share, now, 0.0
+            if relative < least:
+                least, crushed, rebound = relative, now, 0.0
             rebound = max(rebound, x[:, 1].min())
             speed = np.sqrt((now["v"] ** 2).sum(1).mean())
-            quiet = quiet + STEP if speed < RESTS_AT else 0.0
+            quiet = quiet + STEP if speed < REST_SPEED else 0.0
     stats = solver.stats
-    pictures = tuple(drawn(world, cage, q) for q in (crushed, now)) if stats["finite"] else 2 * (blank(),)
+    pictures = (
+        tuple(_picture(world, cage, q) for q in (crushed, now))
+        if stats["finite"]
+        else 2 * (np.full((PANEL, PANEL, 3), 255, np.uint8),)
+    )
     return Drop(
         young=young,
         compression=float(1 - least),
         rebound=float(rebound),
-        settled=float(share),
-        at_rest=quiet >= RESTS_FOR,
+        settled=float(relative),
+        at_rest=quiet >= REST_TIME,
         substeps=round(1 / 60 / stats["dt"]),
         dt=stats["dt"],
         path=stats["integrator"],
@@ -128,25 +109,67 @@ def dropped(world, cage: np.ndarray, young: float) -> Drop:
     )
 
 
-def upright(rest: np.ndarray, x: np.ndarray) -> float:
+def undeformed_height(rest: np.ndarray, x: np.ndarray) -> float:
     """Height [m] of the undeformed body, turned as the deformed one is (the rotation nearest to it)."""
     U, _, Vt = np.linalg.svd((x - x.mean(0)).T @ (rest - rest.mean(0)))
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     return float(np.ptp((rest @ R.T)[:, 1]))
 
 
-def drawn(world, cage: np.ndarray, snapshot: dict) -> np.ndarray:
+def _picture(world, cage: np.ndarray, snapshot: dict) -> np.ndarray:
     """Picture (H, W, 3) uint8 of a moment, with the undeformed height beside the body."""
     world.device.solver.restore(snapshot)
     x = snapshot["x"].astype(np.float64)
     camera = framing(x.mean(0), np.ptp(cage, axis=0), PANEL, PANEL)
     world.step(Frame(0.0, 0.0, [camera]))
     picture = pixels_of(world.picture)[..., :3].copy()
-    from display.headless.picture_strip import mark_height
-
-    mark_height(picture, camera, x, upright(cage, x))
+    mark_height(picture, camera, x, undeformed_height(cage, x))
     return picture
 
 
-def blank() -> np.ndarray:
-    return np.full((PANEL, PANEL, 3), 255, np.uint8)
+def floor(size: float) -> Gaussians:
+    """Flat Gaussians at y = 0 under a body of `size` [m], with lines, that fade to the backdrop."""
+    step = FLOOR_SIZE * size / FLOOR_CELLS
+    i, k = (a.ravel() for a in np.meshgrid(np.arange(FLOOR_CELLS), np.arange(FLOOR_CELLS), indexing="ij"))
+    x, z = ((a - (FLOOR_CELLS - 1) / 2) * step for a in (i, k))
+    lined = (i % LINE_SPACING == 0) | (k % LINE_SPACING == 0)
+    colour = np.where(lined[:, None], LINE_COLOUR, FLOOR_COLOUR)
+    far = np.clip(np.hypot(x, z) / (0.45 * FLOOR_SIZE * size), 0, 1)[:, None] ** 2
+    colour = (1 - far) * colour + far * np.array(BACKGROUND)
+    n = len(x)
+    thin = 1e-3 * size
+    return Gaussians.of(
+        np.stack([x, np.full(n, -thin), z], 1),
+        np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)),
+        np.log(np.tile([0.55 * step, thin, 0.55 * step], (n, 1))),
+        np.full(n, 5.0),
+        ((colour - 0.5) / C0)[:, None],
+    )
+
+
+def drop_scene(asset: Path, cage: np.ndarray, material: Material, drop: float, folder: Path) -> Scene:
+    """The body `drop` [m] above the floor. Its vertices at rest are `cage` (V, 3); `folder` takes the floor's file."""
+    low, high = cage.min(0), cage.max(0)
+    size = float(np.linalg.norm(high - low))
+    file = folder / "floor.h5"
+    Asset(floor(size)).save(file)
+    centre = (low + high) / 2
+    place = (-centre[0], drop - low[1], -centre[2])
+    return Scene(
+        bodies=[Body(str(file)), Body(str(asset), material, position=tuple(map(float, place)))],
+        colliders=[Plane((0, 0, 0), (0, 1, 0), friction=material.friction)],
+        light=Light(position=(-1.2 * size, 3.0 * size, 1.6 * size), softness=0.02 * size),
+        background=BACKGROUND,
+        eye=(0.0, size, 2 * size),
+        target=(0.0, 0.0, 0.0),
+        fov_y=FOV,
+    )
+
+
+def framing(centre: np.ndarray, extent: np.ndarray, width: int, height: int) -> Camera:
+    """A camera that shows a body of `extent` (3,) [m] standing on the floor around `centre` (x and z count)."""
+    half = FRAMING * float(np.linalg.norm(extent)) / 2
+    target = np.array([centre[0], 0.45 * extent[1], centre[2]])
+    flat = np.cos(ELEVATION)
+    offset = half / np.tan(FOV / 2) * np.array([flat * np.sin(AZIMUTH), np.sin(ELEVATION), flat * np.cos(AZIMUTH)])
+    return perspective(width, height, FOV, look_at(target + offset, target))

@@ -1,16 +1,18 @@
-"""Writes an MP4, picture by picture."""
+"""MP4 videos: written picture by picture, or as a film of what a display shows."""
 
 from __future__ import annotations
 
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 
+from assets.file_access import check_writable
 from core.errors import BadInput
+from display.picture import pixels_of
 
 CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
+FILM_FPS = 30.0  # [1/s]
 BYTES_PER_PIXEL = 0.05  # of a busy picture; measured 0.02 on noise and waves that move
 
 
@@ -27,7 +29,7 @@ class Video:
             raise BadInput(f"{self.path}: a video's name must end in .mp4")
         self.size = (width + width % 2, height + height % 2)  # codecs halve the colours' resolution
         self._part = self.path.with_name(f".{self.path.stem}.part.mp4")
-        claim(self.path, self._part, bytes_needed=BYTES_PER_PIXEL * width * height * frames)
+        check_writable(self.path, self._part, bytes_needed=BYTES_PER_PIXEL * width * height * frames)
         self._codec, self._writer = self._first_codec(), None
 
     def _open(self, codec: str):
@@ -87,19 +89,29 @@ class Video:
             self._part.unlink(missing_ok=True)
 
 
-def claim(path: Path, part: Path, *, bytes_needed: float = 0.0) -> None:
-    """Check that a file can be written at `path`, by way of `part` beside it. Raises BadInput."""
-    if path.is_dir():
-        raise BadInput(f"{path}: is a folder")
-    try:
-        with open(part, "wb"):
-            pass
-        free = shutil.disk_usage(path.parent).free
-    except OSError as e:
-        raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
-    part.unlink()
-    if free < bytes_needed:
-        raise BadInput(f"{path}: the disk has {free / 1e6:.0f} MB left, about {bytes_needed / 1e6:.0f} MB are needed")
+class FilmWriter:
+    """Films what a display shows, whatever its frame rate and size: an MP4 of `width` x `height` [px] at FILM_FPS,
+    complete after `close`. Raises BadInput."""
+
+    def __init__(self, path: str | Path, width: int, height: int):
+        self.size = (width, height)
+        self._video = Video(path, width, height, fps=FILM_FPS)
+
+    def add(self, world, time: float) -> None:
+        """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over."""
+        if self._video.count >= time * FILM_FPS:
+            return
+        pixels = pixels_of(world.picture)[: world.picture_size[1]]  # of a headset's eyes the left one
+        if (pixels.shape[1], pixels.shape[0]) != self.size:
+            import cv2
+
+            pixels = cv2.resize(pixels, self.size, interpolation=cv2.INTER_AREA)
+        while self._video.count < time * FILM_FPS:
+            self._video.write(pixels)
+
+    def close(self) -> None:
+        """Finish the film."""
+        self._video.close()
 
 
 def frame_count(path: Path) -> int:

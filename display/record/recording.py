@@ -31,14 +31,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from assets.file_access import check_writable
 from core.camera import Camera
 from core.errors import BadInput
-from display.headless.video import claim
 from display.protocol import Command, Frame
 from display.record.command_text import from_text, to_text
 from display.record.packing import pack
 
-FORMAT, VERSION = "vrgs-recording", 1
+FORMAT, VERSION = "vrgs-recording", 2  # in version 1, bodies were not of their own material
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
 OPTIONS += ("cells", "pieces")  # of the command: they make the world what it is
 SECOND = 1.0  # [s] between two states, and between two writings
@@ -71,7 +71,7 @@ class Recording:
             raise BadInput(
                 f"{self.part} is what a session that broke off has left: play it with --replay, or remove it"
             )
-        claim(self.path, self.part)
+        check_writable(self.path, self.part)
         self.about: dict = {}
         self.frames = 0
         self._world, self._dt = None, 0.0  # of the last frame

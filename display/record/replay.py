@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from assets.hdf5 import open_hdf5
+from assets.library import animated_height
 from core.camera import Camera
 from core.errors import BadInput
+from core.material import ANIMATED_MATERIAL
 from display.protocol import Frame, Pause, last_of
 from display.record.recording import FORMAT, OPTIONS, VERSION
 from display.record.recording_reader import checked_about, read_frames, read_states
@@ -21,8 +23,8 @@ WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers", "grown")  # reco
 class Replay:
     """A recording: what it says `about` itself, its frames, the states to compare with. `Replay.load` checks all."""
 
-    def __init__(self, path: Path, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
-        self.path, self.about, self._frames, self._states = path, about, frames, states
+    def __init__(self, path: Path, version: int, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
+        self.path, self.version, self.about, self._frames, self._states = path, about, frames, states
         self.done, self.largest, self.compared = 0, 0.0, 0
         self._cameras: list[Camera] = []  # the last that there were
 
@@ -36,14 +38,13 @@ class Replay:
         with open_hdf5(path) as file:
             if file.text("", "format") != FORMAT:
                 raise file.error("is not a recording of VR-GS")
-            if file.number("", "version") != VERSION:
-                raise file.error(
-                    f"is a recording of version {file.number('', 'version'):g}; this program knows {VERSION}"
-                )
+            version = file.number("", "version")
+            if version not in range(1, VERSION + 1):
+                raise file.error(f"is a recording of version {version:g}; this program knows 1 to {VERSION}")
             try:
                 about = checked_about(file.text("", "about"))
                 frames = read_frames(file)
-                return cls(path, about, frames, read_states(file, len(frames)))
+                return cls(path, int(version), about, frames, read_states(file, len(frames)))
             except BadInput as e:
                 raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
 
@@ -59,6 +60,12 @@ class Replay:
         recorded = self.about.get("world", {})
         recorded = recorded | {"grown": recorded[old] for old in ("room",) if old in recorded}
         return how | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
+
+    def implied_material(self, scene: str, body: str | None) -> str | None:
+        """The material of a body for which none was asked: before version 2 that was not the asset's own."""
+        if self.version > 1 or scene != "sandbox":
+            return None
+        return "plush" if body is None or animated_height(body) is None else ANIMATED_MATERIAL
 
     def frames(self, display, world, *, paced: bool) -> Iterator[Frame]:
         """The recorded frames, to be stepped and presented by the caller, until all are done or the display ends, with

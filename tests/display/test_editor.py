@@ -21,7 +21,7 @@ from display.protocol import (
     SetMaterial,
     Undo,
 )
-from scenes.ring_toss import RUBBER
+from scenes.dining_table import RING_MATERIAL as RUBBER
 from scenes.scene import Body, Hand, Light, Plane, Scene
 
 SIZE = (160, 90)

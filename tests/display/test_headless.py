@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from assets import file_access
 from core.errors import BadInput
-from display.headless import video
 from display.headless.headless import EYE_DISTANCE, Headless
 from display.headless.video import Video
 from display.picture import pixels_of
@@ -21,10 +21,18 @@ ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT = 320, 180
 
 
-def play(frames: int, *, stop_after: int | None = None, width: int = WIDTH, height: int = HEIGHT, **options):
+def play(
+    frames: int,
+    *,
+    stop_after: int | None = None,
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    hands=lambda time: [],
+    **options,
+):
     """Run the ball's world on a headless display. Returns display, world, frames and pictures."""
     display = Headless(fake_scene(), width=width, height=height, frames=frames, **options)
-    world = FakeWorld(fake_scene(), width=width, height=height, views=display.views)
+    world = FakeWorld(fake_scene(), width=width, height=height, views=display.views, hands=hands)
     seen, pictures = [], []
     for frame in display.frames(world):
         world.step(frame)
@@ -162,7 +170,7 @@ def test_bad_places_are_refused_before_the_first_frame(tmp_path, monkeypatch, op
 
 def test_a_full_disk_is_noticed_before_the_first_frame(tmp_path, monkeypatch):
     usage = shutil.disk_usage(tmp_path)
-    monkeypatch.setattr(video.shutil, "disk_usage", lambda path: usage._replace(free=1_000_000))
+    monkeypatch.setattr(file_access.shutil, "disk_usage", lambda path: usage._replace(free=1_000_000))
     with pytest.raises(BadInput, match="the disk has 1 MB left, about 52 MB are needed"):
         Headless(fake_scene(), width=1920, height=1080, frames=500, record=tmp_path / "a.mp4")
     assert list(tmp_path.iterdir()) == []
@@ -185,8 +193,8 @@ def write_until_full(path: str) -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows cannot limit the size of a file")
 def test_a_disk_that_fills_up_during_the_run_is_told(tmp_path):
-    code = "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); import sys; sys.path[:0] = ['.', 'tests']; "
-    code += f"import test_headless; test_headless.write_until_full({str(tmp_path / 'a.mp4')!r})"
+    code = "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); import sys; sys.path.insert(0, '.'); "
+    code += f"from tests.display.test_headless import write_until_full; write_until_full({str(tmp_path / 'a.mp4')!r})"
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert "of 60 pictures could be written (disk full?)" in out.stdout, out.stderr
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,7 @@ from core.errors import BadInput
 from core.material import MATERIALS, Material
 from display.headless import stiffness_sweep as tune
 from display.headless.picture_strip import FOOT, GAP, HEAD, MARGIN, PANEL, mark_height, pascal
-from display.headless.test_floor import floor, framing
+from display.headless.stiffness_sweep import floor, framing
 
 YOUNGS = (1e4, 1e5)
 
@@ -59,9 +59,9 @@ def test_what_cannot_be_dropped_is_refused(name, why, capsys):
 
 def test_the_undeformed_height_is_that_of_the_nearest_rotation():
     rest = np.random.default_rng(0).uniform(size=(40, 3)) * [0.4, 0.2, 0.1]
-    assert_allclose(tune.upright(rest, rest + 3.0), np.ptp(rest[:, 1]))
+    assert_allclose(tune.undeformed_height(rest, rest + 3.0), np.ptp(rest[:, 1]))
     lying = rest[:, [1, 0, 2]] * [-1, 1, 1]  # a quarter turn about z
-    assert_allclose(tune.upright(rest, 0.7 * lying), np.ptp(rest[:, 0]))
+    assert_allclose(tune.undeformed_height(rest, 0.7 * lying), np.ptp(rest[:, 0]))
 
 
 def test_the_mark_lies_at_its_height():

@@ -16,7 +16,7 @@ def test_the_scene_of_the_guide_plays(tmp_path, monkeypatch, ti_cpu):
     source = re.search(r"```python\n(.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL).group(1)
     (tmp_path / "stack.py").write_text(source, encoding="utf-8")
     monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
-    assert "stack" in registry.names() and registry.summary("stack").startswith("Stack:")
+    assert "stack" in registry.names() and registry.demo("stack").summary.startswith("Stack:")
     scene = registry.load("stack")
 
     from display.world import World

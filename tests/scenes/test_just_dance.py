@@ -41,7 +41,7 @@ def test_a_ring_bounces_off_the_dancer(stage):
     for k in range(round(3.2 / DT)):
         world.step(Frame(DT, (k + 1) * DT, [], world.scripted_hands((k + 1) * DT)))
         dancer, ring = world.bodies()
-        if game.throw is not None and not ring.held and k * DT > game.begun + game.throw.released_at:
+        if game.throw is not None and not ring.held and k * DT > game.throw_start + game.throw.released_at:
             speeds.append(ring.velocity[2])
         if k % 6 == 0:
             rest = asset.cage.vertices.astype(np.float64)

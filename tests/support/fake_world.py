@@ -148,9 +148,9 @@ class BallWorld(WorldView):
 class FakeWorld(BallWorld):
     """The ball's world with its picture."""
 
-    def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1):
+    def __init__(self, scene: Scene, *, width: int, height: int, views: int = 1, hands=lambda time: []):
         super().__init__(scene)
-        self.views = views
+        self.views, self.scripted_hands = views, hands
         self.resize(width, height)
 
     def resize(self, width: int, height: int) -> None:

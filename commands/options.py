@@ -1,0 +1,80 @@
+"""Options that several commands share, and the types of options: each takes a text and raises ArgumentTypeError."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from render import SORTS
+
+SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
+AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
+
+
+def size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT [px]."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 16 <= int(width) <= 16384 and 16 <= int(height) <= 16384):
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT, each 16 to 16384")
+    return int(width), int(height)
+
+
+def positive(kind: type) -> Callable[[str], float]:
+    """The type of numbers of a kind, int or float, above zero."""
+
+    def parse(text: str):
+        try:
+            value = kind(text)
+        except ValueError:
+            value = 0
+        if not 0 < value < 1e9:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
+        return value
+
+    return parse
+
+
+def render_scale(text: str) -> float:
+    """A factor of a picture's width and height."""
+    value = positive(float)(text)
+    if not 0.1 <= value <= 2.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not between 0.1 and 2")
+    return value
+
+
+def elevation(text: str) -> float:
+    """An angle above the horizon [degrees]."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 90.0
+    if not -89.0 <= value <= 89.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -89 and 89 degrees")
+    return value
+
+
+def add_arch(parser: argparse.ArgumentParser, *, own: bool = False) -> None:
+    """Add --arch. A command's must not undo the one before the command, which is the play's `own`."""
+    text = "where kernels run; unset: CUDA if there is one, else the CPU"
+    default = None if own else argparse.SUPPRESS
+    parser.add_argument("--arch", choices=("cuda", "cpu"), help=text, default=default)
+
+
+def add_sort(parser: argparse.ArgumentParser, mode: str, *, own: bool = True) -> None:
+    """Add --sort; `mode` is the default, which the play's gives unless it is the command's `own`."""
+    text = f"order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default {mode})"
+    parser.add_argument("--sort", choices=SORTS, help=text, default=mode if own else argparse.SUPPRESS)
+
+
+def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
+    """Add the options of making a body of a splat; `prefix` opens their help where they belong to another option."""
+    suppress = {} if prefix else {"default": argparse.SUPPRESS}  # those of a command must not undo those before it
+    parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)", **suppress)
+    text = f"{prefix}largest extent in metres (default: guessed)"
+    parser.add_argument("--scale", type=positive(float), metavar="M", help=text, **suppress)
+    text = f"{prefix}cage vertices (default 2000)"
+    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text, **(suppress or {"default": 2000}))
+    text = f"{prefix}cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)"
+    parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, **(suppress or {"default": "adaptive"}))
+    text = f"{prefix}separate pieces each get a cage and become bodies of their own (default: the largest alone)"
+    parser.add_argument("--pieces", action="store_true", help=text, **suppress)

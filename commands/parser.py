@@ -1,0 +1,44 @@
+"""The command line's parser: each command is a module of this package with HELP, EXAMPLES, add_arguments and run."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from commands import bench, build, check, convert, materials, play, prepare, render, scenes, tune, view
+
+COMMANDS = {
+    "scenes": scenes,
+    "view": view,
+    "render": render,
+    "prepare": prepare,
+    "convert": convert,
+    "bench": bench,
+    "build": build,
+    "tune": tune,
+    "materials": materials,
+    "check": check,
+}
+
+
+def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> argparse.ArgumentParser:
+    """The parser of all commands; `run_play` runs without one."""
+    formatter = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(
+        prog="vrgs.py", description=summary, epilog=play.EXAMPLES, formatter_class=formatter
+    )
+    parser.set_defaults(run=run_play)
+    play.add_arguments(parser)
+    commands = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
+    for name, module in COMMANDS.items():
+        examples = "".join(f"\n  python vrgs.py {example}" for example in module.EXAMPLES)
+        sub = commands.add_parser(
+            name,
+            help=module.HELP,
+            description=module.HELP,
+            epilog=f"example:{examples}",
+            formatter_class=formatter,
+        )
+        sub.set_defaults(run=module.run)
+        module.add_arguments(sub)
+    return parser

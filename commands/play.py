@@ -1,0 +1,247 @@
+"""`vrgs.py` without a command: the options of playing a scene, and all that a play needs, opened in order."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import itertools
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from commands.options import add_arch, add_preparation, add_sort, positive, render_scale, size
+from core.errors import BadInput
+from core.runtime import start_taichi
+from render import MOVING_SORT
+
+if TYPE_CHECKING:
+    from display.headless.video import FilmWriter
+    from display.protocol import Display, Frame
+    from display.record.recording import Recording
+    from display.record.replay import Replay
+    from display.world import World
+    from scenes.scene import Scene
+
+EXAMPLES = """examples:
+  python vrgs.py                                        play the ring toss in a window
+  python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
+  python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
+  python vrgs.py --xr --record-input play.h5            play in a headset, and keep what you do
+  python vrgs.py --replay play.h5                       see it again; with --headless --record play.mp4: film it
+  python vrgs.py scenes                                 list the demos
+  python vrgs.py view cat.ply                           look at a splat from all sides
+  python vrgs.py render cat.ply --turntable --out cat.mp4
+  python vrgs.py render cat.ply --camera cam.json --out cat.png
+  python vrgs.py prepare cat.ply --out cat.h5 --vertices 2000
+  python vrgs.py convert cat.sog cat.compressed.ply     between splat formats, and what was lost
+  python vrgs.py --scene sandbox --stage room.ply --body cat.ply
+  python vrgs.py tune cat.h5                            how stiff should it be?
+  python vrgs.py check --quick
+"""
+FPS = 60  # [1/s] of a headless play
+SECONDS = 5  # [s] of a headless play of a scene without a game
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of playing."""
+    parser.add_argument("--scene", default="ring_toss", metavar="NAME", help="demo to play (see: vrgs.py scenes)")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--xr", action="store_true", help="play in a headset")
+    where.add_argument("--headless", action="store_true", help="no window: the scene's scripted hand plays")
+    add_arch(parser, own=True)
+    text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
+    parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)
+    text = "how Gaussians follow the cage"
+    parser.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help=text)
+    add_sort(parser, MOVING_SORT)
+    parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
+    parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="picture size (default 960x540)")
+    text = "--xr: factor of the width and height that the headset recommends"
+    parser.add_argument("--render-scale", type=render_scale, default=1.0, metavar="S", help=text)
+    parser.add_argument("--stereo", action="store_true", help="headless: draw two eyes, 63 mm apart")
+    parser.add_argument("--record", type=Path, metavar="OUT.mp4", help="write a film")
+    parser.add_argument("--snapshot", type=Path, metavar="OUT.png", help="headless: write the last frame")
+    parser.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
+    again = parser.add_mutually_exclusive_group()
+    text = "record your input, to be replayed"
+    again.add_argument("--record-input", type=Path, metavar="FILE.h5", help=text)
+    text = "replay recorded input, and compare the states"
+    again.add_argument("--replay", type=Path, metavar="FILE.h5", help=text)
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
+    text = "sandbox, just_dance: splat file or prepared asset to play with"
+    parser.add_argument("--body", metavar="FILE", help=text)
+    text = "sandbox: a room to play in, a splat or prepared with --static"
+    parser.add_argument("--stage", metavar="ROOM", help=text)
+    text = "material of --body (default: the asset's own; see: vrgs.py materials)"
+    parser.add_argument("--material", metavar="NAME", help=text)
+    add_preparation(parser, "--body: ")
+
+
+class Session:
+    """A play: the world, its display, and what is written of it. `open_session` makes one."""
+
+    def __init__(
+        self,
+        args,
+        world: World,
+        display: Display,
+        film: FilmWriter | None,
+        recording: Recording | None,
+        replay: Replay | None,
+    ):
+        self.world, self.display, self.film, self.recording = world, display, film, recording
+        self._args, self._replay, self._count = args, replay, 0
+
+    def frames(self) -> Iterator[Frame]:
+        """The display's frames, or the recorded ones, as many as wanted; noted by the recording."""
+        args = self._args
+        if self._replay:
+            frames = self._replay.frames(self.display, self.world, paced=not args.headless)
+        else:
+            frames = self.display.frames(self.world)
+        for frame in itertools.islice(frames, None if args.headless else args.frames):  # Headless counts for itself
+            yield frame if self.recording is None else self.recording.note(frame)
+            self._count += 1
+
+    def report(self) -> None:
+        """Print and write the results of the play."""
+        from display.run_stats import run_stats, write_stats
+
+        args, world = self._args, self.world
+        if self._replay:
+            print(self._replay.report())
+        if args.stats:
+            write_stats(args.stats, run_stats(world, self._count))
+        if args.headless:
+            print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def open_session(args: argparse.Namespace) -> Iterator[Session]:
+    """Open all that the options ask for, closed again at the end. Raises BadInput, before any time is spent."""
+    replay = open_replay(args)
+    scene = load_scene(args, replay)
+    with (
+        open_display(args, scene, replay) as display,
+        open_film(args, display) as film,
+        open_recording(args) as recording,
+    ):
+        start_taichi(args.arch, args.seed)
+        from display.world import World
+
+        width, height = display.size
+        options = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
+        # In a headset nobody should wait for kernels in the midst of play: it has capacity for copies from the start.
+        options |= {"depth": bool(args.xr and display.depth), "fingers": bool(args.xr), "grown": bool(args.xr)}
+        if replay:
+            options = replay.world_options(options)
+        views, props = 2 if args.stereo or args.xr else 1, display.props() if args.xr else []
+        world = World(scene, width=width, height=height, views=views, props=props, **options)
+        if not args.headless:
+            world.warm_up()
+        if recording:
+            recording.begin(args, options)
+        yield Session(args, world, display, film, recording, replay)
+
+
+def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
+    """The scene with the options' body, material and room, prepared if they are splat files. Raises BadInput."""
+    from scenes import registry
+
+    body, stage = prepared_body(args), prepared_stage(args)
+    material = args.material
+    if replay and material is None:
+        material = replay.implied_material(args.scene, body)
+    return registry.load(args.scene, body=body, material=material, stage=stage)
+
+
+def open_replay(args: argparse.Namespace) -> Replay | None:
+    """The recording to be replayed, whose options become those of the command."""
+    if not args.replay:
+        return None
+    if args.xr:
+        raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
+    from display.record.replay import Replay
+
+    replay = Replay.load(args.replay)
+    replay.set_options(args)
+    return replay
+
+
+def open_recording(args: argparse.Namespace):
+    """The recording of the user's input, or a context of None."""
+    if not args.record_input:
+        return contextlib.nullcontext()
+    from display.record.recording import Recording
+
+    return Recording(args.record_input)
+
+
+def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
+    """The headset, the window, or, with --headless or without a screen, the files."""
+    if args.stats:
+        from assets.file_access import check_writable
+
+        check_writable(args.stats)
+    width, height = args.size
+    if args.xr:
+        from display.xr.headset import Headset
+
+        marks = not args.record  # they do not belong in a film
+        return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale, marks=marks)
+    if not args.headless:
+        from display.window.gl_window import has_display
+
+        if has_display():
+            from display.window.window import Window
+
+            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height)
+        args.headless = True
+        args.record = args.record or Path(f"{args.scene}.mp4")
+        args.snapshot = args.snapshot or Path(f"{args.scene}.png")
+        print(f"no display: the scripted hand plays; writing {args.record} and {args.snapshot}", file=sys.stderr)
+    from display.headless.headless import Headless
+
+    frames = args.frames or round(FPS * (scene.game.duration if scene.game else SECONDS))
+    frames = min(args.frames or len(replay), len(replay)) if replay else frames
+    views = 2 if args.stereo else 1
+    out = {"record": args.record, "snapshot": args.snapshot}
+    return Headless(
+        scene, width=width, height=height, frames=frames, views=views, every=2, scripted=replay is None, **out
+    )
+
+
+def open_film(args: argparse.Namespace, display: Display):
+    """The film of a window or headset, or a context of None; a headless display films itself."""
+    if args.headless or not args.record:
+        return contextlib.nullcontext()
+    from display.headless.video import FilmWriter
+
+    return contextlib.closing(FilmWriter(args.record, *display.size))
+
+
+def prepared_body(args: argparse.Namespace) -> str | None:
+    """The asset of --body: as it is if it is one already, else prepared from the splat and cached."""
+    if args.body is None:
+        if args.up is not None or args.scale is not None or args.pieces:
+            raise BadInput("--up, --scale and --pieces belong to --body FILE")
+        return None
+    from assets.library import SHIPPED_FOLDER
+    from commands.prepare import cached_body
+
+    path = Path(args.body)
+    if (SHIPPED_FOLDER / f"{args.body}.h5").is_file() or path.suffix.lower() == ".h5":
+        return args.body
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file")
+    return str(cached_body(path, args))
+
+
+def prepared_stage(args: argparse.Namespace) -> str | None:
+    """The asset of --stage: as it is if it is one already, else prepared from the splat and cached."""
+    if args.stage is None or Path(args.stage).suffix.lower() == ".h5":
+        return args.stage
+    from commands.prepare import cached_environment
+
+    return str(cached_environment(Path(args.stage), args))

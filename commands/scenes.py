@@ -1,0 +1,20 @@
+"""`vrgs.py scenes`: list the demos."""
+
+from __future__ import annotations
+
+import argparse
+
+HELP = "list the demos"
+EXAMPLES = ("scenes",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """This command takes no arguments."""
+
+
+def run(args: argparse.Namespace) -> None:
+    """Print each scene's name and what it is, or why it cannot be played."""
+    from scenes import registry
+
+    for demo in registry.demos():
+        print(f"{demo.name:14} {demo.summary if demo.build else f'cannot be played: {demo.fault}'}")

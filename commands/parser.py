@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from commands import bench, build, check, convert, materials, play, prepare, render, scenes, tune, view
+from commands import bench, build, convert, materials, physics_check, play, prepare, render, scenes, tune, view
 
 COMMANDS = {
     "scenes": scenes,
@@ -17,7 +17,7 @@ COMMANDS = {
     "build": build,
     "tune": tune,
     "materials": materials,
-    "check": check,
+    "check": physics_check,
 }
 
 

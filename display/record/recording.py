@@ -1,7 +1,7 @@
 """What a user did, frame by frame, as an HDF5 file that plays again exactly (display/record/replay.py).
 
 Root attributes: `format` "vrgs-recording", `version`, `about` (JSON: the scene, the options, where kernels ran), and
-`layouts` (JSON: a list of what hands are made of, see display/record/packing.py).
+`layouts` (JSON: a list of what hands are made of, see display/record/codec.py).
 
 | dataset | shape, type | |
 | --- | --- | --- |
@@ -35,8 +35,7 @@ from assets.file_access import check_writable
 from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Command, Frame
-from display.record.command_text import from_text, to_text
-from display.record.packing import pack
+from display.record.codec import from_text, pack_hand, to_text
 
 FORMAT, VERSION = "vrgs-recording", 2  # in version 1, bodies were not of their own material
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
@@ -110,9 +109,7 @@ class Recording:
         new["frames/step"].append(frame.max_step or 0.0)
         new["frames/hands"].append(len(frame.hands))
         for hand in frame.hands:
-            layout, numbers = pack(hand)
-            if not np.isfinite(numbers).all():  # to the world that is the same as no hand
-                layout, numbers = "n", []
+            layout, numbers = pack_hand(hand)
             text = json.dumps(layout)
             new["hands/layout"].append(self._layouts.setdefault(text, len(self._layouts)))
             new["hands/numbers"].extend(numbers)

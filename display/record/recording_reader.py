@@ -10,8 +10,7 @@ from assets.hdf5 import Hdf5Reader
 from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Command, Frame
-from display.record.command_text import from_text
-from display.record.packing import size_of, unpack
+from display.record.codec import from_text, hand_size, touch_count, unpack_hand
 from display.record.recording import CAMERA, OPTIONS
 from render import SORTS
 
@@ -98,15 +97,14 @@ def read_hands(file: Hdf5Reader, per_frame: np.ndarray) -> list[list]:
     if len(which) and not layouts:
         raise file.error("its layouts are missing")
     numbers = finite(file, "hands/numbers")
-    sizes = [size_of(layout) for layout in layouts]
+    touches = [touch_count(layout) for layout in layouts]
+    sizes = [hand_size(n) for n in touches]
     if sum(sizes[k] for k in which) != len(numbers):
         raise file.error("hands/numbers is not as long as the hands need")
-    all_hands, at = [], 0
+    all_hands, first = [], 0
     for k in which:
-        all_hands.append(unpack(layouts[k], numbers[at : at + sizes[k]]))
-        if layouts[k] != "n" and type(all_hands[-1]).__name__ != "Hand":
-            raise file.error("what stands for a hand is none")
-        at += sizes[k]
+        all_hands.append(unpack_hand(touches[k], numbers[first : first + sizes[k]]))
+        first += sizes[k]
     ends = np.cumsum(per_frame)
     return [all_hands[end - n : end] for end, n in zip(ends, per_frame, strict=True)]
 

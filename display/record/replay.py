@@ -24,7 +24,8 @@ class Replay:
     """A recording: what it says `about` itself, its frames, the states to compare with. `Replay.load` checks all."""
 
     def __init__(self, path: Path, version: int, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
-        self.path, self.version, self.about, self._frames, self._states = path, about, frames, states
+        self.path, self.version, self.about = path, version, about
+        self._frames, self._states = frames, states
         self.done, self.largest, self.compared = 0, 0.0, 0
         self._cameras: list[Camera] = []  # the last that there were
 

@@ -57,7 +57,7 @@ def test_png_holds_the_same_colours_and_no_transparency(tmp_path):
     read = cv2.imread(str(tmp_path / "p.png"), cv2.IMREAD_UNCHANGED)
     assert (read == pixels[..., 2::-1]).all() and read.shape[2] == 3
     assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
-    with pytest.raises(BadInput, match=r"nowhere.p\.png: cannot write the picture"):
+    with pytest.raises(BadInput, match=r"nowhere does not exist"):
         save_png(tmp_path / "nowhere" / "p.png", pixels)
 
 
@@ -167,7 +167,7 @@ def test_stats_are_written_whole_and_as_strict_json(tmp_path, ti_cpu):
 
 
 def test_stats_that_cannot_be_written_are_bad_input(tmp_path):
-    with pytest.raises(BadInput, match="cannot write the statistics"):
+    with pytest.raises(BadInput, match="does not exist"):
         write_stats(tmp_path / "nowhere" / "stats.json", {})
 
 

@@ -30,12 +30,10 @@ from display.protocol import (
     SingleStep,
     Undo,
 )
-from display.record import packing
-from display.record.command_text import from_text, to_text
-from display.record.packing import pack, size_of, unpack
+from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
 from display.record.recording import Recording
 from display.record.replay import Replay, fitted
-from scenes.scene import BodyState, Hand, Light
+from scenes.scene import BodyState, Hand, Light, Touch
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = perspective(64, 48, 0.9, look_at((0, 1, 2), (0, 0, 0)))
@@ -117,63 +115,33 @@ def test_a_hand_without_a_pose_is_recorded_as_none(tmp_path):
     assert Replay.load(tmp_path / "play.h5")._frames[0].hands == [None, None, Hand()]
 
 
-@dataclasses.dataclass
-class Finger:
-    a: tuple = (0.0, 1.0, 2.0)
-    radius: float = 0.1
+def test_hands_with_and_without_finger_capsules_come_back_as_they_were():
+    capsules = tuple(Touch((0.0, 1.0, 0.1 * k), (1.0, 2.0, 3.0), 0.01) for k in range(11))
+    for hand in (None, Hand(), Hand((1.0, 2.0, 3.0), (0.0, 1.0, 0.0, 0.0), True, 0.1, capsules)):
+        layout, numbers = pack_hand(hand)
+        count = touch_count(json.loads(json.dumps(layout)))
+        assert hand_size(count) == len(numbers) and unpack_hand(count, np.array(numbers)) == hand
 
 
-@dataclasses.dataclass
-class Rich(Hand):
-    """A hand as it may become."""
-
-    touch: tuple = ()
-    joints: np.ndarray | None = None
-    kind: str = "fist"
-    count: int = 3
-
-
-def test_fields_that_a_hand_may_gain_are_recorded_too(monkeypatch):
-    monkeypatch.setattr(packing, "CLASSES", {**packing.CLASSES, "Rich": Rich, "Finger": Finger})
-    for hand in (
-        Rich(),
-        Rich(touch=(Finger(), Finger((1.0, 1.0, 1.0), 0.2)) * 10, joints=np.arange(6, dtype=np.float32).reshape(2, 3)),
-        Rich(touch=(Finger(), None, (1, 2.5, True, ())), kind="pinch", joints=np.zeros((0, 3))),
-    ):
-        layout, numbers = pack(hand)
-        again = unpack(json.loads(json.dumps(layout)), np.array(numbers))
-        assert size_of(layout) == len(numbers) and repr(again) == repr(hand)
-        if hand.joints is not None:
-            assert again.joints.dtype == hand.joints.dtype and again.joints.shape == hand.joints.shape
-    assert len(json.dumps(pack(Rich(touch=(Finger(),) * 40))[0])) == len(
-        json.dumps(pack(Rich(touch=(Finger(),) * 20))[0])
+def test_hands_of_the_first_version_are_read():
+    """A layout and numbers as written before version 2."""
+    layout = (
+        '{"c": "Hand", "f": {"position": ["t", 3, "f"], "rotation": ["t", 4, "f"], "grip": "b", "reach": "f", "touch": '
+        '["t", 1, {"c": "Touch", "f": {"a": ["t", 3, "f"], "b": ["t", 3, "f"], "radius": "f"}}]}}'
     )
-    with pytest.raises(TypeError, match="a set cannot be recorded"):
-        pack(Rich(kind={1}))
+    numbers = np.arange(16.0)
+    hand = Hand((0.0, 1.0, 2.0), (3.0, 4.0, 5.0, 6.0), True, 8.0, (Touch((9.0, 10.0, 11.0), (12.0, 13.0, 14.0), 15.0),))
+    assert unpack_hand(touch_count(json.loads(layout)), numbers) == hand
 
 
 @pytest.mark.parametrize(
     "layout",
-    ["x", [], {}, None, 3, ["t", -1, "f"], ["t", 10**9, "f"], ["a", "object", [1]], ["a", "float64", [10**6, 10**6]],
-     {"c": "Path", "f": {}}, {"c": "Hand", "f": {"eval": "f"}}, {"c": "BodyState", "f": {}}, ["f", "f"], ["s", 3],
-     {"c": ["Hand"], "f": {}}, ["a", "float64", [-1]], ["a", "float64", "12"]],
+    ["x", [], {}, None, 3, ["t", -1, "f"], {"c": "Path", "f": {}}, {"c": "Hand", "f": {"touch": ["t", 10**9, "f"]}},
+     {"c": "Hand", "f": {"touch": ["t", 0]}}, {"c": "Hand", "f": {"touch": 3}}, {"c": ["Hand"], "f": {}}],
 )  # fmt: skip
-def test_what_is_no_layout_is_refused(layout):
+def test_other_layouts_are_refused(layout):
     with pytest.raises(BadInput):
-        unpack(layout, np.zeros(3))
-    deep = layout
-    for _ in range(2000):
-        deep = ["t", deep]
-    for ask in (size_of, lambda value: unpack(value, np.zeros(3))):
-        with pytest.raises(BadInput, match="too deep"):
-            ask(deep)
-
-
-def test_numbers_that_do_not_fit_their_layout_are_refused():
-    layout, numbers = pack(Hand())
-    for wrong in (numbers[:-1], [*numbers, 1.0], []):
-        with pytest.raises(BadInput):
-            unpack(layout, np.array(wrong))
+        touch_count(layout)
 
 
 def test_commands_come_back_as_they_were_and_others_are_refused():

@@ -15,7 +15,7 @@ PERIOD = 1 / 25  # [s] a frame at least: what is drawn faster only costs
 
 def watch(log) -> None:
     """Let every step of a world leave a line."""
-    from display.record.command_text import NAMES
+    from display.record.codec import NAMES
     from display.world import World
 
     step = World.step

@@ -1,4 +1,8 @@
-"""Commands as lines of JSON and back. A recording may come from anywhere: only known commands with valid values are read."""
+"""How a recording holds commands and hands, and back. It may come from anywhere: all is checked as it is read.
+
+A command is an entry of a line of JSON. A hand is a layout (JSON: how many finger capsules it has) and numbers: position,
+rotation, grip, reach, then a, b and radius of each capsule. The layout "n" is no hand.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +13,17 @@ from collections.abc import Sequence
 from types import UnionType
 from typing import Literal, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from core.errors import BadInput
 from core.material import Material
 from display import protocol
 from display.protocol import Command
-from scenes.scene import Light
+from scenes.scene import Hand, Light, Touch
 
-TEXT = 200  # characters of a name
-MAX_INDEX = 1_000_000  # of a body
+TEXT_MAX = 200  # characters of a name
+TOUCHES_MAX = 1000  # finger capsules of a hand
+INDEX_MAX = 1_000_000  # of a body
 KEYS = {
     "demo": protocol.PlayDemo,
     "reset": protocol.Reset,
@@ -108,10 +115,58 @@ def _checked(value, kind):
         return kind(**{name: _checked(v, types[name]) for name, v in dict(value[kind.__name__]).items()})
     elif kind is float and type(value) in (int, float) and math.isfinite(value):
         return value
-    elif kind is int and type(value) is int and 0 <= value < MAX_INDEX:
+    elif kind is int and type(value) is int and 0 <= value < INDEX_MAX:
         return value
-    elif kind is str and isinstance(value, str) and len(value) <= TEXT:
+    elif kind is str and isinstance(value, str) and len(value) <= TEXT_MAX:
         return value
     elif kind in (bool, type(None)) and isinstance(value, kind):
         return value
     raise ValueError
+
+
+def hand_layout(touches: int | None) -> str | dict:
+    """The layout of a hand with so many finger capsules; of None, no hand."""
+    if touches is None:
+        return "n"
+    capsule = {"c": "Touch", "f": {"a": ["t", 3, "f"], "b": ["t", 3, "f"], "radius": "f"}}
+    fields = {"position": ["t", 3, "f"], "rotation": ["t", 4, "f"], "grip": "b", "reach": "f"}
+    return {"c": "Hand", "f": fields | {"touch": ["t", touches, capsule] if touches else ["t"]}}
+
+
+def pack_hand(hand: Hand | None) -> tuple[str | dict, list[float]]:
+    """Layout and numbers of a hand. One whose numbers are not finite counts as none, as it does for the world."""
+    if hand is None:
+        return hand_layout(None), []
+    numbers = [*hand.position, *hand.rotation, hand.grip, hand.reach]
+    for touch in hand.touch:
+        numbers += [*touch.a, *touch.b, touch.radius]
+    numbers = [float(x) for x in numbers]
+    return (hand_layout(len(hand.touch)), numbers) if np.isfinite(numbers).all() else (hand_layout(None), [])
+
+
+def touch_count(layout) -> int | None:
+    """Number of finger capsules of a hand with this layout, None for no hand. Raises BadInput for any other layout."""
+    if layout == "n":
+        return None
+    try:
+        touch = layout["f"]["touch"]
+        count = touch[1] if len(touch) > 1 else 0
+    except (LookupError, TypeError) as e:
+        raise BadInput("a layout is not that of a hand") from e
+    if type(count) is not int or not 0 <= count <= TOUCHES_MAX or layout != hand_layout(count):
+        raise BadInput("a layout is not that of a hand")
+    return count
+
+
+def hand_size(touches: int | None) -> int:
+    """How many numbers a hand with so many finger capsules has."""
+    return 0 if touches is None else 9 + 7 * touches
+
+
+def unpack_hand(touches: int | None, numbers: np.ndarray) -> Hand | None:
+    """The hand of `hand_size(touches)` numbers."""
+    if touches is None:
+        return None
+    x = numbers.tolist()
+    capsules = tuple(Touch(tuple(c[:3]), tuple(c[3:6]), c[6]) for c in (x[i : i + 7] for i in range(9, len(x), 7)))
+    return Hand(tuple(x[:3]), tuple(x[3:7]), bool(x[7]), x[8], capsules)

@@ -44,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Prepare a body, or with --static an environment, after a check of where its files go. Raises BadInput."""
-    start_taichi(args.arch)
     from prepare.environment.environment_pipeline import EnvironmentOptions
     from prepare.pipeline import Options
     from prepare.prepared_files import object_file, prepare_environment_file, prepare_file
@@ -64,6 +63,7 @@ def run(args: argparse.Namespace) -> None:
     for file in (out, *reports, *(object_file(out, k) for k in cut)):
         if file.exists() and not args.force:
             raise BadInput(f"{file}: exists already; --force overwrites it")
+    start_taichi(args.arch)
     if static:
         options = EnvironmentOptions(up=args.up, scale=args.scale, cell=args.cell, cut=cut)
         for file in prepare_environment_file(args.splats, out, options):

@@ -101,7 +101,11 @@ class Editor:
                 except GrowthPending:
                     self._tell(GROWTH_NOTICE)
                     self._pending.append(command)
-        if any(isinstance(c, SIMULATED) for c in commands) and self._bodies.device.solver.needs_compilation and self._frame > 1:
+        if (
+            any(isinstance(c, SIMULATED) for c in commands)
+            and self._bodies.device.solver.needs_compilation
+            and self._frame > 1
+        ):
             self._holding = True
             self._tell(COMPILING_NOTICE)
 

@@ -86,7 +86,7 @@ class Play:
     def shown(self, k):
         """Means of the Gaussians that show body k, as the device has them."""
         run = self.world.device.embedding.spans[k]
-        count = self.world.device.gaussian_counts[run.part]
+        count = self.world.device.gaussian_counts[run.body]
         return self.world.device.splats.mean.to_numpy()[run.gaussian : run.gaussian + count]
 
 

@@ -132,9 +132,9 @@ def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
 
 def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
     """One frame stands still, with a notice, after the edit that needs other kernels."""
-    solver = N(fresh=False)
+    solver = N(needs_compilation=False)
     registry = N(device=N(solver=solver), members=(None,))
-    registry.set_material = lambda k, material: setattr(solver, "fresh", material == Material.named("wood"))
+    registry.set_material = lambda k, material: setattr(solver, "needs_compilation", material == Material.named("wood"))
     world = N(refresh=lambda: None, restore=lambda snapshot: None, light=None)
     world.snapshot = lambda: N(bodies=N(solver={"bodies": ()}))
     editor = Editor(world, registry)

@@ -206,7 +206,7 @@ class Embedding:
         return other
 
     def fits(self, spans: list[BodySpan], packed: list[PackedBody]) -> bool:
-        """Whether `load` has the capacity for these."""
+        """True if `load` has the capacity for these."""
         slices, slots = sum(packed[s.body].slices for s in spans), sum(packed[s.body].slots for s in spans)
         return self.fields is not None and slices <= self.slice_capacity and slots <= self.slot_capacity
 

@@ -60,7 +60,7 @@ class State:
         self.tet_begin = g.scalar(B + 1, dtype=ti.i32)
         self.triangle_begin = g.scalar(B + 1, dtype=ti.i32)
         self.mu = g.scalar(B)  # second Lame constant [Pa]
-        self.lam = g.scalar(B)  # lambda_L + mu [Pa], lambda of MATH 7
+        self.lam = g.scalar(B)  # lambda_L + mu [Pa], lambda of the energy (sim/elastic/energy.py)
         self.kappa = g.scalar(B)  # largest stiffness bound of a tet [1/s^2]
         self.damping = g.scalar(B)  # rate of the damping towards rigid motion [1/s]
         self.density = g.scalar(B)  # kg/m^3

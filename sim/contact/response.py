@@ -92,8 +92,7 @@ def fingertip_impulse(old, phi, y, inv_mass, dt, max_impulse):
 def project_contact(phi, n, y, friction, dt):
     """Correction d [m] of the motion y [m] of one vertex.
 
-    With d_n the normal correction, the tangential part y_t is undone if |y_t| <= mu_s d_n, else shortened by mu_k d_n
-    (MATH 8, on increments).
+    With d_n the normal correction, the tangential part y_t is undone if |y_t| <= mu_s d_n, else shortened by mu_k d_n.
     """
     d = ti.Vector([0.0, 0.0, 0.0])
     y_n = n.dot(y)

@@ -1,7 +1,7 @@
 """Integrator, substep and schedule of a frame, and the stiffness that they bear (NumPy only).
 
-XPBD needs dt sqrt(max kappa) <= 0.3 (MATH: above it the Jacobi sum over tets diverges). What would need microscopic
-substeps then - stiff materials, fine meshes, slivers - goes by VBD, which is stable at any dt.
+XPBD needs dt sqrt(max kappa) <= 0.3 (above it the Jacobi sum over tets diverges). What would then need microscopic
+substeps (stiff materials, fine meshes, slivers) is integrated by VBD, which is stable at any dt.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def grid_of(g: Gaussians, cells=64):
 
 
 def test_a_ball_without_underside_is_recovered(ti_cpu):
-    """A third of the surface is missing below; MATH asks for 98 % of the interior that rays can tell."""
+    """A third of the surface is missing below; at least 98 % of the interior that rays can tell must be filled."""
     density, nodes, spacing = grid_of(ball(open_below=-0.75))
     solid = solid_cells(density)
     radius = np.linalg.norm(nodes, axis=-1)

@@ -13,7 +13,7 @@ POISSON = (0.0, 0.3, 0.4, 0.45)
 
 
 def test_crushed_to_a_tenth_and_to_a_hundredth(ti_cpu):
-    """With Psi of MATH 7 alone, F = 0 is a minimum, which draws in all that is smaller than 0.54 (nu = 0) to 0.29
+    """Without the last term of the energy, F = 0 is a minimum, which draws in all that is smaller than 0.54 (nu = 0) to 0.29
     (nu = 0.3) of its size; and noise may leave kinks."""
     x, tets, surface = box((0.2, 0.1, 0.1), (4, 2, 2))
     rest, n = tet_volumes(x, tets), len(x)

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
+from assets.gaussians import UNIT_TOLERANCE
 from assets.hdf5 import Hdf5Reader, write_dataset
 from core.errors import BadInput
 from core.rotation import (
@@ -33,7 +34,6 @@ from core.rotation import (
 JOINTS_MAX, FRAMES_MAX, JOINT_FRAMES_MAX = 1024, 100_000, 2_000_000
 JOINTS_PER_VERTEX = 4
 START_RAMP = 1.0  # [s] from the shape at rest to the motion
-UNIT_TOLERANCE = 1e-3  # of a quaternion's length, and of a vertex's weights: float32 rounds them
 SCALE_RANGE = (1e-4, 1e4)  # of a joint
 POSE_KINDS = (("translations", 3), ("rotations", 4), ("scales", 3))
 

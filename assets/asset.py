@@ -21,7 +21,7 @@ from core.material import Material
 from core.tetmesh import enclosed_volume, tet_volumes
 
 FORMAT = "vrgs-asset"
-VERSION = 1
+FORMAT_VERSION = 1
 
 WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 rounds weights of some hundreds
 VOLUME_TOLERANCE = 1e-3  # relative, between a cage's tets and its surface
@@ -165,7 +165,7 @@ class Asset:
         self.check(str(path))
         with atomic_write(path) as beside, h5py.File(beside, "w") as file:
             file.attrs["format"] = FORMAT
-            file.attrs["version"] = VERSION
+            file.attrs["version"] = FORMAT_VERSION
             file.attrs["provenance"] = json.dumps(self.provenance)
             for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
                 write_dataset(file, f"gaussians/{name}", getattr(self.gaussians, name), np.float32)
@@ -211,9 +211,9 @@ def _check_format(file: Hdf5Reader) -> None:
     if file.text("", "format") != FORMAT:
         raise file.error(f"not a {FORMAT} file")
     version = file.number("", "version")
-    if version != VERSION:
-        hint = "; a newer program wrote it" if version > VERSION else ""
-        raise file.error(f"version {version:g} of the format, this program reads version {VERSION}{hint}")
+    if version != FORMAT_VERSION:
+        hint = "; a newer program wrote it" if version > FORMAT_VERSION else ""
+        raise file.error(f"version {version:g} of the format, this program reads version {FORMAT_VERSION}{hint}")
 
 
 def _read_gaussians(file: Hdf5Reader) -> Gaussians:

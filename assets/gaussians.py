@@ -15,7 +15,7 @@ from core.spherical_harmonics import rotate_sh
 SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
 LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit float32
 MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
-UNIT_TOLERANCE = 1e-3  # a unit quaternion rounded to float16 is off by less
+UNIT_TOLERANCE = 1e-3  # of lengths and sums that should be 1: float16 is off by less
 
 Report = Callable[[str], None]
 

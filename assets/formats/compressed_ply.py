@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write
-from assets.formats.ply_header import Element, binary_rows
+from assets.formats.ply_header import REST_COUNTS, Element, binary_rows
 from assets.formats.quantization import bytes_from_logits, join_largest, logits_from_bytes, split_largest
 from assets.gaussians import Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
@@ -29,10 +29,9 @@ RANGES = {
     "scale": (["min_scale_x", "min_scale_y", "min_scale_z"], ["max_scale_x", "max_scale_y", "max_scale_z"]),
     "color": (["min_r", "min_g", "min_b"], ["max_r", "max_g", "max_b"]),
 }
-SHIFTS, WIDTHS = (21, 11, 0), (11, 10, 11)  # bits of x, y, z in a word
+COMPONENT_SHIFTS, COMPONENT_BITS = (21, 11, 0), (11, 10, 11)  # bits of x, y, z in a word
 QUAT_SHIFTS = (20, 10, 0)  # of the three smaller components
-SH_RANGE = 8.0  # coefficients lie within -4..4
-SH_COUNTS = (9, 24, 45)  # bytes a Gaussian of SH degree 1, 2, 3
+SH_EXTENT = 8.0  # coefficients lie within -4..4
 
 
 def read_compressed(path: Path, file, order: str, elements: list[Element], report: Report) -> Gaussians:
@@ -89,7 +88,7 @@ def _check_header(path: Path, order: str, elements: list[Element]) -> tuple[Elem
         raise BadInput(f"{what} of {vertex.count} Gaussians cannot have {chunk.count} chunks")
     if sh is not None:
         rest = [f"f_rest_{i}" for i in range(len(sh.names))]
-        if len(rest) not in SH_COUNTS or set(rest) != set(sh.names) or set(sh.types) != {"u1"}:
+        if len(rest) not in REST_COUNTS[1:] or set(rest) != set(sh.names) or set(sh.types) != {"u1"}:
             raise BadInput(f"{what} needs 9, 24 or 45 properties f_rest of one byte in sh")
         if sh.count != vertex.count:
             raise BadInput(f"{what} has {vertex.count} Gaussians but {sh.count} rows of sh")
@@ -98,15 +97,15 @@ def _check_header(path: Path, order: str, elements: list[Element]) -> tuple[Elem
 
 def _fractions(words: np.ndarray) -> np.ndarray:
     """Three numbers 0..1 of each word of 11, 10, 11 bits, (N, 3)."""
-    limits = (1 << np.array(WIDTHS, np.uint32)) - 1
-    return (words[:, None] >> np.array(SHIFTS, np.uint32) & limits) / limits.astype(np.float64)
+    limits = (1 << np.array(COMPONENT_BITS, np.uint32)) - 1
+    return (words[:, None] >> np.array(COMPONENT_SHIFTS, np.uint32) & limits) / limits.astype(np.float64)
 
 
 def _sh_of_byte() -> np.ndarray:
     """SH coefficient of each byte, (256,): the middle of its step, but the ends for the first and last."""
     fraction = (np.arange(256) + 0.5) / 256
     fraction[[0, -1]] = 0, 1
-    return ((fraction - 0.5) * SH_RANGE).astype(np.float32)
+    return ((fraction - 0.5) * SH_EXTENT).astype(np.float32)
 
 
 def _unpack_quats(words: np.ndarray) -> np.ndarray:
@@ -131,19 +130,19 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     """
     g = g.select(chunk_order(g.means))
     n, rest = len(g), 3 * (g.sh.shape[1] - 1)
-    positions, position_range = _pack(g.means, WIDTHS)
-    scales, scale_range = _pack(g.log_scales, WIDTHS)
+    positions, position_range = _pack(g.means, COMPONENT_BITS)
+    scales, scale_range = _pack(g.log_scales, COMPONENT_BITS)
     colors, color_range = _pack(g.sh[:, 0] * np.float32(C0) + np.float32(0.5), (8, 8, 8))
     opacity = bytes_from_logits(g.logit_opacities).astype(np.uint32)
     words = [
-        (positions << np.array(SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
+        (positions << np.array(COMPONENT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
         _pack_quats(g.quats.astype(np.float64)),
-        (scales << np.array(SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
+        (scales << np.array(COMPONENT_SHIFTS, np.uint32)).sum(axis=1, dtype=np.uint32),
         (colors << np.array([24, 16, 8], np.uint32)).sum(axis=1, dtype=np.uint32) | opacity,
     ]
     ranges = np.concatenate([*position_range, *scale_range, *color_range], axis=1)
     channels = g.sh[:, 1:].transpose(0, 2, 1).reshape(n, rest)
-    codes = np.clip(np.floor((channels / SH_RANGE + 0.5) * 256), 0, 255).astype(np.uint8)
+    codes = np.clip(np.floor((channels / SH_EXTENT + 0.5) * 256), 0, 255).astype(np.uint8)
     header = ["ply", "format binary_little_endian 1.0", f"element chunk {len(ranges)}"]
     header += [f"property float {name}" for both in RANGES.values() for names in both for name in names]
     header += [f"element vertex {n}", *(f"property uint {name}" for name in PACKED)]

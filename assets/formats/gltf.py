@@ -16,7 +16,7 @@ from assets.file_access import open_input
 from assets.images import decode_image, read_image_header
 from core.errors import BadInput
 
-MAGIC, VERSION = b"glTF", 2
+GLB_MAGIC, GLB_VERSION = b"glTF", 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 FILE_MAX = 1 << 30  # [bytes] that are taken into memory
 JSON_MAX = 64 << 20  # [bytes]
@@ -24,7 +24,13 @@ ITEMS_MAX = 20_000_000  # elements of an accessor
 PIXELS_MAX = 8192 * 8192  # of a texture
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 INDICES = (5121, 5123, 5125)
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}  # MAT2, MAT3 are padded, and nothing here uses them
+TYPE_WIDTHS = {
+    "SCALAR": 1,
+    "VEC2": 2,
+    "VEC3": 3,
+    "VEC4": 4,
+    "MAT4": 16,
+}  # MAT2 and MAT3 are padded
 HARMLESS_EXTENSIONS = (
     "KHR_materials_",
     "KHR_lights_",
@@ -56,11 +62,11 @@ class GlbFile:
         return BadInput(f"{self.path}: {defect}")
 
     def _chunks(self, data: bytes) -> tuple[dict, memoryview]:
-        if len(data) < 20 or data[:4] != MAGIC:
+        if len(data) < 20 or data[:4] != GLB_MAGIC:
             raise self.error("not a binary glTF file (.glb)")
         version, length, size, kind = struct.unpack_from("<IIII", data, 4)
-        if version != VERSION:
-            raise self.error(f"version {version} of glTF, this program reads version {VERSION}")
+        if version != GLB_VERSION:
+            raise self.error(f"version {version} of glTF, this program reads version {GLB_VERSION}")
         if length > len(data):
             raise self.error(f"is truncated: {len(data)} of {length} bytes are there")
         if kind != JSON_CHUNK or size > min(length - 20, JSON_MAX):
@@ -95,7 +101,7 @@ class GlbFile:
             raise self.error(f"entry {index} of {kind} is not an object")
         return items[index]
 
-    def whole(self, parent: dict, key: str, largest: int, default: int | None = None) -> int:
+    def integer(self, parent: dict, key: str, largest: int, default: int | None = None) -> int:
         """The whole number parent[key], 0 to `largest`."""
         value = parent.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= largest:
@@ -120,9 +126,9 @@ class GlbFile:
         if view.get("buffer") != 0 or "uri" in buffer:
             raise self.error("keeps data in another file; only a self-contained .glb is read")
         have = len(self._binary)
-        begin = self.whole(view, "byteOffset", have, 0)
-        length = self.whole(view, "byteLength", have - begin)
-        return self._binary[begin : begin + length], self.whole(view, "byteStride", 252, 0)
+        begin = self.integer(view, "byteOffset", have, 0)
+        length = self.integer(view, "byteLength", have - begin)
+        return self._binary[begin : begin + length], self.integer(view, "byteStride", 252, 0)
 
     def _packed(self, of: dict, kind: int, count: int, width: int) -> np.ndarray:
         """`count` rows of `width` components that begin at byteOffset of a view."""
@@ -132,7 +138,7 @@ class GlbFile:
         data, stride = self.view(of.get("bufferView"))
         row = dtype.itemsize * width
         stride = stride or row
-        begin = self.whole(of, "byteOffset", len(data), 0)
+        begin = self.integer(of, "byteOffset", len(data), 0)
         if stride < row or begin + stride * (count - 1) + row > len(data):
             raise self.error(f"an accessor claims {count} elements, more than its buffer view holds")
         return np.ndarray((count, width), dtype, data, begin, (stride, dtype.itemsize)).copy()
@@ -143,10 +149,13 @@ class GlbFile:
         kinds  what its type may be ("VEC3" ...);  count  how many elements it must have; None: any number but 0
         """
         of = self.item("accessors", index)
-        kind, width = of.get("componentType"), WIDTHS.get(of.get("type")) if isinstance(of.get("type"), str) else None
+        kind, width = (
+            of.get("componentType"),
+            TYPE_WIDTHS.get(of.get("type")) if isinstance(of.get("type"), str) else None,
+        )
         if of.get("type") not in kinds or width is None:
             raise self.error(f"accessor {index} is of type {str(of.get('type'))[:20]}, expected {' or '.join(kinds)}")
-        n = self.whole(of, "count", ITEMS_MAX)
+        n = self.integer(of, "count", ITEMS_MAX)
         if n == 0 or (count is not None and n != count):
             raise self.error(f"accessor {index} has {n} elements, expected {'some' if count is None else count}")
         if not isinstance(kind, int) or (integer and kind not in INDICES):
@@ -161,7 +170,7 @@ class GlbFile:
                 raise self.error(f"accessor {index} claims {n} elements, more than this file may hold")
             values = np.zeros((n, width), COMPONENTS[kind])
         if sparse is not None:
-            self._fill_in(sparse, kind, values)
+            self._apply_sparse(sparse, kind, values)
         if integer:
             return values.astype(np.int64)
         scale = 1.0
@@ -173,11 +182,11 @@ class GlbFile:
             raise self.error(f"accessor {index} holds a number that is not finite")
         return np.maximum(values * scale, -1.0) if scale != 1.0 else values  # -128 of a byte stands for -1 too
 
-    def _fill_in(self, sparse, kind: int, values: np.ndarray) -> None:
-        """Put a sparse accessor's exceptions in place."""
+    def _apply_sparse(self, sparse, kind: int, values: np.ndarray) -> None:
+        """Overwrite the elements that a sparse accessor lists."""
         if not all(isinstance(x, dict) for x in (sparse, *(sparse.get(k) for k in ("indices", "values")))):
             raise self.error("a sparse accessor is damaged")
-        n = self.whole(sparse, "count", len(values))
+        n = self.integer(sparse, "count", len(values))
         index_kind = sparse["indices"].get("componentType")
         if n == 0 or index_kind not in INDICES:
             raise self.error("a sparse accessor is damaged")

@@ -17,7 +17,7 @@ NODES_MAX = 4096
 TRIANGLES_MAX = 5_000_000
 SAMPLE_RATE = 60.0  # [1/s] of keyframes: about the frame rate of a screen, so interpolation loses nothing
 DURATION_MAX = 600.0  # [s] of an animation
-WEIGHT_SUM_TOLERANCE = 0.05  # of a vertex's weights before they are normalised
+STORED_WEIGHT_TOLERANCE = 0.05  # of a vertex's weights before they are normalised
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def _sampled(file: GlbFile, rest: list[np.ndarray], place: np.ndarray, fps: floa
         if path not in ("translation", "rotation", "scale") or "node" not in target:
             continue  # weights of morph targets
         file.item("nodes", target["node"])
-        s = file.whole(c, "sampler", len(samplers) - 1)
+        s = file.integer(c, "sampler", len(samplers) - 1)
         if not isinstance(samplers[s], dict):
             raise file.error("an animation's sampler is damaged")
         channels.append((int(place[target["node"]]), path, samplers[s]))
@@ -243,7 +243,7 @@ def _primitive(file: GlbFile, p, joints: int, textures: list, known: dict) -> li
     vertex_joints = file.accessor(attributes.get("JOINTS_0"), kinds=("VEC4",), integer=True, count=n)
     weights = file.accessor(attributes.get("WEIGHTS_0"), kinds=("VEC4",), count=n)
     total = weights.sum(1, keepdims=True)
-    if (weights < 0).any() or (np.abs(total - 1) > WEIGHT_SUM_TOLERANCE).any():
+    if (weights < 0).any() or (np.abs(total - 1) > STORED_WEIGHT_TOLERANCE).any():
         raise file.error("the skin's weights of a vertex are negative or do not sum to 1")
     if vertex_joints[weights > 0].max() >= joints:
         raise file.error(f"a vertex follows a joint outside 0..{joints - 1}")

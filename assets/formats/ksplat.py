@@ -22,12 +22,12 @@ from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-HEADER = struct.Struct("<BBxxIIIIHxxfffff")  # version, sections, counts, level, centre of the scene, SH range
-HEADER_SIZE, SECTION_SIZE = 4096, 1024  # [bytes]
-SECTION = struct.Struct("<IIIIfHxxIIIIH")  # counts, buckets, degree of SH
+FILE_HEADER = struct.Struct("<BBxxIIIIHxxfffff")  # version, sections, counts, level, centre of the scene, SH range
+FILE_HEADER_SIZE, SECTION_HEADER_SIZE = 4096, 1024  # [bytes]
+SECTION_HEADER = struct.Struct("<IIIIfHxxIIIIH")  # counts, buckets, degree of SH
 DEGREE_MAX = 2
-SH_RANGE = (-1.5, 1.5)  # where the header gives none
-OFFSET_RANGE = 32767  # of a 16-bit offset, where the section gives none
+DEFAULT_SH_RANGE = (-1.5, 1.5)  # where the header gives none
+DEFAULT_OFFSET_RANGE = 32767  # of a 16-bit offset, where the section gives none
 HALF_MIN = 2.0**-24  # the least float16 above 0: standard deviations below it were rounded to 0
 CENTER_SIZE = 12  # [bytes] of a bucket's centre
 
@@ -64,7 +64,7 @@ def read_ksplat(path: str | Path, report: Report = print) -> Gaussians:
     with open_input(path) as file:
         data = file.read()
     level, sh_range, sections = _headers(path, data)
-    at = HEADER_SIZE + SECTION_SIZE * len(sections)
+    at = FILE_HEADER_SIZE + SECTION_HEADER_SIZE * len(sections)
     degree = max(s.degree for s in sections)
     columns = []
     for i, section in enumerate(sections):
@@ -81,24 +81,24 @@ def read_ksplat(path: str | Path, report: Report = print) -> Gaussians:
 
 def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Section]]:
     """Compression level, least and greatest SH coefficient, sections."""
-    if len(data) < HEADER_SIZE + SECTION_SIZE:
+    if len(data) < FILE_HEADER_SIZE + SECTION_HEADER_SIZE:
         raise BadInput(f"{path}: truncated, or not a .ksplat file")
-    major, minor, section_count, _, _, count, level, *_, low, high = HEADER.unpack_from(data)
+    major, minor, section_count, _, _, count, level, *_, low, high = FILE_HEADER.unpack_from(data)
     if (major, minor) != (0, 1):
         raise BadInput(f"{path}: not a .ksplat file, or of version {major}.{minor}; read is 0.1")
     if level > 2:
         raise BadInput(f"{path}: compression level {level} of .ksplat, read are 0 to 2")
-    if not 1 <= section_count <= (len(data) - HEADER_SIZE) // SECTION_SIZE:
+    if not 1 <= section_count <= (len(data) - FILE_HEADER_SIZE) // SECTION_HEADER_SIZE:
         raise BadInput(f"{path}: truncated; the header claims {section_count} sections")
     sections = []
     for i in range(section_count):
-        fields = SECTION.unpack_from(data, HEADER_SIZE + SECTION_SIZE * i)
+        fields = SECTION_HEADER.unpack_from(data, FILE_HEADER_SIZE + SECTION_HEADER_SIZE * i)
         held, capacity, size, buckets, block, bucket_bytes, offset_range, _, full, partial, degree = fields
         if degree > DEGREE_MAX:
             raise BadInput(f"{path}: section {i} has SH degree {degree}, a .ksplat has at most {DEGREE_MAX}")
         if held > capacity:
             raise BadInput(f"{path}: section {i} claims {held} Gaussians in the space of {capacity}")
-        offset_range = offset_range or OFFSET_RANGE
+        offset_range = offset_range or DEFAULT_OFFSET_RANGE
         sections.append(
             Section(held, capacity, size, buckets, block, bucket_bytes, offset_range, full, partial, degree)
         )
@@ -107,7 +107,7 @@ def _headers(path: Path, data: bytes) -> tuple[int, tuple[float, float], list[Se
         raise BadInput(f"{path}: claims {count} Gaussians, its sections {total}")
     if total == 0:
         raise BadInput(f"{path}: holds no Gaussians")
-    return level, (low or SH_RANGE[0], high or SH_RANGE[1]), sections
+    return level, (low or DEFAULT_SH_RANGE[0], high or DEFAULT_SH_RANGE[1]), sections
 
 
 def _centers(path: Path, s: Section, offsets: np.ndarray, data: bytes, start: int) -> np.ndarray:

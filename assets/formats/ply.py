@@ -15,7 +15,7 @@ import numpy as np
 
 from assets.file_access import atomic_write, open_input
 from assets.formats.compressed_ply import read_compressed
-from assets.formats.ply_header import Element, binary_rows, read_header
+from assets.formats.ply_header import REST_COUNTS, Element, binary_rows, read_header
 from assets.formats.quantization import ALPHA_EPSILON
 from assets.gaussians import Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
@@ -24,7 +24,6 @@ MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
 SCALES, ROTATION = ["scale_0", "scale_1", "scale_2"], ["rot_0", "rot_1", "rot_2", "rot_3"]
 REQUIRED = [*MEANS, *DC, "opacity", *SCALES, *ROTATION]
 LOGIT_MAX = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for infinities, which tools write for opacities 1 and 0
-REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
 
 
 def read_ply(path: str | Path, report: Report = print) -> Gaussians:

@@ -18,6 +18,7 @@ TYPES = {
 FORMATS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 LINE_MAX = 4096  # [bytes] of a header line
 LINES_MAX = 4096  # of a header; splats have about 70
+REST_COUNTS = (0, 9, 24, 45)  # f_rest properties of SH degree 0, 1, 2, 3
 
 
 @dataclass

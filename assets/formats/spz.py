@@ -23,10 +23,10 @@ from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
 
-MAGIC = 0x5053474E  # "NGSP"
+SPZ_MAGIC = 0x5053474E  # "NGSP"
 GZIP = b"\x1f\x8b"
-HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
-TABLE = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
+SPZ_HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
+STREAM_ENTRY = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
 HEADER_4_SIZE = 32
 TABLE_OFFSET = 16  # of the field in the version-4 header that says where its table starts
 ANTIALIASED, EXTENSIONS = 1, 2  # flags
@@ -70,7 +70,7 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     path = Path(path)
     with open_input(path) as file:
         data = file.read()
-    unzipped = data[:4] == MAGIC.to_bytes(4, "little")
+    unzipped = data[:4] == SPZ_MAGIC.to_bytes(4, "little")
     if not unzipped and data[:2] != GZIP:
         raise BadInput(f"{path}: not a .spz file")
     if unzipped and int.from_bytes(data[4:8], "little") == 4:
@@ -86,10 +86,10 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
 
 
 def _header(path: Path, data: bytes) -> Header:
-    if len(data) < HEADER.size:
+    if len(data) < SPZ_HEADER.size:
         raise BadInput(f"{path}: truncated, or not a .spz file")
-    magic, version, count, sh_degree, bits, flags, _ = HEADER.unpack_from(data)
-    if magic != MAGIC:
+    magic, version, count, sh_degree, bits, flags, _ = SPZ_HEADER.unpack_from(data)
+    if magic != SPZ_MAGIC:
         raise BadInput(f"{path}: not a .spz file")
     if not 1 <= version <= 4:
         raise BadInput(f"{path}: version {version} of .spz, read are 1 to 4")
@@ -110,13 +110,13 @@ def _read_gzip(path: Path, data: bytes, unzipped: bool) -> tuple[Header, list[by
     """Versions 1 to 3; `unzipped` if the gzip layer was removed."""
     unpack = zlib.decompressobj(16 + zlib.MAX_WBITS)
     try:
-        head = data[: HEADER.size] if unzipped else unpack.decompress(data, HEADER.size)
+        head = data[: SPZ_HEADER.size] if unzipped else unpack.decompress(data, SPZ_HEADER.size)
         header = _header(path, head)
         if header.version == 4:
             raise BadInput(f"{path}: version 4 of .spz inside gzip")
         _check_claim(path, header, len(data))
         size = header.count * sum(header.widths())
-        body = data[HEADER.size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, size)
+        body = data[SPZ_HEADER.size :] if unzipped else unpack.decompress(unpack.unconsumed_tail, size)
         more = unzipped or unpack.decompress(unpack.unconsumed_tail, 1)  # reaches the checksum, or what follows
     except zlib.error as e:
         raise BadInput(f"{path}: the gzip stream is damaged ({e})") from e
@@ -137,13 +137,13 @@ def _read_zstd(path: Path, data: bytes) -> tuple[Header, list[bytes]]:
     sizes = [header.count * width for width in header.widths()]
     used = [size for size in sizes if size]  # empty streams are left out
     table = int.from_bytes(data[TABLE_OFFSET : TABLE_OFFSET + 4], "little")
-    start = table + TABLE.size * len(used)
-    if data[HEADER.size - 1] != len(used) or table < HEADER_4_SIZE or start > len(data):
+    start = table + STREAM_ENTRY.size * len(used)
+    if data[SPZ_HEADER.size - 1] != len(used) or table < HEADER_4_SIZE or start > len(data):
         raise BadInput(f"{path}: the table of streams is damaged")
     unpack = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW_MAX)
     streams = []
     for i, size in enumerate(used):
-        stored, claimed = TABLE.unpack_from(data, table + TABLE.size * i)
+        stored, claimed = STREAM_ENTRY.unpack_from(data, table + STREAM_ENTRY.size * i)
         if claimed != size or start + stored > len(data):
             raise BadInput(f"{path}: truncated, or stream {i} is not of {header.count} Gaussians")
         try:
@@ -220,7 +220,7 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
         _pack_smallest_three(xyzw),
         to_bytes(sh[:, 1:] * 128.0 + 128),
     ]
-    header = HEADER.pack(MAGIC, 3, n, g.sh_degree, bits, 0, 0)
+    header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, 0, 0)
     with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0))
 

@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians
 from assets.splat_files import WRITERS, read_gaussians, write_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
-from tests.support.samples import FIELDS, covariances, damaged, read_or_refuse, refused, some_gaussians
+from tests.support.samples import FIELDS, damaged, read_or_refuse, refused, some_gaussians
 from tests.support.splat_encoders import (
     compressed_bytes,
     ksplat_bytes,
@@ -173,7 +173,7 @@ def test_the_same_scene_in_each_format(shared, name):
     np.testing.assert_allclose(a.log_scales, b.log_scales, atol=1 / 32)
     np.testing.assert_allclose(a.opacities, b.opacities, atol=1e-6)
     np.testing.assert_allclose(C0 * a.sh, C0 * b.sh, atol=1 / 255)
-    np.testing.assert_allclose(covariances(a), covariances(b), atol=1e-3)
+    np.testing.assert_allclose(a.covariances, b.covariances, atol=1e-3)
 
 
 @pytest.mark.shared

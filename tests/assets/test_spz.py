@@ -13,7 +13,7 @@ from assets.formats.spz import read_spz, write_spz
 from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
-from tests.support.samples import FIELDS, covariances, refused, some_gaussians
+from tests.support.samples import FIELDS, refused, some_gaussians
 from tests.support.splat_encoders import spz_4_bytes, spz_bytes
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])  # right-up-back to right-down-front
@@ -60,7 +60,7 @@ def test_spz_is_turned_as_a_whole(tmp_path):
     expected = np.einsum("mk,nkc->nmc", basis, turned.sh[:, 1:].clip(-1, 127 / 128))
     np.testing.assert_allclose(np.einsum("mk,nkc->nmc", basis, sh), expected, atol=0.03)
     read = read_spz(tmp_path / "a.spz")
-    np.testing.assert_allclose(covariances(read), covariances(g), rtol=0.15, atol=2e-3)
+    np.testing.assert_allclose(read.covariances, g.covariances, rtol=0.15, atol=2e-3)
 
 
 def test_spz_version_1_has_float16_positions(tmp_path):

@@ -8,7 +8,6 @@ import pytest
 from assets.gaussians import SH_COUNTS, Gaussians
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
-from core.rotation import matrices_from_quaternions
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 
@@ -69,9 +68,3 @@ def refused(path, data: bytes | None = None) -> str:
     message = str(error.value)
     assert str(path) in message and "\n" not in message
     return message
-
-
-def covariances(g: Gaussians) -> np.ndarray:
-    """(N, 3, 3) [m^2]."""
-    axes = matrices_from_quaternions(g.quats) * np.exp(g.log_scales)[:, None, :]
-    return axes @ axes.transpose(0, 2, 1)

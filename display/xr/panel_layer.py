@@ -19,7 +19,7 @@ ACCENT_HOVERED = (252, 194, 116)
 LIGHT_TEXT, DARK_TEXT = (237, 240, 245), (20, 20, 20)
 ACCENT_8BIT, QUIET_8BIT = (tuple(round(255 * c) for c in colour[:3]) for colour in (ACCENT, QUIET))
 CORNER_RADIUS = 18  # [px]
-TITLE_SIZE, SMALL_SIZE, LABEL_SIZE = 34, 28, 34  # [px] of letters
+MESSAGE_SIZE, SMALL_SIZE, LABEL_SIZE = 34, 28, 34  # [px] of letters
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def paint(content: PanelContent) -> np.ndarray:
     """The panel, (H, W, 4) uint8 RGBA, colours times alpha, row 0 on top."""
     picture, width = empty_panel().copy(), PIXELS[0]
     rate = text_width(content.rate, SMALL_SIZE)
-    write(picture, shortened(content.message, TITLE_SIZE, width - rate - 80), 24, 44, TITLE_SIZE, LIGHT_TEXT)
+    write(picture, shortened(content.message, MESSAGE_SIZE, width - rate - 80), 24, 44, MESSAGE_SIZE, LIGHT_TEXT)
     write(picture, content.rate, width - rate - 28, 44, SMALL_SIZE, ACCENT_8BIT)
     colour = ACCENT_8BIT if content.warns else QUIET_8BIT
     write(picture, shortened(content.note, SMALL_SIZE, width - 60), 24, 86, SMALL_SIZE, colour)

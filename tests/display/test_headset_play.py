@@ -106,7 +106,7 @@ class Play(Watched):
 
 @pytest.fixture(scope="module")
 def play(tmp_path_factory):
-    with XServer(1600, 900) as screen, surroundings(percent=20) as environment:
+    with XServer(1600, 900) as screen, surroundings() as environment:
         session = Play(screen, tmp_path_factory.mktemp("headset"), environment)
         yield session
         session.close()

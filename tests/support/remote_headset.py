@@ -32,8 +32,11 @@ def monado() -> Path | None:
 
 
 @contextlib.contextmanager
-def surroundings(*, percent: int = 33):
-    """Environment in which programs find Monado with the remote driver; its pictures are `percent` of full size."""
+def surroundings(*, percent: int = 20, rate: int = 15):
+    """Environment in which programs find Monado with the remote driver.
+
+    Its pictures are `percent` of full size; it draws them in software, so at a low `rate` [Hz].
+    """
     with tempfile.TemporaryDirectory(prefix="monado-") as folder:
         run, port = Path(folder) / "run", free_port()
         run.mkdir(mode=0o700)
@@ -49,6 +52,7 @@ def surroundings(*, percent: int = 33):
             "XRT_COMPOSITOR_FORCE_XCB": "1",
             "XRT_COMPOSITOR_LOG": "error",
             "XRT_COMPOSITOR_SCALE_PERCENTAGE": str(percent),
+            "XRT_COMPOSITOR_DEFAULT_FRAMERATE": str(rate),
         }
 
 

@@ -1,7 +1,7 @@
 """Device state of all simulated bodies, flat, and how a substep advances it.
 
-A substep of length dt works on *increments*, because in fp32 the quantities of one substep (dt^2 g = 1e-7 m) are smaller
-than one unit in the last place of a position:
+A substep of length dt works on *increments*, because in fp32 the quantities of one substep (dt^2 g = 1e-7 m) are below
+one unit in the last place of a position:
 
     predict   dx = dt (v + dt g) + x_lo
     solve     dx += corrections of elasticity and constraints (sim/constraint.py)

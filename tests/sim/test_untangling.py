@@ -13,8 +13,8 @@ POISSON = (0.0, 0.3, 0.4, 0.45)
 
 
 def test_crushed_to_a_tenth_and_to_a_hundredth(ti_cpu):
-    """Without the last term of the energy, F = 0 is a minimum, which draws in all that is smaller than 0.54 (nu = 0) to 0.29
-    (nu = 0.3) of its size; and noise may leave kinks."""
+    """Without the last term of the energy, F = 0 is a minimum that attracts bodies smaller than 0.54 (nu = 0) to 0.29
+    (nu = 0.3) of their size; and noise may leave kinks."""
     x, tets, surface = box((0.2, 0.1, 0.1), (4, 2, 2))
     rest, n = tet_volumes(x, tets), len(x)
     sizes = (0.5, 0.1, 0.01)

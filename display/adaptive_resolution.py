@@ -1,6 +1,6 @@
-"""Controllers of the pictures' resolution: for a window, which is redrawn finer once things are still, and a headset.
+"""Controllers of picture resolution: for a window, which is redrawn finer once the scene is still, and for a headset.
 
-Both scale a side of the picture by a factor in (0, 1] so that frames keep their time.
+Both scale a side of the picture by a factor in (0, 1] so that frames keep their time budget.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from collections import deque
 
 
 class AdaptiveResolution:
-    """Resolution in a window: as many pixels as keep the rate while things move, all of them once they are still.
+    """Resolution in a window: as many pixels as hold the rate while anything moves, all of them once all is still.
 
-    `scale` after each frame's `note`. What was found out about the machine is kept while nothing moves.
+    `scale` after each frame's `note`. The level found for the machine is kept while nothing moves.
     """
 
     LEVELS = (1.0, 0.75, 0.5)  # scales of a side
@@ -26,12 +26,12 @@ class AdaptiveResolution:
         self._now = 0.0
 
     def note(self, now: float, seconds: float, *, moving: bool) -> None:
-        """Note a frame that ended at `now` [s] and took `seconds`; `moving`: the camera or something before it moved."""
+        """Note a frame that ended at `now` [s] and took `seconds`; `moving`: the camera or anything in view moved."""
         was_moving, self._now = self._now - self._moved < self.STILL_AFTER, now
         if not moving:
             return
         self._moved = now
-        if not was_moving:  # it was drawn finer than what comes now
+        if not was_moving:  # it was drawn finer than the next one
             self._frames = 0
             return
         self._frames += 1
@@ -62,8 +62,8 @@ class DynamicResolution:
     it, and has time left below LOW_LOAD. A larger picture takes at most (1 + MAX_GROWTH)^2 as long, and
     LOW_LOAD (1 + MAX_GROWTH)^2 = 0.78 < HIGH_LOAD: growing alone never makes a frame too slow, so the size does not
     oscillate. Growing takes GROW_AFTER frames that all had time left, shrinking SLOW_FRAMES of the last RECENT_FRAMES
-    that were too slow: a single hitch, which no number of pixels would have spared, changes nothing. Nor does what is
-    slow for other reasons: where drawing is less than MIN_DRAWING of the work, fewer pixels would only be ugly.
+    that were too slow: a single hitch, which fewer pixels would not have avoided, changes nothing. Neither do frames
+    that are slow for other reasons: where drawing is less than MIN_DRAWING of the work, fewer pixels would not help.
 
     `full` is the (width, height) [px] of the largest picture, `min_scale` the smallest scale of a side.
     """
@@ -74,7 +74,7 @@ class DynamicResolution:
     GROW_AFTER = 45  # frames, half a second
     MIN_DRAWING = 0.2  # of a frame's work
     SKIPPED_FRAMES = 3  # after a change: the first is not typical
-    MIN_SCALE = 0.5  # of a side: coarser is not worth seeing
+    MIN_SCALE = 0.5  # of a side
     ROUNDING = 8  # [px] to which a side is rounded
 
     def __init__(self, full: tuple[int, int], *, min_scale: float = MIN_SCALE):
@@ -91,7 +91,7 @@ class DynamicResolution:
         return tuple(min(side, max(grain, round(side * self.scale / grain) * grain)) for side in self.full)
 
     def note(self, seconds: float, budget: float, drawing: float | None = None) -> bool:
-        """Note a frame that took `seconds` of a `budget` [s], of these `drawing` for pixels. Whether `size` is new."""
+        """Note a frame that took `seconds` of a `budget` [s], `drawing` of them for pixels; returns whether `size` is new."""
         if self._skip:
             self._skip -= 1
             return False
@@ -105,7 +105,7 @@ class DynamicResolution:
         return False
 
     def hold(self, scale: float) -> bool:
-        """Draw this scale of a side, however long frames take. Whether `size` is new."""
+        """Fix the scale of a side, however long frames take; returns whether `size` is new."""
         return self._set(scale)
 
     def _set(self, scale: float) -> bool:

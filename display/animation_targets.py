@@ -12,7 +12,7 @@ from scenes.scene import Body
 from sim.skinning import Skinning
 from sim.solver import MAX_FRAME_DT, Solver
 
-ROUNDING = 1e-4  # [m]; a body that is nearer to its targets has not been moved
+ROUNDING = 1e-4  # [m]; a body closer to its targets has not been moved
 
 
 class AnimationTargets:
@@ -65,7 +65,7 @@ class AnimationTargets:
         return other
 
     def rebased(self, solver: Solver) -> AnimationTargets:
-        """The animation where a hand has put the body while time stood still."""
+        """The animation relocated to where a hand has put the body while time stood still."""
         self._pose(solver)
         index = self.animation.vertices[self.animation.driven] + solver.vertex_offset[self.body]
         there, here = (f.to_numpy()[index].astype(np.float64) for f in (solver.targets, solver.x))

@@ -1,17 +1,17 @@
-"""The world's clock in a headset: it shows what will be true when the picture is seen.
+"""Clock of the world in a headset: the simulation advances to the time at which the picture will be seen.
 
 A runtime predicts when a frame will be displayed. The world is simulated up to that time, however many frames were
-missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter): n steps that end exactly at
-the predicted time. So nothing is left over to be blended. A fixed step with a picture between the last two states
-would cost a second copy of all vertices and show what is held up to a step, 11 ms at 90 Hz, behind the hand; and
-runtimes predict whole periods, so that the steps are the period anyway. More, shorter steps cost nothing that could be
-measured: 50 ms of the ring toss took 60 to 68 ms on two CPU cores as one step, and 59 to 93 ms as 2 to 5 steps.
+missed, in equal steps no longer than the display's period (or MAX_STEP, if that is shorter), the last of which ends at
+the predicted time. So no time is left over for interpolation. A fixed step with interpolation between the last two
+states would cost a second copy of all vertices and show held bodies up to a step, 11 ms at 90 Hz, behind the hand; and
+runtimes predict whole periods, so that the steps equal the period anyway. More, shorter steps cost nothing measurable:
+50 ms of the ring toss took 60 to 68 ms on two CPU cores as one step, and 59 to 93 ms as 2 to 5 steps.
 
-Rule for machines that are too slow: a frame makes up for all the time that has passed, but for no more than
-max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is how many seconds it takes to simulate one. Catching up with a gap of
-g takes cost g, in which cost g more passes, and so on: g / (1 - cost) in all. So every gap is made up for within
-CATCH_UP_TIME, and where simulating is slower than life (cost >= 1) a frame never takes on more than MIN_CATCH_UP and the world
-goes slower instead. What it is behind by then is let go of, and counted in `dropped`.
+Rule for slow machines: a frame catches up with all the time that has passed, but with no more than
+max(MIN_CATCH_UP, CATCH_UP_TIME (1 - cost)), where `cost` is the number of seconds that it takes to simulate one.
+Catching up with a gap g takes cost g, during which cost g more passes, and so on: g / (1 - cost) in all. So every gap
+is closed within CATCH_UP_TIME, and where simulation is slower than real time (cost >= 1) a frame never takes on more
+than MIN_CATCH_UP and the world runs slower instead. The remaining time is dropped, and counted in `dropped`.
 """
 
 from __future__ import annotations
@@ -26,17 +26,16 @@ import numpy as np
 from scenes.scene import Hand
 
 MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] a step at most, whatever the display's period
-MIN_CATCH_UP = 1 / 20  # [s] that a frame always makes up for
-CATCH_UP_TIME = 0.5  # [s] within which a gap is made up for
-MISSED_PERIODS = 1.5  # periods between two frames, from which on the ones between were missed
-JUMP_DISTANCE = 1.0  # [m] in a frame: the hand was not led there, it was found there
-STEP_SLACK = 0.25  # of a step: a prediction that trembles does not make one step two
+MIN_CATCH_UP = 1 / 20  # [s] that a frame always catches up with
+CATCH_UP_TIME = 0.5  # [s] within which a gap is closed
+MISSED_PERIODS = 1.5  # between two frames, from which on the frames between were missed
+JUMP_DISTANCE = 1.0  # [m] in a frame: a hand that moves farther is placed, not swept
+STEP_SLACK = 0.25  # of a step: jitter of the prediction does not split a step
 
 
 @dataclass(frozen=True)
 class Tick:
-    """What a frame is to simulate [s], in steps of this length at most [s]; the display's period [s], and how many
-    frames were missed before this one."""
+    """Time that a frame simulates [s], its longest step [s], the display's period [s], and the missed frames before."""
 
     dt: float
     max_step: float
@@ -52,12 +51,14 @@ class Clock:
         self._last: int | None = None
 
     def rest(self) -> None:
-        """Nothing is shown for a while; the world goes on where it was."""
+        """Pause while nothing is shown; the world continues from where it was."""
         self._last = None
 
     def advance(self, shown: int, period: int, cost: float | None) -> Tick:
-        """The next frame is displayed at `shown` [ns], the display's period is `period` [ns]. `cost` is None while
-        nothing is known, as kernels are being compiled: what passes then is not counted."""
+        """Advance to the frame displayed at `shown` [ns], with the display's `period` [ns].
+
+        `cost` is None while it is unknown, as kernels are being compiled: time that passes then is not counted.
+        """
         last, self._last = self._last, shown
         seconds = max(period * 1e-9, MIN_PERIOD)
         step = min(seconds, MAX_STEP)
@@ -73,7 +74,7 @@ class Clock:
 
 
 def catch_up_limit(cost: float | None) -> float:
-    """The most that one frame makes up for [s], if simulating a second takes `cost` seconds."""
+    """Longest time [s] that one frame catches up with, if simulating a second takes `cost` seconds."""
     return MIN_CATCH_UP if cost is None else max(MIN_CATCH_UP, CATCH_UP_TIME * (1.0 - cost))
 
 
@@ -85,38 +86,38 @@ class SimulationCost:
         self._first = True
 
     def note(self, seconds: float, dt: float) -> None:
-        """It took `seconds` to simulate `dt` [s]. The first time holds the compilation and does not count."""
+        """Note that it took `seconds` to simulate `dt` [s]. The first call includes compilation and does not count."""
         if dt > 0.0 and not self._first:
             self._samples.append(seconds / dt)
         self._first &= dt <= 0.0
 
     @property
     def value(self) -> float | None:
-        """None before the second time."""
+        """The median; None before the second call of `note`."""
         return float(np.median(self._samples)) if self._samples else None
 
 
 def frame_steps(dt: float, step: float | None, before: list[Hand], now: list[Hand]) -> list[tuple[float, list[Hand]]]:
-    """The steps of a frame: how long each is [s] and where the hands are at its end.
+    """Steps of a frame: the length of each [s], and the hands at its end.
 
-    step    the longest one may be [s]; None: one step, whatever its length
-    before  the hands at the frame's begin, `now` at its end; in between they are led evenly
+    step    longest step [s]; None: one step of any length
+    before  hands at the beginning of the frame, `now` at its end; poses in between are interpolated
     """
     n = 1 if step is None else max(1, math.ceil(dt / step - STEP_SLACK))
     return [(dt / n, interpolate_hands(before, now, k / n)) for k in range(1, n)] + [(dt / n, now)]
 
 
 def interpolate_hands(before: list[Hand], now: list[Hand], fraction: float) -> list[Hand]:
-    """The hands at a fraction of the way; one that was not there before is where it is now."""
+    """Hands at a fraction between two frames; one that was not there before is at its present pose."""
     there = [*before, *[None] * len(now)]
     return [interpolate_hand(a, b, fraction) for a, b in zip(there, now, strict=False)]
 
 
 def interpolate_hand(before: Hand | None, now: Hand | None, fraction: float) -> Hand | None:
-    """A hand at a fraction (0 to 1, less than 1) of the way between two poses.
+    """Hand at a fraction (0 <= fraction < 1) between two poses.
 
-    Whatever numbers a hand has are blended, rotations along the shorter arc; what is no number (a grip) changes only
-    at the end. A hand that is suddenly JUMP_DISTANCE away is there at once.
+    All numbers of a hand are interpolated, rotations along the shorter arc; other fields (a grip) change only at the
+    end. A hand that is suddenly JUMP_DISTANCE away is placed there at once.
     """
     if before is None or now is None or not math.dist(before.position, now.position) < JUMP_DISTANCE:
         return now
@@ -124,7 +125,7 @@ def interpolate_hand(before: Hand | None, now: Hand | None, fraction: float) -> 
 
 
 def interpolate_field(name: str, a, b, fraction: float):
-    """The field `name` of a hand on the way from a to b; its kind stays. What is not alike in both is as in a."""
+    """Field `name` of a hand between a and b, of the same type; fields that do not match in both are as in a."""
     if type(a) is type(b) and dataclasses.is_dataclass(a):
         fields = ((f.name, getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
         return dataclasses.replace(a, **{name: interpolate_field(name, x, y, fraction) for name, x, y in fields})
@@ -140,7 +141,7 @@ def interpolate_field(name: str, a, b, fraction: float):
 
 
 def interpolate_numbers(name: str, x: np.ndarray, y: np.ndarray, fraction: float) -> np.ndarray:
-    """Numbers on the way from x to y; quaternions, (..., 4) of a field that is called rotation, stay such."""
+    """Numbers between x and y; quaternions, (..., 4) of a field named rotation, stay normalised."""
     turns = "rotation" in name and x.shape[-1:] == (4,)
     if turns:
         y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)

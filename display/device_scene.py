@@ -1,4 +1,4 @@
-"""A scene on the device: the solver of its bodies, the Gaussians that follow them, and what draws them.
+"""A scene on the device: the solver of its bodies, the Gaussians that follow them, shadow map and renderer.
 
 `sim` and `render` meet here alone: the solver's fields go to the embedding, the embedding writes the splats' fields,
 shadow map and renderer read them. Nothing passes through the host.
@@ -113,11 +113,10 @@ class DeviceScene:
         return None if self.light is None else ShadowMap(splats, self.light, (self._first_caster, splats.count))
 
     def grow(self, bodies: list, packed: list[PackedBody]) -> None:
-        """Replace everything by what has capacity for more bodies, in the same state but that it shows no body yet.
+        """Replace everything by objects with capacity for more bodies, in the same state but without bodies shown.
 
-        It takes seconds, for kernels are compiled. `bodies` are the scene's own for a solver, and `packed`
-        is `embedding.read()` of them. Raises
-        BadInput, with everything as it was, if there is no memory.
+        It takes seconds, because kernels are compiled. `bodies` are the scene's own for a solver, and `packed` is
+        `embedding.read()` of them. Raises BadInput, with nothing changed, if there is no memory.
         """
         old, made = self.solver, []
         snapshot = old.snapshot()
@@ -151,7 +150,7 @@ class DeviceScene:
         self.shadow, self.renderer, self.grown = shadow, renderer, True
 
     def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
-        """Let the embedding carry these spans, and draw the first `count` Gaussians alone."""
+        """Let the embedding carry these spans, and draw only the first `count` Gaussians."""
         self.embedding.load(spans, packed)
         self.splats.set_count(count)
         if self.shadow is not None:

@@ -1,4 +1,4 @@
-"""The finished picture on its way out: to pixels on the host, a PNG, an OpenGL texture."""
+"""Output of the finished picture: pixels on the host, a PNG, an OpenGL texture."""
 
 from __future__ import annotations
 
@@ -75,11 +75,11 @@ def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int
 
 
 class PictureTexture:
-    """The picture as an OpenGL texture of the current context, and how it fills a window.
+    """The picture as an OpenGL texture of the current context, drawn to fill a window.
 
-    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device (display/window/cuda_gl_interop.py), or
-    passes through the host, which is said once, where OpenGL runs elsewhere. Of several `views`, which lie one below
-    the other, `draw` shows the first.
+    `upload` is the one place where the picture leaves Taichi: on CUDA it stays on the device
+    (display/window/cuda_gl_interop.py), or passes through the host where OpenGL runs elsewhere, which is reported once.
+    Of several `views`, one below the other, `draw` shows the first.
     """
 
     def __init__(self, gl, views: int = 1):
@@ -88,7 +88,7 @@ class PictureTexture:
         self._triangle = gl.vertex_array(self._program, [])
         self._program["views"] = views
         self._texture = self._shared = None
-        self.through_host: bool | None = None  # does the picture pass through the host; None before the first
+        self.through_host: bool | None = None  # the picture passes through the host; None before the first
 
     @property
     def texture(self):
@@ -111,7 +111,7 @@ class PictureTexture:
             self._texture.write(pixels_of(picture))
 
     def _share(self, picture) -> bool:
-        """Whether the picture went over on the device."""
+        """Copy the picture on the device; False if that is impossible here."""
         import taichi as ti
         from taichi.lang import impl
 
@@ -130,7 +130,7 @@ class PictureTexture:
         return True
 
     def release(self) -> None:
-        """Give the texture back. Further calls do nothing."""
+        """Free the texture. Further calls do nothing."""
         if self._shared is not None:
             self._shared.close()
         if self._texture is not None:

@@ -1,4 +1,4 @@
-"""The border between a world and the displays that show it: frames, commands, and what a display may see of a world.
+"""Protocol between a world and the displays that show it: frames, commands, and the world's public view.
 
 The loop of every display:
 
@@ -20,7 +20,7 @@ from core.material import Material
 from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Scene
 
-# Commands: what the user asks for between two frames. A body is named by its index; None is the selected body, the one
+# Commands: requests of the user between two frames. A body is named by its index; None is the selected body, the one
 # last held or pointed at.
 
 
@@ -191,22 +191,22 @@ class WorldView(Protocol):
 
     paused: bool = False
     demo: bool = False
-    """Does the scene's scripted hand play?"""
+    """True while the scene's scripted hand plays."""
 
     moving: bool = False
-    """Did anything move in the last frame?"""
+    """True if anything moved in the last frame."""
 
     interaction: str = "physics"
     """"physics" or "transform"."""
 
     editable: bool = False
-    """Are there bodies that commands could change?"""
+    """True if there are bodies that commands can change."""
 
     selected: int | None = None
     """Index of the body that was last held or pointed at."""
 
     recently_selected: bool = False
-    """Was it selected or changed within the last seconds?"""
+    """True if it was selected or changed within the last seconds."""
 
     notice: str = ""
     """Message about the last command, for some seconds."""
@@ -238,7 +238,7 @@ class WorldView(Protocol):
         return []
 
     def touch_forces(self) -> list[np.ndarray]:
-        """Contact force of each hand's finger capsules on bodies that it does not hold [N], (3,); [] without fingers."""
+        """Contact force of each hand's finger capsules on bodies it does not hold [N], (3,); [] without fingers."""
         return []
 
     def scripted_hands(self, time: float) -> list[Hand]:

@@ -1,4 +1,4 @@
-"""Where a frame's time goes: a stopwatch per stage."""
+"""Timings of frames: a stopwatch per stage."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class Timings:
         return rows
 
     def latest(self, *names: str) -> float:
-        """How long these stages took when they last ran [s], all together."""
+        """Sum of the last durations of these stages [s]."""
         return sum((self._samples[name] or [self._first[name]])[-1] for name in names if name in self._samples)
 
     def as_dict(self) -> dict[str, dict[str, float]]:

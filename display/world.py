@@ -263,7 +263,7 @@ class World(WorldView):
         return self.device.solver.hand_forces()
 
     def touch_forces(self) -> list[np.ndarray]:
-        """Contact force of each hand's finger capsules on bodies that it does not hold [N], (3,); [] without fingers."""
+        """Contact force of each hand's finger capsules on bodies it does not hold [N], (3,); [] without fingers."""
         return self.device.solver.touch_forces()
 
     @property

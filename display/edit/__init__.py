@@ -1,4 +1,4 @@
-"""What a user changes in a running world, and undo.
+"""Edits of a running world, and undo.
 
-In: edit commands. Out: changed bodies, and snapshots to go back to.
+In: edit commands. Out: changed bodies, and snapshots to return to.
 """

@@ -20,8 +20,8 @@ from scenes.scene import BodyState, Hand
 from sim.capacity import MAX_BODIES, CapacityError
 from sim.embedding import BodySpan
 
-FULL_NOTICE = "There is no room for that: remove something first."
-GROWTH_NOTICE = "Making room for more bodies: some seconds, once."
+FULL_NOTICE = "There is no capacity for that: remove something first."
+GROWTH_NOTICE = "Making room for more bodies: this takes a few seconds, once."
 REMOVED_X = 1e3  # [m] where the game sees a body that was removed
 T = TypeVar("T")
 
@@ -65,7 +65,7 @@ class BodyRegistry:
 
     @property
     def changed(self) -> bool:
-        """Is any body not the scene's, as it was?"""
+        """True if any body differs from the scene's."""
         return self.members != self._scene_members or self.device.solver.body_models != self._scene_models
 
     def scene_states(self, bodies: list[BodyState]) -> list[BodyState]:

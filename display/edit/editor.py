@@ -249,7 +249,7 @@ class Editor:
 
 
 def copy_offset(k: int, bodies: list[BodyState]) -> np.ndarray:
-    """Offset [m], (3,), of a copy from body k: above it, or beside it if it is animated, clear of all bounding boxes."""
+    """Offset (3,) [m] of a copy from body k: above it, or beside it if it is animated, clear of all bounding boxes."""
     size = bodies[k].high - bodies[k].low + COPY_GAP
     directions = [[1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]] if bodies[k].driven else [[0, 1, 0]]
     for steps in range(1, len(bodies) + 2):

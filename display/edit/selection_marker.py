@@ -1,7 +1,7 @@
-"""The body that an edit means, marked: corners of light around it, in the window and in a headset.
+"""Marker of the selected body: corners of light around it, in the window and in a headset.
 
-They are seen for a moment after the user has chosen or changed a body, and as long as something says that the next edit
-is near: a panel under the hand. Nobody holds the body then. In films and headless there are none.
+They are shown briefly after the user has selected or changed a body, and while an edit is likely: a panel is under the
+hand. Bodies in a hand are not marked. Films and headless pictures have no markers.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import numpy as np
 from scenes.scene import BodyState
 
 MARKED_SECONDS = 2.5  # [s] that a body is marked after a command
-AROUND = 0.008  # [m] between a body and its corners
-SHARE, LONGEST = 0.3, 0.045  # of the longest side, and [m] at most: how long the strokes of a corner are
+CORNER_GAP = 0.008  # [m] between a body and its corners
+STROKE_FRACTION, MAX_STROKE = 0.3, 0.045  # of the longest side; [m]: length of a corner's strokes
 COLOUR = (1.0, 0.96, 0.86)
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the eight corners
 
 
 def corners(body: BodyState) -> tuple[np.ndarray, float]:
     """The corners of the box around a body (8, 3) [m], in the order of SIGNS, and how long their strokes are [m]."""
-    low, high = np.asarray(body.low) - AROUND, np.asarray(body.high) + AROUND
-    length = min(SHARE * float((high - low).max()), LONGEST)
+    low, high = np.asarray(body.low) - CORNER_GAP, np.asarray(body.high) + CORNER_GAP
+    length = min(STROKE_FRACTION * float((high - low).max()), MAX_STROKE)
     return 0.5 * (low + high) + 0.5 * SIGNS * (high - low), length
 
 

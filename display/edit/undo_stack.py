@@ -1,4 +1,4 @@
-"""What the user did, to be taken back and done again. Knows nothing of worlds."""
+"""Undo stack of the user's actions, independent of worlds."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ MOST_BYTES = 256 << 20
 
 @dataclass
 class Step:
-    """How things were before (or, once it is taken back, after) an action.
+    """State before an action (or, once it is undone, after it).
 
-    action  what the user did, in a word;  state  whatever brings that moment back
-    sizes   bytes of the state, by the identity of what takes them: steps may share
+    action  name of the action;  state  any object from which the moment can be restored
+    sizes   bytes of the state, by the identity of the objects that take them: steps may share
     """
 
     action: str
@@ -23,7 +23,7 @@ class Step:
 
 
 class UndoStack:
-    """The last actions, no more than `steps`, and of no more than `size` bytes together: the oldest are forgotten."""
+    """The last actions, at most `steps` and at most `size` bytes together; the oldest are dropped."""
 
     def __init__(self, steps: int = MOST_STEPS, size: int = MOST_BYTES):
         self.steps, self.size = steps, size
@@ -31,18 +31,17 @@ class UndoStack:
         self.undone: list[Step] = []
 
     def add(self, step: Step) -> None:
-        """A new action; what was taken back before can no longer be done again."""
+        """Push an action; undone actions can no longer be redone."""
         self.done.append(step)
         self.undone.clear()
         self._trim()
 
     def back(self, now: Callable[[Step], Step]) -> Step | None:
-        """Take the last action back: the step to return to, None if there is none. `now` gives the present state, as
-        the same kind of step."""
+        """Undo the last action: the step to return to, or None. `now` returns the present state as a step."""
         return self._move(self.done, self.undone, now)
 
     def forth(self, now: Callable[[Step], Step]) -> Step | None:
-        """Do again what was taken back last."""
+        """Redo the action that was undone last."""
         return self._move(self.undone, self.done, now)
 
     def _move(self, source: list[Step], target: list[Step], now: Callable[[Step], Step]) -> Step | None:
@@ -55,7 +54,7 @@ class UndoStack:
 
     @property
     def bytes(self) -> int:
-        """What all steps take, each thing that they share counted once."""
+        """Size of all steps, with shared objects counted once."""
         return sum({key: n for step in (*self.done, *self.undone) for key, n in step.sizes.items()}.values())
 
     def _trim(self) -> None:

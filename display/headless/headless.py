@@ -24,10 +24,10 @@ PROGRESS_FRAMES = 120  # shorter runs show no progress
 class Headless:
     """A display: `for frame in headless.frames(world): world.step(frame); headless.present(world)`.
 
-    Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`. `record` is
-    an MP4 with every `every`-th frame, in real time; `snapshot` a PNG of frame `snapshot_frame` (from 0,
-    default the last). With `views=2` the pictures are stereo pairs, written side by side. Raises
-    BadInput before the first frame if a file cannot be written.
+    Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`.
+    `record` is an MP4 with every `every`-th frame, in real time; `snapshot` a PNG of frame `snapshot_frame` (from 0,
+    default the last). With `views=2` the pictures are stereo pairs, written side by side. Raises BadInput before the
+    first frame if a file cannot be written.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
-"""How stiff should a body be? It is dropped on a floor with one Young's modulus after another, measured and drawn.
+"""Stiffness sweep: a body is dropped on a floor with one Young's modulus after another, measured and drawn.
 
-This is how the paper finds a material: watch how far each modulus lets the body deform (VR-GS, Sec. 5).
+The paper finds materials in this way: by how far the body deforms with each modulus (VR-GS, Sec. 5).
 """
 
 from __future__ import annotations

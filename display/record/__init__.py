@@ -1,4 +1,4 @@
-"""Session recordings: the user's input, kept and played again exactly.
+"""Session recordings: the user's input, stored and replayed exactly.
 
 In: frames. Out: an HDF5 file, and frames again.
 """

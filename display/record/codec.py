@@ -1,7 +1,7 @@
-"""How a recording holds commands and hands, and back. It may come from anywhere: all is checked as it is read.
+"""Encoding of commands and hands in recordings, which are untrusted: everything is checked on reading.
 
-A command is an entry of a line of JSON. A hand is a layout (JSON: how many finger capsules it has) and numbers: position,
-rotation, grip, reach, then a, b and radius of each capsule. The layout "n" is no hand.
+A command is an entry of a line of JSON. A hand is a layout (JSON: its number of finger capsules) and numbers:
+position, rotation, grip, reach, then a, b and radius of each capsule. The layout "n" is no hand.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def _types(kind: type) -> dict[str, type]:
 
 
 def _checked(value, kind):
-    """The value of JSON as this type. Raises LookupError, TypeError or ValueError if it is not one."""
+    """A JSON value as this type. Raises LookupError, TypeError or ValueError if it is not one."""
     origin = get_origin(kind)
     if origin in (Union, UnionType):
         for one in get_args(kind):
@@ -113,19 +113,18 @@ def _checked(value, kind):
     elif dataclasses.is_dataclass(kind):
         types = _types(kind)
         return kind(**{name: _checked(v, types[name]) for name, v in dict(value[kind.__name__]).items()})
-    elif kind is float and type(value) in (int, float) and math.isfinite(value):
-        return value
-    elif kind is int and type(value) is int and 0 <= value < INDEX_MAX:
-        return value
-    elif kind is str and isinstance(value, str) and len(value) <= TEXT_MAX:
-        return value
-    elif kind in (bool, type(None)) and isinstance(value, kind):
+    elif (
+        (kind is float and type(value) in (int, float) and math.isfinite(value))
+        or (kind is int and type(value) is int and 0 <= value < INDEX_MAX)
+        or (kind is str and isinstance(value, str) and len(value) <= TEXT_MAX)
+        or (kind in (bool, type(None)) and isinstance(value, kind))
+    ):
         return value
     raise ValueError
 
 
 def hand_layout(touches: int | None) -> str | dict:
-    """The layout of a hand with so many finger capsules; of None, no hand."""
+    """Layout of a hand with this many finger capsules; None: of no hand."""
     if touches is None:
         return "n"
     capsule = {"c": "Touch", "f": {"a": ["t", 3, "f"], "b": ["t", 3, "f"], "radius": "f"}}
@@ -134,7 +133,7 @@ def hand_layout(touches: int | None) -> str | dict:
 
 
 def pack_hand(hand: Hand | None) -> tuple[str | dict, list[float]]:
-    """Layout and numbers of a hand. One whose numbers are not finite counts as none, as it does for the world."""
+    """Layout and numbers of a hand. A hand with non-finite numbers counts as none, as in the world."""
     if hand is None:
         return hand_layout(None), []
     numbers = [*hand.position, *hand.rotation, hand.grip, hand.reach]
@@ -159,7 +158,7 @@ def touch_count(layout) -> int | None:
 
 
 def hand_size(touches: int | None) -> int:
-    """How many numbers a hand with so many finger capsules has."""
+    """Count of numbers of a hand with this many finger capsules."""
     return 0 if touches is None else 9 + 7 * touches
 
 

@@ -1,21 +1,21 @@
-"""What a user did, frame by frame, as an HDF5 file that plays again exactly (display/record/replay.py).
+"""Recording of the user's input, frame by frame, as an HDF5 file that replays exactly (display/record/replay.py).
 
 Root attributes: `format` "vrgs-recording", `version`, `about` (JSON: the scene, the options, where kernels ran), and
-`layouts` (JSON: a list of what hands are made of, see display/record/codec.py).
+`layouts` (JSON: a list of the layouts of hands, see display/record/codec.py).
 
 | dataset | shape, type | |
 | --- | --- | --- |
 | frames/dt, time, step | (F,) float64 | seconds; step 0: the whole dt at once |
-| frames/hands, frames/cameras | (F,) int32 | how many of each a frame has |
-| hands/layout | (H,) int32 | all frames' hands, one after the other |
-| hands/numbers | (N,) float64 | what they are made of |
+| frames/hands, frames/cameras | (F,) int32 | number of each in a frame |
+| hands/layout | (H,) int32 | of the hands of all frames, concatenated |
+| hands/numbers | (N,) float64 | their values |
 | cameras/values | (C, 22) float64 | width, height, fx, fy, cx, cy, world_to_camera row by row |
 | commands/text | (B,) uint8 | JSON lines, each with its frame: {"frame": 12, "pause": true} |
-| states/frame, states/count | (S,) int64, int32 | after which frame, and of how many bodies, about every second |
+| states/frame, states/count | (S,) int64, int32 | frame and number of bodies of each state, about every second |
 | states/centroids | (M, 3) float64 | [m] |
 
-It is written to FILE.part, once a second all that has been since then at one go, and renamed at the end. What a session
-that broke off has left under that name is a whole recording up to there: `--replay FILE.h5.part` plays it.
+It is written to FILE.part, appended once a second, and renamed at the end. The part of a session that ended abnormally
+is a complete recording up to there: `--replay FILE.h5.part` plays it.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Recording:
         self.close()
 
     def begin(self, args, how: dict) -> None:
-        """What is played: the options of the command, and of the world."""
+        """Store the options of the command and of the world."""
         import taichi as ti
 
         given = {key: getattr(args, key, None) for key in OPTIONS}
@@ -101,8 +101,10 @@ class Recording:
         self.about["world"] = {key: value for key, value in how.items() if isinstance(value, (bool, str))}
 
     def note(self, frame: Frame) -> Frame:
-        """Take down a frame before the world makes its step. The frame to give to the world: cameras that are asked for
-        late are taken down when the world asks."""
+        """Record a frame before the world's step; returns the frame to pass to the world.
+
+        Cameras given as a function are recorded when the world calls it.
+        """
         new, self._dt = self._new, frame.dt
         new["frames/dt"].append(frame.dt)
         new["frames/time"].append(frame.time)
@@ -125,7 +127,7 @@ class Recording:
         line = to_text(self.frames, commands)
         try:
             from_text(line)
-        except BadInput as e:  # it would spoil the whole file
+        except BadInput as e:  # it would make the whole file invalid
             print(f"{self.path}: not recorded: {e}", file=sys.stderr)
             return
         self._new["commands/text"].extend(f"{line}\n".encode())
@@ -136,7 +138,7 @@ class Recording:
         return cameras
 
     def after(self, world) -> None:
-        """The world has made its step of the frame that was noted last."""
+        """Record the state after the world's step of the frame noted last."""
         self.frames += 1
         self._world = world
         self._since += self._dt
@@ -154,14 +156,14 @@ class Recording:
         self._new["states/centroids"].extend(np.asarray(b.centroid, np.float64) for b in bodies)
 
     def _write(self) -> None:
-        """Hand over what is new to the thread that writes: 10 ms of it would miss a frame."""
+        """Pass new data to the writer thread: writing takes 10 ms, which would miss a frame."""
         self._written = 0.0
         texts = {"about": json.dumps(self.about), "layouts": f"[{', '.join(self._layouts)}]"}
         new, self._new = self._new, {name: [] for name in DATASETS}
         self._writer.submit(self._append, texts, new)
 
     def _append(self, texts: dict[str, str], new: dict[str, list]) -> None:
-        """The file is whole before and after."""
+        """Append rows; the file is valid before and after."""
         if self._file is None:
             return
         try:
@@ -178,11 +180,11 @@ class Recording:
             self._file = None
 
     def settle(self) -> None:
-        """Wait until all that was handed over is written."""
+        """Wait until all data is written."""
         self._writer.submit(lambda: None).result()
 
     def close(self) -> None:
-        """Write the rest, with how things are at the end, and give the file its name. Further calls do nothing."""
+        """Write the rest, with the final state, and give the file its name. Further calls do nothing."""
         if self._closed:
             return
         self._closed = True
@@ -193,12 +195,12 @@ class Recording:
             self._file.close()
             if self.frames:
                 os.replace(self.part, self.path)
-            else:  # it never came to a play
+            else:  # nothing was played
                 self.part.unlink()
             self._file = None
 
     def _finish(self) -> None:
-        """The last state; a frame that was broken off in the middle is left out."""
+        """Record the last state; an incomplete frame is left out."""
         new = self._new
         if self._world is None:
             return
@@ -207,7 +209,7 @@ class Recording:
 
 
 def plain(value):
-    """An option as JSON has it."""
+    """An option as a JSON value."""
     return value if isinstance(value, (bool, int, float)) else str(value)
 
 

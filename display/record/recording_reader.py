@@ -1,4 +1,4 @@
-"""Reads a recording (display/record/recording.py). It may come from anywhere: everything is checked before it is used."""
+"""Reader of recordings (display/record/recording.py), which are untrusted: everything is checked before it is used."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from display.record.codec import from_text, hand_size, touch_count, unpack_hand
 from display.record.recording import CAMERA, OPTIONS
 from render import SORTS
 
-LONGEST = 10.0  # [s] of a frame
+MAX_FRAME_DT = 10.0  # [s]
 HANDS, CAMERAS, SIDE = 16, 2, 16384  # of a frame; [px]
 CHOICES = {
     "arch": ("cpu", "cuda"),
@@ -28,7 +28,7 @@ KINDS = {"seed": (int,), "vertices": (int,), "scale": (int, float), "pieces": (b
 
 
 def checked_about(text: str) -> dict:
-    """What the recording says of itself; only what this program knows, and of the right kind."""
+    """Attribute `about` of the recording: only known entries, of the right type."""
     try:
         about = json.loads(text)
     except (ValueError, RecursionError) as e:
@@ -63,7 +63,7 @@ def finite(
 
 
 def counts(file: Hdf5Reader, name: str, most: int, length: int | None = None) -> np.ndarray:
-    """A dataset of numbers of things, 0 to `most`."""
+    """A dataset of counts, 0 to `most`."""
     values = file.array(name, "iu", (length,)).astype(np.int64)
     if len(values) and (values.min() < 0 or values.max() > most):
         raise file.error(f"{name} holds values that cannot be")
@@ -72,10 +72,10 @@ def counts(file: Hdf5Reader, name: str, most: int, length: int | None = None) ->
 
 def read_frames(file: Hdf5Reader) -> list[Frame]:
     """All frames, checked."""
-    dt = finite(file, "frames/dt", low=0.0, high=LONGEST)
+    dt = finite(file, "frames/dt", low=0.0, high=MAX_FRAME_DT)
     count = len(dt)
     time = finite(file, "frames/time", (count,), low=0.0)
-    step = finite(file, "frames/step", (count,), low=0.0, high=LONGEST)
+    step = finite(file, "frames/step", (count,), low=0.0, high=MAX_FRAME_DT)
     hands = read_hands(file, counts(file, "frames/hands", HANDS, count))
     cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS, count))
     commands = read_commands(file, count)
@@ -137,7 +137,7 @@ def read_commands(file: Hdf5Reader, count: int) -> dict[int, list[Command]]:
 
 
 def read_states(file: Hdf5Reader, frames: int) -> dict[int, np.ndarray]:
-    """Centroids (B, 3) by the frame after which the bodies were there."""
+    """Centroids (B, 3) of the bodies, by the frame after which they were recorded."""
     where = counts(file, "states/frame", max(frames - 1, 0))
     per_state = counts(file, "states/count", 1_000_000, len(where))
     centroids = file.array("states/centroids", "f", (int(per_state.sum()), 3)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Plays a recording (display/record/recording.py) again, and measures how far its world is from the recorded one."""
+"""Replay of a recording (display/record/recording.py), with the deviation from the recorded state."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers", "grown")  # reco
 
 
 class Replay:
-    """A recording: what it says `about` itself, its frames, the states to compare with. `Replay.load` checks all."""
+    """A recording: its attribute `about`, its frames, the states to compare with. `Replay.load` checks all."""
 
     def __init__(self, path: Path, version: int, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
         self.path, self.version, self.about = path, version, about
@@ -34,7 +34,7 @@ class Replay:
 
     @classmethod
     def load(cls, path: str | Path) -> Replay:
-        """Read and check a recording, also one that broke off."""
+        """Read and check a recording, also an incomplete one."""
         path = Path(path)
         with open_hdf5(path) as file:
             if file.text("", "format") != FORMAT:
@@ -50,16 +50,17 @@ class Replay:
                 raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
 
     def set_options(self, args) -> None:
-        """Let the command's options be those of the recording, as far as they make the world what it is."""
+        """Set those options of the command that determine the world to the recorded ones."""
         for key in OPTIONS:
             if key in self.about:
                 setattr(args, key, self.about[key])
         args.arch = args.arch or self.about.get("arch")
 
     def world_options(self, how: dict) -> dict:
-        """The options of a World: as it was made then, and for the rest `how`. Depth is for headsets."""
+        """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""
         recorded = self.about.get("world", {})
-        recorded = recorded | {"grown": recorded[old] for old in ("room",) if old in recorded}
+        if "room" in recorded:
+            recorded = recorded | {"grown": recorded["room"]}
         return how | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
 
     def implied_material(self, scene: str, body: str | None) -> str | None:
@@ -82,12 +83,12 @@ class Replay:
             due += 0.0 if held else shown.dt
             now = self._frames[self.done]
             while paced and self.done + 1 < len(self) and due >= now.dt + self._frames[self.done + 1].dt:
-                world.step(replace(now, cameras=[]))  # more of them than pictures
+                world.step(replace(now, cameras=[]))  # more steps than pictures
                 due -= now.dt
                 self._after(world)
                 now = self._frames[self.done]
             if paced and due < now.dt:
-                display.present(world)  # nothing new yet
+                display.present(world)  # nothing new
                 continue
             due -= now.dt
             yield replace(now, cameras=self._seen(now.cameras, shown.cameras))
@@ -100,7 +101,7 @@ class Replay:
         return [fitted(c, s.width, s.height) for c, s in zip(self._cameras, shown, strict=False)]
 
     def _after(self, world) -> None:
-        """The world has made its step: how far is it from the recorded one?"""
+        """Compare the world after its step with the recorded state."""
         expected = self._states.get(self.done)
         self.done += 1
         if expected is None:
@@ -114,7 +115,7 @@ class Replay:
             self.largest = max(self.largest, away if np.isfinite(away) else float("inf"))
 
     def report(self) -> str:
-        """What came of it, in a line."""
+        """Summary of the replay, one line."""
         of = "" if self.done == len(self) else f" of {len(self)}"
         if not self.compared:
             return f"replayed {self.done}{of} frames"
@@ -124,7 +125,7 @@ class Replay:
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The same view in a picture of another size [px]: as high, and as wide as it is then."""
+    """The same view in a picture of another size [px], with the same vertical field of view."""
     s = height / camera.height
     cx, cy = width / 2 + s * (camera.cx - camera.width / 2), s * camera.cy
     return Camera(width, height, camera.fx * s, camera.fy * s, cx, cy, camera.world_to_camera)

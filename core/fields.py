@@ -33,30 +33,24 @@ class FieldGroup:
 
     def scalar(self, *shape: int, dtype=ti.f32):
         """A scalar field of this shape; no shape: a single value."""
-        return self._place([ti.field(dtype)], shape)[0]
-
-    def interleaved_scalars(self, count: int, *shape: int, dtype=ti.f32) -> list:
-        """`count` scalar fields whose entries of one index lie side by side in memory."""
-        return self._place([ti.field(dtype) for _ in range(count)], shape)
+        return self._place(ti.field(dtype), shape)
 
     def vector(self, *shape: int, n: int = 3, dtype=ti.f32, column_major: bool = False):
         """A field of n-vectors; `column_major` stores neighbours along the first of two axes side by side."""
-        return self._place([ti.Vector.field(n, dtype)], shape, column_major)[0]
-
-    def interleaved_vectors(self, count: int, *shape: int, n: int = 3, dtype=ti.f32) -> list:
-        """`count` fields of n-vectors whose entries of one index lie side by side in memory."""
-        return self._place([ti.Vector.field(n, dtype) for _ in range(count)], shape)
+        return self._place(ti.Vector.field(n, dtype), shape, column_major)
 
     def matrix(self, *shape: int, n: int = 3, m: int = 3, dtype=ti.f32):
         """A field of n x m matrices."""
-        return self._place([ti.Matrix.field(n, m, dtype)], shape)[0]
+        return self._place(ti.Matrix.field(n, m, dtype), shape)
 
     @contextmanager
     def interleaved(self, *shape: int):
-        """Store the fields declared inside, all of this shape, as records: for what one thread reads together."""
-        self._records = self._builder.dense((ti.i, ti.ij)[len(shape) - 1], shape)
-        yield
-        self._records = None
+        """Store the fields declared inside, all of this shape, as records, for threads that read them together."""
+        self._records = self._dense(shape)
+        try:
+            yield
+        finally:
+            self._records = None
 
     def build(self) -> None:
         """Allocate the declared fields, all zero."""
@@ -72,16 +66,19 @@ class FieldGroup:
         """True once the device memory has been freed."""
         return self._tree is not None and self._tree.destroyed
 
-    def _place(self, fields: list, shape, column_major: bool = False) -> list:
-        axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
+    def _place(self, field, shape: tuple[int, ...], column_major: bool = False):
         if self._records is not None:
             node = self._records
         elif column_major:
             node = self._builder.dense(ti.j, shape[1]).dense(ti.i, shape[0])
         else:
-            node = self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder
-        node.place(*fields)
-        return fields
+            node = self._dense(shape)
+        node.place(field)
+        return field
+
+    def _dense(self, shape: tuple[int, ...]):
+        axes = (ti.i, ti.ij, ti.ijk, ti.ijkl)
+        return self._builder.dense(axes[len(shape) - 1], shape) if shape else self._builder
 
 
 def destroy_fields(owner) -> None:

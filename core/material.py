@@ -52,16 +52,14 @@ class Material:
             raise BadInput(f"material {name!r} is unknown; one of {', '.join(MATERIALS)}")
         return replace(MATERIALS[name], **changes)
 
-    @classmethod
-    def animated(cls, material: Material | str, height: float) -> Material:
-        """The material, given or named, for an animated body of this height [m]: a small one is softer than a person.
+    def animated(self, height: float) -> Material:
+        """The material for an animated body of this height [m]: softer for one that is smaller than a person.
 
         Inertial stresses rho a L grow with the square of the size where motions take the same time: a small body holds
-        its shape with less stiffness, and can then be simulated by as few substeps as a large one. Raises BadInput.
+        its shape with less stiffness, and can then be simulated by as few substeps as a large one.
         """
-        material = material if isinstance(material, Material) else cls.named(material)
         ratio = min(height / PERSON_HEIGHT, 1.0) ** 2
-        return replace(material, young=max(ratio * material.young, ANIMATED_YOUNG_MIN))
+        return replace(self, young=max(ratio * self.young, ANIMATED_YOUNG_MIN))
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, for a material that no body can have."""

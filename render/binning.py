@@ -76,7 +76,8 @@ class TileBins:
         self.members = self.sorter.sorted_items
         self.emit_threads = emit_threads or (32 if on_gpu else 1)
         self.fields = f = FieldGroup()
-        self.begin, self.end = f.interleaved_scalars(2, self.tile_capacity, dtype=ti.i32)
+        with f.interleaved(self.tile_capacity):
+            self.begin, self.end = (f.scalar(self.tile_capacity, dtype=ti.i32) for _ in range(2))
         self.large = f.scalar(self.projection.splats.capacity, dtype=ti.i32)  # positions in order of large splats
         self.large_count = f.scalar(dtype=ti.i32)
         f.build()

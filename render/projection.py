@@ -66,7 +66,8 @@ class Projection:
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.fields = f = FieldGroup()
         # 64 bytes: a splat is one cache line
-        self.mean2d, self.conic, self.color, self.box = f.interleaved_vectors(4, views, splats.capacity, n=4)
+        with f.interleaved(views, splats.capacity):
+            self.mean2d, self.conic, self.color, self.box = (f.vector(views, splats.capacity, n=4) for _ in range(4))
         self.camera = f.vector(views, 4, n=4)
         self.near = f.scalar(views)
         self.grid = f.vector(n=4, dtype=ti.i32)

@@ -108,7 +108,7 @@ def build(body: str = "ring_red", material: str | None = None, stage: str | None
 def body_material(body: str, name: str | None, height: float | None) -> Material:
     """The named material or else the asset's own; for an animated body of this height [m], adapted to its size."""
     material = default_material(body) if name is None else Material.named(name)
-    return material if height is None else Material.animated(material, height)
+    return material if height is None else material.animated(height)
 
 
 def rings(place: Vec3, height: float | None) -> list[Body]:

@@ -24,10 +24,10 @@ def test_an_unknown_name_is_answered_by_the_known_ones():
 def test_a_small_animated_body_is_softer_and_a_giant_is_not_stiffer():
     """Young's modulus goes with the square of the height: inertial stresses do."""
     flesh = Material.named("flesh")
-    half, quarter = (Material.animated("flesh", height) for height in (0.8, 0.4))
+    half, quarter = (flesh.animated(height) for height in (0.8, 0.4))
     assert half.young == pytest.approx(4 * quarter.young) and half.young < flesh.young
-    assert replace(half, young=flesh.young) == flesh == Material.animated("flesh", 3.0)
-    assert Material.animated("flesh", 0.01).young == 1e3
+    assert replace(half, young=flesh.young) == flesh == flesh.animated(3.0)
+    assert flesh.animated(0.01).young == 1e3
 
 
 def test_the_sliding_friction_is_the_static_one_unless_it_is_given():

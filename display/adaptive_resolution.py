@@ -91,7 +91,7 @@ class DynamicResolution:
         return tuple(min(side, max(grain, round(side * self.scale / grain) * grain)) for side in self.full)
 
     def note(self, seconds: float, budget: float, drawing: float | None = None) -> bool:
-        """Note a frame that took `seconds` of a `budget` [s], `drawing` of them for pixels; returns whether `size` is new."""
+        """Note a frame of `seconds`, `drawing` of them for pixels, of a `budget` [s]; returns whether `size` is new."""
         if self._skip:
             self._skip -= 1
             return False

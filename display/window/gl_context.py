@@ -8,13 +8,13 @@ from collections.abc import Callable
 from core.errors import BadInput
 
 NO_DISPLAY = "no display to open a window on"
-INSTEAD = "run with --headless instead"
+HEADLESS_INSTEAD = "run with --headless instead"
 
 # Registry of EGL enums.
 SURFACELESS_PLATFORM, OPENGL_API = 0x31DD, 0x30A2
 RED, GREEN, BLUE, SURFACE_TYPE, RENDERABLE_TYPE, OPENGL_BIT, NONE = 0x3024, 0x3023, 0x3022, 0x3033, 0x3040, 0x8, 0x3038
 MAJOR, MINOR, PROFILE, CORE = 0x3098, 0x30FB, 0x30FD, 0x1
-VERSION = (4, 5)
+OPENGL_VERSION = (4, 5)
 
 
 def context_of(address: Callable[[str], int | None]):
@@ -55,26 +55,28 @@ class EglContext:
         try:
             self.library = egl = ctypes.CDLL("libEGL.so.1")
         except OSError as e:
-            raise BadInput(f"{NO_DISPLAY}, and no EGL to do without; {INSTEAD}") from e
+            raise BadInput(f"{NO_DISPLAY}, and no EGL to do without; {HEADLESS_INSTEAD}") from e
         pointer = ctypes.c_void_p
         for function in (egl.eglGetPlatformDisplay, egl.eglCreateContext, egl.eglGetProcAddress):
             function.restype = pointer
         self.display = pointer(egl.eglGetPlatformDisplay(SURFACELESS_PLATFORM, pointer(0), pointer(0)))
         if not egl.eglInitialize(self.display, pointer(0), pointer(0)):
-            raise BadInput(f"{NO_DISPLAY}, and EGL does not start; {INSTEAD}")
+            raise BadInput(f"{NO_DISPLAY}, and EGL does not start; {HEADLESS_INSTEAD}")
         wanted = (SURFACE_TYPE, 1, RED, 8, GREEN, 8, BLUE, 8, RENDERABLE_TYPE, OPENGL_BIT, NONE)
         self.config, count = pointer(), ctypes.c_int()
         chosen = egl.eglChooseConfig(
             self.display, (ctypes.c_int * len(wanted))(*wanted), ctypes.byref(self.config), 1, ctypes.byref(count)
         )
         egl.eglBindAPI(OPENGL_API)
-        attributes = (MAJOR, VERSION[0], MINOR, VERSION[1], PROFILE, CORE, NONE)
+        attributes = (MAJOR, OPENGL_VERSION[0], MINOR, OPENGL_VERSION[1], PROFILE, CORE, NONE)
         self.context = pointer(
             egl.eglCreateContext(self.display, self.config, pointer(0), (ctypes.c_int * len(attributes))(*attributes))
         )
         current = self.context and egl.eglMakeCurrent(self.display, pointer(0), pointer(0), self.context)
         if not (chosen and count.value and current):
-            raise BadInput(f"{NO_DISPLAY}, and no OpenGL {VERSION[0]}.{VERSION[1]} in EGL; {INSTEAD}")
+            raise BadInput(
+                f"{NO_DISPLAY}, and no OpenGL {OPENGL_VERSION[0]}.{OPENGL_VERSION[1]} in EGL; {HEADLESS_INSTEAD}"
+            )
         self.gl = context_of(lambda name: egl.eglGetProcAddress(name.encode()))
 
     def close(self) -> None:

@@ -6,7 +6,7 @@ import os
 import sys
 
 from core.errors import BadInput
-from display.window.gl_context import INSTEAD, NO_DISPLAY, context_of
+from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 
 KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space", "delete"]
 LABELS = {"u": "u", "c": "c", "l": "l", "+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
@@ -41,7 +41,7 @@ class GLWindow:
 
     def __init__(self, title: str, width: int, height: int, *, vsync: bool):
         if not has_display():
-            raise BadInput(f"{NO_DISPLAY}; {INSTEAD}")
+            raise BadInput(f"{NO_DISPLAY}; {HEADLESS_INSTEAD}")
         self.glfw = glfw = import_glfw()
         errors: list[str] = []
         glfw.set_error_callback(lambda code, text: errors.append(text.decode(errors="replace")))
@@ -56,7 +56,7 @@ class GLWindow:
         self.handle = glfw.create_window(width, height, title, None, None)
         if not self.handle:
             glfw.terminate()
-            raise BadInput(f"no window with OpenGL 3.3 ({'; '.join(errors) or 'no reason given'}); {INSTEAD}")
+            raise BadInput(f"no window with OpenGL 3.3 ({'; '.join(errors) or 'no reason given'}); {HEADLESS_INSTEAD}")
         glfw.make_context_current(self.handle)
         glfw.swap_interval(1 if vsync else 0)
         glfw.set_window_size_limits(self.handle, 320, 240, glfw.DONT_CARE, glfw.DONT_CARE)

@@ -23,7 +23,7 @@ SEEDS_PER_POINT = 6  # points to choose from, for each that is taken
 SMOOTHING = 0.0035  # [m]: k
 THICKNESS = 0.0005  # [m], standard deviation of a Gaussian along its normal
 WEIGHT_FALLOFF = 0.0035  # [m] over which the weight of a bone fades into the next one's
-COLOUR = np.array([0.87, 0.73, 0.63])  # light and warm, of nobody in particular
+SKIN_COLOUR = np.array([0.87, 0.73, 0.63])  # light and warm, of nobody in particular
 NAIL_COLOUR, CREASE_DARKENING = np.array([0.96, 0.84, 0.77]), 0.10
 FOREARM_LENGTH = 0.045  # [m]
 BIND_BENDS = (0.0, 0.02, 0.02, 0.02, 0.02)  # of the bind pose: fingers apart
@@ -163,7 +163,7 @@ def joint_weights(joints: HandJoints, x, finger) -> tuple[np.ndarray, np.ndarray
 def paint(joints: HandJoints, x, n) -> np.ndarray:
     """Colours (N, 3): darker in hollows and at the joints, nails, a paler palm."""
     openness = np.clip(skin_distance(limb_groups(joints), x + 0.009 * n) / 0.009, 0.0, 1.0)[:, None]
-    colour = COLOUR * (0.70 + 0.30 * openness)
+    colour = SKIN_COLOUR * (0.70 + 0.30 * openness)
     colour = colour * (1.0 + 0.05 * np.clip(-n[:, 1:2], -1.0, 1.0))
     p = joints.position
     for f in FINGERS:

@@ -17,7 +17,13 @@ from display.protocol import Command, Frame, WorldView
 from display.window.gl_window import has_display
 from display.xr import avatar
 from display.xr.mirror import open_mirror
-from display.xr.openxr_runtime import HEADSET_TIMEOUT, INSTEAD, OpenXrRuntime, graphics_binding, required_extensions
+from display.xr.openxr_runtime import (
+    HEADSET_TIMEOUT,
+    WINDOW_INSTEAD,
+    OpenXrRuntime,
+    graphics_binding,
+    required_extensions,
+)
 from display.xr.panel_layer import PanelContent
 from display.xr.player import TAP_SECONDS, TAP_STRENGTH, Player, PoseFilter
 from display.xr.poses import eye_camera
@@ -105,7 +111,7 @@ class Headset:
             runtime.lowest_opengl()  # the specification wants it asked before each session
             return XrSession(runtime, mirror.gl, graphics_binding(runtime.xr, mirror.egl), self.size)
         except runtime.xr.exception.ResultException as e:
-            raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {INSTEAD}") from e
+            raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {WINDOW_INSTEAD}") from e
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames at the headset's rate until the user quits here or there."""

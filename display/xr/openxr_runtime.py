@@ -15,7 +15,7 @@ from core.errors import BadInput
 from display.xr import hand_tracking
 from display.xr.swapchains import DEPTH_EXTENSION
 
-INSTEAD = "leave out --xr to play in a window"
+WINDOW_INSTEAD = "leave out --xr to play in a window"
 TIMESPEC_EXTENSION = "XR_KHR_convert_timespec_time"
 OPTIONAL_EXTENSIONS = [TIMESPEC_EXTENSION, DEPTH_EXTENSION, hand_tracking.EXTENSION]
 HEADSET_TIMEOUT = 30.0  # [s] to wait for a headset that the runtime reports as not connected yet
@@ -28,9 +28,9 @@ def import_xr():
     try:
         import xr
     except ImportError as e:
-        raise BadInput(f"--xr: {e.name} is not installed; run `make play` once, or {INSTEAD}") from e
+        raise BadInput(f"--xr: {e.name} is not installed; run `make play` once, or {WINDOW_INSTEAD}") from e
     except OSError as e:  # the loader's library does not open here
-        raise BadInput(f"--xr: the OpenXR loader does not start on this system ({e}); {INSTEAD}") from e
+        raise BadInput(f"--xr: the OpenXR loader does not start on this system ({e}); {WINDOW_INSTEAD}") from e
     return xr
 
 
@@ -55,7 +55,7 @@ class OpenXrRuntime:
         except xr.exception.ResultException as e:
             raise no_runtime() from e
         if missing := [name for name in required if name not in offered]:
-            raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {INSTEAD}")
+            raise BadInput(f"--xr: this OpenXR runtime cannot take OpenGL pictures (no {missing[0]}); {WINDOW_INSTEAD}")
         self.enabled = [*required, *(e for e in OPTIONAL_EXTENSIONS if e in offered and e not in without)]
         try:
             self.instance = xr.create_instance(
@@ -67,7 +67,7 @@ class OpenXrRuntime:
         except (xr.RuntimeUnavailableError, xr.InitializationFailedError, xr.RuntimeFailureError) as e:
             raise no_runtime() from e
         except xr.exception.ResultException as e:
-            raise BadInput(f"--xr: the OpenXR runtime does not start ({type(e).__name__}); {INSTEAD}") from e
+            raise BadInput(f"--xr: the OpenXR runtime does not start ({type(e).__name__}); {WINDOW_INSTEAD}") from e
         self.name = "the runtime"
         try:
             properties = xr.get_instance_properties(self.instance)
@@ -79,7 +79,7 @@ class OpenXrRuntime:
             )
         except xr.exception.ResultException as e:
             self.close()
-            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); restart it, or {INSTEAD}") from e
+            raise BadInput(f"--xr: {self.name} fails ({type(e).__name__}); restart it, or {WINDOW_INSTEAD}") from e
         except BaseException:
             self.close()
             raise
@@ -91,10 +91,12 @@ class OpenXrRuntime:
             try:
                 return xr.get_system(self.instance, xr.SystemGetInfo(form_factor=xr.FormFactor.HEAD_MOUNTED_DISPLAY))
             except xr.FormFactorUnsupportedError as e:
-                raise BadInput(f"--xr: {self.name} drives no headset; {INSTEAD}") from e
+                raise BadInput(f"--xr: {self.name} drives no headset; {WINDOW_INSTEAD}") from e
             except xr.FormFactorUnavailableError as e:
                 if time.monotonic() >= end:
-                    raise BadInput(f"--xr: {self.name} finds no headset; connect it and put it on, or {INSTEAD}") from e
+                    raise BadInput(
+                        f"--xr: {self.name} finds no headset; connect it and put it on, or {WINDOW_INSTEAD}"
+                    ) from e
                 if not announced:
                     print(f"{self.name}: waiting {timeout:.0f} s for a headset", file=sys.stderr, flush=True)
                     announced = True
@@ -105,7 +107,7 @@ class OpenXrRuntime:
         stereo = xr.ViewConfigurationType.PRIMARY_STEREO
         offered = xr.enumerate_view_configurations(self.instance, self.system)
         if stereo not in [xr.ViewConfigurationType(v) for v in offered]:
-            raise BadInput(f"--xr: {self.name} shows no stereo pictures; {INSTEAD}")
+            raise BadInput(f"--xr: {self.name} shows no stereo pictures; {WINDOW_INSTEAD}")
         views = xr.enumerate_view_configuration_views(self.instance, self.system, stereo)
         return [(v.recommended_image_rect_width, v.recommended_image_rect_height) for v in views]
 
@@ -179,7 +181,7 @@ def no_runtime() -> BadInput:
     """The error where no OpenXR runtime is active."""
     return BadInput(
         "--xr: no OpenXR runtime answers; start SteamVR, Quest Link, WiVRn or Monado and make it the active one, "
-        f"or {INSTEAD}"
+        f"or {WINDOW_INSTEAD}"
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from display.window.panel import ACCENT, QUIET, font_file
 from display.xr.swapchains import QuadLayer
-from display.xr.wrist_panel import BUTTONS, PIXELS, WIDTH, Button, WristPanel
+from display.xr.wrist_panel import BUTTONS, PANEL_WIDTH, PIXELS, Button, WristPanel
 
 RATE_INTERVAL = 0.5  # [s] between two readings of the frame rate
 BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
@@ -57,7 +57,7 @@ class PanelLayer:
     """Quad layer of the panel; painted when its content has changed."""
 
     def __init__(self, runtime, session, gl):
-        self._quad = QuadLayer(runtime, session, gl, PIXELS, WIDTH)
+        self._quad = QuadLayer(runtime, session, gl, PIXELS, PANEL_WIDTH)
         self._shown: PanelContent | None = None
         self._rate_read = 0.0  # [s] of monotonic()
         warm_up()

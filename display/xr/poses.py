@@ -71,7 +71,8 @@ class PlaySpace:
     @property
     def world_from_play(self) -> np.ndarray:
         """(4, 4) float64."""
-        return pose_matrix((self.x, self.y, self.z), Rotation.from_rotvec([0.0, self.yaw, 0.0]).as_matrix())
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return pose_matrix((self.x, self.y, self.z), [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
     def turn(self, angle: float, about: np.ndarray) -> None:
         """Turn the player by `angle` [rad] in place: `about` is the head's position in the world."""

@@ -29,7 +29,7 @@ from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix
 
 PIXELS = (800, 512)  # (width, height)
-WIDTH = 0.28  # [m]
+PANEL_WIDTH = 0.28  # [m]
 HEIGHT_OVER_HAND = 0.14  # [m] of its middle
 SHOW_ABOVE, HIDE_BELOW = 0.85, 0.6  # cosine of the angle between the palm and the direction to the eyes
 MAX_RAY = 3.0  # [m] to point at it
@@ -105,13 +105,13 @@ def panel_pose(hand: np.ndarray, head: np.ndarray) -> np.ndarray:
 def project_to_panel(panel: np.ndarray, point: np.ndarray) -> tuple[float, float, float]:
     """Pixel (u, v) of the panel (4, 4) nearest to a point (3,), and its distance before it [m], negative behind."""
     p = panel[:3, :3].T @ (point - panel[:3, 3])
-    scale = PIXELS[0] / WIDTH
+    scale = PIXELS[0] / PANEL_WIDTH
     return 0.5 * PIXELS[0] + scale * p[0], 0.5 * PIXELS[1] - scale * p[1], float(p[2])
 
 
 def point_on_panel(panel: np.ndarray, u: float, v: float, distance: float = 0.0) -> np.ndarray:
     """Point (3,) at a distance [m] before a pixel of the panel (4, 4): the inverse of `project_to_panel`."""
-    scale = WIDTH / PIXELS[0]
+    scale = PANEL_WIDTH / PIXELS[0]
     return panel[:3, 3] + panel[:3, :3] @ [(u - 0.5 * PIXELS[0]) * scale, (0.5 * PIXELS[1] - v) * scale, distance]
 
 

@@ -89,7 +89,7 @@ class RestShape:
         return tet_volumes(self.vertices, self.tets)
 
     @cached_property
-    def share(self) -> np.ndarray:
+    def vertex_volumes(self) -> np.ndarray:
         """Volume that each vertex stands for [m^3], (V,)."""
         volumes = tet_volumes(self.vertices, self.solid)
         return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
@@ -108,13 +108,13 @@ class RestShape:
     @cached_property
     def center(self) -> np.ndarray:
         """Of mass [m], (3,)."""
-        return np.average(self.vertices, axis=0, weights=self.share)
+        return np.average(self.vertices, axis=0, weights=self.vertex_volumes)
 
     @cached_property
     def flattest(self) -> np.ndarray:
         """Unit direction of the smallest spread of the mass, its largest component positive, (3,)."""
         r = self.vertices - self.center
-        n = np.linalg.eigh((r * self.share[:, None]).T @ r)[1][:, 0]
+        n = np.linalg.eigh((r * self.vertex_volumes[:, None]).T @ r)[1][:, 0]
         return n * np.sign(n[np.argmax(np.abs(n))])
 
 
@@ -134,7 +134,7 @@ class BodyModel:
     @cached_property
     def mass(self) -> np.ndarray:
         """Lumped [kg], (V,)."""
-        return self.body.material.density * self.shape.share
+        return self.body.material.density * self.shape.vertex_volumes
 
     @cached_property
     def inv_mass(self) -> np.ndarray:

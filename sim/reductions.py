@@ -15,7 +15,7 @@ from sim.state import State
 BLOCK_SIZE = 64  # vertices
 FAR = 3.0e38  # larger than any distance, finite in float32
 MOVED = 1e-5  # [m] under this nobody sees a difference
-ANYTHING, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
+ANY_MOVED, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
 # Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
 VALUES = 24
 
@@ -70,16 +70,13 @@ class Reductions:
 
     def __init__(self, state: State, blocks: ReductionBlocks):
         self.state, self.blocks = state, blocks
-        self.builder = ti.FieldsBuilder()
-        self.rest_center, self.last = ti.Vector.field(3, ti.f32), ti.Vector.field(3, ti.f32)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.rest_center)
-        self.builder.dense(ti.i, state.V).place(self.last)
-        self.partial, self.total = ti.field(ti.f32), ti.field(ti.f32)
-        self.builder.dense(ti.ij, (blocks.size, VALUES)).place(self.partial)
-        self.builder.dense(ti.ij, (MAX_BODIES, VALUES)).place(self.total)
-        self.anything, self.distance, self.hit = ti.field(ti.i32), ti.field(ti.f32), ti.field(ti.i32)
-        self.builder.place(self.anything, self.distance, self.hit)
-        self.tree = self.builder.finalize()
+        g = self._group = FieldGroup()
+        self.rest_center = g.vector(MAX_BODIES)  # centre of mass in the body's frame [m]
+        self.last = g.vector(state.V)  # positions when `moved` was last true [m]
+        self.partial, self.total = g.scalar(blocks.size, VALUES), g.scalar(MAX_BODIES, VALUES)
+        self.any_moved = g.scalar(dtype=ti.i32)
+        self.distance, self.hit = g.scalar(), g.scalar(dtype=ti.i32)  # of the last `pick`
+        g.build()
         self._upload = Upload([self.rest_center])
 
     def load(self, model: Model) -> None:
@@ -105,7 +102,7 @@ class Reductions:
         """`moved`, `bodies`, and `state.inverted` of each, with one look at the device."""
         self._observe()
         total = self.total.to_numpy()
-        return bool(total[0, ANYTHING]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
+        return bool(total[0, ANY_MOVED]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
 
     def finite(self) -> bool:
         """Whether every position and velocity is finite."""
@@ -113,7 +110,7 @@ class Reductions:
         return bool(self.total.to_numpy()[: len(self.names), 21].all())
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self._group.destroy()
 
     @ti.kernel
     def sum_up(self):
@@ -125,7 +122,7 @@ class Reductions:
         self._find_motion()
         self._sum_up()
         for b in range(MAX_BODIES):
-            self.total[b, ANYTHING] = self.anything[None]
+            self.total[b, ANY_MOVED] = self.any_moved[None]
             self.total[b, INVERTED] = self.state.inverted[b]
 
     @ti.func
@@ -159,7 +156,7 @@ class Reductions:
             self.partial[j, 21] = good
         for bk in range(MAX_BODIES * VALUES):
             b, k = bk // VALUES, bk % VALUES
-            if b < s.body_count[None] and k < ANYTHING:
+            if b < s.body_count[None] and k < ANY_MOVED:
                 value = self.partial[c.begin[b], k]
                 for j in range(c.begin[b] + 1, c.begin[b + 1]):
                     other = self.partial[j, k]
@@ -176,7 +173,7 @@ class Reductions:
     def moved(self) -> bool:
         """Whether any vertex moved more than MOVED since the last call that returned True."""
         self._compare()
-        return bool(self.anything[None])
+        return bool(self.any_moved[None])
 
     @ti.kernel
     def _compare(self):
@@ -186,12 +183,12 @@ class Reductions:
     def _find_motion(self):
         """Outermost level of a kernel."""
         s = self.state
-        self.anything[None] = 0
+        self.any_moved[None] = 0
         for i in range(s.V):
             if i < s.vertex_count[None] and (s.x[i] - self.last[i]).norm_sqr() > MOVED * MOVED:
-                self.anything[None] = 1  # all writers write the same
+                self.any_moved[None] = 1  # all writers write the same
         for i in range(s.V):
-            if self.anything[None] == 1:
+            if self.any_moved[None] == 1:
                 self.last[i] = s.x[i]
 
     def pick(self, origin, direction) -> tuple[float, int] | None:

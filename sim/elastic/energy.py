@@ -1,63 +1,58 @@
-"""Elasticity: XPBD with one strain-energy constraint a tetrahedron (VR-GS, Sec. 4.1; Macklin and Mueller 2021).
+"""Stable neo-Hookean energy of tetrahedra, and what integrators take from it: steps of XPBD, and forces.
 
-All tets are projected at once (Jacobi, corrections summed, **not** averaged: averaging is 12-19 times too soft)
-in two loops: every tet writes the corrections of its corners into slots that lie together for each vertex, then
-every vertex sums its slots. The order of summation is fixed, so repeated runs agree bit for bit.
+XPBD has one strain-energy constraint a tetrahedron (VR-GS, Sec. 4.1; Macklin and Mueller 2021). All tets are projected at
+once (Jacobi, corrections summed, **not** averaged: averaging is 12-19 times too soft) in two loops: every tet writes the
+corrections of its corners into slots that lie together for each vertex, then every vertex sums its slots. The order of
+summation is fixed, so repeated runs agree bit for bit.
 """
 
 import numpy as np
 import taichi as ti
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
 from sim.body_model import RestShape
 from sim.capacity import stacked
 from sim.model import Model
 from sim.state import State
 
-FAR_STRETCHED = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
-CRUSHED = -0.5  # J - 1: half the volume
+# Beyond these a tet's XPBD step is shortened and braked (see Elasticity.project_tet)
+STRETCHED_I1 = 3.5  # tr F^T F (3 at rest): a stretch by 1.3 along one axis
+CRUSHED_DJ = -0.5  # J - 1: half the volume
+TET_OVERLAP = 8.0  # tets that push a vertex the same way, of up to 24: random starts recover from 4 to 16
+VOLUME_OVERLAP = 4.0  # the same for the volume's stiffness alone: a body stretched up to fourfold is not softened by it
 BRAKE = 1 / 32  # of a tet's motion along its gradient, in a substep: with 1/8, crushed bodies take long to recover
-SQUEEZED = 4.0  # the same for the volume's stiffness alone: what is stretched up to fourfold is not softened by it
-CROWD = 8.0  # a vertex belongs to up to 24 tets, of which a third pull the same way: random starts recover from 4 to 16
+
+
+@ti.func
+def column(F, k: ti.template()):
+    """Column k of a 3x3 matrix."""
+    return ti.Vector([F[0, k], F[1, k], F[2, k]])
+
+
+@ti.func
+def row(B, k: ti.template()):
+    """Row k of a 3x3 matrix."""
+    return ti.Vector([B[k, 0], B[k, 1], B[k, 2]])
 
 
 @ti.func
 def cofactor(F):
-    """cof F = J F^-T, the derivative of J = det F."""
-    f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
-    f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
-    f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
+    """cof F = J F^-T = [f2 x f3, f3 x f1, f1 x f2], the derivative of J = det F."""
+    f1, f2, f3 = column(F, 0), column(F, 1), column(F, 2)
     return ti.Matrix.cols([f2.cross(f3), f3.cross(f1), f1.cross(f2)])
 
 
 @ti.func
-def safe_step(F, g: ti.template(), w, q, lam, dt2):
-    """What a single sweep does to a tet far from rest (see Elastic.project_tet): the step s <= dt^2 that is stable, and
-    the share of its motion along the gradient that is taken away.
-
-    g the 4 gradients of its shape functions, w (4) inverse masses times its volume; q = sum w |dU/dx|^2 / (2 U).
-    """
-    cof = cofactor(F)
-    stiff = 0.0
-    for k in ti.static(range(4)):
-        stiff += w[k] * (cof @ g[k]).norm_sqr()
-    s = ti.min(dt2, 1.0 / (CROWD * q), 1.0 / (SQUEEZED * lam * stiff + 1e-30))
-    return s, BRAKE * (1.0 - s / dt2)
-
-
-@ti.func
 def stress(F, mu, lam):
-    """First Piola-Kirchhoff stress P [Pa], with tr F^T F and J - 1.
+    """First Piola-Kirchhoff stress P [Pa], with I1 = tr F^T F and J - 1.
 
-    P = mu (1 - 2 max(1 - I1, 0)) F + (lam (J - 1) - mu) cof F,   cof F = [f2 x f3, f3 x f1, f1 x f2],   I1 = tr F^T F
+    P = mu (1 - 2 max(1 - I1, 0)) F + (lam (J - 1) - mu) cof F
     """
     cof = cofactor(F)
-    f1 = ti.Vector([F[0, 0], F[1, 0], F[2, 0]])
-    f2 = ti.Vector([F[0, 1], F[1, 1], F[2, 1]])
-    f3 = ti.Vector([F[0, 2], F[1, 2], F[2, 2]])
-    grow = f1.dot(ti.Vector([cof[0, 0], cof[1, 0], cof[2, 0]])) - 1.0
+    f1, f2, f3 = column(F, 0), column(F, 1), column(F, 2)
+    dJ = f1.dot(column(cof, 0)) - 1.0
     I1 = f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr()
-    return mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * F + (lam * grow - mu) * cof, I1, grow
+    return mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * F + (lam * dJ - mu) * cof, I1, dJ
 
 
 @ti.func
@@ -77,7 +72,7 @@ def fine_stress(s: ti.template(), t, B):
 
 
 @ti.func
-def energy_density(I1, grow, mu, lam):
+def energy_density(I1, dJ, mu, lam):
     """Psi = mu/2 (I1 - 3) - mu (J - 1) + lam/2 (J - 1)^2 + mu/2 max(1 - I1, 0)^2 [J/m^3],   lam = lambda_L + mu.
 
     Zero and stable at rest (Smith et al. 2018 without the logarithm), finite and repelling through inversion. Without
@@ -85,45 +80,64 @@ def energy_density(I1, grow, mu, lam):
     its size. The last term takes that away; it acts on tets only that are crushed in more than one direction.
     """
     crushed = ti.max(1.0 - I1, 0.0)
-    return 0.5 * mu * (I1 - 3.0) - mu * grow + 0.5 * lam * grow * grow + 0.5 * mu * crushed * crushed
+    return 0.5 * mu * (I1 - 3.0) - mu * dJ + 0.5 * lam * dJ * dJ + 0.5 * mu * crushed * crushed
+
+
+@ti.func
+def curvature(h: ti.template(), w, V, I1, dJ, kappa, mu, lam):
+    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi; also W = sum w |h|^2, and C^2 / V, bounded from below.
+
+    h the 4 gradients of Psi, w (4) inverse masses. q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond,
+    it is rounding noise over a small C.
+    """
+    energy = ti.max(2.0 * energy_density(I1, dJ, mu, lam), 1e-12 * mu)
+    W = w[0] * h[0].norm_sqr() + w[1] * h[1].norm_sqr()
+    W += w[2] * h[2].norm_sqr() + w[3] * h[3].norm_sqr()
+    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0)), W, energy
+
+
+@ti.func
+def shortened_step(F, g: ti.template(), h: ti.template(), d: ti.template(), w, V, I1, dJ, kappa, mu, lam, dt2):
+    """Stable step of a single sweep for a tet far from rest, with its brake: -s of Elasticity.project_tet.
+
+    g, h, d: the 4 gradients of its shape functions, its gradients of Psi, and the increments of its corners.
+    """
+    q, W, _ = curvature(h, w, V, I1, dJ, kappa, mu, lam)
+    cof, volume_stiffness = cofactor(F), 0.0
+    for k in ti.static(range(4)):
+        volume_stiffness += V * w[k] * (cof @ g[k]).norm_sqr()
+    step = ti.min(dt2, 1.0 / (TET_OVERLAP * q), 1.0 / (VOLUME_OVERLAP * lam * volume_stiffness + 1e-30))
+    motion = h[0].dot(d[0]) + h[1].dot(d[1]) + h[2].dot(d[2]) + h[3].dot(d[3])
+    return V * step + BRAKE * (1.0 - step / dt2) * motion / ti.max(W, 1e-30)
 
 
 @ti.data_oriented
 class Elasticity:
-    """Rest shape of all tets, and their projection.
-
-    rest_inverse (3,3)[T] = D_m^-1 [1/m], volume f32[T] [m^3], kappa f32[T] [1/s^2] stiffness bound of each tet
-    slot vec4i[T] where corner k writes; correction vec3[4T]; slot_begin i32[V+1]; multiplier f32[T] (lambda of XPBD)
-    """
+    """Rest shape of all tets, their projection, and their forces."""
 
     def __init__(self, state: State):
         self.state = state
         T, V = state.T, state.V
-        self.builder = ti.FieldsBuilder()
-        self.rest_inverse = ti.Matrix.field(3, 3, ti.f32)
-        self.volume, self.kappa, self.multiplier = (ti.field(ti.f32) for _ in range(3))
-        self.slot = ti.Vector.field(4, ti.i32)
-        self.correction = ti.Vector.field(3, ti.f32)
-        self.slot_begin = ti.field(ti.i32)
-        self.builder.dense(ti.i, T).place(self.rest_inverse)
-        self.builder.dense(ti.i, T).place(self.slot)
-        for f in (self.volume, self.kappa, self.multiplier):
-            self.builder.dense(ti.i, T).place(f)
-        self.builder.dense(ti.i, 4 * T).place(self.correction)
-        self.builder.dense(ti.i, V + 1).place(self.slot_begin)
-        self.tree = self.builder.finalize()
+        g = self._group = FieldGroup()
+        self.rest_inverse = g.matrix(T)  # B = D_m^-1 [1/m]; row k is the gradient of the shape function of corner k + 1
+        self.volume = g.scalar(T)  # at rest [m^3]
+        self.kappa = g.scalar(T)  # stiffness bound [1/s^2]
+        self.multiplier = g.scalar(T)  # lambda of XPBD
+        self.slot = g.vector(T, n=4, dtype=ti.i32)  # slot of each corner
+        self.slots = g.vector(4 * T)  # corrections or forces of corners; those of a vertex lie together
+        self.slot_begin = g.scalar(V + 1, dtype=ti.i32)  # first slot of each vertex
+        g.build()
         self._upload = Upload([self.rest_inverse, self.volume, self.kappa, self.slot, self.slot_begin])
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
-        a, shapes = model, model.shapes
+        shapes, first = model.shapes, 4 * model.tet_begin
         slots = [s.root.once(slots_of) for s in shapes]  # the same at any size
-        first = 4 * a.tet_begin
         self._upload(
             [
                 stacked([s.inverse.reshape(-1, 9) for s in shapes], 9),
                 stacked([s.volumes for s in shapes]),
-                stacked([p.kappa for p in a.bodies]),
+                stacked([p.kappa for p in model.bodies]),
                 stacked([slot + o for (slot, _), o in zip(slots, first, strict=False)], 4),
                 stacked([*(begin[:-1] + o for (_, begin), o in zip(slots, first, strict=False)), first[-1:]]),
             ]
@@ -135,14 +149,14 @@ class Elasticity:
 
         U = V Psi, C = sqrt(2 U), [g1 g2 g3] = V P B^T, g0 = -(g1 + g2 + g3), q = sum w |g|^2 / C^2:
         many sweeps   s = -(1 + lambda / (dt^2 C)) / (q + 1/dt^2),   lambda += C s
-        single sweep  s = -min(dt^2, 1 / (CROWD q), 1 / (SQUEEZED q_J)),   q_J = lam V sum w |cof F grad N|^2
+        single sweep  s = -min(dt^2, 1 / (TET_OVERLAP q), 1 / (VOLUME_OVERLAP q_J)),   q_J = lam V sum w |cof F grad N|^2
         One Jacobi sweep never converges, so there the 1/(q + 1/dt^2) of each tet, which differs from tet to tet, would
         only soften it by up to dt^2 kappa (9% at the stability limit) and leave a wrong shape at rest. The stability
         rule already makes s = -dt^2 safe at small strain, where q <= kappa. The step is shortened, by enough for all
         tets that a vertex shares, only where q is far larger: in crushed, inverted and far stretched tets. There q says
         too little of one that keeps its volume: J - 1 is 0, but what keeps it so grows stiffer with |cof F|^2.
-        A step that depends on the shape is no longer the step of an energy: what goes to and fro could gain by it.
-        So such a tet is braked as well, along its gradient, by a share of what moves it that way.
+        A step that depends on the shape is no longer the step of an energy: an oscillation could gain by it.
+        So such a tet is braked as well, along its gradient, by a fraction of what moves it that way.
         Elsewhere q is not even computed, which saves a third of the time.
         """
         s_ = self.state
@@ -157,33 +171,24 @@ class Elasticity:
         e3 = (s_.x[a[3]] - x0) + (s_.dx[a[3]] - d0)
         B = self.rest_inverse[t]
         F = ti.Matrix.cols([e1, e2, e3]) @ B
-        P, I1, grow = stress(F, mu, lam)
+        P, I1, dJ = stress(F, mu, lam)
         H = P @ B.transpose()
-        h1 = ti.Vector([H[0, 0], H[1, 0], H[2, 0]])
-        h2 = ti.Vector([H[0, 1], H[1, 1], H[2, 1]])
-        h3 = ti.Vector([H[0, 2], H[1, 2], H[2, 2]])
-        h0 = -(h1 + h2 + h3)
         V = self.volume[t]
         s = -V * dt * dt
-        if ti.static(not single) or I1 > FAR_STRETCHED or grow < CRUSHED:
-            if grow < -1.0:
+        if ti.static(not single) or I1 > STRETCHED_I1 or dJ < CRUSHED_DJ:
+            if dJ < -1.0:
                 s_.inverted[b] = 1
-            # q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C
             kappa = self.kappa[t]
-            bound = kappa * ti.max(1.0, I1 * I1 / 9.0)
-            energy = ti.max(2.0 * energy_density(I1, grow, mu, lam), 1e-12 * mu)
-            W = s_.inv_mass[a[0]] * h0.norm_sqr() + s_.inv_mass[a[1]] * h1.norm_sqr()
-            W += s_.inv_mass[a[2]] * h2.norm_sqr() + s_.inv_mass[a[3]] * h3.norm_sqr()
-            q = ti.min(V * W / energy, bound)
+            h1, h2, h3 = column(H, 0), column(H, 1), column(H, 2)
+            h0 = -(h1 + h2 + h3)
+            w = ti.Vector([s_.inv_mass[a[0]], s_.inv_mass[a[1]], s_.inv_mass[a[2]], s_.inv_mass[a[3]]])
             if ti.static(single):
-                g1 = ti.Vector([B[0, 0], B[0, 1], B[0, 2]])
-                g2 = ti.Vector([B[1, 0], B[1, 1], B[1, 2]])
-                g3 = ti.Vector([B[2, 0], B[2, 1], B[2, 2]])
-                w = V * ti.Vector([s_.inv_mass[a[0]], s_.inv_mass[a[1]], s_.inv_mass[a[2]], s_.inv_mass[a[3]]])
-                step, brake = safe_step(F, [-(g1 + g2 + g3), g1, g2, g3], w, q, lam, dt * dt)
-                way = h0.dot(d0) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
-                s = -(V * step + brake * way / ti.max(W, 1e-30))
+                g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
+                g, h = ti.static([-(g1 + g2 + g3), g1, g2, g3], [h0, h1, h2, h3])
+                d = ti.static([d0, s_.dx[a[1]], s_.dx[a[2]], s_.dx[a[3]]])
+                s = -shortened_step(F, g, h, d, w, V, I1, dJ, kappa, mu, lam, dt * dt)
             else:
+                q, _, energy = curvature([h0, h1, h2, h3], w, V, I1, dJ, kappa, mu, lam)
                 C = ti.sqrt(V * energy)
                 before = 0.0
                 if ti.static(not first):
@@ -191,36 +196,56 @@ class Elasticity:
                 step = -(1.0 + before / (dt * dt * C)) / (q + 1.0 / (dt * dt))
                 self.multiplier[t] = before + C * step
                 s = V * step
-        k = self.slot[t]
-        self.correction[k[0]] = s * h0
-        self.correction[k[1]] = s * h1
-        self.correction[k[2]] = s * h2
-        self.correction[k[3]] = s * h3
+        self._write(t, H, s)
 
     @ti.func
-    def summed(self, i):
-        """Correction of vertex i [m]: w_i times the sum of its slots."""
-        total = ti.Vector([0.0, 0.0, 0.0])
+    def write_forces(self, t):
+        """Elastic forces of tet t [N], f_k = -V P B^T e_k, written to its corners' slots."""
+        s = self.state
+        B = self.rest_inverse[t]
+        F, P = fine_stress(s, t, B)
+        if F.determinant() < 0.0:
+            s.inverted[s.body_of_tet[t]] = 1
+        self._write(t, -self.volume[t] * (P @ B.transpose()), 1.0)
+
+    @ti.func
+    def _write(self, t, H, s):
+        """Write s times the columns of H, and minus their sum, to the slots of corners 1, 2, 3, and 0."""
+        h1, h2, h3, k = column(H, 0), column(H, 1), column(H, 2), self.slot[t]
+        self.slots[k[0]] = s * -(h1 + h2 + h3)
+        self.slots[k[1]] = s * h1
+        self.slots[k[2]] = s * h2
+        self.slots[k[3]] = s * h3
+
+    @ti.func
+    def add_slots(self, i, value):
+        """Add the slots of vertex i to a value, in their order."""
+        total = value
         for k in range(self.slot_begin[i], self.slot_begin[i + 1]):
-            total += self.correction[k]
-        return self.state.inv_mass[i] * total
+            total += self.slots[k]
+        return total
+
+    @ti.func
+    def correction(self, i):
+        """Correction of vertex i [m]: w_i times the sum of its slots."""
+        return self.state.inv_mass[i] * self.add_slots(i, ti.Vector([0.0, 0.0, 0.0]))
+
+    def destroy(self) -> None:
+        self._group.destroy()
 
 
 def slots_of(shape: RestShape) -> tuple[np.ndarray, np.ndarray]:
-    return corner_slots(shape.tets, len(shape.vertices))
-
-
-def corner_slots(tets: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
     """Slot of each tet corner (T, 4) and first slot of each vertex (V+1,): the slots of a vertex lie together."""
-    order = np.argsort(tets.ravel(), kind="stable")
-    slot = np.empty(4 * len(tets), np.int64)
+    corners = shape.tets.ravel()
+    order = np.argsort(corners, kind="stable")
+    slot = np.empty(len(corners), np.int64)
     slot[order] = np.arange(len(order))
-    begin = np.concatenate([[0], np.cumsum(np.bincount(tets.ravel(), minlength=vertices))])
+    begin = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=len(shape.vertices)))])
     return slot.reshape(-1, 4), begin
 
 
 def corners_of(shape: RestShape) -> np.ndarray:
-    """The corner 4 t + k that writes each slot, (4T,)."""
+    """Corner 4 t + k that writes each slot, (4T,)."""
     slot, _ = slots_of(shape)
     corner = np.empty(slot.size, np.int64)
     corner[slot.ravel()] = np.arange(slot.size)

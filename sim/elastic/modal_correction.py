@@ -1,60 +1,74 @@
-"""The coarse step of the descent path: each body as a whole moves along its softest modes (sim/elastic/modes.py).
+"""Modal correction of VBD: each body as a whole moves along its softest modes.
 
-With the residual force f_i of every vertex (elastic, inertial, and of its contacts as they are), the body's rotation R
-and modes U_k of squared frequency w_k, all at the substep's dt,
+Sweeps over vertices carry a push one ring of tets further each, so in a stiff body a few of them move nothing as a whole.
+The modes do: those of the body embedded in a coarse lattice of trilinear cells (Galerkin, so they are no softer than the
+body itself), the six rigid ones included unless vertices are prescribed.
+
+With the residual force f_i of every vertex (elastic, inertial, and of its contacts as they are), the body's best-fit
+rotation R and modes U_k of squared frequency w_k, all at the substep's dt,
 
     q_k = sum_i U_ki . R^T f_i / (1/dt^2 + w_k),   d_i = R sum_k q_k U_ki,   dx_i += a d_i,
 
-    b = f . d / (f . d + h),   a = b f . d / (f . d - f(dx + b d) . d + b h)  in [0, b],   h = sum_i hold_i |d_i|^2:
+    b = f . d / (f . d + h),   a = b f . d / (f . d - f(dx + b d) . d + b h)  in [0, b],   h = sum_i c_i |d_i|^2:
 
 the secant step to the least energy along d, so the energy does not rise however far the body is from its rest shape.
-hold_i is the stiffness of vertex i where it touches something: the step may not outrun a contact. With b it would be
+c_i is the stiffness of vertex i where it touches something: the step may not outrun a contact. With b it would be
 the least energy if the body were linear, as it is for small steps; the secant is taken there and not at d itself, for
-what pushes one vertex of a light stiff body hard enough asks for turns by many radians, and the energy out there says
+what pushes one vertex of a light stiff body hard enough asks for rotations by many radians, and the energy out there says
 nothing of the energy here: the step would become nothing, and what the push left in the body would stay and grow.
 """
 
+import numpy as np
+import scipy.linalg as sl
+import scipy.sparse as sp
 import taichi as ti
 
-from core.fields import Upload
+from core.fields import FieldGroup, Upload
+from core.material import Material
+from core.quaternion import polar_quaternion, to_matrix
+from sim.body_model import RestShape
 from sim.capacity import MAX_BODIES, stacked
-from sim.elastic.best_fit_rotation import BestFitRotation
-from sim.elastic.energy import Elasticity, fine_stress
-from sim.elastic.modes import MODES, modes_of
+from sim.elastic.energy import Elasticity
+from sim.elastic.time_step import lame
 from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
+MODES = 24  # of a body: six rigid, and a bar's bending, twist and stretch to about the third overtone
+LATTICE_CELLS = 4  # along the body's longest side
+MIN_RELATIVE_MASS = 1e-6  # of the heaviest lattice motion's mass: a lighter one moves next to no vertex
+MOMENTS = 15  # sums for the rotation: m x rest^T (9), m x (3), m rest (3)
+
 
 @ti.data_oriented
 class ModalCorrection:
-    """The coarse step as `kernels()`, to be launched in their order.
+    """The correction as `kernels()`, to be launched in their order.
 
-    shape vec3[V*MODES], square f32[B*MODES]: U_k and w_k;   turn mat3[B] = R
-    target vec3[V] where inertia and impulses want dx; reaction vec3[V] [N] of static shapes, hold f32[V] [N/m]
-    force vec3[V] the residual in the body's frame, step vec3[V] = d, part f32[V], amplitude f32[B*MODES] = q
+    Inputs: target vec3[V] [m], where inertia and impulses want dx; reaction vec3[V] [N] of static shapes;
+    contact_stiffness f32[V] [N/m].
     """
 
-    def __init__(self, state: State, elastic: Elasticity, blocks: ReductionBlocks, target, reaction, hold):
-        self.state, self.elastic, self.blocks = state, elastic, blocks
-        self.target, self.reaction, self.hold = target, reaction, hold
-        V, C = state.V, blocks.size
-        self.builder = ti.FieldsBuilder()
-        self.shape, self.force, self.step = (ti.Vector.field(3, ti.f32) for _ in range(3))
-        self.square, self.part, self.partial, self.amplitude, self.slope, self.share, self.trial = (
-            ti.field(ti.f32) for _ in range(7)
-        )
-        self.builder.dense(ti.i, V * MODES).place(self.shape)
-        self.builder.dense(ti.i, V).place(self.force, self.step)
-        self.builder.dense(ti.ij, (V, 2)).place(self.part)
-        self.builder.dense(ti.i, MAX_BODIES * MODES).place(self.square, self.amplitude)
-        self.builder.dense(ti.i, MAX_BODIES).place(self.share, self.trial)
-        self.builder.dense(ti.ij, (C, MODES)).place(self.partial)
-        self.builder.dense(ti.ij, (C, 2)).place(self.slope)
-        self.tree = self.builder.finalize()
-        self.turning = BestFitRotation(state, blocks)
-        self.turn = self.turning.turn
-        self._upload = Upload([self.shape, self.square])
+    def __init__(
+        self, state: State, elasticity: Elasticity, blocks: ReductionBlocks, target, reaction, contact_stiffness
+    ):
+        self.state, self.elasticity, self.blocks = state, elasticity, blocks
+        self.target, self.reaction, self.contact_stiffness = target, reaction, contact_stiffness
+        V, B, N = state.V, MAX_BODIES, blocks.size
+        g = self._group = FieldGroup()
+        self.mode = g.vector(V * MODES)  # U_ki at i * MODES + k [kg^-1/2]
+        self.frequency_sqr = g.scalar(B * MODES)  # w_k at b * MODES + k [1/s^2]
+        self.amplitude = g.scalar(B * MODES)  # q_k
+        self.rotation = g.matrix(B)  # R
+        self.moments = g.scalar(N, MOMENTS)
+        self.force = g.vector(V)  # residual in the body's frame [N]
+        self.step = g.vector(V)  # d, then b d [m]
+        self.product = g.scalar(V, 2)  # terms of f . d and h, then of the secant's two sums [J]
+        self.product_sums = g.scalar(N, 2)  # of the blocks
+        self.mode_sums = g.scalar(N, MODES)  # of the blocks
+        self.trial = g.scalar(B)  # b
+        self.step_scale = g.scalar(B)  # a / b
+        g.build()
+        self._upload = Upload([self.mode, self.frequency_sqr])
 
     def load(self, model: Model) -> None:
         """Take the modes of these bodies."""
@@ -62,38 +76,62 @@ class ModalCorrection:
         self._upload([stacked([U.reshape(-1, 3) for U, _ in modes], 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
-        return [self.turning.rotations(), self.residual(), self.project(), self.move(), self.measure(), self.shorten()]
+        """Kernels of one correction."""
+        return [
+            self._fit_rotations(),
+            self._residual(),
+            self._project(),
+            self._move(),
+            self._measure(),
+            self._shorten(),
+        ]
 
-    @ti.func
-    def _residual(self, t):
-        """Elastic forces of tet t, written to its corners' slots: f_k = -V P B^T e_k."""
-        s = self.state
-        e = self.elastic
-        B = e.rest_inverse[t]
-        F, P = fine_stress(s, t, B)
-        if F.determinant() < 0.0:
-            s.inverted[s.body_of_tet[t]] = 1
-        H = -e.volume[t] * (P @ B.transpose())
-        h1 = ti.Vector([H[0, 0], H[1, 0], H[2, 0]])
-        h2 = ti.Vector([H[0, 1], H[1, 1], H[2, 1]])
-        h3 = ti.Vector([H[0, 2], H[1, 2], H[2, 2]])
-        k = e.slot[t]
-        e.correction[k[0]] = -(h1 + h2 + h3)
-        e.correction[k[1]] = h1
-        e.correction[k[2]] = h2
-        e.correction[k[3]] = h3
+    def _fit_rotations(self):
+        """R of each body: the polar rotation of sum m x (rest - mean rest)^T."""
+        s, c = self.state, self.blocks
+
+        @ti.kernel
+        def fit_rotations():
+            ti.loop_config(serialize=s.serial)
+            for j in range(c.size):
+                span = c.span[j]
+                total = ti.Matrix.zero(ti.f32, 3, 3)
+                p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+                first = s.vertex_begin[span[2]]
+                for i in range(span[0], span[1]):
+                    m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
+                    total += m * x.outer_product(X)
+                    p += m * x
+                    q += m * X
+                for k in ti.static(range(3)):
+                    for l in ti.static(range(3)):
+                        self.moments[j, 3 * k + l] = total[k, l]
+                    self.moments[j, 9 + k] = p[k]
+                    self.moments[j, 12 + k] = q[k]
+            ti.loop_config(serialize=s.serial)
+            for b in range(MAX_BODIES):
+                if b < s.body_count[None]:
+                    total = ti.Matrix.zero(ti.f32, 3, 3)
+                    p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+                    for j in range(c.begin[b], c.begin[b + 1]):
+                        for k in ti.static(range(3)):
+                            for l in ti.static(range(3)):
+                                total[k, l] += self.moments[j, 3 * k + l]
+                            p[k] += self.moments[j, 9 + k]
+                            q[k] += self.moments[j, 12 + k]
+                    self.rotation[b] = to_matrix(polar_quaternion(total - p.outer_product(q) / s.body_mass[b]))
+
+        return fit_rotations
 
     @ti.func
     def _total(self, i):
         """Residual force of vertex i [N]."""
         s = self.state
-        e = self.elastic
         f = self.reaction[i] + s.mass[i] / s.dt[None] ** 2 * (self.target[i] - s.dx[i])
-        for k in range(e.slot_begin[i], e.slot_begin[i + 1]):
-            f += e.correction[k]
-        return f
+        return self.elasticity.add_slots(i, f)
 
-    def residual(self):
+    def _residual(self):
+        """Residual force of every vertex, in its body's frame."""
         s = self.state
 
         @ti.kernel
@@ -101,18 +139,19 @@ class ModalCorrection:
             ti.loop_config(serialize=s.serial)
             for t in range(s.T):
                 if t < s.tet_count[None]:
-                    self._residual(t)
+                    self.elasticity.write_forces(t)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
                     f = ti.Vector([0.0, 0.0, 0.0])
                     if s.inv_mass[i] > 0.0:
-                        f = self.turn[s.body_of_vertex[i]].transpose() @ self._total(i)
+                        f = self.rotation[s.body_of_vertex[i]].transpose() @ self._total(i)
                     self.force[i] = f
 
         return residual
 
-    def project(self):
+    def _project(self):
+        """Amplitudes q_k of the modes."""
         s, c = self.state, self.blocks
 
         @ti.kernel
@@ -122,36 +161,27 @@ class ModalCorrection:
                 j, k = jk // MODES, jk % MODES
                 span, total = c.span[j], 0.0
                 for i in range(span[0], span[1]):
-                    total += self.shape[i * MODES + k].dot(self.force[i])
-                self.partial[j, k] = total
+                    total += self.mode[i * MODES + k].dot(self.force[i])
+                self.mode_sums[j, k] = total
             ti.loop_config(serialize=s.serial)
             for bk in range(MAX_BODIES * MODES):
                 b, k = bk // MODES, bk % MODES
                 if b < s.body_count[None]:
-                    total = 0.0
-                    for j in range(c.begin[b], c.begin[b + 1]):
-                        total += self.partial[j, k]
-                    self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.square[bk])
+                    total = c.sum(self.mode_sums, b, k)
+                    self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.frequency_sqr[bk])
 
         return project
 
     @ti.func
-    def _sum_parts(self, j, k):
-        """Sum column k of `part` over run j."""
+    def _sum_products(self, j, k):
+        """Sum column k of `product` over block j."""
         span, total = self.blocks.span[j], 0.0
         for i in range(span[0], span[1]):
-            total += self.part[i, k]
-        self.slope[j, k] = total
+            total += self.product[i, k]
+        self.product_sums[j, k] = total
 
-    @ti.func
-    def _slope(self, b, k):
-        """Sum column k of `part` over body b."""
-        total = 0.0
-        for j in range(self.blocks.begin[b], self.blocks.begin[b + 1]):
-            total += self.slope[j, k]
-        return total
-
-    def move(self):
+    def _move(self):
+        """Move along the modes by b d."""
         s, c = self.state, self.blocks
 
         @ti.kernel
@@ -161,18 +191,19 @@ class ModalCorrection:
                 if i < s.vertex_count[None]:
                     b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
                     for k in range(MODES):
-                        d += self.amplitude[b * MODES + k] * self.shape[i * MODES + k]
-                    self.part[i, 0] = d.dot(self.force[i])
-                    self.part[i, 1] = self.hold[i] * d.norm_sqr()
-                    self.step[i] = self.turn[b] @ d
+                        d += self.amplitude[b * MODES + k] * self.mode[i * MODES + k]
+                    self.product[i, 0] = d.dot(self.force[i])
+                    self.product[i, 1] = self.contact_stiffness[i] * d.norm_sqr()
+                    self.step[i] = self.rotation[b] @ d
             ti.loop_config(serialize=s.serial)
             for jk in range(2 * c.size):
-                self._sum_parts(jk // 2, jk % 2)
+                self._sum_products(jk // 2, jk % 2)
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
                 if b < s.body_count[None]:
-                    gain = self._slope(b, 0)
-                    self.trial[b] = gain / ti.max(gain + self._slope(b, 1), 1e-30) if gain > 0.0 else 0.0
+                    gain = c.sum(self.product_sums, b, 0)
+                    total = gain + c.sum(self.product_sums, b, 1)
+                    self.trial[b] = gain / ti.max(total, 1e-30) if gain > 0.0 else 0.0
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
@@ -182,7 +213,8 @@ class ModalCorrection:
 
         return move
 
-    def measure(self):
+    def _measure(self):
+        """Sums of the secant, from the residual at dx + b d."""
         s, c = self.state, self.blocks
 
         @ti.kernel
@@ -190,38 +222,99 @@ class ModalCorrection:
             ti.loop_config(serialize=s.serial)
             for t in range(s.T):
                 if t < s.tet_count[None]:
-                    self._residual(t)
+                    self.elasticity.write_forces(t)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
                     d, b = self.step[i], self.trial[s.body_of_vertex[i]]
-                    self.part[i, 0] *= b
-                    self.part[i, 1] = self.part[i, 0] + self.hold[i] * d.norm_sqr() - d.dot(self._total(i))
+                    self.product[i, 0] *= b
+                    contact = self.contact_stiffness[i] * d.norm_sqr()
+                    self.product[i, 1] = self.product[i, 0] + contact - d.dot(self._total(i))
             ti.loop_config(serialize=s.serial)
             for jk in range(2 * c.size):
-                self._sum_parts(jk // 2, jk % 2)
+                self._sum_products(jk // 2, jk % 2)
 
         return measure
 
-    def shorten(self):
-        s = self.state
+    def _shorten(self):
+        """Shorten the step to a d."""
+        s, c = self.state, self.blocks
 
         @ti.kernel
         def shorten():
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
                 if b < s.body_count[None]:
-                    gain, curvature, a = self._slope(b, 0), self._slope(b, 1), 1.0
+                    gain, curvature, a = c.sum(self.product_sums, b, 0), c.sum(self.product_sums, b, 1), 1.0
                     if curvature > gain:
                         a = ti.max(gain / curvature, 0.0)
-                    self.share[b] = a
+                    self.step_scale[b] = a
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if i < s.vertex_count[None]:
-                    s.dx[i] += (self.share[s.body_of_vertex[i]] - 1.0) * self.step[i]
+                    s.dx[i] += (self.step_scale[s.body_of_vertex[i]] - 1.0) * self.step[i]
 
         return shorten
 
     def destroy(self) -> None:
-        self.turning.destroy()
-        self.tree.destroy()
+        self._group.destroy()
+
+
+def lattice_weights(x: np.ndarray) -> sp.csr_matrix:
+    """Trilinear weights (V, nodes) of points x (V, 3) in a lattice of nearly cubic cells around them."""
+    low, size = x.min(0), np.maximum(np.ptp(x, axis=0), 1e-9 * np.ptp(x))
+    cells = np.clip(np.round(LATTICE_CELLS * size / size.max()), 1, LATTICE_CELLS).astype(int)
+    u = (x - low) / size * cells
+    cell = np.minimum(u.astype(int), cells - 1)
+    u -= cell
+    corners = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    node = cell[:, None] + corners
+    node = (node[..., 0] * (cells[1] + 1) + node[..., 1]) * (cells[2] + 1) + node[..., 2]
+    weight = np.where(corners, u[:, None], 1 - u[:, None]).prod(-1)
+    rows = np.repeat(np.arange(len(x)), 8)
+    return sp.csr_matrix((weight.ravel(), (rows, node.ravel())), shape=(len(x), int(np.prod(cells + 1))))
+
+
+def softest_modes(x, tets, masses, movable, mu: float, lame_1: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes U (V, MODES, 3) [kg^-1/2] with sum_i m_i U_ki . U_li = delta_kl, and squared frequencies (MODES,) [1/s^2].
+
+    x rest positions (V, 3) [m]; movable (V,) bool: the others stay at rest; mu, lame_1: Lame constants [Pa].
+    Missing modes of the smallest meshes are zero.
+    """
+    x, tets = np.asarray(x, np.float64), np.asarray(tets, np.int64)
+    U, all_squares = np.zeros((len(x), MODES, 3)), np.zeros(MODES)
+    if not np.any(movable):
+        return U, all_squares
+    P = sp.diags(np.asarray(movable, np.float64)) @ lattice_weights(x)
+    D = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)
+    inner = np.linalg.inv(D)
+    gradient = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # (T, 4, 3)
+    rows, volume = np.repeat(np.arange(len(tets)), 4), sp.diags(np.linalg.det(D) / 6)
+    shape = (len(tets), len(x))
+    G = [sp.csr_matrix((gradient[..., k].ravel(), (rows, tets.ravel())), shape=shape) @ P for k in range(3)]
+    products = [[(G[k].T @ volume @ G[l]).toarray() for l in range(3)] for k in range(3)]
+    laplace = products[0][0] + products[1][1] + products[2][2]
+    n = P.shape[1]
+    K = np.empty((3, n, 3, n))
+    for k in range(3):
+        for l in range(3):
+            K[k, :, l] = lame_1 * products[k][l] + mu * products[l][k] + (mu * laplace if k == l else 0.0)
+    # The lattice of a coarse mesh has motions that move no vertex. Without mass or stiffness they would come first, and
+    # be all the modes of a body of some thirty vertices: so only what moves the body is looked at, at unit mass.
+    weight, W = np.linalg.eigh((P.T @ sp.diags(np.asarray(masses)) @ P).toarray())
+    kept = weight > MIN_RELATIVE_MASS * weight[-1]
+    W = W[:, kept] / np.sqrt(weight[kept])
+    r = W.shape[1]
+    K = np.einsum("na,knlm,mb->kalb", W, K, W, optimize=True).reshape(3 * r, 3 * r)
+    squares, Q = sl.eigh(K, subset_by_index=(0, min(MODES, 3 * r) - 1))
+    for k in range(3):
+        U[:, : len(squares), k] = P @ (W @ Q[k * r : (k + 1) * r])
+    all_squares[: len(squares)] = np.maximum(squares, 0.0)
+    return U, all_squares
+
+
+def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
+    """softest_modes of a body of this shape and material; `pinned`: bools of the vertices that stay."""
+    mu, lam = lame(material)
+    masses = material.density * shape.vertex_volumes
+    return softest_modes(shape.vertices, shape.tets, masses, ~np.array(pinned), mu, lam - mu)

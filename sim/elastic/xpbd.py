@@ -21,8 +21,8 @@ class XPBDSubsteps:
     max_substeps = 16  # behind one call
     warm_started = False
 
-    def __init__(self, state: State, elastic: Elasticity, constraints: list[Constraint], rigid, *, iterations: int):
-        self.state, self.elastic, self.rigid, self.iterations = state, elastic, rigid, iterations
+    def __init__(self, state: State, elasticity: Elasticity, constraints: list[Constraint], rigid, *, iterations: int):
+        self.state, self.elasticity, self.rigid, self.iterations = state, elasticity, rigid, iterations
         self.has_rigid, self.effective_inv_mass = rigid is not None, state.inv_mass
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
@@ -61,7 +61,7 @@ class XPBDSubsteps:
             ti.loop_config(serialize=s.serial, block_dim=tet_block)
             for t in range(s.T):
                 if t < s.tet_count[None]:
-                    self.elastic.project_tet(t, first, single)
+                    self.elasticity.project_tet(t, first, single)
                 if ti.static(first) and t == 0:
                     s.substep_index[None] += 1
             ti.loop_config(serialize=s.serial, block_dim=vertex_block)
@@ -69,7 +69,7 @@ class XPBDSubsteps:
                 if i < s.vertex_count[None]:
                     d = s.dx[i]
                     if s.inv_mass[i] > 0.0:
-                        d += self.elastic.summed(i)
+                        d += self.elasticity.correction(i)
                         for c in ti.static(on_vertex):
                             d = c.project_vertex(i, d, first)
                     if ti.static(single and len(in_pairs) == 0):

@@ -10,6 +10,7 @@ import sys
 
 import taichi as ti
 
+from core.fields import FieldGroup
 from sim.constraint import Constraint
 from sim.elastic.vertex_gather import VertexGather
 from sim.model import Model
@@ -48,11 +49,9 @@ class PersistentXPBD:
         self.effective_inv_mass = state.inv_mass
         self.blocks = multiprocessors()
         self.threads = self.blocks * BLOCK
-        self.builder = ti.FieldsBuilder()
-        self.arrived, self.released = ti.field(ti.i32), ti.field(ti.i32)
-        self.builder.dense(ti.i, 32).place(self.arrived)  # a cache line of its own
-        self.builder.dense(ti.i, 32).place(self.released)
-        self.tree = self.builder.finalize()
+        g = self._group = FieldGroup()
+        self.arrived, self.released = (g.scalar(32, dtype=ti.i32) for _ in range(2))  # a cache line each
+        g.build()
 
     def load(self, model: Model) -> None:
         """Take other bodies."""
@@ -89,7 +88,7 @@ class PersistentXPBD:
         if i < s.vertex_count[None]:
             b = s.body_of_vertex[i]
             mu, lam = s.mu[b], s.lam[b]
-            here = g.place[parity, i]
+            here = g.position[parity, i]
             k = g.begin[i] + lane
             while k < g.begin[i + 1]:
                 total += g.correction(k, parity, here, mu, lam)
@@ -198,5 +197,5 @@ class PersistentXPBD:
         return passed
 
     def destroy(self) -> None:
-        self.tree.destroy()
+        self._group.destroy()
         self.gather.destroy()

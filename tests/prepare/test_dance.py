@@ -65,7 +65,7 @@ def test_what_he_holds_is_found_and_stays_whole(dancer):
     assert np.percentile(np.linalg.norm(moved - as_one, axis=1), 97) < 0.03
 
 
-@pytest.mark.parametrize("seconds", [3.0, pytest.param(None, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seconds", [1.5, pytest.param(None, marks=pytest.mark.long)])
 def test_a_man_dances_without_tearing(dancer, shared, seconds):
     """Through the dance no tet is inverted, no edge much longer, and next to no Gaussian a spike."""
     a, cage = dancer.animation, dancer.cage

@@ -86,7 +86,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         velocity=body.velocity,
         sdf=sdf,
         pinned=led,
-        loose=led is not None,
+        self_contact=led is None,
     )
     part = EmbeddedBody(
         host=asset.embedding.host[order],

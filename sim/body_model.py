@@ -1,10 +1,11 @@
-"""What the solver derives from bodies on the host, once for a mesh and once for a body (NumPy only)."""
+"""Constants that the solver derives from bodies on the host, once a mesh and once a body (NumPy only)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from core.distance_grid import DistanceGrid, same_grid
 from core.material import Material
 from core.tetmesh import tet_volumes
 from sim.elastic.time_step import clamp_stiffness, stiffness_bounds, wave_speed
-from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
+
+if TYPE_CHECKING:
+    from sim.rigid.rigid_body import RigidBody
 
 
 class RestShape:
@@ -49,7 +52,7 @@ class RestShape:
         return cls(body.vertices, body.tets, body.surface, body.sdf, rigid=body.rigid, boxed=boxed)
 
     def fits(self, body: SoftBody | RigidBody) -> bool:
-        """Whether the body has this mesh."""
+        """Return whether the body has this mesh."""
         if (self.rigid, self.boxed) != (body.rigid, body.rigid and body.boxed):
             return False
         pairs = [(self.vertices, body.vertices), (self.solid, body.tets), (self.surface, body.surface)]
@@ -73,7 +76,7 @@ class RestShape:
 
     @property
     def bytes(self) -> int:
-        """What it takes in memory, roughly: distances take the most."""
+        """Size in memory, roughly: distances take the most."""
         kept = sum(v.values.nbytes for v in self._kept.values() if isinstance(v, DistanceGrid))
         return 10 * self.vertices.nbytes + kept + (0 if self.sdf is None else self.sdf.values.nbytes)
 
@@ -85,7 +88,7 @@ class RestShape:
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """[m^3], (T,)"""
+        """Volume of each tet [m^3], (T,)."""
         return tet_volumes(self.vertices, self.tets)
 
     @cached_property
@@ -107,7 +110,7 @@ class RestShape:
 
     @cached_property
     def center(self) -> np.ndarray:
-        """Of mass [m], (3,)."""
+        """Centre of mass [m], (3,)."""
         return np.average(self.vertices, axis=0, weights=self.vertex_volumes)
 
     @cached_property
@@ -119,21 +122,21 @@ class RestShape:
 
 
 class BodyModel:
-    """A body of the solver, its shape, and what both give with its material."""
+    """A body of the solver, its shape, and the constants that follow from both and its material."""
 
     def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
         self.body, self.shape = body, shape
 
     @classmethod
     def of(cls, body: SoftBody | RigidBody, others: list[BodyModel]) -> BodyModel:
-        """A checked body; it shares the shape of another one with the same mesh."""
+        """Check a body; it shares the shape of another one with the same mesh."""
         shape = next((p.shape for p in others if p.shape.fits(body)), None)
         body.check()
         return cls(body, RestShape.of(body) if shape is None else shape)
 
     @cached_property
     def mass(self) -> np.ndarray:
-        """Lumped [kg], (V,)."""
+        """Lumped masses [kg], (V,)."""
         return self.body.material.density * self.shape.vertex_volumes
 
     @cached_property
@@ -146,7 +149,7 @@ class BodyModel:
 
     @cached_property
     def material(self) -> Material:
-        """The body's, as it is simulated (sim/elastic/time_step.py)."""
+        """Material as it is simulated: not stiffer than the integrator bears (sim/elastic/time_step.py)."""
         return self.body.material if self.body.rigid else clamp_stiffness(self.body.material, self.shape.length)
 
     @cached_property

@@ -1,8 +1,8 @@
 """Base class of the constraints that the integrators solve: contacts (sim/contact) and rigid bodies (sim/rigid).
 
 A constraint corrects the increments dx of the substep in progress (see sim/state.py): that is all it does. The
-velocity follows from dx once, at the commit, so that no correction is lost however small it is. Corrections are weighted
-by the inverse mass; vertices of inverse mass 0 are prescribed, and what is added to their dx is ignored.
+velocity follows from dx once, at the commit, so that no correction is lost however small it is. Corrections are
+weighted by the inverse mass; vertices of inverse mass 0 are prescribed, and what is added to their dx is ignored.
 
 A sweep of an integrator corrects every vertex for itself (`project_vertex`), then runs the phases: loops in which all
 elements of one phase are done before any of the next (`solve_phase`), whose sums the vertices take at last
@@ -15,9 +15,12 @@ The integrator that runs the substep is handed to the phases, because they depen
     iterations          int     sweeps a substep
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 
-from sim.model import Model
+if TYPE_CHECKING:
+    from sim.model import Model
 
 
 @ti.data_oriented
@@ -33,17 +36,17 @@ class Constraint:
     has_pairs = False
     phase_sizes: tuple[int, ...] = ()
 
-    def check_capacity(self, model: Model) -> None:
+    def check_capacity(self, model: "Model") -> None:
         """Raise CapacityError if these bodies do not fit."""
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take other bodies into the same fields and kernels; contacts and grasps are forgotten."""
 
     def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
         """Prepare a frame of dt [s] that ends with these hands; 0 substeps: only grasps are decided."""
 
     def detect(self) -> None:
-        """Search anew, `collision_passes` times a frame, for the next state.detect_dt [s]; reads the committed x and v."""
+        """Search for contacts of the next state.detect_dt [s], `collision_passes` times a frame, from x and v."""
 
     def reset(self) -> None:
         """Forget contacts and grasps."""

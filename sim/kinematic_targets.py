@@ -1,8 +1,8 @@
 """Kinematic targets: prescribed vertices and kinematic rigid bodies are moved to given places at the end of a frame.
 
 In between, positions are interpolated evenly over the substeps, with the velocity that friction feels; after the frame
-they stand still, unless they are driven again. Vertices of inverse mass 0 move on at their v (sim/state.py), so all there
-is to do is to set v = (target - x) / frame before the first substep, and v = 0 after the last one.
+they stand still, unless they are driven again. Vertices of inverse mass 0 move on at their v (sim/state.py), so it is
+enough to set v = (target - x) / frame before the first substep, and v = 0 after the last one.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""What the host may learn of the bodies after a frame: tiny device reductions, one small readback each."""
+"""Reductions over the vertices of each body, on the device, and small readbacks for the host."""
 
 from itertools import pairwise
 
@@ -13,8 +13,8 @@ from sim.model import Model
 from sim.state import State
 
 BLOCK_SIZE = 64  # vertices
-FAR = 3.0e38  # larger than any distance, finite in float32
-MOVED = 1e-5  # [m] under this nobody sees a difference
+FLOAT_MAX = 3.0e38  # larger than any distance, finite in float32
+MIN_MOTION = 1e-5  # [m] under this nobody sees a difference
 ANY_MOVED, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
 # Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
 VALUES = 24
@@ -22,7 +22,7 @@ VALUES = 24
 
 @ti.func
 def finite(a) -> ti.i32:
-    """Whether a float32 is neither infinite nor NaN; by its bits, since fast-math assumes that it is."""
+    """Return whether a float32 is neither infinite nor NaN; by its bits, since fast-math assumes that it is."""
     return (ti.bit_cast(a, ti.i32) & 0x7F800000) != 0x7F800000
 
 
@@ -66,7 +66,7 @@ class ReductionBlocks:
 
 @ti.data_oriented
 class Reductions:
-    """`bodies()`, `moved()`, `pick()` of the solver."""
+    """Sums over each body, for `bodies()`, `moved()`, `pick()` of the solver."""
 
     def __init__(self, state: State, blocks: ReductionBlocks):
         self.state, self.blocks = state, blocks
@@ -80,7 +80,7 @@ class Reductions:
         self._upload = Upload([self.rest_center])
 
     def load(self, model: Model) -> None:
-        """Tell of these bodies."""
+        """Take other bodies."""
         self.names = [p.body.name for p in model.bodies]
         self.driven = [p.body.pinned is not None for p in model.bodies]
         self.flattest = [s.flattest for s in model.shapes]
@@ -105,7 +105,7 @@ class Reductions:
         return bool(total[0, ANY_MOVED]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
 
     def finite(self) -> bool:
-        """Whether every position and velocity is finite."""
+        """Return whether every position and velocity is finite."""
         self.sum_up()
         return bool(self.total.to_numpy()[: len(self.names), 21].all())
 
@@ -134,7 +134,7 @@ class Reductions:
             span = c.span[j]
             p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             A = ti.Matrix.zero(ti.f32, 3, 3)
-            low, high = ti.Vector([FAR, FAR, FAR]), ti.Vector([-FAR, -FAR, -FAR])
+            low, high = ti.Vector([FLOAT_MAX, FLOAT_MAX, FLOAT_MAX]), ti.Vector([-FLOAT_MAX, -FLOAT_MAX, -FLOAT_MAX])
             good = 1
             center = self.rest_center[span[2]]
             for i in range(span[0], span[1]):
@@ -171,7 +171,7 @@ class Reductions:
                 self.total[b, k] = value
 
     def moved(self) -> bool:
-        """Whether any vertex moved more than MOVED since the last call that returned True."""
+        """Return whether any vertex moved more than MIN_MOTION since the last call that returned True."""
         self._compare()
         return bool(self.any_moved[None])
 
@@ -185,7 +185,7 @@ class Reductions:
         s = self.state
         self.any_moved[None] = 0
         for i in range(s.V):
-            if i < s.vertex_count[None] and (s.x[i] - self.last[i]).norm_sqr() > MOVED * MOVED:
+            if i < s.vertex_count[None] and (s.x[i] - self.last[i]).norm_sqr() > MIN_MOTION * MIN_MOTION:
                 self.any_moved[None] = 1  # all writers write the same
         for i in range(s.V):
             if self.any_moved[None] == 1:
@@ -196,17 +196,17 @@ class Reductions:
         d = np.asarray(direction, np.float64)
         self._cast(*map(float, origin), *(d / np.linalg.norm(d)))
         distance = self.distance[None]
-        return None if distance >= FAR else (float(distance), int(self.hit[None]))
+        return None if distance >= FLOAT_MAX else (float(distance), int(self.hit[None]))
 
     @ti.func
     def _distance(self, j, origin, direction):
-        """Ray parameter of triangle j, FAR if it is missed (Moeller and Trumbore 1997, both sides)."""
+        """Ray parameter of triangle j, FLOAT_MAX if it is missed (Moeller and Trumbore 1997, both sides)."""
         s = self.state
         a = s.triangles[j]
         e1, e2 = s.x[a[1]] - s.x[a[0]], s.x[a[2]] - s.x[a[0]]
         h = direction.cross(e2)
         det = e1.dot(h)
-        result = FAR
+        result = FLOAT_MAX
         if ti.abs(det) > 1e-20:
             t = origin - s.x[a[0]]
             u = t.dot(h) / det
@@ -221,7 +221,7 @@ class Reductions:
     def _cast(self, ox: ti.f32, oy: ti.f32, oz: ti.f32, dx: ti.f32, dy: ti.f32, dz: ti.f32):
         s = self.state
         origin, direction = ti.Vector([ox, oy, oz]), ti.Vector([dx, dy, dz])
-        self.distance[None] = FAR
+        self.distance[None] = FLOAT_MAX
         self.hit[None] = MAX_BODIES
         for j in range(s.S):
             if j < s.triangle_count[None]:

@@ -14,7 +14,9 @@ from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from scenes.scene import IDENTITY, Quat, Vec3
 
-FLATTEST = 1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32
+MIN_RELATIVE_VOLUME = (
+    1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32
+)
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class SoftBody:
     rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
     sdf       signed distance of the rest shape in the body frame [m], or None
     pinned    indices of vertices that do not move (inverse mass 0), or None
-    loose     it passes through itself: driven vertices, which nothing stops, would crush what lies between them
+    self_contact   False: it passes through itself. Driven vertices, which nothing stops, would crush what they meet
     """
 
     name: str
@@ -39,7 +41,7 @@ class SoftBody:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
     pinned: np.ndarray | None = None
-    loose: bool = False
+    self_contact: bool = True
     rigid: ClassVar[bool] = False
 
     def of_material(self, material: Material) -> SoftBody:
@@ -54,9 +56,9 @@ class SoftBody:
 
     def start(self) -> np.ndarray:
         """Initial positions in the world [m], (V, 3) float64."""
-        q = np.asarray(self.rotation, np.float64)
-        R = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
-        return np.asarray(self.vertices, np.float64) @ R.T + np.asarray(self.position, np.float64)
+        return np.asarray(self.vertices, np.float64) @ matrices_from_quaternions(self.rotation).T + np.asarray(
+            self.position, np.float64
+        )
 
     def check(self) -> None:
         """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
@@ -69,13 +71,13 @@ class SoftBody:
             if index.min() < 0 or index.max() >= len(x):
                 raise BadInput(f"{self.name}: {what} refer to vertices outside 0..{len(x) - 1}")
         self.check_material()
-        loose = np.setdiff1d(np.arange(len(x)), tets)
-        if len(loose):
-            raise BadInput(f"{self.name}: vertex {loose[0]} ({len(loose)} in all) belongs to no tetrahedron")
+        unused = np.setdiff1d(np.arange(len(x)), tets)
+        if len(unused):
+            raise BadInput(f"{self.name}: vertex {unused[0]} ({len(unused)} in all) belongs to no tetrahedron")
         volumes = tet_volumes(x, tets)
         edges = x[tets][:, [0, 0, 0, 1, 1, 2]] - x[tets][:, [1, 2, 3, 2, 3, 3]]
         longest = np.sqrt((edges**2).sum(-1).max(1))
-        flat = np.flatnonzero(volumes < FLATTEST * longest**3)
+        flat = np.flatnonzero(volumes < MIN_RELATIVE_VOLUME * longest**3)
         if len(flat):
             t = flat[0]
             raise BadInput(
@@ -90,10 +92,5 @@ class SoftBody:
     def masses(self) -> np.ndarray:
         """A quarter of each tet's mass on each of its corners [kg], (V,)."""
         volumes = tet_volumes(self.vertices, self.tets)
-        share = np.repeat(self.material.density * volumes / 4, 4)
-        return np.bincount(np.asarray(self.tets).ravel(), share, minlength=len(self.vertices))
-
-    def edge(self) -> float:
-        """Median edge length of the tets [m]."""
-        x, tets = np.asarray(self.vertices, np.float64), np.asarray(self.tets)
-        return float(np.median(np.linalg.norm(x[tets] - x[np.roll(tets, 1, axis=1)], axis=-1)))
+        quarters = np.repeat(self.material.density * volumes / 4, 4)
+        return np.bincount(np.asarray(self.tets).ravel(), quarters, minlength=len(self.vertices))

@@ -43,14 +43,14 @@ MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
 
 
 class Solver:
-    """Simulates `bodies` among static `colliders`.
+    """Simulation of `bodies` among static `colliders`.
 
-    substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or by
-    "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is the number of searches for contacts a frame;
-    hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies follow the
-    hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/capacity.py). Without
-    contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact a body
-    passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies.
+    substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or
+    by "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is the number of searches for contacts a
+    frame; hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies
+    follow the hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/capacity.py).
+    Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
+    a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies.
     """
 
     def __init__(
@@ -93,7 +93,9 @@ class Solver:
         self.contacts: Contacts | None = None
         if contacts:
             options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers}
-            self.contacts = Contacts(s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options)
+            self.contacts = Contacts(
+                s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options
+            )
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks)
         self.untangling = Untangling(s, self._reductions, self.damping)
@@ -339,7 +341,7 @@ class Solver:
         self._rigid_editing.reset()
 
     def warm_up(self) -> None:
-        """Compile what a first grasp, throw, pick or edit needs, so that the user does not wait in the midst of play."""
+        """Compile what a first grasp, throw, pick or edit needs, lest the user wait in the midst of play."""
         self._read_motion(0)
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
@@ -388,7 +390,9 @@ class Solver:
         for part in (*parts, self._targets, *self._constraints):
             part.load(model)
 
-    def _set_bodies(self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: GraspState | None) -> None:
+    def _set_bodies(
+        self, models: tuple[BodyModel, ...], motion: Sequence[np.ndarray], grasps: GraspState | None
+    ) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
         self._write_motion(list(motion))

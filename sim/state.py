@@ -1,7 +1,7 @@
 """Device state of all simulated bodies, flat, and how a substep advances it.
 
-A substep of length dt works on *increments*, because in fp32 the quantities of one substep (dt^2 g = 1e-7 m) are below
-one unit in the last place of a position:
+A substep of length dt works on *increments*, because in fp32 the quantities of one substep (dt^2 g = 1e-7 m) are
+smaller than one unit in the last place of a position:
 
     predict   dx = dt (v + dt g) + x_lo
     solve     dx += corrections of elasticity and constraints (sim/constraint.py)
@@ -14,11 +14,15 @@ Loops run over the capacity and test `i < vertex_count[None]`: a range whose end
 launch, and equal capacities let scenes of different sizes share compiled kernels.
 """
 
+from typing import TYPE_CHECKING
+
 import taichi as ti
 
 from core.fields import FieldGroup, Upload, round_up_capacity, two_sum
 from sim.capacity import MAX_BODIES, Capacity, Sizes, fit
-from sim.model import Model
+
+if TYPE_CHECKING:
+    from sim.model import Model
 
 SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
 
@@ -82,12 +86,14 @@ class State:
         self.triangle_count = g.scalar(dtype=ti.i32)
         self.body_count = g.scalar(dtype=ti.i32)
         g.build()
-        constants = {name: getattr(self, name) for name in Model([]).columns()}
-        self._upload = Upload(list(constants.values()))
+        self._upload: Upload | None = None
 
-    def load(self, model: Model) -> None:
+    def load(self, model: "Model") -> None:
         """Take these bodies, of which only the motion is left to be set."""
-        self._upload(list(model.columns().values()))
+        columns = model.columns()
+        if self._upload is None:
+            self._upload = Upload([getattr(self, name) for name in columns])
+        self._upload(list(columns.values()))
         self.sizes = model.sizes
 
     def check_capacity(self, sizes: Sizes) -> None:

@@ -71,7 +71,7 @@ class Contacts(Constraint):
         self.static_shapes = StaticShapes(shapes)
         self.bounds = BodyBounds(state, blocks)
         self.swept_bounds = SweptBounds(state, grasps, self.bounds)
-        foldable = [can_fold(p.shape) for p in first.bodies if p.body.rigid or not p.body.loose]
+        foldable = [can_fold(p.shape) for p in first.bodies if p.body.rigid or p.body.self_contact]
         self_collides = self_contact and (capacity.grows or any(foldable))
         self.self_collision = SelfCollision(state, blocks, self.bounds) if self_collides else None
         self.deformable = DeformableContact(

@@ -55,7 +55,7 @@ class SelfCollision:
 
     def load(self, model: "Model") -> None:
         """Take which of these bodies pass through themselves."""
-        self._upload([np.array([not p.body.rigid and p.body.loose for p in model.bodies])])
+        self._upload([np.array([not (p.body.rigid or p.body.self_contact) for p in model.bodies])])
 
     @ti.func
     def min_rest_distance(self, b):

@@ -1,9 +1,9 @@
 """Stable neo-Hookean energy of tetrahedra, and what integrators take from it: steps of XPBD, and forces.
 
-XPBD has one strain-energy constraint a tetrahedron (VR-GS, Sec. 4.1; Macklin and Mueller 2021). All tets are projected at
-once (Jacobi, corrections summed, **not** averaged: averaging is 12-19 times too soft) in two loops: every tet writes the
-corrections of its corners into slots that lie together for each vertex, then every vertex sums its slots. The order of
-summation is fixed, so repeated runs agree bit for bit.
+XPBD has one strain-energy constraint a tetrahedron (VR-GS, Sec. 4.1; Macklin and Mueller 2021). All tets are projected
+at once (Jacobi, corrections summed, **not** averaged: averaging is 12-19 times too soft) in two loops: every tet writes
+the corrections of its corners into slots that lie together for each vertex, then every vertex sums its slots. The order
+of summation is fixed, so repeated runs agree bit for bit.
 """
 
 import numpy as np
@@ -149,7 +149,8 @@ class Elasticity:
 
         U = V Psi, C = sqrt(2 U), [g1 g2 g3] = V P B^T, g0 = -(g1 + g2 + g3), q = sum w |g|^2 / C^2:
         many sweeps   s = -(1 + lambda / (dt^2 C)) / (q + 1/dt^2),   lambda += C s
-        single sweep  s = -min(dt^2, 1 / (TET_OVERLAP q), 1 / (VOLUME_OVERLAP q_J)),   q_J = lam V sum w |cof F grad N|^2
+        single sweep  s = -min(dt^2, 1 / (TET_OVERLAP q), 1 / (VOLUME_OVERLAP q_J)),
+                      q_J = lam V sum w |cof F grad N|^2
         One Jacobi sweep never converges, so there the 1/(q + 1/dt^2) of each tet, which differs from tet to tet, would
         only soften it by up to dt^2 kappa (9% at the stability limit) and leave a wrong shape at rest. The stability
         rule already makes s = -dt^2 safe at small strain, where q <= kappa. The step is shortened, by enough for all

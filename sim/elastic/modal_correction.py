@@ -1,8 +1,8 @@
 """Modal correction of VBD: each body as a whole moves along its softest modes.
 
-Sweeps over vertices carry a push one ring of tets further each, so in a stiff body a few of them move nothing as a whole.
-The modes do: those of the body embedded in a coarse lattice of trilinear cells (Galerkin, so they are no softer than the
-body itself), the six rigid ones included unless vertices are prescribed.
+Sweeps over vertices carry a push one ring of tets further each, so in a stiff body a few of them move nothing as a
+whole. The modes do: those of the body embedded in a coarse lattice of trilinear cells (Galerkin, so they are no softer
+than the body itself), the six rigid ones included unless vertices are prescribed.
 
 With the residual force f_i of every vertex (elastic, inertial, and of its contacts as they are), the body's best-fit
 rotation R and modes U_k of squared frequency w_k, all at the substep's dt,
@@ -14,8 +14,8 @@ rotation R and modes U_k of squared frequency w_k, all at the substep's dt,
 the secant step to the least energy along d, so the energy does not rise however far the body is from its rest shape.
 c_i is the stiffness of vertex i where it touches something: the step may not outrun a contact. With b it would be
 the least energy if the body were linear, as it is for small steps; the secant is taken there and not at d itself, for
-what pushes one vertex of a light stiff body hard enough asks for rotations by many radians, and the energy out there says
-nothing of the energy here: the step would become nothing, and what the push left in the body would stay and grow.
+what pushes one vertex of a light stiff body hard enough asks for rotations by many radians, and the energy out there
+says nothing of the energy here: the step would become nothing, and what the push left in the body would stay and grow.
 """
 
 import numpy as np

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -125,7 +126,7 @@ class Schedule:
         total = max(searches, math.ceil(substeps - 1e-6))
         launches = max(searches, -(-total // max_substeps))
         begins = [-(-k * launches // searches) for k in range(searches + 1)]
-        return cls(-(-total // launches), tuple(b - a for a, b in zip(begins, begins[1:], strict=False)))
+        return cls(-(-total // launches), tuple(b - a for a, b in pairwise(begins)))
 
     @property
     def total_substeps(self) -> int:

@@ -2,8 +2,8 @@
 
 Without contact with itself, a body that is squeezed through itself can be left in a kink: all tets upright again, but
 wound around one another, in a true minimum of the energy from where no force leads home. So when a hand lets go of a
-body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is soft, and its
-vertices are led to its rest shape, where the rest shape fits best:
+body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is soft, and
+its vertices are led to its rest shape, where the rest shape fits best:
 
     v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME_CONSTANT - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
@@ -37,7 +37,7 @@ SOFT_YOUNG = 200.0  # [Pa] meanwhile: gravity and kinks must not hold out agains
 class Untangling:
     """`begin_frame` learns which bodies are tangled, `run` leads them; both are free where none is.
 
-    soft i32[B]: 1 if the body is led;   quaternion vec4[B]: R;   farthest f32[B]: largest distance to the rest shape [m]
+    soft i32[B]: 1 if the body is led;   quaternion vec4[B]: R;   farthest f32[B]: distance to the rest shape [m]
     """
 
     def __init__(self, state: State, reductions: Reductions, damping: Damping):

@@ -2,8 +2,8 @@
 
 The same corrections as those of sim/elastic/energy.py, of one sweep, but in one loop instead of two: no tet writes
 anything, and the four corners of a tet each work it out again. That is more arithmetic and less waiting, which suits a
-GPU. All four do so from the same numbers in the same order, so that what they take for its stress is equal to the bit and
-their corrections cancel: otherwise rounding would push the whole body.
+GPU. All four do so from the same numbers in the same order, so that their stresses are equal to the bit and their
+corrections cancel: otherwise rounding would push the whole body.
 """
 
 import numpy as np

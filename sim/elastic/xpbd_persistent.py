@@ -21,7 +21,7 @@ LANES = 8  # threads that share the tets of a vertex
 
 
 def multiprocessors() -> int:
-    """How many multiprocessors the first CUDA device has."""
+    """Number of multiprocessors of the first CUDA device."""
     cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     count, device, MULTIPROCESSOR_COUNT = ctypes.c_int(), ctypes.c_int(), 16
     for call in (
@@ -162,7 +162,7 @@ class PersistentXPBD:
 
     @ti.func
     def _paired(self):
-        """Whether any row is listed; that changes only in a search."""
+        """Return whether any constraint is active; that changes only in a search."""
         paired = False
         for c in ti.static(self.in_pairs):
             if c.any_active():

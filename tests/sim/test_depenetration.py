@@ -54,7 +54,7 @@ def test_what_hands_push_into_a_wall_comes_out_slowly(cubes):
 
 def test_what_starts_inside_comes_out_slowly(cubes):
     """3 cm deep in box and grid, and two cubes 4 cm in one another, without gravity."""
-    x = np.asarray(cubes._bodies[0].vertices)
+    x = np.asarray(cubes.body_models[0].body.vertices)
     place = [(0, SIDE / 2 - 0.03, 0), (APART, SIDE / 2 - 0.03, 0), (4 * APART, 0, 0), (4 * APART, 0.04, 0.005)]
     cubes.gravity = (0.0, 0.0, 0.0)
     start = np.concatenate([x + np.array(p) for p in place])

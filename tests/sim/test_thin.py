@@ -55,7 +55,9 @@ def passed(solver) -> bool:
 
     Hit faster than their waves of 5 m/s run, bodies are crushed, and a vertex inside may dive deeper for a moment.
     """
-    outside = [p[np.unique(b.surface)] for p, b in zip(bodies_of(solver), solver._bodies, strict=True)]
+    outside = [
+        p[np.unique(b.surface)] for p, b in zip(bodies_of(solver), [m.body for m in solver.body_models], strict=True)
+    ]
     return any(
         ((p[:, 1] < -THICK / 2) & (np.abs(p[:, 0] - APART * k) < 0.17) & (np.abs(p[:, 2]) < 0.17)).any()
         for k, p in enumerate(outside)
@@ -68,7 +70,7 @@ def test_a_plate_stops_what_comes_at_10_metres_a_second(plates, frame):
     rng = np.random.default_rng(round(1 / frame))
     for _ in range(3):
         xs, vs = [], []
-        for k, b in enumerate(plates._bodies):
+        for k, b in enumerate([m.body for m in plates.body_models]):
             x = np.asarray(b.vertices) @ turned(rng.normal(size=3), rng.uniform(0, np.pi)).T
             way = np.array([0.0, -1.0, 0.0]) + rng.uniform(0, 0.9) * np.array([1.0, 0, 0])
             way *= SPEED / np.linalg.norm(way)
@@ -84,7 +86,7 @@ def test_a_plate_stops_what_comes_at_10_metres_a_second(plates, frame):
 
 def test_a_body_at_rest_that_a_hand_yanks_does_not_pass_a_plate(plates):
     """From rest, 5 cm away, to a hand's speed of 6 m/s in one frame."""
-    xs = [np.asarray(b.vertices) + (APART * k, 0.1, 0) for k, b in enumerate(plates._bodies)]
+    xs = [np.asarray(b.vertices) + (APART * k, 0.1, 0) for k, b in enumerate([m.body for m in plates.body_models])]
     plates.restore({"x": np.concatenate(xs), "v": np.zeros((sum(map(len, xs)), 3))})
     cube = 2 * APART
     for k in range(8):
@@ -94,7 +96,7 @@ def test_a_body_at_rest_that_a_hand_yanks_does_not_pass_a_plate(plates):
 
 def test_bodies_thrown_at_each_other_do_not_pass(plates):
     """Cube and cube, ring and ring at 10 m/s, with no plate in the way; before they meet and after, one is above."""
-    rest = [np.asarray(b.vertices) for b in plates._bodies]
+    rest = [np.asarray(b.vertices) for b in [m.body for m in plates.body_models]]
     for a, b in ((2, 3), (0, 1)):
         xs = [x + (APART * k, 5.0, 0) for k, x in enumerate(rest)]
         vs = [np.zeros_like(x) for x in rest]

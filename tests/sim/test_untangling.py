@@ -61,7 +61,7 @@ def test_random_starts_leave_no_kinks(tangled):
         solver.step(1 / 60)
     assert solver.stats["finite"] and not solver.untangling.active.any()
     x = np.split(solver.snapshot()["x"].astype(np.float64), solver.vertex_offset[1:-1])
-    for body, at in zip(solver._bodies, x, strict=True):
+    for body, at in zip([m.body for m in solver.body_models], x, strict=True):
         volumes, rest = tet_volumes(at, body.tets), tet_volumes(body.vertices, body.tets)
         quick = body.material.young > 1e5 and body.material.poisson > 0.4  # upright after a frame, which is no tangle
         assert (volumes / rest).min() > (0.5 if quick else 0.9), body.name
@@ -85,5 +85,5 @@ def test_a_snapshot_knows_what_is_mending(tangled):
         solver.reset()
         assert not solver.untangling.active.any()
     np.testing.assert_array_equal(*ends)
-    young = np.array([b.material.young / (2 * (1 + b.material.poisson)) for b in solver._bodies])
+    young = np.array([b.material.young / (2 * (1 + b.material.poisson)) for b in [m.body for m in solver.body_models]])
     np.testing.assert_allclose(solver.state.mu.to_numpy()[: len(young)], young, rtol=1e-6)

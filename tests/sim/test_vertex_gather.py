@@ -1,4 +1,4 @@
-"""Elasticity gathered by the vertices against the two loops of sim/elastic/energy.py; on CUDA, the whole persistent kernel."""
+"""Elasticity gathered by the vertices against the two loops of the energy; on CUDA, the whole persistent kernel."""
 
 import numpy as np
 import pytest
@@ -47,12 +47,12 @@ def test_the_sums_are_those_of_the_two_loops():
             if t < s.tet_count[None]:
                 e.project_tet(t, True, True)
         for i in range(n):
-            one[i] = e.summed(i)
+            one[i] = e.correction(i)
             b = s.body_of_vertex[i]
             total = ti.Vector([0.0, 0.0, 0.0])
             for k in range(gather.begin[i], gather.begin[i + 1]):
-                total += gather.correction(k, 1, gather.place[1, i], s.mu[b], s.lam[b])
-            other[i] = s.w[i] * total
+                total += gather.correction(k, 1, gather.position[1, i], s.mu[b], s.lam[b])
+            other[i] = s.inv_mass[i] * total
 
     for strain in (0.01, 0.3, 3.0):
         solver.restore({"x": start + strain * 0.05 * rng.normal(size=start.shape), "v": rng.normal(size=start.shape)})
@@ -84,8 +84,8 @@ def test_the_persistent_kernel_agrees_with_the_loops():
         upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
         solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], substep=1e-4)
         if form:
-            solver.integrator = form(solver.state, solver.elasticity, solver._constraints, iterations=1)
-        solver.integrator.piece = 16  # damping acts between pieces
+            solver.integrator = form(solver.state, solver.elasticity, [solver.contacts], None, iterations=1)
+        solver.integrator.max_substeps = 16  # damping acts between launches
         for _ in range(3):
             solver.step(1 / 180)
             moved.append(solver.snapshot()["x"])

@@ -22,7 +22,7 @@ def animated_shapes(asset: Asset, *, seconds: float | None = None, **placed) -> 
     body = Body("animated", material, **placed)
     vertices = cage.vertices * np.float32(body.scale)
     led = motion.vertices[motion.driven]
-    soft = SoftBody("animated", vertices, cage.tets, cage.surface, material, pinned=led, loose=True,
+    soft = SoftBody("animated", vertices, cage.tets, cage.surface, material, pinned=led, self_contact=False,
                     position=body.position)  # fmt: skip
     solver = Solver([soft], contacts=False)
     targets = AnimationTargets(0, body, motion, vertices, solver)

@@ -1,32 +1,15 @@
-"""Preparation of VBD: colours of vertices, and the softest modes of bodies."""
+"""Softest modes of bodies: rigid ones included, as soft as linear finite elements."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from bench.physics import BAR, LEFT, SURFACE, TETS, fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
-from sim.elastic.coloring import color_ranges, color_vertices
-from sim.elastic.modes import MODES, softest_modes
+from sim.elastic.modal_correction import MODES, softest_modes
 from sim.elastic.time_step import lame
 from sim.soft_body import SoftBody
-
-
-def test_no_tet_has_two_vertices_of_one_colour():
-    for cells in ((10, 2, 2), (5, 5, 5)):
-        _, tets, _ = box((1, 1, 1), cells)
-        n = tets.max() + 1
-        movable = np.arange(n) % 7 != 0
-        color = color_vertices(tets, movable)
-        assert_array_equal(color >= 0, movable)
-        corners = np.sort(np.where(color[tets] >= 0, color[tets], -1 - np.arange(4)), axis=1)
-        assert (np.diff(corners, axis=1) > 0).all()
-        assert color.max() < 12
-        order, begin = color_ranges(color)
-        assert_array_equal(np.sort(order), np.flatnonzero(movable))
-        for c in range(color.max() + 1):
-            assert (color[order[begin[c] : begin[c + 1]]] == c).all()
 
 
 def test_the_modes_are_the_rigid_ones_and_the_softest():

@@ -1,0 +1,98 @@
+"""Choice of integrator and substep, the schedule of a frame, and bodies too light and stiff for a usual substep."""
+
+import numpy as np
+import pytest
+
+from bench.sample_meshes import box, torus
+from core.errors import BadInput
+from core.material import Material
+from scenes.scene import Plane
+from sim.body_model import BodyModel
+from sim.elastic.time_step import Schedule, choose_integration, clamp_stiffness, largest_substep, wave_speed
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+HEIGHT, SPEED = 0.12, 5.0  # [m], [m/s]
+FRAME = 1 / 60
+
+
+def test_the_cheaper_integrator_is_chosen_or_what_is_forced():
+    few, many = ((0.3 * 60 * n) ** 2 for n in (100, 1000))  # kappa of so many substeps a frame
+    chosen = choose_integration(few, frame_dt=FRAME)
+    assert (chosen.integrator, chosen.iterations) == ("xpbd", 1)
+    assert chosen.substep == pytest.approx(FRAME / 100) and chosen.substep == largest_substep(few)
+    stiff = choose_integration(many, frame_dt=FRAME)
+    assert stiff.integrator == "vbd" and stiff.substep > 10 * largest_substep(many) and stiff.iterations >= 1
+    assert choose_integration(many, frame_dt=FRAME, integrator="xpbd").substep == largest_substep(many)
+    assert choose_integration(many, frame_dt=FRAME, substep=FRAME / 1000).integrator == "xpbd"
+    forced = choose_integration(few, frame_dt=FRAME, substep=FRAME / 50, iterations=5)
+    assert (forced.integrator, forced.substep, forced.iterations) == ("vbd", FRAME / 50, 5)
+    assert choose_integration(few, frame_dt=FRAME, integrator="vbd").integrator == "vbd"
+    for wrong, says in (
+        ({"integrator": "magic"}, "integrator"),
+        ({"substep": 0.0}, "substep"),
+        ({"substep": 1.0}, "substep"),
+        ({"iterations": 0}, "iterations"),
+        ({"integrator": "xpbd", "substep": FRAME / 50}, "brick: .*not stable"),
+    ):
+        with pytest.raises(BadInput, match=says):
+            choose_integration(few, frame_dt=FRAME, stiffest="brick", **wrong)
+    with pytest.raises(BadInput, match="brick: too stiff"):
+        choose_integration(1e6 * many, frame_dt=FRAME, integrator="xpbd", stiffest="brick")
+
+
+@pytest.mark.parametrize("substeps, searches, limit", [(400, 3, 16), (7.2, 1, 16), (1, 10, 128), (100, 7, 128)])
+def test_a_frame_is_divided_evenly(substeps, searches, limit):
+    """All substeps are made, no launch is too long, and searches are one launch apart from evenly spread at most."""
+    schedule = Schedule.of(substeps, searches, limit)
+    assert schedule.total_substeps >= substeps and schedule.substeps <= limit and len(schedule.launches) == searches
+    assert schedule.total_substeps - max(substeps, searches) < sum(schedule.launches)
+    assert min(schedule.launches) >= 1 and np.ptp(schedule.launches) <= 1
+
+
+def test_a_wave_crosses_few_lengths_of_a_body_in_a_substep():
+    """Fewer crossings shorten the substep in proportion; below the least one, the material is softened instead."""
+    usual = choose_integration(1e12, frame_dt=FRAME).substep
+    short, shorter = (choose_integration(1e12, frame_dt=FRAME, crossing=usual / n).substep for n in (20, 40))
+    assert choose_integration(1e12, frame_dt=FRAME, crossing=usual).substep == usual
+    assert short < usual and shorter == pytest.approx(short / 2)
+    wood = Material(1e8, 0.3, 500.0)
+    assert clamp_stiffness(wood, 0.2) is wood
+    assert wave_speed(Material(1e6, 0.0, 1000.0)) == pytest.approx(np.sqrt(1e6 / 1000))  # then lambda_L + 2 mu = E
+    x, tets, surface = box((0.06, 0.06, 0.06), (1, 1, 1))
+    straw = BodyModel.of(SoftBody("straw", x, tets, surface, Material(1e8, 0.49, 10.0)), [])
+    assert straw.material.young < straw.body.material.young and straw.material.density == 10.0
+    chosen = choose_integration(1e12, frame_dt=FRAME, crossing=straw.crossing)
+    assert chosen.substep == pytest.approx(
+        choose_integration(1e12, frame_dt=FRAME, crossing=0.06 / wave_speed(straw.material)).substep
+    )
+    assert straw.scaled(10.0).material.young == 1e8  # ten times as long to cross
+
+
+def test_it_does_not_jump_from_the_floor(ti_cpu):
+    """Thrown at 5 m/s. Contacts stored 34 times the energy of a plate, and threw it."""
+    shapes = [
+        torus(0.03, 0.01, around=12, across=1),
+        box((0.08, 0.02, 0.02), (4, 1, 1)),
+        box((0.08, 0.024, 0.08), (3, 1, 3)),
+        box((0.08, 0.08, 0.08), (2, 2, 2)),
+    ]
+    materials = [Material(1e8, 0.49, 10.0, 1.0), Material(4e7, 0.29, 21.0, 0.225)]
+    rng = np.random.default_rng(2)
+    bodies = []
+    for k in range(16):
+        x, tets, surface = shapes[k % 4]
+        q, v = rng.normal(size=4), rng.normal(size=3)
+        v *= SPEED / np.linalg.norm(v)
+        place = {"position": (2.0 * (k % 4), HEIGHT, 2.0 * (k // 4)), "rotation": tuple(q / np.linalg.norm(q))}
+        place["velocity"] = (v[0], -abs(v[1]), v[2])
+        bodies.append(SoftBody(f"body {k}", x - x.mean(0), tets, surface, materials[k // 8], **place))
+    solver = Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))])
+    assert solver.stats["integrator"] == "vbd" and solver.stats["dt"] < 1e-4
+    mass, owner = solver.state.mass.to_numpy(), np.repeat(range(16), [len(b.vertices) for b in bodies])
+    weight = np.bincount(owner, mass[: len(owner)])
+    for _ in range(20):
+        solver.step(FRAME)
+        v = solver.snapshot()["v"].astype(np.float64)
+        kinetic = np.bincount(owner, 0.5 * mass[: len(v)] * (v**2).sum(1))
+        assert (kinetic < 1.1 * weight * (SPEED**2 / 2 + 9.81 * HEIGHT)).all()

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""VR-GS: see a capture as Gaussians, hold it as an elastic body. The command line and the frame loop."""
+"""VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown. The command line and the frame loop."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def main(argv: list[str] | None = None) -> int:
     except (MemoryError, RuntimeError) as e:
         if not is_out_of_memory(e):
             raise
-        print("vrgs: not enough memory; a smaller picture, or fewer Gaussians, need less", file=sys.stderr)
+        print("vrgs: not enough memory; try a smaller picture or fewer Gaussians", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("vrgs: interrupted", file=sys.stderr)

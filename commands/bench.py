@@ -18,7 +18,7 @@ SUBJECTS = {
     "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
     "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
-    "embedding": ("bench.embedding_ablation", "finding hosts, carrying Gaussians, one level against two"),
+    "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
 }
 
 
@@ -26,22 +26,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     parser.add_argument("subject", choices=tuple(SUBJECTS), help=text)
-    text = "popping: the splats looked at (default: the dining room); embedding: a body"
+    text = "popping: splats to draw (default: the dining room); embedding: a body"
     parser.add_argument("--splats", type=Path, default=SHIPPED_FOLDER / "dining_room.h5", metavar="SPLATS", help=text)
-    text = "embedding: (default 1000000)"
+    text = "embedding: number of Gaussians (default 1000000)"
     parser.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help=text)
     parser.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
     sizes = ("1.7k", "9.3k", "24k", "46k")
-    parser.add_argument("--sizes", nargs="+", choices=sizes, default=list(sizes), help="vertices (default: all)")
+    parser.add_argument(
+        "--sizes", nargs="+", choices=sizes, default=list(sizes), help="sim: numbers of vertices (default: all)"
+    )
     rooms = ("0.305M", "1.313M", "2.526M")
     text = "render: rooms (default: all)"
     parser.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help=text)
-    text = "render: an eye (default 1800x1920)"
+    text = "render: picture of an eye (default 1800x1920)"
     parser.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help=text)
     parser.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
     parser.add_argument("--plot", type=Path, metavar="OUT.svg", help="scaling: draw the curves")
-    text = "scaling: of what --json wrote, instead of measuring"
+    text = "scaling: read rows that --json wrote instead of measuring"
     parser.add_argument("--from", dest="earlier", type=Path, nargs="+", metavar="ROWS.json", default=[], help=text)
     add_arch(parser)
 

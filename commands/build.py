@@ -1,4 +1,4 @@
-"""`vrgs.py build`: build the shipped assets anew from code."""
+"""`vrgs.py build`: rebuild the shipped assets from code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAMES = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow", "dance
 SEED = 7
 
 
-HELP = "build the shipped assets anew from code"
+HELP = "rebuild the shipped assets from code"
 EXAMPLES = ("build ring_red",)
 
 

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Convert `args.input` to `args.output` and say in a line what was written and what was lost. Raises BadInput."""
+    """Convert `args.input` to `args.output` and print what was written and what was lost. Raises BadInput."""
     source, target = Path(args.input), Path(args.output)
     kind = kind_to_write(target)
     exist = [os.path.isfile(path) for path in (source, target)]  # False where Path.exists may raise

@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class Session:
-    """A play: the world, its display, and what is written of it. `open_session` makes one."""
+    """A play: the world, its display, and its outputs. Created by `open_session`."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class Session:
 
 @contextlib.contextmanager
 def open_session(args: argparse.Namespace) -> Iterator[Session]:
-    """Open all that the options ask for, closed again at the end. Raises BadInput, before any time is spent."""
+    """Open all that the options request, closed at the end. Raises BadInput before any long operation."""
     replay = open_replay(args)
     scene = load_scene(args, replay)
     with (
@@ -132,7 +132,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
 
         width, height = display.size
         options = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
-        # In a headset nobody should wait for kernels in the midst of play: it has capacity for copies from the start.
+        # In a headset there is capacity for copies from the start: compiling kernels would interrupt the play.
         options |= {"depth": bool(args.xr and display.depth), "fingers": bool(args.xr), "grown": bool(args.xr)}
         if replay:
             options = replay.world_options(options)
@@ -188,7 +188,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
     if args.xr:
         from display.xr.headset import Headset
 
-        marks = not args.record  # they do not belong in a film
+        marks = not args.record  # markers do not belong in a film
         return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale, marks=marks)
     if not args.headless:
         from display.window.gl_window import has_display
@@ -222,7 +222,7 @@ def open_film(args: argparse.Namespace, display: Display):
 
 
 def prepared_body(args: argparse.Namespace) -> str | None:
-    """The asset of --body: as it is if it is one already, else prepared from the splat and cached."""
+    """The asset of --body: an asset as it is, a splat prepared and cached."""
     if args.body is None:
         if args.up is not None or args.scale is not None or args.pieces:
             raise BadInput("--up, --scale and --pieces belong to --body FILE")
@@ -239,7 +239,7 @@ def prepared_body(args: argparse.Namespace) -> str | None:
 
 
 def prepared_stage(args: argparse.Namespace) -> str | None:
-    """The asset of --stage: as it is if it is one already, else prepared from the splat and cached."""
+    """The asset of --stage: an asset as it is, a splat prepared and cached."""
     if args.stage is None or Path(args.stage).suffix.lower() == ".h5":
         return args.stage
     from commands.prepare import cached_environment

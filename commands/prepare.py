@@ -1,4 +1,4 @@
-"""`vrgs.py prepare`: make a splat simulatable, or a room a stage."""
+"""`vrgs.py prepare`: make a splat simulatable, or a room playable."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
     parser.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
-    parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="a standing person takes over this rig's motion")
+    parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="animate a standing person by this rig's motion")
     text = "positions of the person's joints (default: guessed)"
     parser.add_argument("--landmarks", type=Path, metavar="L.json", help=text)
     add_preparation(parser)
     *others, last = MATERIALS
     text = f"{', '.join(others)} or {last} (default plush, with a rig flesh)"
     parser.add_argument("--material", metavar="NAME", default=argparse.SUPPRESS, help=text)
-    text = "it is a room or a garden: a stage for the sandbox"
+    text = "the splat is a room or garden to play in"
     parser.add_argument("--static", action="store_true", help=text)
     text = "--static: spacing of the distance grid (default: by size)"
     parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
-    text = "--static: objects to take out of it"
+    text = "--static: objects to cut out, each into a file"
     parser.add_argument("--cut", type=positive(int), nargs="+", metavar="ID", help=text)
     parser.add_argument("--force", action="store_true", help="overwrite OUT")
     text = "maker of the tetrahedra (default stuffing; tetgen as in the paper: see requirements-tetgen.txt)"
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> None:
     static = args.static or args.cell is not None or bool(cut)
     if static:
         _check_static(args)
-    file_size(Path(args.splats))  # before the other complaints
+    file_size(Path(args.splats))  # before other errors
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")
     if not out.parent.is_dir():

@@ -27,14 +27,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS} or .h5")
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
-    where.add_argument("--turntable", action="store_true", help="film it from all sides")
+    where.add_argument("--turntable", action="store_true", help="film one turn around it")
     parser.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4")
     parser.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
-    text = "turntable: (default 960x540)"
+    text = "turntable: picture size (default 960x540)"
     parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)
-    text = "turntable: pictures (default 180)"
+    text = "turntable: number of pictures (default 180)"
     parser.add_argument("--frames", type=positive(int), default=180, metavar="N", help=text)
-    text = "turntable: seen from (default 15)"
+    text = "turntable: elevation of the camera (default 15)"
     parser.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help=text)
     add_sort(parser, "z")
     parser.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
@@ -57,7 +57,7 @@ def draw_pictures(args: argparse.Namespace) -> None:
     depth [m] (V, H, W), unclamped and without a background. Raises BadInput.
     """
     if args.camera is None:
-        raise BadInput("from where? --camera CAM.json, or --turntable for a film from all sides")
+        raise BadInput("no camera: use --camera CAM.json, or --turntable for a film of one turn")
     out = Path(args.out)
     if out.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"{out}: the picture's name must end in .png or .npz")
@@ -122,7 +122,7 @@ def _write_png(path: Path, rgba: np.ndarray) -> None:
 
 
 def film_turntable(args: argparse.Namespace) -> None:
-    """Film the splats from all sides: an MP4 of `args.frames` pictures. Raises BadInput."""
+    """Film one turn around the splats: an MP4 of `args.frames` pictures. Raises BadInput."""
     from display.headless.headless import Progress
     from display.headless.video import Video
     from display.picture import pixels_of

@@ -26,14 +26,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("asset", metavar="ASSET", help="a prepared asset, or a shipped one by name")
     young = {"type": positive(float), "metavar": "E"}
     parser.add_argument("--young", nargs="+", **young, help="Young's moduli to try [Pa]")
-    parser.add_argument("--from", dest="lowest", default=1e3, **young, help="else: the lowest (default 1e3)")
-    parser.add_argument("--to", dest="highest", default=1e6, **young, help="the highest (default 1e6)")
-    parser.add_argument("--steps", type=positive(int), default=6, metavar="N", help="how many (default 6)")
-    text = "density and so on (default: the asset's; see: vrgs.py materials)"
+    parser.add_argument(
+        "--from", dest="lowest", default=1e3, **young, help="without --young: lowest modulus (default 1e3)"
+    )
+    parser.add_argument("--to", dest="highest", default=1e6, **young, help="highest modulus (default 1e6)")
+    parser.add_argument("--steps", type=positive(int), default=6, metavar="N", help="number of moduli (default 6)")
+    text = "material whose modulus is varied (default: the asset's; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
-    text = f"of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})"
+    text = f"height of the drop (default: half the body's, at least {DROP_HEIGHT_MIN})"
     parser.add_argument("--height", type=positive(float), metavar="M", help=text)
-    parser.add_argument("--out", type=Path, metavar="STRIP.png", help="(default: ASSET_tune.png)")
+    parser.add_argument("--out", type=Path, metavar="STRIP.png", help="strip of pictures (default: ASSET_tune.png)")
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the table")
     add_arch(parser)
 

@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help=f"{SPLATS} or .h5")
     parser.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
-    text = "of the window (default 960x540)"
+    text = "window size (default 960x540)"
     parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)
     parser.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
     add_sort(parser, MOVING_SORT, own=False)

@@ -1,4 +1,4 @@
-"""The dining room's table, on which several demos play: where things stand, what collides, and the rings."""
+"""The dining room's table, on which several demos play: its furniture and colliders."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class JustDance(Sandbox):
         return f"{self.hits} hits. Throw the ring at the dancer." if self.hits else "Throw the ring at the dancer."
 
     def verify(self, bodies: list[BodyState]) -> None:
-        """What must hold once the scripted hand has played: a ring has met the dancer and lies outside of it."""
+        """Assert the outcome of the scripted play: a ring has hit the dancer and lies outside of it."""
         assert self.hits > 0, "no ring has met the dancer"
         assert np.isfinite(bodies[1].centroid).all() and bodies[0].low[1] > TABLE_TOP - 0.05
 

@@ -55,7 +55,7 @@ class RingToss:
         return f"{self.score} of {len(STARTS)} rings on the bottle. Grab a ring and throw it."
 
     def verify(self, bodies: list[BodyState]) -> None:
-        """What must hold once the scripted hand has played."""
+        """Assert the outcome of the scripted play."""
         assert self.score >= 2, f"only {self.score} of 3 rings on the bottle"
         assert all(b.low[1] > -0.01 for b in bodies), "a ring fell through the floor"
 

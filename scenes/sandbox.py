@@ -77,7 +77,7 @@ class Sandbox:
         return "Grab it, squeeze it, throw it." if self.dancer_height is None else "Throw the ring at it."
 
     def verify(self, bodies: list[BodyState]) -> None:
-        """What must hold once the scripted hand has played."""
+        """Assert the outcome of the scripted play."""
         assert bodies[0].low[1] > -0.01, "the body fell through the floor"
 
 
@@ -121,7 +121,7 @@ def rings(place: Vec3, height: float | None) -> list[Body]:
 
 
 def in_room(body: str, material: Material, stage: str, height: float | None = None) -> Scene:
-    """The body over the table or floor of a captured room, whose floor goes on beyond the capture."""
+    """The body over the table or floor of a captured room, whose floor extends beyond the capture."""
     room = Environment.load(stage)
     x, y, z = room.drop_point
     start = (x, y + START_HEIGHT, z) if height is None else (x, y, z)

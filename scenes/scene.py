@@ -1,4 +1,4 @@
-"""What a scene file is made of. Data only: no Taichi, no files are read here."""
+"""Types of a scene: bodies, colliders, light, hands, game. Data only: no Taichi, no files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class Box:
 class Light:
     """The light that casts shadows. `kind` is "point" or "directional" (position gives the direction).
 
-    `strength` is the share of a Gaussian's colour that is lost in full shadow, `softness` [m] the
+    `strength` is the fraction of a Gaussian's colour that is lost in full shadow, `softness` [m] the
     width of the shadow's edge.
     """
 
@@ -77,7 +77,7 @@ class Light:
 
 @dataclass(frozen=True)
 class Touch:
-    """A piece of a hand that pushes: all points within `radius` [m] of the segment a-b [m], in the world."""
+    """Finger capsule of a hand: all points within `radius` [m] of the segment a-b [m], in the world."""
 
     a: Vec3
     b: Vec3
@@ -86,11 +86,11 @@ class Touch:
 
 @dataclass
 class Hand:
-    """A hand as a device or a script gives it: pose in the world, and whether it grips.
+    """Input of a hand from a device or script: pose in the world, and grip.
 
-    On the rising edge of `grip` the solver takes the vertices within `reach` [m]. What the hand pushes with is `touch`,
-    always in the same order: each piece moves from where it was in the frame before. A hand passes through what it
-    holds. Only a solver that was made for it (`fingers`) feels them.
+    On the rising edge of `grip` the solver takes the vertices within `reach` [m]. `touch` holds the finger capsules
+    that push bodies, always in the same order: each sweeps from its place in the last frame. A hand passes through what it
+    holds. Finger capsules need a solver with `fingers`.
     """
 
     position: Vec3 = (0.0, 0.0, 0.0)
@@ -102,7 +102,7 @@ class Hand:
 
 @dataclass(frozen=True)
 class BodyState:
-    """What a game may see of a simulated body after a frame: SI units, world frame."""
+    """State of a simulated body after a frame, as a game sees it: SI units, world frame."""
 
     name: str
     centroid: np.ndarray
@@ -111,16 +111,16 @@ class BodyState:
     high: np.ndarray
     axis: np.ndarray  # unit normal of the body's flattest direction at rest, carried along
     held: bool
-    driven: bool = False  # some of it is led by the program, and no hand carries it away
+    driven: bool = False  # partly moved by the program: no hand carries it away
 
 
 class Game(Protocol):
-    """A scene's small game. `hands` is its scripted player; it starts anew with `reset`.
+    """Game of a scene. `hands` is its scripted player; `reset` starts it again.
 
     `verify` raises AssertionError if the scripted play did not end as it should.
     """
 
-    duration: float  # [s] that the scripted player needs
+    duration: float  # [s] of the scripted play
 
     def reset(self) -> None: ...
     def update(self, time: float, bodies: list[BodyState]) -> None: ...
@@ -134,7 +134,7 @@ class Game(Protocol):
 
 @dataclass(frozen=True)
 class Scene:
-    """A demo: what is there, how it is lit and seen, how exactly it is simulated."""
+    """A demo: its bodies, light and view, and the accuracy of the simulation."""
 
     bodies: list[Body]
     light: Light | None  # None: nothing casts a shadow, nothing can be lit
@@ -143,7 +143,7 @@ class Scene:
     colliders: list[Plane | Capsule | Box] = field(default_factory=list)
     fov_y: float = 0.9  # [rad]
     gravity: Vec3 = (0.0, -9.81, 0.0)
-    iterations: int | None = None  # sweeps a substep; None: what suits the path that the solver chooses
+    iterations: int | None = None  # sweeps a substep; None: chosen with the integrator
     collision_passes: int = 1
     substep: float | None = None  # [s]; None: from the stability rule
     background: Vec3 = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""A scripted hand that grasps a body, lifts it and throws it at a target: it plays in films, tests and demonstrations."""
+"""Scripted hand that grasps a body, lifts it and throws it at a target, for films, tests and demonstrations."""
 
 from __future__ import annotations
 

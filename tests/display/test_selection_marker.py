@@ -31,7 +31,7 @@ def test_it_is_marked_when_it_was_chosen_or_an_edit_is_near():
 def test_strokes_go_along_the_edges_of_a_box_around_the_body():
     found = strokes(body())
     assert found.shape == (24, 2, 3)
-    low, high = -marking.CORNER_GAP, np.array([0.2, 0.1, 0.3]) + marking.AROUND
+    low, high = -marking.CORNER_GAP, np.array([0.2, 0.1, 0.3]) + marking.CORNER_GAP
     assert (found >= low - 1e-9).all() and (found <= high + 1e-9).all()
     along = np.abs(found[:, 1] - found[:, 0])
     assert (np.count_nonzero(along > 1e-9, axis=1) == 1).all()

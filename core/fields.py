@@ -61,11 +61,6 @@ class FieldGroup:
         if self._tree is not None and not self._tree.destroyed:
             self._tree.destroy()
 
-    @property
-    def destroyed(self) -> bool:
-        """True once the device memory has been freed."""
-        return self._tree is not None and self._tree.destroyed
-
     def _place(self, field, shape: tuple[int, ...], column_major: bool = False):
         if self._records is not None:
             node = self._records

@@ -1,0 +1,38 @@
+"""Where assets are found, what they are made of, and where prepared ones are kept."""
+
+from dataclasses import replace
+
+import pytest
+
+from assets.library import animated_height, asset_material, cached_asset, default_material, find_asset
+from core.errors import BadInput
+from core.material import Material
+from tests.assets.test_animation import some_motion
+from tests.assets.test_asset import MATERIAL, some_asset
+
+
+def test_the_default_material_is_the_asset_s_own_or_by_its_kind(tmp_path):
+    path = str(tmp_path / "a.h5")
+    some_asset().save(path)
+    assert asset_material(path) == default_material(path) == MATERIAL and animated_height(path) is None
+    replace(some_asset(), material=None).save(path)
+    assert asset_material(path) is None and default_material(path) == Material.named("plush")
+    replace(some_asset(), material=None, animation=some_motion()).save(path)
+    assert default_material(path) == Material.named("flesh") and animated_height(path) == 1.0
+
+
+def test_an_unknown_asset_is_answered_by_the_shipped_ones():
+    assert find_asset("ring_red").is_file()
+    with pytest.raises(BadInput, match="no such asset; shipped ones: .*ring_red"):
+        find_asset("ring_green")
+
+
+def test_a_prepared_file_is_kept_by_content_and_options(tmp_path, monkeypatch):
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "a.ply").write_bytes(b"one")
+    first = cached_asset(tmp_path / "a.ply", {"vertices": 100})
+    assert first.parent == tmp_path / "cache" and first.name.startswith("a-") and first.suffix == ".h5"
+    assert cached_asset(tmp_path / "a.ply", {"vertices": 100}) == first
+    assert cached_asset(tmp_path / "a.ply", {"vertices": 200}) != first
+    (tmp_path / "a.ply").write_bytes(b"two")
+    assert cached_asset(tmp_path / "a.ply", {"vertices": 100}) != first

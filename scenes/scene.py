@@ -89,8 +89,8 @@ class Hand:
     """Input of a hand from a device or script: pose in the world, and grip.
 
     On the rising edge of `grip` the solver takes the vertices within `reach` [m]. `touch` holds the finger capsules
-    that push bodies, always in the same order: each sweeps from its place in the last frame. A hand passes through what it
-    holds. Finger capsules need a solver with `fingers`.
+    that push bodies, always in the same order: each sweeps from its place in the last frame. A hand passes through the
+    bodies that it holds. Finger capsules need a solver with `fingers`.
     """
 
     position: Vec3 = (0.0, 0.0, 0.0)

@@ -48,7 +48,7 @@ def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
 
 
 def eye_around(middle, radius: float, yaw: float, *, elevation: float = ELEVATION, aspect: float = 1.0) -> np.ndarray:
-    """Position of an eye that sees a whole ball of `radius` [m], `yaw` [rad] right of and `elevation` [rad] above it."""
+    """Position of an eye that sees a whole ball of `radius` [m], `yaw` right of and `elevation` above it [rad]."""
     narrow = np.arctan(np.tan(0.5 * FOV_Y) * min(aspect, 1.0))
     direction = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
     return np.asarray(middle) + DISTANCE_MARGIN * radius / np.sin(narrow) * direction

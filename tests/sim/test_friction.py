@@ -90,5 +90,5 @@ def test_what_slides_keeps_sliding_where_it_would_have_held(slope):
 def test_kinetic_friction_out_of_range_is_refused(kinetic):
     x, tets, surface = box((1, 1, 1), (1, 1, 1))
     body = SoftBody("block", x, tets, surface, Material(1e5, 0.3, 1e3, friction=0.5, kinetic_friction=kinetic))
-    with pytest.raises(BadInput, match="block: .*kinetic_friction"):
+    with pytest.raises(BadInput, match=r"block: .*kinetic_friction"):
         body.check()

@@ -65,7 +65,7 @@ class DynamicResolution:
     that were too slow: a single hitch, which fewer pixels would not have avoided, changes nothing. Neither do frames
     that are slow for other reasons: where drawing is less than MIN_DRAWING of the work, fewer pixels would not help.
 
-    `full` is the (width, height) [px] of the largest picture, `min_scale` the smallest scale of a side.
+    `full` is the (width, height) [px] of the largest picture.
     """
 
     HIGH_LOAD, LOW_LOAD = 0.9, 0.7  # of the budget
@@ -77,8 +77,8 @@ class DynamicResolution:
     MIN_SCALE = 0.5  # of a side
     ROUNDING = 8  # [px] to which a side is rounded
 
-    def __init__(self, full: tuple[int, int], *, min_scale: float = MIN_SCALE):
-        self.full, self.min_scale, self.scale = full, min_scale, 1.0
+    def __init__(self, full: tuple[int, int]):
+        self.full, self.scale = full, 1.0
         self._too_slow: deque[bool] = deque(maxlen=self.RECENT_FRAMES)
         self._fast_frames, self._skip = 0, self.SKIPPED_FRAMES
 
@@ -90,27 +90,21 @@ class DynamicResolution:
         grain = self.ROUNDING
         return tuple(min(side, max(grain, round(side * self.scale / grain) * grain)) for side in self.full)
 
-    def note(self, seconds: float, budget: float, drawing: float | None = None) -> bool:
-        """Note a frame of `seconds`, `drawing` of them for pixels, of a `budget` [s]; returns whether `size` is new."""
+    def note(self, seconds: float, budget: float, drawing: float | None = None) -> None:
+        """Note a frame that took `seconds` of a `budget` [s], of these `drawing` for pixels."""
         if self._skip:
             self._skip -= 1
-            return False
+            return
         load = seconds / budget
         self._too_slow.append(load > self.HIGH_LOAD and (drawing is None or drawing > self.MIN_DRAWING * seconds))
         self._fast_frames = self._fast_frames + 1 if load < self.LOW_LOAD else 0
         if self._too_slow[-1] and sum(self._too_slow) >= self.SLOW_FRAMES:
-            return self._set(self.scale * max(1.0 - self.MAX_SHRINK, (self.HIGH_LOAD * 0.95 / load) ** 0.5))
-        if self._fast_frames >= self.GROW_AFTER:
-            return self._set(self.scale * (1.0 + self.MAX_GROWTH))
-        return False
+            self.hold(self.scale * max(1.0 - self.MAX_SHRINK, (self.HIGH_LOAD * 0.95 / load) ** 0.5))
+        elif self._fast_frames >= self.GROW_AFTER:
+            self.hold(self.scale * (1.0 + self.MAX_GROWTH))
 
-    def hold(self, scale: float) -> bool:
-        """Fix the scale of a side, however long frames take; returns whether `size` is new."""
-        return self._set(scale)
-
-    def _set(self, scale: float) -> bool:
-        before = self.size
-        self.scale = min(1.0, max(self.min_scale, scale))
+    def hold(self, scale: float) -> None:
+        """Draw this scale of a side from now on, and look at the next frames anew."""
+        self.scale = min(1.0, max(self.MIN_SCALE, scale))
         self._too_slow.clear()
         self._fast_frames, self._skip = 0, self.SKIPPED_FRAMES
-        return self.size != before

@@ -7,22 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from core.camera import Camera
-from display.protocol import (
-    Command,
-    Duplicate,
-    Pause,
-    PlayDemo,
-    Redo,
-    Remove,
-    Rescale,
-    Reset,
-    Rotate,
-    SetInteraction,
-    SetLight,
-    SingleStep,
-    Undo,
-    WorldView,
-)
+from display import protocol
+from display.protocol import Command, WorldView
 from display.window.mouse_hand import MIN_DEPTH, MouseHand
 from display.window.orbit_camera import OrbitCamera
 from scenes.scene import Hand
@@ -67,12 +53,14 @@ def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0) -> tuple[float, ...]:
     return (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
 
 
-EDITS: dict[str, Command] = {  # of the selected body, by the names of the panels' buttons
-    "copy": Duplicate(),
-    "remove": Remove(),
-    "smaller": Rescale(None, 1 / SCALE_STEP),
-    "larger": Rescale(None, SCALE_STEP),
-    "turn": Rotate(None, rotation_step(sign=-1.0)),
+EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
+    "undo": protocol.Undo(),
+    "redo": protocol.Redo(),
+    "copy": protocol.Duplicate(),
+    "remove": protocol.Remove(),
+    "smaller": protocol.Rescale(None, 1 / SCALE_STEP),
+    "larger": protocol.Rescale(None, SCALE_STEP),
+    "turn": protocol.Rotate(None, rotation_step(sign=-1.0)),
 }
 EDIT_KEYS = {"c": "copy", "delete": "remove", "minus": "smaller", "plus": "larger"}
 
@@ -163,16 +151,16 @@ class Controls:
             self.orbit.reset()
         elif name == "r":
             self.let_go()
-            return [Reset()]
+            return [protocol.Reset()]
         elif name == "n":
-            return [Pause(True), SingleStep()]
+            return [protocol.Pause(True), protocol.SingleStep()]
         elif name == "space":
-            return [Pause(not world.paused)]
+            return [protocol.Pause(not world.paused)]
         elif name == "p":
             self.let_go()
-            return [PlayDemo(not world.demo)]
+            return [protocol.PlayDemo(not world.demo)]
         elif name == "t":
-            return [SetInteraction("transform" if world.interaction == "physics" else "physics")]
+            return [protocol.SetInteraction("transform" if world.interaction == "physics" else "physics")]
         elif world.editable:
             return self._edit(name, world, u, v, camera)
         return []
@@ -181,14 +169,14 @@ class Controls:
         """Edit of the body that is held, else of the one under the cursor, else of the one selected last."""
         if name in ("ctrl+z", "ctrl+y", "u"):
             self._drop()
-            return [Redo() if name == "ctrl+y" or self._shift else Undo()]
+            return [protocol.Redo() if name == "ctrl+y" or self._shift else protocol.Undo()]
         hit = world.pick(*camera.ray(u, v)) if self.drag != "grab" else None
         body = None if hit is None else hit[1]
         if name == "delete":
             self._drop()
         if name in ("comma", "period"):
             axis = camera.world_to_camera[0, :3] if self._shift else (0.0, 1.0, 0.0)
-            return [Rotate(body, rotation_step(axis, 1.0 if name == "comma" else -1.0))]
+            return [protocol.Rotate(body, rotation_step(axis, 1.0 if name == "comma" else -1.0))]
         return [replace(EDITS[EDIT_KEYS[name]], body=body)] if name in EDIT_KEYS else []
 
     def place_light(self, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
@@ -202,7 +190,7 @@ class Controls:
         if depth < MIN_DEPTH:  # it is behind the camera: then it comes to the target's depth
             depth = self.orbit.distance
         position = origin + direction * depth / float(direction @ forward)
-        return [SetLight(replace(world.light, position=tuple(map(float, position))))]
+        return [protocol.SetLight(replace(world.light, position=tuple(map(float, position))))]
 
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""

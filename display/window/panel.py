@@ -12,18 +12,8 @@ from time import perf_counter
 import numpy as np
 
 from core.material import MATERIALS
-from display.protocol import (
-    Command,
-    Pause,
-    Redo,
-    Reset,
-    SetInteraction,
-    SetLight,
-    SetMaterial,
-    SingleStep,
-    Undo,
-    WorldView,
-)
+from display import protocol
+from display.protocol import Command, WorldView
 from display.timing import Timings
 from display.window.controls import CAMERA_HELP, EDITS, HELP
 from scenes.scene import Light, Scene
@@ -42,8 +32,8 @@ INTERACTIONS = {
     "Transform": "A body that you hold moves rigidly; nothing deforms.",
 }
 EDIT_BUTTONS = {
-    "Undo": (Undo(), "Undo the last change (Ctrl+Z)."),
-    "Redo": (Redo(), "Redo it (Ctrl+Y)."),
+    "Undo": (EDITS["undo"], "Undo the last change (Ctrl+Z)."),
+    "Redo": (EDITS["redo"], "Redo it (Ctrl+Y)."),
     "Copy": (EDITS["copy"], "Copy the body that was held last (C)."),
     "Remove": (EDITS["remove"], "Remove it (Del)."),
     "Smaller": (EDITS["smaller"], "(-)"),
@@ -127,16 +117,16 @@ class Panel:
         gap = imgui.get_style().item_spacing.x
         third = ((WIDTH * self.scale - 2 * gap) / 3, 0)
         if imgui.button("Resume" if world.paused else "Pause", third):
-            commands.append(Pause(not world.paused))
+            commands.append(protocol.Pause(not world.paused))
         imgui.same_line()
         if imgui.button("Step", third):
-            commands += [Pause(True), SingleStep()]
+            commands += [protocol.Pause(True), protocol.SingleStep()]
         imgui.same_line()
         if imgui.button("Reset", third):
-            commands.append(Reset())
+            commands.append(protocol.Reset())
         chosen = self._choice(imgui, list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS)
         if chosen.lower() != world.interaction:
-            commands.append(SetInteraction(chosen.lower()))
+            commands.append(protocol.SetInteraction(chosen.lower()))
         return commands
 
     def _edit(self, imgui, world: WorldView) -> list[Command]:
@@ -158,7 +148,7 @@ class Panel:
             if imgui.begin_combo("##material", "Material"):
                 for name in MATERIALS:
                     if imgui.selectable(name, False)[0]:
-                        commands.append(SetMaterial(selected, name))
+                        commands.append(protocol.SetMaterial(selected, name))
                 imgui.end_combo()
         return commands
 
@@ -204,7 +194,8 @@ class Panel:
         if kind == light.kind and np.allclose([*position, strength, softness], before):
             return []
         position = tuple(map(float, position))
-        return [SetLight(replace(light, kind=kind, position=position, strength=strength, softness=softness / 100))]
+        changed = replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)
+        return [protocol.SetLight(changed)]
 
     def _performance(self, imgui) -> None:
         current = next(name for name, scale in RESOLUTIONS.items() if scale == self.resolution)

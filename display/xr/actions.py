@@ -31,31 +31,17 @@ ACTIONS = {  # name: (kind of XrActionType, name that the runtime shows)
 }
 EVERY_PROFILE = {"grip": "input/grip/pose", "aim": "input/aim/pose", "haptic": "output/haptic"}
 ANALOG = {"grab": "input/squeeze/value", "pinch": "input/trigger/value", "stick": "input/thumbstick"}
+CLICKS = {"grab": "input/squeeze/click", "pinch": "input/trigger/value", "upper": "input/menu/click"}
+TOUCH = {**ANALOG, "point": "input/trigger/touch"}
 PROFILES = {  # action: input of both hands, or (left, right)
     "oculus/touch_controller": {
-        **ANALOG,
-        "point": "input/trigger/touch",
+        **TOUCH,
         "upper": ("input/y/click", "input/b/click"),
         "lower": ("input/x/click", "input/a/click"),
     },
-    "valve/index_controller": {
-        **ANALOG,
-        "point": "input/trigger/touch",
-        "upper": "input/b/click",
-        "lower": "input/a/click",
-    },
-    "htc/vive_controller": {
-        "grab": "input/squeeze/click",
-        "pinch": "input/trigger/value",
-        "stick": "input/trackpad",
-        "upper": "input/menu/click",
-    },
-    "microsoft/motion_controller": {
-        "grab": "input/squeeze/click",
-        "pinch": "input/trigger/value",
-        "stick": "input/thumbstick",
-        "upper": "input/menu/click",
-    },
+    "valve/index_controller": {**TOUCH, "upper": "input/b/click", "lower": "input/a/click"},
+    "htc/vive_controller": {**CLICKS, "stick": "input/trackpad"},
+    "microsoft/motion_controller": {**CLICKS, "stick": "input/thumbstick"},
     "khr/simple_controller": {"grab": "input/select/click", "upper": "input/menu/click"},
 }
 

@@ -9,6 +9,7 @@ from time import monotonic
 import cv2
 import numpy as np
 
+from display.protocol import WorldView
 from display.window.panel import ACCENT, QUIET, font_file
 from display.xr.swapchains import QuadLayer
 from display.xr.wrist_panel import BUTTONS, PANEL_WIDTH, PIXELS, Button, WristPanel
@@ -34,21 +35,20 @@ class PanelContent:
     hovered: str | None = None
 
     @classmethod
-    def of(cls, world, panel: WristPanel) -> PanelContent:
+    def of(cls, world: WorldView, panel: WristPanel) -> PanelContent:
         """The content for a world as it is."""
         bodies, k = world.bodies(), world.selected
-        lit = {world.interaction} | ({"pause"} if world.paused else set()) | ({"demo"} if world.demo else set())
+        lit = {"pause": world.paused, "watch": world.demo, "light": panel.placing, world.interaction: True}
         note = bodies[k].name if k is not None and k < len(bodies) else "Hold a body or point at it to select it."
+        if panel.placing:
+            note = "The light follows your hand until you release the trigger."
         says_score = not world.score or str(world.score) in world.message.split()
-        score = f"{world.score}   " if world.message and not says_score else ""
         return cls(
-            message=f"{score}{world.message}",
-            note="The light follows your hand until you release the trigger."
-            if panel.placing
-            else world.notice or note,
+            message=f"{world.score}   {world.message}" if world.message and not says_score else world.message,
+            note=note if panel.placing else world.notice or note,
             warns=bool(world.notice or panel.placing),
             rate=f"{world.timings.recent_fps():.0f} fps",
-            lit=frozenset(lit | ({"light"} if panel.placing else set())),
+            lit=frozenset(name for name, on in lit.items() if on),
             hovered=panel.hovered.name if panel.hovered else None,
         )
 
@@ -142,8 +142,8 @@ def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
     colour = np.float32((ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
     background = np.float32(BACKGROUND)
     picture = (background + rounded_rectangle(w, h) * (colour - background) + 0.5).astype(np.uint8)
-    left = (w - text_width(button.text, LABEL_SIZE)) // 2 - 4
-    write(picture, button.text, left, h // 2, LABEL_SIZE, DARK_TEXT if lit else LIGHT_TEXT)
+    left = (w - text_width(button.name.capitalize(), LABEL_SIZE)) // 2 - 4
+    write(picture, button.name.capitalize(), left, h // 2, LABEL_SIZE, DARK_TEXT if lit else LIGHT_TEXT)
     return picture
 
 

@@ -6,23 +6,12 @@ the trigger, or pushes a finger through it; then it grips nothing. Positions on 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from display.protocol import (
-    Command,
-    Pause,
-    PlayDemo,
-    Redo,
-    Reset,
-    Select,
-    SetInteraction,
-    SetLight,
-    Undo,
-    WorldView,
-)
+from display import protocol
+from display.protocol import Command, WorldView
 from display.window.controls import EDITS
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
@@ -39,51 +28,42 @@ CLEARANCE = 0.015  # [m] before the panel to which a finger must come back to pu
 
 @dataclass(frozen=True)
 class Button:
-    """A button: `box` is left, top, width and height [px], `command` what it does to a world; None: place the light."""
+    """A button: `box` is left, top, width and height [px]."""
 
     name: str
-    text: str
-    command: Callable[[WorldView], Command] | None
     box: tuple[int, int, int, int]
 
     def contains(self, u: float, v: float) -> bool:
-        """True if a point [px] is on it."""
+        """Whether a point [px] is on it."""
         x, y, w, h = self.box
         return x <= u < x + w and y <= v < y + h
 
+    def command(self, world: WorldView) -> Command | None:
+        """The command that it gives; None of the light's, which is to be placed."""
+        match self.name:
+            case "physics" | "transform":
+                return protocol.SetInteraction(self.name)
+            case "pause":
+                return protocol.Pause(not world.paused)
+            case "reset":
+                return protocol.Reset()
+            case "watch":
+                return protocol.PlayDemo(not world.demo)
+        return EDITS.get(self.name)
 
-def button_row(top: int, *buttons: tuple) -> list[Button]:
-    """Buttons (name, text, command) side by side."""
+
+def button_row(top: int, *names: str) -> list[Button]:
+    """Buttons side by side."""
     left, gap, height = 20, 12, 84
-    width = (PIXELS[0] - 2 * left - gap * (len(buttons) - 1)) // len(buttons)
-    return [Button(*about, (left + k * (width + gap), top, width, height)) for k, about in enumerate(buttons)]
-
-
-def edit_button(name: str) -> tuple:
-    """The button of an edit of the selected body."""
-    return name, name.capitalize(), lambda world: EDITS[name]
+    width = (PIXELS[0] - 2 * left - gap * (len(names) - 1)) // len(names)
+    return [Button(name, (left + k * (width + gap), top, width, height)) for k, name in enumerate(names)]
 
 
 BUTTONS = [
-    *button_row(
-        116,
-        ("physics", "Physics", lambda world: SetInteraction("physics")),
-        ("transform", "Transform", lambda world: SetInteraction("transform")),
-    ),
-    *button_row(
-        212,
-        ("undo", "Undo", lambda world: Undo()),
-        ("redo", "Redo", lambda world: Redo()),
-        edit_button("copy"),
-        edit_button("remove"),
-    ),
-    *button_row(308, edit_button("smaller"), edit_button("larger"), edit_button("turn"), ("light", "Light", None)),
-    *button_row(
-        404,
-        ("pause", "Pause", lambda world: Pause(not world.paused)),
-        ("reset", "Reset", lambda world: Reset()),
-        ("demo", "Watch", lambda world: PlayDemo(not world.demo)),
-    ),
+    *button_row(116, "physics", "transform"),
+    *button_row(212, "undo", "redo", "copy", "remove"),
+    *button_row(308, "smaller", "larger", "turn", "light"),
+    *button_row(404, "pause", "reset", "watch"),
 ]
 
 
@@ -174,16 +154,16 @@ class WristPanel:
         began, self._trigger = pulls and not self._trigger, pulls
         button, commands = self._pressed(right, began), []
         if button is not None:
-            self.clicked = True
-            if button.command is not None:
-                commands.append(button.command(world))
+            self.clicked, command = True, button.command(world)
+            if command is not None:
+                commands.append(command)
             elif world.light is not None:
                 self.placing, self._trigger_places = True, began
         if began and not self._captured and right.aim is not None and world.editable:
             aim = world_from_play @ right.aim
             hit = world.pick(aim[:3, 3], -aim[:3, 2])
             if hit is not None:
-                commands.append(Select(hit[1]))
+                commands.append(protocol.Select(hit[1]))
         commands += self._place_light(right, world_from_play, world)
         if self._captured or self.placing:
             right = replace(right, grab=0.0, pinch=0.0)
@@ -241,4 +221,4 @@ class WristPanel:
         if right.grip is None:
             return []
         position = (world_from_play @ right.grip)[:3, 3]
-        return [SetLight(replace(world.light, position=tuple(position.tolist())))]
+        return [protocol.SetLight(replace(world.light, position=tuple(position.tolist())))]

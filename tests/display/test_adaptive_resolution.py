@@ -123,19 +123,22 @@ def test_what_is_slow_for_other_reasons_does_not_cost_pixels():
     assert resolution.scale == R.MIN_SCALE
 
 
-def test_a_small_picture_is_never_drawn_larger_than_it_is():
-    resolution = R((17, 9))
-    assert resolution.size == (17, 9)
-    assert resolution.hold(0.99) and resolution.size == (16, 8)
-    assert resolution.hold(0.5) and resolution.size == (8, 8)
-    resolution = R(FULL)
-    assert resolution.hold(0.75) and resolution.size == (1352, 1440) and not resolution.hold(0.75)
-    assert resolution.hold(0.1) and resolution.scale == R.MIN_SCALE
+@pytest.mark.parametrize(
+    ("full", "scale", "size"),
+    [((17, 9), 1.0, (17, 9)), ((17, 9), 0.99, (16, 8)), ((17, 9), 0.5, (8, 8)), (FULL, 0.75, (1352, 1440))],
+)
+def test_a_side_is_rounded_and_never_larger_than_it_is(full, scale, size):
+    resolution = R(full)
+    resolution.hold(scale)
+    assert resolution.size == size
+    resolution.hold(0.1)
+    assert resolution.scale == R.MIN_SCALE
 
 
 def test_growing_never_makes_a_frame_too_slow():
     assert R.LOW_LOAD * (1 + R.MAX_GROWTH) ** 2 < R.HIGH_LOAD
     for full, scale in itertools.product((FULL, (633, 712)), np.linspace(R.MIN_SCALE, 1 / (1 + R.MAX_GROWTH), 50)):
         small, large = R(full), R(full)
-        small.scale, large.scale = scale, scale * (1 + R.MAX_GROWTH)
+        small.hold(scale)
+        large.hold(scale * (1 + R.MAX_GROWTH))
         assert R.LOW_LOAD * np.prod(large.size) / np.prod(small.size) < R.HIGH_LOAD  # rounded sides included

@@ -7,18 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.camera import look_at, perspective
-from display.protocol import (
-    Duplicate,
-    Pause,
-    PlayDemo,
-    Redo,
-    Remove,
-    Rescale,
-    Reset,
-    SetInteraction,
-    SingleStep,
-    Undo,
-)
+from display import protocol
 from display.window.controls import HELP, SCALE_STEP, TURN_STEP, WALK_KEYS, Controls
 from display.window.mouse_hand import MAX_SPEED, MouseHand
 from display.window.orbit_camera import MAX_PITCH, OrbitCamera
@@ -254,11 +243,11 @@ def test_walking_goes_on_while_a_key_is_held(controls, world):
 
 def test_keys_become_commands(controls, world):
     for name, commands in {
-        "space": [Pause(True)],
-        "n": [Pause(True), SingleStep()],
-        "t": [SetInteraction("transform")],
-        "p": [PlayDemo(True)],
-        "r": [Reset()],
+        "space": [protocol.Pause(True)],
+        "n": [protocol.Pause(True), protocol.SingleStep()],
+        "t": [protocol.SetInteraction("transform")],
+        "p": [protocol.PlayDemo(True)],
+        "r": [protocol.Reset()],
         "home": [],
         "f1": [],
     }.items():
@@ -266,8 +255,8 @@ def test_keys_become_commands(controls, world):
         assert key(controls, name, world, down=False) == []
     assert not controls.panel and not controls.quit
     world.paused, world.interaction = True, "transform"
-    assert key(controls, "space", world) == [Pause(False)]
-    assert key(controls, "t", world) == [SetInteraction("physics")]
+    assert key(controls, "space", world) == [protocol.Pause(False)]
+    assert key(controls, "t", world) == [protocol.SetInteraction("physics")]
     controls.orbit.turn(1.0, 0.3)
     key(controls, "home", world)
     assert np.allclose(controls.orbit.eye, (0, 0, 3))
@@ -292,10 +281,10 @@ def test_the_help_names_every_walking_key():
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("c", Duplicate),
-        ("delete", Remove),
-        ("plus", lambda body: Rescale(body, SCALE_STEP)),
-        ("minus", lambda body: Rescale(body, 1 / SCALE_STEP)),
+        ("c", protocol.Duplicate),
+        ("delete", protocol.Remove),
+        ("plus", lambda body: protocol.Rescale(body, SCALE_STEP)),
+        ("minus", lambda body: protocol.Rescale(body, 1 / SCALE_STEP)),
     ],
 )
 def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, world, name, command):
@@ -321,12 +310,12 @@ def test_turning_keys_turn_both_ways_about_the_vertical(controls, world):
 def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     assert controls.drag == "grab"
-    assert key(controls, "ctrl+z", world) == [Undo()]
+    assert key(controls, "ctrl+z", world) == [protocol.Undo()]
     assert controls.drag is None and not controls.hand.gripping
-    assert key(controls, "ctrl+y", world) == [Redo()]
-    assert key(controls, "u", world) == [Undo()]
+    assert key(controls, "ctrl+y", world) == [protocol.Redo()]
+    assert key(controls, "u", world) == [protocol.Undo()]
     key(controls, "shift", world)
-    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [Redo()]
+    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [protocol.Redo()]
 
 
 def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):

@@ -23,6 +23,8 @@ from core.tetmesh import enclosed_volume, tet_volumes
 FORMAT = "vrgs-asset"
 FORMAT_VERSION = 1
 
+INTEGER_DATASETS = {"object_id": np.uint16, "tets": np.int32, "surface": np.int32, "host": np.int32}
+
 WEIGHT_SUM_TOLERANCE = 1e-3  # of the four weights of a corner, as float32 rounds weights of some hundreds
 VOLUME_TOLERANCE = 1e-3  # relative, between a cage's tets and its surface
 
@@ -167,16 +169,10 @@ class Asset:
             file.attrs["format"] = FORMAT
             file.attrs["version"] = FORMAT_VERSION
             file.attrs["provenance"] = json.dumps(self.provenance)
-            for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
-                write_dataset(file, f"gaussians/{name}", getattr(self.gaussians, name), np.float32)
-            write_dataset(file, "gaussians/object_id", self.gaussians.object_id, np.uint16)
-            if self.cage is not None:
-                write_dataset(file, "cage/vertices", self.cage.vertices, np.float32)
-                write_dataset(file, "cage/tets", self.cage.tets, np.int32)
-                write_dataset(file, "cage/surface", self.cage.surface, np.int32)
-            if self.embedding is not None:
-                write_dataset(file, "embedding/host", self.embedding.host, np.int32)
-                write_dataset(file, "embedding/weights", self.embedding.weights, np.float32)
+            for group, arrays in (("gaussians", self.gaussians), ("cage", self.cage), ("embedding", self.embedding)):
+                for f in fields(arrays) if arrays is not None else ():
+                    dtype = INTEGER_DATASETS.get(f.name, np.float32)
+                    write_dataset(file, f"{group}/{f.name}", getattr(arrays, f.name), dtype)
             if self.sdf is not None:
                 write_dataset(file, "sdf/values", self.sdf.values, np.float16)
                 file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)

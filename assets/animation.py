@@ -94,7 +94,7 @@ class Animation:
         return linear_blend_skinning(points, self.joints, self.weights, matrices)
 
     def check(self, cage_vertices: int, where: str) -> None:
-        """Raise BadInput, naming `where`, unless the motion can be played on a cage of so many vertices."""
+        """Raise BadInput, naming `where`, unless the motion can be played on a cage with this many vertices."""
         J, F, S = len(self.names), len(self.frames[0]), len(self.vertices)
         if not (0 < J <= JOINTS_MAX and 0 < F <= FRAMES_MAX and J * F <= JOINT_FRAMES_MAX):
             raise BadInput(f"{where}: the animation has {J} joints and {F} frames, more than can be played, or none")

@@ -78,7 +78,7 @@ def cache_folder() -> Path:
 def cached_asset(source: Path, options: dict) -> Path:
     """Path of the asset prepared from `source` with `options`, whether or not it exists yet.
 
-    The name holds a hash of the file's bytes and the options: an edited file is prepared anew.
+    The name holds a hash of the file's bytes and the options: an edited file is prepared again.
     """
     digest = hashlib.sha256(repr(sorted(options.items())).encode())
     with open(source, "rb") as f:

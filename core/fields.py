@@ -102,7 +102,7 @@ def keep_compiled_kernels() -> Iterator[None]:
     """While active, destroying field trees does not discard compiled kernels.
 
     Taichi 1.7.4 discards all kernels of a program when one tree is destroyed, since one of them may use it: then the
-    next frame compiles everything anew. A kernel that uses the tree is cached under the fields or the object that it
+    next frame compiles everything again. A kernel that uses the tree is cached under the fields or the object that it
     was compiled for, and neither is used again, so that all kernels may stay.
     """
     runtime = impl.get_runtime()

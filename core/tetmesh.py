@@ -61,7 +61,7 @@ def vertex_set_keys(rows: np.ndarray) -> np.ndarray:
 
 def indices_of_unique(keys: np.ndarray) -> np.ndarray:
     """Ascending indices of the keys (M,) that occur once."""
-    order = np.argsort(keys)  # not stable, which is several times faster: equal keys are all the same here
+    order = np.argsort(keys)  # unstable, which is several times faster; the order of equal keys does not matter
     differs = np.ones(len(keys) + 1, bool)
     differs[1:-1] = keys[order[1:]] != keys[order[:-1]]
     return np.sort(order[differs[1:] & differs[:-1]])

@@ -1,4 +1,4 @@
-"""Animated bodies: their skeleton leads the driven vertices through each frame as kinematic targets of the solver."""
+"""Animated bodies: their skeleton moves the driven vertices through each frame as kinematic targets of the solver."""
 
 from __future__ import annotations
 

@@ -150,7 +150,7 @@ class DeviceScene:
         self.shadow, self.renderer, self.grown = shadow, renderer, True
 
     def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
-        """Let the embedding carry these spans, and draw only the first `count` Gaussians."""
+        """Embed these spans, and draw only the first `count` Gaussians."""
         self.embedding.load(spans, packed)
         self.splats.set_count(count)
         if self.shadow is not None:

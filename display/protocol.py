@@ -33,7 +33,7 @@ class PlayDemo:
 
 @dataclass(frozen=True)
 class Reset:
-    """Put the scene's own bodies back to their start and begin the game anew."""
+    """Put the scene's own bodies back to their start and restart the game."""
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,12 @@ class SetMaterial:
 
 @dataclass(frozen=True)
 class Undo:
-    """Take back the last edit, grasp or change of light."""
+    """Undo the last edit, grasp or change of light."""
 
 
 @dataclass(frozen=True)
 class Redo:
-    """Repeat what was taken back last."""
+    """Redo the edit that was undone last."""
 
 
 @dataclass(frozen=True)

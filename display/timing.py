@@ -116,7 +116,7 @@ class Timings:
     def as_dict(self) -> dict[str, dict[str, float]]:
         """{stage: {"median_ms", "worst_ms", "first_ms"}} over the history.
 
-        The first run of a stage compiles its kernels, so it is told apart from the rest; it counts
+        The first run of a stage compiles its kernels, so it is reported separately; it counts
         as the median and the worst only where it is the only one.
         """
         stages = {}

@@ -121,7 +121,7 @@ class World(WorldView):
             self.registry.step(SCRIPT_DT, self.scripted_hands(self.time))
 
     def _two_hand_scaling(self) -> list[Command]:
-        """The command that keeps the size which two hands have given a body, once they have let go of it."""
+        """Command that keeps the size given to a body by two hands, after they have let go."""
         scaled = self.device.solver.take_scaling()
         return [] if scaled is None else [Rescale(*scaled)]
 
@@ -165,7 +165,7 @@ class World(WorldView):
             self.paused = pause.on
 
     def reset(self) -> None:
-        """The scene's own bodies at their start, and no others; its game begins anew."""
+        """Put the scene's own bodies at their start, remove all others, and restart the game."""
         if self.registry.changed:
             self.editor.deselect()
         self.registry.reset()

@@ -87,7 +87,7 @@ class Rasterizer:
         return self.tile_pass.bins.capacity
 
     def reserve(self, pairs: int) -> None:
-        """Replace the tile pass by one for so many pairs and a margin. Raises BadInput above MAX_PAIRS."""
+        """Replace the tile pass by one for `pairs` and a margin. Raises BadInput above MAX_PAIRS."""
         if pairs > MAX_PAIRS:
             raise BadInput(f"the picture needs {pairs} tile-Gaussian pairs, more than {MAX_PAIRS}: draw it smaller")
         with keep_compiled_kernels():
@@ -124,7 +124,7 @@ class Rasterizer:
 
 @ti.data_oriented
 class TilePass:
-    """The kernels that depend on the capacity for pairs; a larger capacity is a new object, compiled anew."""
+    """The kernels that depend on the capacity for pairs; a larger capacity is a new object, compiled again."""
 
     def __init__(self, blend: Blend | PerPixelSort, sink):
         self.bins, self.blend, self.sink = blend.bins, blend, sink

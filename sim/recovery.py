@@ -1,8 +1,8 @@
 """Last line of defence: a body with non-finite state is restored to its last good positions, at rest.
 
-No cause is known. Should a body become non-finite all the same, the others go on: at the end of the frame it gets its
-last good positions back and no velocity, and is then led to its rest shape (sim/elastic/untangling.py). Contacts are
-forgotten, because they hold its infinities. The solver's stats count such bodies as `recovered`.
+No cause is known. If a body becomes non-finite nevertheless, the others are not affected: at the end of the frame it
+gets its last good positions back and no velocity, and is then moved to its rest shape (sim/elastic/untangling.py).
+Contacts are forgotten, because they hold its infinities. The solver's stats count such bodies as `recovered`.
 """
 
 import taichi as ti

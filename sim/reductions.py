@@ -14,7 +14,7 @@ from sim.state import State
 
 BLOCK_SIZE = 64  # vertices
 FLOAT_MAX = 3.0e38  # larger than any distance, finite in float32
-MIN_MOTION = 1e-5  # [m] under this nobody sees a difference
+MIN_MOTION = 1e-5  # [m] smaller motions are invisible
 ANY_MOVED, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
 # Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
 VALUES = 24

@@ -248,7 +248,7 @@ class Solver:
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back.
 
-        `recovered` counts the bodies that were not finite and were put back (sim/recovery.py).
+        `recovered` counts the bodies that were not finite and were restored (sim/recovery.py).
         """
         substeps, dt = self._last_schedule
         dt = float(dt or self._integration.substep)
@@ -311,8 +311,8 @@ class Solver:
     def snapshot(self) -> dict:
         """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling.
 
-        Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts find their
-        loads anew in the first substeps.
+        Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts converge
+        to their loads again in the first substeps.
         """
         motion = dict(zip(MOTION, self._read_motion(self.state.sizes.vertices), strict=True))
         return {
@@ -341,7 +341,7 @@ class Solver:
         self._rigid_editing.reset()
 
     def warm_up(self) -> None:
-        """Compile what a first grasp, throw, pick or edit needs, lest the user wait in the midst of play."""
+        """Compile what a first grasp, throw, pick or edit needs, so that the user need not wait during play."""
         self._read_motion(0)
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()

@@ -1,4 +1,4 @@
-"""The user's edits of a world: carried out, announced, taken back and repeated."""
+"""Edits of a world by the user: execution, notices, undo and redo."""
 
 from __future__ import annotations
 

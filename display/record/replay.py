@@ -70,10 +70,11 @@ class Replay:
         return "plush" if body is None or animated_height(body) is None else ANIMATED_MATERIAL
 
     def frames(self, display, world, *, paced: bool) -> Iterator[Frame]:
-        """The recorded frames, to be stepped and presented by the caller, until all are done or the display ends, with
-        as many of the recorded cameras as the display has, for pictures of its size.
+        """Yield the recorded frames, for the caller to step and present, until they or the display end.
 
-        paced  at the pace of the display's time, and held by its pause; else one for each of the display's frames
+        They have as many of the recorded cameras as the display, for pictures of its size.
+
+        paced  in the display's time, and stopped by its pause; otherwise one for each of the display's frames
         """
         due, held = 0.0, False
         for shown in display.frames(world):

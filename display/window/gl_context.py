@@ -1,4 +1,4 @@
-"""OpenGL contexts (moderngl): on what somebody else made current, or without a surface through EGL."""
+"""OpenGL contexts (moderngl): for a context made current elsewhere, or without a surface through EGL."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ class Headset:
                     return
                 if session.over == "lost":
                     raise SessionLost(session.why)
-                if not session.running:  # nobody wears the headset: the world stands still
+                if not session.running:  # the headset is not worn: the world is paused
                     self._clock.rest()
                     self._messages.rest()
                     self._idle(world)

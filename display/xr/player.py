@@ -28,7 +28,7 @@ TOUCH_FORCE = 8.0  # [N] of a finger that feel like MAX_HAND_FORCE of a fist
 CONTACT_FORCE = 0.05  # [N], mean of some frames, above which a finger touches
 TOUCH_SMOOTHING = 0.5  # weight of a frame's force in that mean: contact forces jitter from substep to substep
 MIN_STRENGTH = 0.03  # below which nothing is felt anyway
-LEAD_SPEED, LEAD_TURN_RATE = 2.0, 2 * np.pi  # [m/s], [rad/s] of a hand that is led to where it was found
+LEAD_SPEED, LEAD_TURN_RATE = 2.0, 2 * np.pi  # [m/s], [rad/s] at which a hand moves to where tracking found it
 MAX_LEAD_TIME = 0.5  # [s]
 
 
@@ -216,7 +216,7 @@ class PinchTeleport:
 
     def apply(self, c: Controller, world_from_play: np.ndarray, world: WorldView) -> Controller:
         """The controller that the hand is instead: while it aims, its stick is pushed and it holds nothing."""
-        if c.grip is None and self._aims:  # not tracked: it goes on, but nobody knows where it points
+        if c.grip is None and self._aims:  # not tracked: it continues, but its direction is unknown
             return replace(c, stick=(0.0, 1.0))
         if c.joints is None:
             self._pinches = self._aims = False

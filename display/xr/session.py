@@ -20,7 +20,7 @@ from display.xr.poses import matrix_of
 from display.xr.swapchains import EyeSwapchains
 
 DEFAULT_HEAD_HEIGHT = 1.6  # [m] over the floor, until the head is tracked
-UNWORN_DELAY = 2.0  # [s] before the user is asked to put on a headset that nobody has worn yet
+UNWORN_DELAY = 2.0  # [s] before the user is asked to put on a headset that has not been worn yet
 TAKEN_OFF_DELAY = 0.2  # [s] without a frame until a headset counts as taken off
 MAX_LOSSES, LOSS_WINDOW = 5, 60.0  # losses of the runtime within this time [s] until it is given up
 

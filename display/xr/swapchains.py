@@ -22,7 +22,7 @@ from render.renderer import DEPTH_FAR, DEPTH_NEAR
 
 DEPTH_EXTENSION = "XR_KHR_composition_layer_depth"
 SRGB8_ALPHA8, RGBA8 = 0x8C43, 0x8058  # OpenGL's names of formats, best first
-DEPTH_FORMATS = (0x8CAC, 0x81A6, 0x81A5)  # DEPTH_COMPONENT32F, 24, 16; without a stencil, which nobody draws
+DEPTH_FORMATS = (0x8CAC, 0x81A6, 0x81A5)  # DEPTH_COMPONENT32F, 24, 16; without an unused stencil
 FRAMEBUFFER, DEPTH_ATTACHMENT, TEXTURE_2D = 0x8D40, 0x8D00, 0x0DE1
 ALWAYS = "1"  # of moderngl's depth_func: nothing was there before
 VERTEX = """

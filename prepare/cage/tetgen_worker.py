@@ -21,7 +21,7 @@ def main(source: str, target: str) -> int:
     try:
         mesher = tetgen.TetGen(np.ascontiguousarray(vertices), np.ascontiguousarray(faces))
         found = mesher.tetrahedralize(
-            plc=True, quality=True, quiet=True, fixedvolume=True, nobisect=True,  # the surface stays as it is
+            plc=True, quality=True, quiet=True, fixedvolume=True, nobisect=True,  # the surface stays unchanged
             optmaxdihedral=150.0, opt_iterations=10, smooth_maxiter=20, **limits,
         )  # fmt: skip
     except Exception as e:  # any error: the caller takes another mesher

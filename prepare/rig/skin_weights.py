@@ -66,7 +66,7 @@ def driven_vertices(
 
     weights  (V, 4) of each vertex's joints, the largest first;  surface  indices of the surface's vertices
     shapes   skinned positions of all vertices in some frames, the first at rest (F, V, 3)
-    core     vertices in the bones, (V,) bool: driven too, lest the flesh about them crumple by its inertia
+    core     vertices in the bones, (V,) bool: driven too, as the inertia of the flesh around them would crush it
     leader   first joint of each vertex, (V,); -1 where that has no child: a foot is driven, however small
     """
     driven = np.zeros(len(weights), bool) if core is None else core.copy()

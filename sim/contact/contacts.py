@@ -2,7 +2,7 @@
 
 Each search (`detect`) is a broad phase (sim/contact/broad_phase.py, swept_bounds.py, self_collision.py) that lists the
 samples that can touch something before the next one. In each substep the narrow phases (static_contact.py,
-deformable_contact.py, sim/rigid/rigid_contact.py, sim/hands/finger_contact.py) take the distances anew for these only.
+deformable_contact.py, sim/rigid/rigid_contact.py, sim/hands/finger_contact.py) evaluate the distances of these only.
 On a sample with weights b_i and the motion y = sum_i b_i (dx_i - x_lo_i),
 
     phi(x) + n . x_lo + n . y >= 0

@@ -228,7 +228,7 @@ class NearestTets:
                     first, n = s.tet_begin[b], s.tet_begin[b + 1] - s.tet_begin[b]
                     count = ti.min(n, SEEDS)  # none of a rigid body
                     for k in range(count):
-                        t = first + k * n // ti.max(count, 1)  # lest the division be hoisted out of a loop over none
+                        t = first + k * n // ti.max(count, 1)  # the division may be hoisted out of an empty loop
                         d = (x - s.x[s.tets[t][0]]).norm_sqr()
                         if d < best:
                             best, now = d, t

@@ -1,6 +1,6 @@
 """Modal correction of VBD: each body as a whole moves along its softest modes.
 
-Sweeps over vertices carry a push one ring of tets further each, so in a stiff body a few of them move nothing as a
+Each sweep over vertices propagates a push by one ring of tets, so a few sweeps do not move a stiff body as a
 whole. The modes do: those of the body embedded in a coarse lattice of trilinear cells (Galerkin, so they are no softer
 than the body itself), the six rigid ones included unless vertices are prescribed.
 

@@ -20,7 +20,7 @@ AUTO_XPBD_SUBSTEPS = 400  # a frame at most, the paper's number; with more, VBD 
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
 VBD_SUBSTEPS, VBD_SWEEPS = 64, 2  # a frame, a substep: for one cost, short steps err less than many sweeps
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it
-# crosses more: what a contact moves by a hair's breadth stores many times the body's energy, and throws it. Of 144
+# crosses more: a tiny displacement by a contact stores many times the body's energy, and throws it. Of 144
 # cubes, bars, plates and rings thrown at 5 m/s, none came back faster than it went at 3, 6 and 8 lengths; at 39, most.
 WAVE_CROSSINGS = 6.0
 MIN_VBD_SUBSTEP = 1 / 60 / 256  # [s]; what would need shorter ones is made softer, see `clamp_stiffness`

@@ -1,14 +1,14 @@
-"""Untangling: a body that was inverted is led back to its rest shape by shape matching (Mueller et al. 2005).
+"""Untangling: a body that was inverted is moved back to its rest shape by shape matching (Mueller et al. 2005).
 
 Without contact with itself, a body that is squeezed through itself can be left in a kink: all tets upright again, but
-wound around one another, in a true minimum of the energy from where no force leads home. So when a hand lets go of a
+wound around one another, in a true minimum of the energy that no force leaves. So when a hand lets go of a
 body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is soft, and
 its vertices are led to its rest shape, where the rest shape fits best:
 
     v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME_CONSTANT - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
 
-It stiffens again gradually, and is led meanwhile: a soft body sags under its weight, and full stiffness at once would
+It stiffens again gradually while it is moved: a soft body sags under its weight, and full stiffness at once would
 turn that into speed: 9 m/s from the 1.6 mm by which a body of 0.1 m and 1e8 Pa sags.
 """
 
@@ -35,9 +35,9 @@ SOFT_YOUNG = 200.0  # [Pa] meanwhile: gravity and kinks must not hold out agains
 
 @ti.data_oriented
 class Untangling:
-    """`begin_frame` learns which bodies are tangled, `run` leads them; both are free where none is.
+    """`begin_frame` finds the tangled bodies, `run` moves them; both cost nothing where there is none.
 
-    soft i32[B]: 1 if the body is led;   quaternion vec4[B]: R;   farthest f32[B]: distance to the rest shape [m]
+    soft i32[B]: 1 while the body is untangled;   quaternion vec4[B]: R;   farthest f32[B]: distance to rest [m]
     """
 
     def __init__(self, state: State, reductions: Reductions, damping: Damping):
@@ -54,11 +54,11 @@ class Untangling:
 
     @property
     def active(self) -> np.ndarray:
-        """Bodies that are led now, (B,) bool."""
+        """Bodies that are being untangled, (B,) bool."""
         return self._status[0] > 0.0
 
     def load(self, model: Model) -> None:
-        """Take other bodies; those that stay are led on."""
+        """Take other bodies; the untangling of those that stay continues."""
         known = dict(zip(map(id, self.bodies), self.snapshot().T, strict=True))
         self.bodies = model.bodies
         self.restore(np.array([known.get(id(p), np.zeros(4)) for p in self.bodies]).reshape(-1, 4).T)
@@ -72,7 +72,7 @@ class Untangling:
         return np.vstack([self._status, self._read_inverted()])
 
     def restore(self, snapshot: np.ndarray | None) -> None:
-        """Go on from a snapshot of these bodies; None: no body is led."""
+        """Go on from a snapshot of these bodies; None: no body is tangled."""
         values = np.zeros((4, len(self.bodies))) if snapshot is None else np.array(snapshot)
         self._status = values[:3]
         self.damping.omega.fill(0.0)  # of another time; bodies may be others now

@@ -57,8 +57,8 @@ class FingerContact:
     """Sample p has the constraints begin + p (soft bodies) and begin + N + p (rigid bodies).
 
     tet i32[N], rigid_body i32[N]: what a sample may touch, -1 none;   spared i32[H]: a body that a hand passes through
-    limit f32[H]: fraction of each sample's greatest force, lest the hand exceed MAX_HAND_FORCE, by what it `pressed`
-    i64[H] with, in FORCE_STEP;   total i64[H,3]: force sums in FORCE_STEP
+    limit f32[H]: fraction of each sample's greatest force that keeps the hand below MAX_HAND_FORCE
+    pressed i64[H], total i64[H,3]: normal force and force of a hand, in FORCE_STEP
     """
 
     def __init__(
@@ -282,7 +282,7 @@ class FingerContact:
         g = self.grids
         low = g.origin[k]
         high = low + g.spacing[k] * ti.cast(g.dims[k] - 1, ti.f32)
-        inset = vec3(1e-3 * g.spacing[k])  # lest rounding put it outside again
+        inset = vec3(1e-3 * g.spacing[k])  # rounding must not put it outside again
         edge = ti.min(ti.max(X, low + inset), high - inset)
         phi, N = g.sample(k, edge)
         beyond = X - edge

@@ -213,7 +213,7 @@ class Grasps:
             if held != 0:
                 for h in range(self.count):
                     if (held >> h) & 1:
-                        a = self._spring(h, i, pulled)  # after the last hand's, lest two overshoot
+                        a = self._spring(h, i, pulled)  # after the last hand's, so that two do not overshoot
                         self.correction[h, i] = a
                         pulled += a
         return pulled

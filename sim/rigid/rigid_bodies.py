@@ -235,7 +235,7 @@ class RigidBodies(Constraint):
                 for c in ti.static(range(6)):
                     self.corrections[b, j, c] = 0
             if self.sweep[b] < integrator.iterations:
-                if ti.static(not integrator.warm_started):  # else the next sweep applies all impulses anew
+                if ti.static(not integrator.warm_started):  # else the next sweep applies all impulses again
                     self.dx[b], self.rotation[b] = d, rotation
             else:
                 if self.kind[b] == FREE:

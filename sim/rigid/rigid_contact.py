@@ -83,7 +83,7 @@ class RigidContacts:
             loaded = table.impulse[r].norm_sqr() > 0.0
             if self.search.bounce_speed[q] > 0.0:
                 self.impact_left[q] -= 1
-                table.clear_impulse(r)  # what stopped a body is not what must be borne from now on
+                table.clear_impulse(r)  # the impulse that stopped a body is not the load that follows
                 if y_n >= 0.999 * self.search.bounce_speed[q] * dt - 1.01 * fall or self.impact_left[q] < 0:
                     self.search.bounce_speed[q] = 0.0
                 loaded = self.search.bounce_speed[q] > 0.0
@@ -123,7 +123,7 @@ class RigidContacts:
 
     @ti.func
     def _restitution(self, g):
-        """Restitution of the livelier of a group's two bodies."""
+        """Larger restitution of a group's two bodies."""
         a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
         e = self.rigid_bodies.restitution[a]
         if b != WORLD:

@@ -23,7 +23,7 @@ def test_the_default_material_is_the_asset_s_own_or_by_its_kind(tmp_path):
 
 def test_an_unknown_asset_is_answered_by_the_shipped_ones():
     assert find_asset("ring_red").is_file()
-    with pytest.raises(BadInput, match="no such asset; shipped ones: .*ring_red"):
+    with pytest.raises(BadInput, match=r"no such asset; shipped ones: .*ring_red"):
         find_asset("ring_green")
 
 

@@ -91,12 +91,12 @@ def measure(exact: bool) -> dict:
         if k == WARM_FRAMES:
             world.timings = Timings(exact=exact)
         begin = perf_counter()
-        parts = avatar.hidden()
+        poses = avatar.hidden()
         for h, c in enumerate(controllers(k)):
-            avatar.show_hand(parts, h, c, np.eye(4), 0.0)
+            avatar.show_hand(poses, h, c, np.eye(4), 0.0)
         commands = [Reset()] if world.time > scene.game.duration else []
         hands = world.scripted_hands(world.time)
-        world.step(Frame(1 / RATE, k / RATE, cameras, hands, commands, prop_poses=parts))
+        world.step(Frame(1 / RATE, k / RATE, cameras, hands, commands, prop_poses=poses))
         with world.timings.stage("present"):
             picture.upload(world.picture)
             picture.texture.use(0)

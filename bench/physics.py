@@ -190,7 +190,7 @@ def vibration() -> list[dict]:
     return [row("longitudinal vibration [Hz]", np.sqrt(young / DENSITY) / 2, frequency, 0.02)]
 
 
-def spin() -> list[dict]:
+def spinning_bar() -> list[dict]:
     """Angular momentum of a free spinning bar, L = L0 exp(-omega^2 dt t) in an implicit step, and linear momentum."""
     omega, duration = 10.0, 1.0
     b = bar("bar", 1e6, 0.3, 0.0, position=(1, 1, 1))
@@ -312,4 +312,4 @@ def positions_of_another_process(contacts: bool) -> np.ndarray:
         return np.load(out)
 
 
-ALL = (free_fall, statics, vibration, spin, recovery)
+ALL = (free_fall, statics, vibration, spinning_bar, recovery)

@@ -35,14 +35,14 @@ def svg(panels: list[Panel]) -> str:
     low, high = math.floor(math.log10(min(ys))), math.ceil(math.log10(max(ys)))
     high = max(high, low + 1)
     width, height = WIDTH * len(panels), HEIGHT + LEGEND
-    parts = [
+    lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
         'font-family="system-ui, sans-serif" font-size="12">'
     ]
     for k, panel in enumerate(panels):
-        parts += [f'<g transform="translate({k * WIDTH} 0)">', *_panel(panel, names, low, high), "</g>"]
-    parts += _legend(names, width)
-    return "\n".join([*parts, "</svg>", ""])
+        lines += [f'<g transform="translate({k * WIDTH} 0)">', *_panel(panel, names, low, high), "</g>"]
+    lines += _legend(names, width)
+    return "\n".join([*lines, "</svg>", ""])
 
 
 def _panel(panel: Panel, names: list[str], low: int, high: int) -> list[str]:
@@ -55,37 +55,37 @@ def _panel(panel: Panel, names: list[str], low: int, high: int) -> list[str]:
         up = (math.log10(y) - low) / (high - low)
         return MARGIN_LEFT + across * (right - MARGIN_LEFT), bottom - up * (bottom - MARGIN_TOP)
 
-    parts = [_text(0.5 * (MARGIN_LEFT + right), 18, panel.title, "middle", weight="600")]
+    lines = [_text(0.5 * (MARGIN_LEFT + right), 18, panel.title, "middle", weight="600")]
     for decade in range(low, high + 1):
         y = at(panel.ticks[0], 10.0**decade)[1]
-        parts += [_line(MARGIN_LEFT, y, right, y), _text(MARGIN_LEFT - 8, y + 4, f"{10.0**decade:,g}", "end")]
+        lines += [_line(MARGIN_LEFT, y, right, y), _text(MARGIN_LEFT - 8, y + 4, f"{10.0**decade:,g}", "end")]
         for digit in (2, 5) if decade < high else ():
             y = at(panel.ticks[0], digit * 10.0**decade)[1]
-            parts.append(_line(MARGIN_LEFT, y, right, y, faint=True))
+            lines.append(_line(MARGIN_LEFT, y, right, y, faint=True))
     for tick in panel.ticks:
         x = at(tick, 10.0**low)[0]
-        parts += [_line(x, MARGIN_TOP, x, bottom, faint=True), _text(x, bottom + 18, f"{tick:g}", "middle")]
-    parts.append(_text(0.5 * (MARGIN_LEFT + right), bottom + 36, panel.x_label, "middle"))
+        lines += [_line(x, MARGIN_TOP, x, bottom, faint=True), _text(x, bottom + 18, f"{tick:g}", "middle")]
+    lines.append(_text(0.5 * (MARGIN_LEFT + right), bottom + 36, panel.x_label, "middle"))
     turned = f' transform="rotate(-90 14 {0.5 * (MARGIN_TOP + bottom):g})"'
-    parts.append(_text(14, 0.5 * (MARGIN_TOP + bottom) + 4, panel.y_label, "middle", turned))
+    lines.append(_text(14, 0.5 * (MARGIN_TOP + bottom) + 4, panel.y_label, "middle", turned))
     for name, curve in panel.curves.items():
         color = COLORS[names.index(name) % len(COLORS)]
         points = [at(x, y) for x, y in sorted(curve)]
-        way = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(f'<polyline points="{way}" fill="none" stroke="{color}" stroke-width="2"/>')
-        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{color}"/>' for x, y in points]
-    return parts
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        lines.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="2"/>')
+        lines += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{color}"/>' for x, y in points]
+    return lines
 
 
 def _legend(names: list[str], width: int) -> list[str]:
     """A dot and a name for each curve, centred in the last row."""
-    room = [28 + LETTER * len(name) for name in names]
-    x, y, parts = 0.5 * (width - sum(room)), HEIGHT + 8, []
+    widths = [28 + LETTER * len(name) for name in names]
+    x, y, lines = 0.5 * (width - sum(widths)), HEIGHT + 8, []
     for k, name in enumerate(names):
-        parts.append(f'<circle cx="{x + 6:.1f}" cy="{y - 4}" r="4" fill="{COLORS[k % len(COLORS)]}"/>')
-        parts.append(_text(x + 15, y, name, "start"))
-        x += room[k]
-    return parts
+        lines.append(f'<circle cx="{x + 6:.1f}" cy="{y - 4}" r="4" fill="{COLORS[k % len(COLORS)]}"/>')
+        lines.append(_text(x + 15, y, name, "start"))
+        x += widths[k]
+    return lines
 
 
 def _line(x0: float, y0: float, x1: float, y1: float, *, faint: bool = False) -> str:

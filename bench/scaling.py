@@ -153,19 +153,19 @@ def is_row(row) -> bool:
 
 def tables(rows: list[dict]) -> str:
     """Two Markdown tables, a column for each device: median ms (million pairs of tile and Gaussian)."""
-    parts = []
+    lines = []
     for by, (title, label, _) in SWEEPS.items():
         mine = [row for row in rows if row["by"] == by]
         if not mine:
             continue
         devices = list(dict.fromkeys(row["device"] for row in mine))
         found = {(row["x"], row["device"]): f"{short(row['median_ms'])} ({row['pairs'] / 1e6:.1f})" for row in mine}
-        parts += [f"{title}: median ms (million pairs)", ""]
-        parts += [f"| {label} | {' | '.join(devices)} |", f"| --- |{' --- |' * len(devices)}"]
+        lines += [f"{title}: median ms (million pairs)", ""]
+        lines += [f"| {label} | {' | '.join(devices)} |", f"| --- |{' --- |' * len(devices)}"]
         for x in sorted({row["x"] for row in mine}):
-            parts.append(f"| {x:g} | {' | '.join(found.get((x, device), '–') for device in devices)} |")
-        parts.append("")
-    return "\n".join(parts)
+            lines.append(f"| {x:g} | {' | '.join(found.get((x, device), '–') for device in devices)} |")
+        lines.append("")
+    return "\n".join(lines)
 
 
 def short(x: float) -> str:

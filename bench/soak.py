@@ -38,7 +38,7 @@ INNER_DEPTH = 0.1  # [m] by which inner vertices may be deeper: the surface can 
 GAIN = 0.02  # of kinetic and elastic energy, by rounding and by contacts, between two checks
 LIFT = 0.01  # [m] by which contacts that began a little deep may raise all weight
 EXIT_SPEED = 0.5  # [m/s] at least, of bodies that an edit put behind floor or wall: half of RECOVERY_SPEED
-PART_SPEED = 1.0  # [m/s] with which bodies may part that an edit put into each other or into the floor
+SEPARATION_SPEED = 1.0  # [m/s] with which bodies may part that an edit put into each other or into the floor
 
 
 class Failure(AssertionError):
@@ -74,7 +74,7 @@ class EnergyAudit:
     def edited(self, what: str) -> None:
         """Account for an edit, made after a check: energy is counted anew, and overlapping bodies may part."""
         self.energy = energies(self.solver)
-        self.budget += self.energy["weight"] / G * PART_SPEED**2 / 2
+        self.budget += self.energy["weight"] / G * SEPARATION_SPEED**2 / 2
         self.untangled.clear()
         self.edit_depth, self.frames = max(depth_behind(self.solver, self.solver.snapshot()), 0.0), 0
         self.edits.append(what)

@@ -137,8 +137,8 @@ class TileBins:
         return ti.cast(key_of(self.members[i]), ti.i32)
 
     @ti.func
-    def _emit_masked(self, g: ti.i32, slot: ti.i32):
-        """Write the pairs of a Gaussian from `slot` on; returns whether splats without a tile mask are left."""
+    def _emit_masked(self, g: ti.i32, pair: ti.i32):
+        """Write the pairs of a Gaussian from `pair` on; returns whether splats without a tile mask are left."""
         left_over = False
         columns = self.projection.grid[None][2]
         for v in range(self.projection.views):
@@ -148,20 +148,20 @@ class TileBins:
             while bits > 0:
                 lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
                 tile = corner + lowest // MASK_COLUMNS * columns + lowest % MASK_COLUMNS
-                self.sorter.items[slot] = item_of(tile, g)
-                slot += 1
+                self.sorter.items[pair] = item_of(tile, g)
+                pair += 1
                 bits &= bits - 1
             if bits < 0:
                 left_over = True
-                slot -= bits
+                pair -= bits
         return left_over
 
     @ti.func
-    def _emit_large(self, g: ti.i32, slot: ti.i32, member: ti.i32):
+    def _emit_large(self, g: ti.i32, pair: ti.i32, member: ti.i32):
         """Write every `emit_threads`-th row, from row `member` on, of a Gaussian's splats without a tile mask."""
         for v in range(self.projection.views):
             if self.projection.tile_mask[v, g][1] >= 0:
-                slot += self.projection.tile_count(v, g)
+                pair += self.projection.tile_count(v, g)
             else:
                 mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
                 box = self.projection.box[v, g]
@@ -171,5 +171,5 @@ class TileBins:
                     if (row - top) % self.emit_threads == member:
                         tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
                         for column in range(first, last):
-                            self.sorter.items[slot + column - first] = item_of(tile + column, g)
-                    slot += last - first
+                            self.sorter.items[pair + column - first] = item_of(tile + column, g)
+                    pair += last - first

@@ -114,8 +114,8 @@ class RadixSort:
             for i in range(b * span, ti.min((b + 1) * span, self._length(p))):
                 key = self._key(p, i)
                 if self._is_kept(key, p):
-                    slot = b * self.buckets + self._bucket(key, p)
-                    self.position[slot] = self.position[slot] + 1  # `+=` would be atomic, four times slower
+                    bucket = b * self.buckets + self._bucket(key, p)
+                    self.position[bucket] = self.position[bucket] + 1  # `+=` would be atomic, four times slower
 
     @ti.func
     def _scan_cpu(self, p: ti.template()):
@@ -137,9 +137,9 @@ class RadixSort:
             for i in range(b * span, ti.min((b + 1) * span, self._length(p))):
                 item = self.item[p % 2][i]
                 if self._is_kept(key_of(item), p):
-                    slot = b * self.buckets + self._bucket(key_of(item), p)
-                    to = self.position[slot]
-                    self.position[slot] = to + 1
+                    bucket = b * self.buckets + self._bucket(key_of(item), p)
+                    to = self.position[bucket]
+                    self.position[bucket] = to + 1
                     self.item[1 - p % 2][to] = item
 
     # ---- CUDA: a block of threads holds BLOCK_ITEMS items; a warp goes through 32 at a time

@@ -3,7 +3,7 @@
     python -m venv .dev/newton && .dev/newton/bin/pip install -r bench/peers/requirements-newton.txt
     python -m bench.peers.newton_peer [--mesh BODY.npz] [--newton PYTHON] [--only NAME]
 
-Bodies hang from pinned vertices and settle under gravity. Both solvers have the same energy, so they agree
+Bodies hang from pinned vertices and come to rest under gravity. Both solvers have the same energy, so they agree
 where the strain is large too; linear elements agree with both where it is small. BODY.npz holds V (V, 3) and
 T (T, 4), any unit; it is scaled to 0.3 m. Newton runs in its own environment, in another process.
 """
@@ -124,9 +124,8 @@ def compare(c: Case, python: Path) -> None:
     ours, theirs, linear = by_us(c), by_newton(c, python), by_elements(c)
     sizes = f"{len(c.vertices)} vertices, {len(c.tets)} tets, {c.duration} s"
     s = ours["stats"]
-    print(
-        f"\n{c.name}: {sizes}; ours {s['path']}, dt {s['dt']:.3g} s; newton {theirs['version']}, dt {c.newton_dt:.3g} s"
-    )
+    solvers = f"ours {s['integrator']}, dt {s['dt']:.3g} s; newton {theirs['version']}, dt {c.newton_dt:.3g} s"
+    print(f"\n{c.name}: {sizes}; {solvers}")
     print(f"{'':28}{'linear FEM':>12}{'newton VBD':>12}{'ours':>12}{'ours / newton - 1':>20}")
 
     def line(name: str, measure) -> None:

@@ -21,7 +21,7 @@ except ImportError as e:
 import numpy as np
 
 
-def settle(case) -> dict:
+def run_to_rest(case) -> dict:
     number = {key: case[key].item() for key in case if case[key].ndim == 0}
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -number["gravity"], 0.0))
     builder.add_soft_mesh(
@@ -63,4 +63,4 @@ def settle(case) -> dict:
 
 if __name__ == "__main__":
     wp.config.quiet = True
-    np.savez(sys.argv[2], **settle(np.load(sys.argv[1])))
+    np.savez(sys.argv[2], **run_to_rest(np.load(sys.argv[1])))

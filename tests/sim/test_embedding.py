@@ -37,15 +37,15 @@ class Carried:
     def __init__(self, ti, gaussians, bar=BAR, *, scheme="two-level", embedded=None, **options):
         from sim.embedding import EmbeddedBody, Embedding
 
-        e = embedded or embed_in_bar(gaussians, bar)
-        self.stage = Embedding([EmbeddedBody(e.host, e.weights, gaussians, *bar)], scheme=scheme, **options)
+        self.embedded = e = embedded or embed_in_bar(gaussians, bar)
+        self.embedding = Embedding([EmbeddedBody(e.host, e.weights, gaussians, *bar)], scheme=scheme, **options)
         n = len(gaussians)
         self.x = ti.Vector.field(3, ti.f32, len(bar[0]))
         self.out = [ti.Vector.field(k, ti.f32, n) for k in (3, 6, 4)]
 
     def to(self, x):
         self.x.from_numpy(np.asarray(x, np.float32))
-        self.stage.deform(self.x, *self.out)
+        self.embedding.deform(self.x, *self.out)
         mean, cov, rotation = (f.to_numpy() for f in self.out)
         return mean, symmetric(cov), rotation
 
@@ -56,9 +56,16 @@ def gaussians():
     return random_gaussians(np.random.default_rng(1), 500, low=(-0.1, -0.1, -0.1), high=(1.1, 0.3, 0.3), sigma=0.02)
 
 
+@pytest.fixture(scope="module")
+def carried(ti_cpu, gaussians):
+    """The Gaussians in the bar, by scheme."""
+    embedded = embed_in_bar(gaussians)
+    return {scheme: Carried(ti_cpu, gaussians, scheme=scheme, embedded=embedded) for scheme in SCHEMES}
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_rest_gives_rest(ti_cpu, gaussians, scheme):
-    mean, cov, rotation = Carried(ti_cpu, gaussians, scheme=scheme).to(BAR[0])
+def test_rest_gives_rest(carried, gaussians, scheme):
+    mean, cov, rotation = carried[scheme].to(BAR[0])
     assert_allclose(mean, gaussians.means, atol=5e-7)  # a few ulp at 1 m
     rest = covariances(gaussians)
     assert (np.linalg.norm(cov - rest, axis=(1, 2)) < 2e-5 * np.linalg.norm(rest, axis=(1, 2))).all()
@@ -66,21 +73,21 @@ def test_rest_gives_rest(ti_cpu, gaussians, scheme):
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_affine_motion_is_reproduced_exactly(ti_cpu, gaussians, scheme):
+def test_affine_motion_is_reproduced_exactly(carried, gaussians, scheme):
     """mu -> A mu + t and Sigma -> A Sigma A^T, wherever the hosts are."""
     rng = np.random.default_rng(0)
     A, t = np.eye(3) + 0.5 * rng.normal(size=(3, 3)), rng.normal(size=3)
-    mean, cov, _ = Carried(ti_cpu, gaussians, scheme=scheme).to(BAR[0] @ A.T + t)
+    mean, cov, _ = carried[scheme].to(BAR[0] @ A.T + t)
     assert_allclose(mean, gaussians.means @ A.T + t, atol=2e-6)
     want = A @ covariances(gaussians) @ A.T
     assert (np.linalg.norm(cov - want, axis=(1, 2)) < 2e-5 * np.linalg.norm(want, axis=(1, 2))).all()
 
 
 @pytest.mark.parametrize("stretch", [2.0, 3.9, 40.0, 1e4])
-def test_an_extreme_stretch_throws_no_spikes(ti_cpu, gaussians, stretch):
+def test_an_extreme_stretch_throws_no_spikes(carried, gaussians, stretch):
     """Up to four times as long nothing is bounded; beyond, a Gaussian keeps its shape and is no longer than that."""
     A = np.diag([stretch, 1.0, 1.0 / stretch])
-    _, cov, _ = Carried(ti_cpu, gaussians).to(BAR[0] @ A.T)
+    _, cov, _ = carried["two-level"].to(BAR[0] @ A.T)
     rest = covariances(gaussians)
     want = A @ rest @ A.T
     bound = 16.0 * np.trace(rest, axis1=1, axis2=2) / np.trace(want, axis1=1, axis2=2)
@@ -90,12 +97,11 @@ def test_an_extreme_stretch_throws_no_spikes(ti_cpu, gaussians, stretch):
     assert (np.sqrt(np.linalg.eigvalsh(cov)[:, 2]) <= 4.001 * np.sqrt(np.trace(rest, axis1=1, axis2=2))).all()
 
 
-def test_a_rigid_turn_gives_its_quaternion(ti_cpu, gaussians):
-    carried = Carried(ti_cpu, gaussians)
+def test_a_rigid_turn_gives_its_quaternion(carried):
     for q in ([0.5, -0.5, 0.5, 0.5], [0.0, 0.6, 0.8, 0.0], [0.1, 0.2, -0.3, 0.9]):
         q = np.array(q) / np.linalg.norm(q)
         R = matrices_from_quaternions(q)
-        _, _, rotation = carried.to(BAR[0] @ R.T + [0.3, 1.0, -2.0])
+        _, _, rotation = carried["two-level"].to(BAR[0] @ R.T + [0.3, 1.0, -2.0])
         assert_allclose(matrices_from_quaternions(rotation), np.tile(R, (len(rotation), 1, 1)), atol=2e-5)
 
 
@@ -109,12 +115,11 @@ def reference(gaussians, embedded, rest, tets, x):
     return mean, F, F @ covariances(gaussians) @ np.moveaxis(F, 1, 2)
 
 
-def test_the_device_agrees_with_the_equations_in_float64(ti_cpu, gaussians):
+def test_the_device_agrees_with_the_equations_in_float64(carried, gaussians):
     """Random vertices: every F is different, many are inverted."""
     x = BAR[0] + np.random.default_rng(2).normal(size=BAR[0].shape).astype(np.float32) * 0.03
-    embedded = embed_in_bar(gaussians)
-    mean, cov, rotation = Carried(ti_cpu, gaussians, embedded=embedded).to(x)
-    want_mean, F, want_cov = reference(gaussians, embedded, *BAR, x)
+    mean, cov, rotation = carried["two-level"].to(x)
+    want_mean, F, want_cov = reference(gaussians, carried["two-level"].embedded, *BAR, x)
     assert_allclose(mean, want_mean, atol=3e-6)
     assert (np.linalg.norm(cov - want_cov, axis=(1, 2)) < 1e-4 * np.linalg.norm(want_cov, axis=(1, 2))).all()
     # q is the best rotation if tr(R^T F) is the largest there is: s1 + s2 + sign(det) s3
@@ -132,7 +137,7 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
     a, b = random_gaussians(rng, 37), random_gaussians(rng, 50)
     ea, eb = embed_in_bar(a), embed_in_bar(b)
     n = len(BAR[0])
-    stage = Embedding(
+    embedding = Embedding(
         [
             EmbeddedBody(ea.host, ea.weights, a, *BAR, vertex_offset=5, gaussian_offset=10),
             EmbeddedBody(eb.host, eb.weights, b, *BAR, vertex_offset=5 + n, gaussian_offset=60),
@@ -146,12 +151,12 @@ def test_bodies_are_offset_and_others_are_left_alone(ti_cpu):
     )
     x.from_numpy(np.concatenate([np.full((5, 3), np.nan), BAR[0], BAR[0] + [0, 2, 0]]).astype(np.float32))
     mean.fill(-7.0)
-    stage.deform(x, mean, cov)
+    embedding.deform(x, mean, cov)
     got = mean.to_numpy()
     assert_allclose(got[10:47], a.means, atol=5e-7)
     assert_allclose(got[60:110], b.means + [0, 2, 0], atol=1e-6)
     assert (got[:10] == -7).all() and (got[47:60] == -7).all() and (got[110:] == -7).all()
-    stage.destroy()
+    embedding.destroy()
 
 
 @pytest.mark.parametrize("larger", [False, True])
@@ -164,11 +169,11 @@ def test_parts_come_go_move_and_grow(ti_cpu, larger):
     n, headroom = len(BAR[0]), 1.0 if larger else 4.0
     parts = [EmbeddedBody(e.host, e.weights, g, *BAR) for g, e in ((a, embed_in_bar(a)), (b, embed_in_bar(b)))]
     parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
-    stage = Embedding(parts, with_rotation=False, headroom=headroom)
-    packed = stage.read()
+    embedding = Embedding(parts, with_rotation=False, headroom=headroom)
+    packed = embedding.read()
     if larger:
-        assert not stage.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 3, packed)
-        stage = stage.enlarged(packed, 4.0)
+        assert not embedding.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 3, packed)
+        embedding = embedding.enlarged(packed, 4.0)
     bodies = [BAR[0], BAR[0] + [0, 2, 0], 5 * BAR[0] - [3, 0, 0]]
     x = ti.Vector.field(3, ti.f32, 3 * n)
     mean, cov = ti.Vector.field(3, ti.f32, 150), ti.Vector.field(6, ti.f32, 150)
@@ -179,12 +184,12 @@ def test_parts_come_go_move_and_grow(ti_cpu, larger):
         for k, (g, _, size) in enumerate(carried):
             spans.append(BodySpan(0 if g is a else 1, k * n, first, size))
             first += len(g)
-        assert stage.fits(spans, packed)
-        stage.load(spans, packed)
+        assert embedding.fits(spans, packed)
+        embedding.load(spans, packed)
         points = [bodies[body] for _, body, _ in carried]
         x.from_numpy(np.concatenate([*points, *[BAR[0]] * (3 - len(points))]).astype(np.float32))
         mean.fill(-7.0)
-        stage.deform(x, mean, cov)
+        embedding.deform(x, mean, cov)
         for g, body, size in carried:
             wanted.append(size * g.means + bodies[body][0] - size * BAR[0][0])
         wanted.append(np.full((150 - first, 3), -7.0))
@@ -192,22 +197,22 @@ def test_parts_come_go_move_and_grow(ti_cpu, larger):
         sizes = np.concatenate([np.full(len(g), size) for g, _, size in carried])
         rest = np.concatenate([covariances(g) for g, _, _ in carried]) * sizes[:, None, None] ** 2
         assert_allclose(symmetric(cov.to_numpy()[10:first]), rest, rtol=2e-3, atol=1e-7)
-        assert stage.count == first - 10
+        assert embedding.count == first - 10
 
     check((a, 0, 1.0), (b, 1, 1.0))
     check((a, 0, 1.0), (b, 1, 1.0), (a, 2, 5.0))
     check((b, 1, 1.0), (a, 2, 5.0))
     check((b, 2, 5.0), (a, 0, 1.0), (b, 1, 1.0))
     check((a, 0, 1.0), (b, 1, 1.0))
-    stage.destroy()
+    embedding.destroy()
 
 
 def test_nothing_to_carry(ti_cpu):
     from sim.embedding import Embedding
 
-    stage = Embedding([])
-    stage.deform(None, None, None, None)
-    assert stage.count == 0
+    embedding = Embedding([])
+    embedding.deform(None, None, None, None)
+    assert embedding.count == 0
 
 
 def test_a_flat_local_tetrahedron_is_refused(ti_cpu):

@@ -58,7 +58,7 @@ class FingerContact:
 
     tet i32[N], rigid_body i32[N]: what a sample may touch, -1 none;   spared i32[H]: a body that a hand passes through
     limit f32[H]: fraction of each sample's greatest force that keeps the hand below MAX_HAND_FORCE
-    pressed i64[H], total i64[H,3]: normal force and force of a hand, in FORCE_STEP
+    pressed i64[H], total i64[H,3]: sum of force magnitudes, and force, of a hand in FORCE_STEP
     """
 
     def __init__(

@@ -97,9 +97,9 @@ class CageEmbedding:
 
 @dataclass(frozen=True)
 class Asset:
-    """Gaussians, and what is needed to touch them; all in the asset's frame.
+    """Gaussians, and the data that makes them touchable; all in the asset's frame.
 
-    cage, embedding  the simulated mesh and how the Gaussians hang on it; static things have neither
+    cage, embedding  the simulated mesh and the Gaussians' coordinates in it; static assets have neither
     sdf              signed distance grid for contacts
     material         None: not known
     provenance       any JSON object

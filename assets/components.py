@@ -14,7 +14,7 @@ def split_components(asset: Asset) -> list[Asset]:
     """The asset's components, the largest first, in its own frame: [asset] if it is connected, or has no cage.
 
     The solver treats a body as one thing: it damps relative to one rigid motion, restores one shape, and ignores
-    contacts between what is close at rest. So separate components become separate bodies. Gaussians go to the component
+    contacts between points close at rest. So separate components become separate bodies. Gaussians go to the component
     that holds most of their corners. The asset's distance grid is that of all components together, so they have none
     (the solver makes its own). An animated asset stays whole.
     """

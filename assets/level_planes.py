@@ -73,7 +73,7 @@ def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> d
     """Evidence for each axis of the file, "+x" to "-z", to point up in a scene; larger is more likely.
 
     The vertical is the axis with the largest planes at its ends (without a ceiling, one) and with the most level area
-    between them: tables and seats are level, things on a wall are not. Of its two ends the floor has the larger plane,
+    between them: tables and seats are level, objects on a wall are not. Of its two ends the floor has the larger plane,
     nothing behind it, and the furniture.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights

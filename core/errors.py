@@ -2,7 +2,7 @@
 
 
 class BadInput(Exception):
-    """Input that cannot be used. Its message is one line that names the thing and the defect.
+    """Input that cannot be used. Its message is one line that names the object and the defect.
 
     `vrgs.py` prints it without a traceback and exits with status 2.
     """

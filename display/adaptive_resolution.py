@@ -15,7 +15,7 @@ class AdaptiveResolution:
     """
 
     LEVELS = (1.0, 0.75, 0.5)  # scales of a side
-    MAX_FRAME_TIME = 1 / 25  # [s] that a frame may take while things move
+    MAX_FRAME_TIME = 1 / 25  # [s] of a frame while anything moves
     STILL_AFTER = 0.25  # [s] without motion before the picture is refined
     FRAMES_PER_LEVEL = 4  # before the next decision: the first one after a change is not typical
     BLEND = 0.3  # weight of the latest frame in the mean

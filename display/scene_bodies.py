@@ -33,7 +33,7 @@ def load_bodies(
 
     The pieces of an asset are bodies of their own, the largest first.
 
-    Out.  what is static, what is simulated, and which of the latter move by themselves
+    Out.  static bodies, simulated bodies, and the animated ones among the latter
     """
     library: dict[str, Asset] = {}
     pieces: dict[str, list[Asset]] = {}

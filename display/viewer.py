@@ -87,7 +87,7 @@ class Viewer(WorldView):
         self.picture_size, self._shown = (width, height), None
 
     def step(self, frame: Frame) -> None:
-        """Draw what the frame's camera sees."""
+        """Draw the view of the frame's camera."""
         camera = frame.cameras[0]
         now = (camera.width, camera.height, camera.fx, camera.world_to_camera.tobytes())
         if now != self._shown:

@@ -43,7 +43,7 @@ class WorldSnapshot:
 
 
 class World(WorldView):
-    """A running scene. `step` it with each frame; then `picture` is what the frame's cameras see.
+    """A running scene. `step` it with each frame; then `picture` is the view of the frame's cameras.
 
     width, height  of one view's picture [px]
     options        of the DeviceScene: views, interaction, embedding, sort, depth, fingers, grown, props

@@ -68,7 +68,7 @@ class ProgressBar:
             self.close()
 
     def close(self) -> None:
-        """Clear the line, so that what is printed next stands alone."""
+        """Clear the line, so that the next output stands alone."""
         if self.step is not None:
             print("\r\x1b[K", end="", file=self.out, flush=True)
         self.step = None

@@ -20,8 +20,8 @@ DIRECTIONAL_DISTANCE = 40.0  # [scene radii] of a directional light: its rays di
 TAPS = 4  # per side of the filter
 MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
 OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves
-CASTING_FRACTION = 0.5  # of the way to the target, from where on static things cast: no lampshade, no ceiling
-STATIC_BIAS = 0.05  # [m] depth behind static things at which a static Gaussian is surely in their shadow
+CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
+STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is surely in their shadow
 BOX_CHUNKS = {"cpu": 64, "cuda": 4096}  # in which the box of the dynamic Gaussians is reduced
 
 
@@ -47,7 +47,7 @@ class ShadowMap:
     a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to
     them on the device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that
     were captured with them and are darkened by dynamic casters alone, and only where the light
-    reached them before. Static things near the light, such as its own lamp or, for a directional
+    reached them before. Static Gaussians near the light, such as its own lamp or, for a directional
     light, the ceiling, cast nothing.
     """
 
@@ -63,7 +63,7 @@ class ShadowMap:
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera
         self.low, self.high = f.vector(), f.vector()  # box of the dynamic Gaussians [m]
-        self.exposed = f.scalar(splats.capacity)  # 1 where no static thing hides a static Gaussian from the light
+        self.exposed = f.scalar(splats.capacity)  # 1 where nothing static hides a static Gaussian from the light
         f.build()
         self._unfinished = False
         self.set_light(light)

@@ -23,7 +23,7 @@ COPY_GAP = 0.01  # [m] between a body and its copy
 
 @dataclass(frozen=True)
 class MovingBodies:
-    """Bodies, their motions, and what the hands hold of them.
+    """Bodies, their motions, and the hands' grasps of them.
 
     motions  x, x_lo, v, v_lo of each body, (4, V, 3) float32;   grasps  None without hands
     """

@@ -61,7 +61,7 @@ class CapacityError(BadInput):
 
 
 def fit(what: str, need: int, capacity: int) -> None:
-    """Raise CapacityError if `need` things do not fit."""
+    """Raise CapacityError if `need` elements do not fit."""
     if need > capacity:
         raise CapacityError(f"no room for {need} {what}: the capacity is {capacity}")
 

@@ -209,7 +209,7 @@ class Solver:
         return self._reductions.pick(origin, direction)
 
     def hand_forces(self) -> list[np.ndarray]:
-        """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
+        """Force of each hand on the body it holds in the last substep [N], (3,) each; zero for an open hand."""
         return [] if self.contacts is None else self.contacts.hand_forces()
 
     def touch_forces(self) -> list[np.ndarray]:
@@ -311,7 +311,7 @@ class Solver:
     def snapshot(self) -> dict:
         """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling.
 
-        Impulses of contacts are not kept: what is restored goes on the same way each time, but contacts converge
+        Impulses of contacts are not kept: a restored state evolves identically each time, but contacts converge
         to their loads again in the first substeps.
         """
         motion = dict(zip(MOTION, self._read_motion(self.state.sizes.vertices), strict=True))

@@ -47,7 +47,7 @@ def read_compressed(path: Path, file, order: str, elements: list[Element], repor
         low, high = (np.stack([ranges[c] for c in names], axis=1).astype(np.float64) for names in RANGES[name])
         return low[of_vertex] * (1 - fraction) + high[of_vertex] * fraction
 
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped below
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite Gaussians are dropped below
         means = between("position", _fractions(words["packed_position"])).astype(np.float32)
         log_scales = between("scale", _fractions(words["packed_scale"])).astype(np.float32)
         bytes_of = words["packed_color"][:, None] >> np.array([24, 16, 8, 0], np.uint32) & 255

@@ -125,7 +125,7 @@ def _centers(path: Path, s: Section, offsets: np.ndarray, data: bytes, start: in
     table = np.frombuffer(data, np.uint8, s.bucket_bytes * s.buckets, begin + 4 * s.partial)
     centers = np.ascontiguousarray(table.reshape(s.buckets, s.bucket_bytes)[:, :CENTER_SIZE]).view("<f4")
     step = s.block / 2 / s.offset_range
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped later
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite Gaussians are dropped later
         means = (offsets.astype(np.float64) - s.offset_range) * step + centers[bucket]
         return means.astype(np.float32)
 

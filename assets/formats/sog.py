@@ -147,7 +147,7 @@ class Images:
 
 
 def read_sog(path: str | Path, report: Report = print) -> Gaussians:
-    """Gaussians of a .sog, or of the meta.json of a folder; what is not finite is dropped and reported.
+    """Gaussians of a .sog, or of the meta.json of a folder; non-finite ones are dropped and reported.
 
     Raises BadInput.
     """
@@ -225,7 +225,7 @@ def _means(images: Images, count: int) -> np.ndarray:
     """Positions (N, 3): x = sign(v) (exp |v| - 1) of the stored v."""
     low, high = (images.rows("means", count, index)[:, :3] for index in (0, 1))
     stored = _between(images, "means", low + high.astype(np.uint16) * 256, code_max=65535)
-    with np.errstate(over="ignore"):  # what is not finite is dropped later
+    with np.errstate(over="ignore"):  # non-finite Gaussians are dropped later
         return (np.sign(stored) * np.expm1(np.abs(stored))).astype(np.float32)
 
 

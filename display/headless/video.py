@@ -1,4 +1,4 @@
-"""MP4 videos: written picture by picture, or as a film of what a display shows."""
+"""MP4 videos: written picture by picture, or as a film of a display."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class Video:
 
 
 class FilmWriter:
-    """Films what a display shows, whatever its frame rate and size: an MP4 of `width` x `height` [px] at FILM_FPS,
+    """Film of a display of any frame rate and size: an MP4 of `width` x `height` [px] at FILM_FPS,
     complete after `close`. Raises BadInput."""
 
     def __init__(self, path: str | Path, width: int, height: int):

@@ -29,7 +29,7 @@ TARGET_RADIUS, RAY_RADIUS = 0.11, 0.0016  # [m]
 TARGET_HEIGHT = 0.03  # [m] over the floor, on which a carpet may lie
 RAY_GAUSSIANS = 40
 STROKE_GAUSSIANS, STROKE_RADIUS = 8, 0.04  # of a corner; the radius relative to the stroke's length
-FINE_SPACING = 0.6 * SPACING  # [m] between Gaussians of what is thin
+FINE_SPACING = 0.6 * SPACING  # [m] between Gaussians of thin parts
 
 
 def skins() -> list[Skin]:

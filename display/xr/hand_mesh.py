@@ -134,7 +134,7 @@ def surface_points(joints: HandJoints) -> tuple[np.ndarray, np.ndarray, np.ndarr
         x, finger = x[chosen], finger[chosen]
 
     keep(rng.permutation(len(x)))
-    keep(skin_distance(groups, x) > -0.010)  # what is deeper inside other limbs is no skin
+    keep(skin_distance(groups, x) > -0.010)  # points deep inside other limbs are not skin
     keep(poisson_subset(x, 0.4 * SPACING))
     for _ in range(3):
         x = x - skin_distance(groups, x)[:, None] * skin_normal(groups, x)

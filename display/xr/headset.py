@@ -138,7 +138,7 @@ class Headset:
                     return
 
     def _begin_frame(self, session: XrSession, world: WorldView) -> Frame:
-        """Wait for the next frame, and see what the player does in it."""
+        """Wait for the next frame and read its input."""
         self._player.stand(on_floor=session.has_floor)
         state = session.wait_frame()
         self._frame_begin = time.perf_counter()

@@ -23,7 +23,7 @@ GLX_FBCONFIG_ID, GLX_SCREEN, GLX_VISUAL_ID = 0x8013, 0x800C, 0x800B  # registry 
 
 
 def import_xr():
-    """Import the module xr; BadInput says what is missing."""
+    """Import the module xr; BadInput names the missing package."""
     os.environ.setdefault("XR_LOADER_DEBUG", "none")  # the loader's complaints are reported here, in one line
     try:
         import xr

@@ -75,7 +75,7 @@ class XrSession:
         return self._eyes.has_depth
 
     def guarded(self, call):
-        """Result of `call()`; SessionLost if the runtime reports a loss, or cannot do what it must."""
+        """Result of `call()`; SessionLost if the runtime reports a loss, or fails."""
         try:
             return call()
         except self.xr.exception.ResultException as e:

@@ -1,4 +1,4 @@
-"""The panel over the left hand: its pose, its buttons, and what the right hand does with it.
+"""The panel over the left hand: its pose, its buttons, and the right hand's interaction with it.
 
 It appears when the left palm turns to the face, or is pinned there by a button. The right hand points at it and pulls
 the trigger, or pushes a finger through it; then it grips nothing. Positions on the panel are in pixels.

@@ -46,7 +46,7 @@ class ShapeWidths:
         half_width = np.full(phi.shape, np.inf, np.float32)
         for k in reversed(range(steps + 1)):
             r = MIN_HALF_WIDTH * WIDTH_STEP**k
-            deep = phi < -r  # an opening: what a ball of this radius, moved about inside, does not cover is thinner
+            deep = phi < -r  # opening: points that no inner ball of this radius covers lie in thinner parts
             limit = (1 + PROTRUSION) * r
             half_width[inside & (distance_to(deep, limit) > limit) if deep.any() else inside] = r
         return cls(phi, half_width, widths)

@@ -58,7 +58,7 @@ def divided_cells(wanted: np.ndarray, levels: int) -> list[np.ndarray]:
     for level in reversed(range(levels)):
         wanted = _blocks(wanted).max((1, 3, 5))
         here = wanted > level
-        if divided:  # the neighbours of what is divided further must exist
+        if divided:  # the neighbours of divided cells must exist
             here |= _blocks(dilated_26(divided[-1])).any((1, 3, 5))
         divided.append(here)
     return divided[::-1]

@@ -106,7 +106,7 @@ class SegmentedPerson:
 
     bone      index into BONES of each point of the solid, (n,)
     distance  geodesic distance from that bone [m], (n,)
-    held      what the hands hold
+    held      objects in the hands
     """
 
     solid: Solid

@@ -95,7 +95,7 @@ def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
 
 
 def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:
-    """Depth [m] of the visible surface under each point, (P,): a cage is dilated around what is seen.
+    """Depth [m] of the visible surface under each point, (P,): a cage is larger than the visible surface.
 
     The rest distance there, at most two voxels (more would be a wrong grid); 0 without a grid.
     """

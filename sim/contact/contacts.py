@@ -143,7 +143,7 @@ class Contacts(Constraint):
             self.fingers.begin_frame(hands, self.hands.grasped_bodies(), dt)
 
     def hand_forces(self) -> list[np.ndarray]:
-        """Force of each hand on what it holds [N], (3,)."""
+        """Force of each hand on the body it holds [N], (3,)."""
         forces = self.hands.forces()
         if self.coupled:
             forces = [f + g for f, g in zip(forces, self.rigid_bodies.grasp.forces(), strict=True)]

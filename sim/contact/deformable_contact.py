@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from sim.state import State
 
 # Cosine of the surfaces' normals above which two surfaces do not face each other: a point that was forced right through
-# a body is let back in. Were it held on the far side, what is entangled would stay so.
+# a body may return through it. If it were held on the far side, entangled bodies would stay so.
 MAX_FACING_COSINE = 0.3
 NORMAL_STEPS = 2.0**20  # of a unit normal in integer sums, which do not depend on the order
 

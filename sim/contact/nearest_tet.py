@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from sim.state import State
 
 GROUPS = MAX_BODIES + MAX_CAPSULES
-SEEDS = 64  # tets of a body at which the search for what is far away begins
+SEEDS = 64  # tets of a body at which the search from far away begins
 
 
 @ti.data_oriented

@@ -8,7 +8,7 @@ import taichi as ti
 
 CONTACT_SLOP = 1e-5  # [m] contacts rest this deep, plus or minus: rounding (1e-7 m) can neither open nor tighten them
 RECOVERY_TIME = 0.02  # [s] in which a deeper penetration decays
-MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw what it frees
+MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
 # Fraction of the normal compliance without friction that is left with it. Where a stiff body's vertex can only slide if
 # it also rises, friction makes the push that raises it larger, up to a jam; more than twice as large, it threw a plate
 # of 1e8 Pa at 10 m/s.
@@ -18,7 +18,7 @@ MIN_COMPLIANCE_RATIO = 0.5
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
 CONTACT_STIFFNESS = 0.5
 FINGERTIP_STIFFNESS = 1200.0  # [N/m] of one sample of a finger: the few of a fingertip yield 1 mm at 3 N
-FINGERTIP_DAMPING_TIME = 0.01  # [s]: critical for 50 g on two samples, and what is lighter creeps out
+FINGERTIP_DAMPING_TIME = 0.01  # [s]: critical for 50 g on two samples; lighter bodies are overdamped
 FINGERTIP_MAX_DEPTH = 0.008  # [m] of penetration that count: a finger's radius
 # [m/s] at which friction is fully kinetic. If it were so at any speed, a soft block would slip far below mu_s: the
 # edge that slips first would pass its load to its neighbours (Stribeck's curve has this shape too).

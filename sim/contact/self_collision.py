@@ -108,7 +108,7 @@ class SelfCollision:
                 distance = 2.0 * self.speed_residual[b] * t + CONTACT_MARGIN
                 apart = self.disabled[b] != 0 or sigma * self.min_rest_distance(b) >= 2.0 * self.residual[b] + distance
                 self.self_colliding[b] = 0 if apart else 1
-                # farther, the search would cost too much; what is faster is met inside, where a body is thick enough
+                # a larger search would cost too much; faster points are met inside, where a body is thick enough
                 self.search_distance[b] = ti.min(distance, self.min_rest_distance(b))
 
     @ti.func

@@ -131,7 +131,7 @@ class PersistentXPBD:
                             s.dx[i] = d
                         else:
                             for c in ti.static(self.in_pairs):
-                                d = c.apply_impulses(i, d)  # forgets what the last rows did
+                                d = c.apply_impulses(i, d)  # clears the sums of the last constraints
                             s.commit(i, d)
                             g.publish(i, 1 - parity)
                     i += BLOCK // LANES

@@ -93,7 +93,7 @@ class Grasps:
     def begin_frame(self, hands: list[Hand | None], dt: float, moving: bool) -> None:
         """Take the hands' poses after dt [s]; grasp and release.
 
-        A hand that opens throws what no other hand holds, if things are `moving` (see sim/hands/throw.py). One that is
+        A hand that opens throws a body that no other hand holds, if bodies are `moving` (sim/hands/throw.py). One that is
         no longer in the list opens and throws nothing. One that is None, or has no finite pose, holds still; so does
         one that holds something and is suddenly MAX_HAND_JUMP away, until it is back or, after TRACKING_TIMEOUT, opens.
         """
@@ -127,7 +127,7 @@ class Grasps:
             self.lost[h] = 0.0
             return given
         self.lost[h] += dt
-        if self.lost[h] > TRACKING_TIMEOUT:  # and what it drops, it does not throw
+        if self.lost[h] > TRACKING_TIMEOUT:  # it drops the body without a throw
             self._hold(h, None)
             return given
         return replace(last, grip=given.grip)
@@ -232,7 +232,7 @@ class Grasps:
         return most
 
     def forces(self) -> list[np.ndarray]:
-        """Force of each hand on what it holds in the last substep [N], (3,) each; zero for an open hand."""
+        """Force of each hand on the body it holds in the last substep [N], (3,) each; zero for an open hand."""
         if self.grasps == [None] * self.count:
             return [np.zeros(3)] * self.count
         return self._forces()

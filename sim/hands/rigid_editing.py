@@ -52,7 +52,7 @@ class RigidEditing:
         self._scaling: tuple[int, float] | None = None
 
     def step(self, hands: list[Hand | None], grasped: list[int]) -> None:
-        """Move what the hands hold; grasped[h] is the body in hand h, -1 for none."""
+        """Move the bodies in the hands; grasped[h] is the body in hand h, -1 for none."""
         alone = self._scale(hands, grasped)
         for h, hand in enumerate(hands):
             body = alone[h] if h < len(alone) else -1

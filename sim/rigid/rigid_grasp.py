@@ -45,7 +45,7 @@ class RigidGrasp:
         self.force.fill(0.0)
 
     def update(self, rigid_bodies) -> None:
-        """Follow what the hands grasp and let go; at the begin of a frame."""
+        """Update grasps and releases at the beginning of a frame."""
         grasped = self.grasps.grasped_bodies() if self.count else []
         for h, b in enumerate(grasped):
             b = b if b >= 0 and rigid_bodies.bodies[b].body.rigid else -1

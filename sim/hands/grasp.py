@@ -93,9 +93,9 @@ class Grasps:
     def begin_frame(self, hands: list[Hand | None], dt: float, moving: bool) -> None:
         """Take the hands' poses after dt [s]; grasp and release.
 
-        A hand that opens throws a body that no other hand holds, if bodies are `moving` (sim/hands/throw.py). One that is
-        no longer in the list opens and throws nothing. One that is None, or has no finite pose, holds still; so does
-        one that holds something and is suddenly MAX_HAND_JUMP away, until it is back or, after TRACKING_TIMEOUT, opens.
+        A hand that opens throws a body that no other hand holds, if bodies are `moving` (sim/hands/throw.py). A
+        missing hand opens and throws nothing. One that is None, or has no finite pose, holds still; so does one that
+        holds something and is suddenly MAX_HAND_JUMP away, until it is back or, after TRACKING_TIMEOUT, opens.
         """
         poses = np.zeros((max(self.count, 1), 2, 7), np.float32)
         for h in range(self.count):

@@ -10,6 +10,8 @@ import numpy as np
 from assets.gaussians import Gaussians
 from core.rotation import matrices_from_quaternions
 
+# The axes of a file that may point up, by name: "-y", "+y", ... and their directions, (3,).
+AXES = {f"{sign}{'xyz'[axis]}": np.eye(3)[axis] * (1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
 NARROWING_COS = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # largest angle of normals to the axis, step by step
 LEVEL_COS = np.cos(np.radians(25.0))  # smallest cosine to the vertical of the normals of a level plane
 HEIGHT_BINS = 300  # of the histogram in which the floor is searched
@@ -18,6 +20,11 @@ BELOW_WEIGHT = 2.0  # of the area under a floor: there should be none
 SECOND_PLANE_WEIGHT = 0.3  # of the smaller plane of a pair: a ceiling may be missing, or not seen
 FURNITURE_WEIGHT = 1.5  # of the level area between the two
 LOW_FURNITURE_WEIGHT = 0.5  # of how far below the middle that level area lies
+
+
+def axis_name(axis: int, sign: int) -> str:
+    """Name of the axis, 0 to 2, that points up with this sign."""
+    return f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"
 
 
 def normals_and_areas(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +100,7 @@ def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> d
         for sign, (_, plane, below) in zip((1, -1), ends, strict=True):
             height = mean_height if sign > 0 else 1 - mean_height
             floor = plane - BELOW_WEIGHT * below + LOW_FURNITURE_WEIGHT * (0.5 - height) * bool(between.any())
-            votes[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"] = upright, floor
+            votes[axis_name(axis, sign)] = upright, floor
     # The axis comes first: the evidence for its ends only decides between the two.
     best = {k[1]: max(votes[f"+{k[1]}"][1], votes[f"-{k[1]}"][1]) for k in votes}
     return {k: upright + min(0.0, floor - best[k[1]]) for k, (upright, floor) in votes.items()}
@@ -122,7 +129,7 @@ def scene_votes(g: Gaussians) -> dict[str, float] | None:
     normals, areas = normals_and_areas(g.select(core))
     votes = plane_votes(points, normals, np.minimum(areas, np.percentile(areas, 99)))
     up = max(votes, key=votes.get)
-    direction = refine_direction(np.eye(3)["xyz".index(up[1])] * (1 if up[0] == "+" else -1), normals, areas)
+    direction = refine_direction(AXES[up], normals, areas)
     heights = points @ direction
     low, high = np.percentile(heights, [1, 99])
     slab = 0.06 * (high - low)

@@ -11,11 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from assets.gaussians import Gaussians
-from assets.level_planes import hollow_columns, scene_votes
+from assets.level_planes import AXES, axis_name, hollow_columns, scene_votes
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 
-AXES = {f"{sign}{'xyz'[axis]}": (axis, 1 if sign == "+" else -1) for axis in (1, 2, 0) for sign in "-+"}
 VIEW_PIXELS = 64  # on the longest side of the six views
 LUMA = np.array([0.299, 0.587, 0.114])  # BT.601
 FOOT_HEIGHT = 0.05  # of the extent: the part that the object stands on
@@ -116,9 +115,9 @@ def up_cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
             "hollow": float(hollow[1].mean() - hollow[-1].mean()),
         }
         for sign in (1, -1):
-            up_cues = {name: sign * value for name, value in plus.items()}
-            up_cues["stable"] = tipping_slope(points, centre, axis, sign, longest)
-            found[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"] = up_cues
+            values = {name: sign * value for name, value in plus.items()}
+            values["stable"] = tipping_slope(points, centre, axis, sign, longest)
+            found[axis_name(axis, sign)] = values
     return found
 
 
@@ -154,7 +153,6 @@ def rotation_to_up(up: str) -> np.ndarray:
     """The smallest rotation (3, 3) that takes the axis `up` of the file to +y. Raises BadInput."""
     if up not in AXES:
         raise BadInput(f"up axis {up!r} is unknown; one of {', '.join(sorted(AXES))}")
-    axis, sign = AXES[up]
     return {
         "+y": np.eye(3),
         "-y": np.diag([1.0, -1.0, -1.0]),  # half a turn about x, as from COLMAP's cameras to OpenGL's
@@ -162,7 +160,7 @@ def rotation_to_up(up: str) -> np.ndarray:
         "-z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
         "+x": np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]),
         "-x": np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
-    }[f"{'+' if sign > 0 else '-'}{'xyz'[axis]}"]
+    }[up]
 
 
 def body_size(longest: float, scale: float | None) -> float:

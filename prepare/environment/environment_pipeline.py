@@ -14,6 +14,7 @@ import numpy as np
 from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
+from assets.level_planes import AXES
 from assets.up_axis import robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
@@ -155,7 +156,7 @@ def prepare_environment(
         tuple(plane_row(p, to) for p in planes),
         tuple(DistanceGrid(f.values, f.origin + to, f.spacing) for f in fine),
     )
-    lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ axis_vector(scene.up), -1, 1)))
+    lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ AXES[scene.up], -1, 1)))
     provenance = {
         "made_by": f"vrgs prepare --static {VERSION}",
         "options": {"up": options.up, "scale": options.scale, "cell": options.cell, "cut": list(options.cut)},
@@ -272,11 +273,6 @@ def fine_grid(
     found = oriented(found, surface.viewers, near, surface.voxels)
     grid = flattened(signed_distance(found, winding, low, step, shape, surface.space), planes)
     return replace(grid, values=grid.values.astype(np.float16))
-
-
-def axis_vector(name: str) -> np.ndarray:
-    """Unit vector of an axis by its name, "+x" to "-z"."""
-    return np.eye(3)["xyz".index(name[1])] * (1 if name[0] == "+" else -1)
 
 
 def grid_around(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, tuple[int, int, int]]:

@@ -8,6 +8,7 @@ from prepare.cage.quality_energy import device_array
 
 vec3, vec4 = ti.types.vector(3, ti.f64), ti.types.vector(4, ti.f64)
 ivec3 = ti.types.vector(3, ti.i32)
+CellGrid = ti.types.struct(origin=vec3, size=ti.f64, shape=ivec3)  # corner [m], cell width [m], cells an axis
 reals, indices = ti.types.ndarray(ti.f64), ti.types.ndarray(ti.i32)
 
 
@@ -15,18 +16,18 @@ class DeviceLocator:
     """Tables to find the tet that holds a point. Taichi must be running.
 
     host   the TetLocator these are made from
-    first, gradient   first vertex (T, 3) [m] of each tet, gradients (T, 9) [1/m] of its weights 1 to 3
+    maps   first vertex [m] of each tet and gradients [1/m] of its weights 1 to 3, (T, 12)
     begin, candidates  tets that may touch cell c, ascending: candidates[begin[c] : begin[c + 1]]
-    grid   origin [m], cell width [m] and shape of the cells
+    grid   the CellGrid of the cells
     """
 
     def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
         self.host = TetLocator(vertices, tets)
         # All are passed as arguments: what a kernel captures is compiled in, and Python's floats as float32.
-        shape = ivec3(*map(int, self.host.grid_shape))
-        self.grid = vec3(*map(float, self.host.origin)), float(self.host.cell_size), shape
-        self.first = device_array(ti.f64, self.host.first_vertex)
-        self.gradient = device_array(ti.f64, self.host.weight_gradients.reshape(-1, 9))
+        origin, shape = vec3(*map(float, self.host.origin)), ivec3(*map(int, self.host.grid_shape))
+        self.grid = CellGrid(origin=origin, size=float(self.host.cell_size), shape=shape)
+        gradients = self.host.weight_gradients.reshape(-1, 9)
+        self.maps = device_array(ti.f64, np.concatenate([self.host.first_vertex, gradients], 1))
         self.begin, self.candidates = self._candidate_lists()
 
     def _candidate_lists(self) -> tuple[ti.Ndarray, ti.Ndarray]:
@@ -34,11 +35,11 @@ class DeviceLocator:
         cells = int(np.prod(self.host.grid_shape))
         used = device_array(ti.i32, np.zeros(cells))
         none = device_array(ti.i32, np.zeros(1))
-        _list_candidates(self.first, self.gradient, *boxes, *self.grid, 0, none, used, none)
+        _list_candidates(self.maps, *boxes, self.grid, 0, none, used, none)
         ends = used.to_numpy().cumsum()
         begin, candidates = device_array(ti.i32, np.r_[0, ends]), ti.ndarray(ti.i32, max(int(ends[-1]), 1))
         used.fill(0)
-        _list_candidates(self.first, self.gradient, *boxes, *self.grid, 1, begin, used, candidates)
+        _list_candidates(self.maps, *boxes, self.grid, 1, begin, used, candidates)
         return begin, candidates
 
     def find(self, points: np.ndarray) -> np.ndarray:
@@ -46,7 +47,7 @@ class DeviceLocator:
         host = np.full(len(points), -1, np.int32)
         if len(points):
             points = np.ascontiguousarray(points, np.float64)
-            _find(points, self.first, self.gradient, self.begin, self.candidates, *self.grid, host)
+            _find(points, self.maps, self.begin, self.candidates, self.grid, host)
         return host
 
     def boundary_tables(self) -> tuple[ti.Ndarray, ti.Ndarray, ti.Ndarray]:
@@ -68,15 +69,15 @@ def fraction_inside(vertices: np.ndarray, tets: np.ndarray, points: np.ndarray) 
 
 @ti.kernel
 def _list_candidates(
-    first: reals, gradient: reals, box: indices, extent: indices, origin: vec3, size: ti.f64, shape: ivec3,
-    store: ti.i32, begin: indices, used: indices, candidates: indices,
+    maps: reals, box: indices, extent: indices, grid: CellGrid, store: ti.i32, begin: indices, used: indices,
+    candidates: indices,
 ):  # fmt: skip
     """Out: used = number of tets that may touch each cell; if `store`, these in `candidates`, ascending."""
     for t in range(box.shape[0]):
         low = ti.Vector([box[t, 0], box[t, 1], box[t, 2]])
-        middle = origin + size * (ti.cast(low, ti.f64) + 0.5)
-        at = weights_of(first, gradient, t, middle)
-        x, y, z = _column(gradient, t, 0), _column(gradient, t, 1), _column(gradient, t, 2)
+        size, shape = grid.size, grid.shape
+        at = weights_of(maps, t, grid.origin + size * (ti.cast(low, ti.f64) + 0.5))
+        x, y, z = _column(maps, t, 0), _column(maps, t, 1), _column(maps, t, 2)
         # A tet misses a cell if one of its weights is negative in all of it: at the centre plus half |gradient|_1.
         most = at + (ti.abs(x) + ti.abs(y) + ti.abs(z)) * size / 2
         for i, j, k in ti.ndrange(extent[t, 0], extent[t, 1], extent[t, 2]):
@@ -96,53 +97,47 @@ def _list_candidates(
 
 
 @ti.kernel
-def _find(
-    points: reals, first: reals, gradient: reals, begin: indices, candidates: indices, origin: vec3, size: ti.f64,
-    shape: ivec3, host: indices,
-):  # fmt: skip
+def _find(points: reals, maps: reals, begin: indices, candidates: indices, grid: CellGrid, host: indices):
     """Out: host = tet of each point, or -1."""
     for p in range(host.shape[0]):
         point = vec3(points[p, 0], points[p, 1], points[p, 2])
-        host[p] = find_tet(first, gradient, begin, candidates, origin, size, shape, point)
+        host[p] = find_tet(maps, begin, candidates, grid, point)
 
 
 @ti.func
-def weight_change(gradient: ti.template(), t, d):
+def weight_change(maps: ti.template(), t, d):
     """Change of the four barycentric weights of tet t over the displacement d [m]."""
     last = vec3(0.0, 0.0, 0.0)
     for i in ti.static(range(3)):
-        last[i] = gradient[t, 3 * i] * d[0] + gradient[t, 3 * i + 1] * d[1] + gradient[t, 3 * i + 2] * d[2]
+        last[i] = maps[t, 3 + 3 * i] * d[0] + maps[t, 4 + 3 * i] * d[1] + maps[t, 5 + 3 * i] * d[2]
     return vec4(-last.sum(), last[0], last[1], last[2])
 
 
 @ti.func
-def _column(gradient: ti.template(), t, axis: ti.template()):
+def _column(maps: ti.template(), t, axis: ti.template()):
     """Derivatives of the four weights of tet t along an axis."""
-    x, y, z = gradient[t, axis], gradient[t, 3 + axis], gradient[t, 6 + axis]
+    x, y, z = maps[t, 3 + axis], maps[t, 6 + axis], maps[t, 9 + axis]
     return vec4(-x - y - z, x, y, z)
 
 
 @ti.func
-def weights_of(first: ti.template(), gradient: ti.template(), t, p):
+def weights_of(maps: ti.template(), t, p):
     """Barycentric weights of p in tet t."""
-    w = weight_change(gradient, t, p - vec3(first[t, 0], first[t, 1], first[t, 2]))
+    w = weight_change(maps, t, p - vec3(maps[t, 0], maps[t, 1], maps[t, 2]))
     w[0] += 1.0
     return w
 
 
 @ti.func
-def find_tet(
-    first: ti.template(), gradient: ti.template(), begin: ti.template(), candidates: ti.template(), origin, size,
-    shape, p,
-):  # fmt: skip
+def find_tet(maps: ti.template(), begin: ti.template(), candidates: ti.template(), grid, p):
     """The first candidate of p's cell that holds p, or -1."""
-    i = ti.cast(ti.floor((p - origin) / size), ti.i32)
+    i, shape = ti.cast(ti.floor((p - grid.origin) / grid.size), ti.i32), grid.shape
     found = -1
     if i.min() >= 0 and (shape - i).min() > 0:
         cell = (i[0] * shape[1] + i[1]) * shape[2] + i[2]
         at, end = begin[cell], begin[cell + 1]
         while at < end:
-            if weights_of(first, gradient, candidates[at], p).min() >= WEIGHT_MIN:
+            if weights_of(maps, candidates[at], p).min() >= WEIGHT_MIN:
                 found = candidates[at]
                 at = end
             at += 1
@@ -150,12 +145,13 @@ def find_tet(
 
 
 @ti.func
-def nearest_sample(sample: ti.template(), begin: ti.template(), origin, size, shape, p):
+def nearest_sample(sample: ti.template(), begin: ti.template(), grid, p):
     """Index of the boundary sample nearest to p.
 
     Cells are visited in growing shells around p, or around the point of the grid's box next to it, until no sample
     outside the visited shells can be nearer.
     """
+    origin, size, shape = grid.origin, grid.size, grid.shape
     high = origin + size * ti.cast(shape, ti.f64)
     inner = ti.min(ti.max(p, origin), high)
     i = ti.min(ti.cast(ti.floor((inner - origin) / size), ti.i32), shape - 1)

@@ -22,10 +22,10 @@ import taichi as ti
 from assets.asset import CageEmbedding
 from core.quaternion import to_matrix
 from prepare.cage.device_locator import (
+    CellGrid,
     DeviceLocator,
     find_tet,
     indices,
-    ivec3,
     nearest_sample,
     reals,
     vec3,
@@ -60,44 +60,44 @@ def embed(
     host, weights = np.zeros((n, 4), np.int32), np.zeros((n, 4, 4), np.float32)
     if n:
         cage = DeviceLocator(vertices, tets)
-        mesh = device_array(ti.i32, cage.host.tets), device_array(ti.f64, cage.host.vertex_edge)
-        tables = cage.first, cage.gradient, cage.begin, cage.candidates, *cage.boundary_tables(), *cage.grid
+        corner_edge = device_array(ti.f64, cage.host.vertex_edge[cage.host.tets])
+        tables = corner_edge, cage.maps, cage.begin, cage.candidates, *cage.boundary_tables(), cage.grid
         for i in range(0, n, CHUNK):
             chunk = slice(i, min(i + CHUNK, n))
             f64 = (np.ascontiguousarray(a[chunk], np.float64) for a in (means, quats, scales))
-            _embed(*f64, *mesh, *tables, float(k), float(floor), host[chunk], weights[chunk])
+            _embed(*f64, *tables, float(k), float(floor), host[chunk], weights[chunk])
     return CageEmbedding(host, weights)
 
 
 @ti.kernel
 def _embed(
-    means: reals, quats: reals, scales: reals, tet: indices, edge: reals, first: reals, gradient: reals,
-    begin: indices, candidates: indices, sample: reals, owner: indices, sample_begin: indices, origin: vec3,
-    size: ti.f64, shape: ivec3, k: ti.f64, floor: ti.f64, host: indices, weights: ti.types.ndarray(ti.f32),
+    means: reals, quats: reals, scales: reals, corner_edge: reals, maps: reals, begin: indices, candidates: indices,
+    sample: reals, owner: indices, sample_begin: indices, grid: CellGrid, k: ti.f64, floor: ti.f64, host: indices,
+    weights: ti.types.ndarray(ti.f32),
 ):  # fmt: skip
-    """Out: host, weights. Tables as of DeviceLocator; sample, owner, sample_begin as of its `boundary_tables`."""
+    """Out: host, weights. corner_edge (T, 4) [m]; the other tables as of DeviceLocator."""
     ti.loop_config(block_dim=64)
     for g in range(means.shape[0]):
         mu = vec3(means[g, 0], means[g, 1], means[g, 2])
         centre, depth = mu, ti.cast(0.0, ti.f64)
-        home = find_tet(first, gradient, begin, candidates, origin, size, shape, mu)
+        home = find_tet(maps, begin, candidates, grid, mu)
         if home < 0:  # pulled towards the cage as far as the bound on the weights asks
-            b = nearest_sample(sample, sample_begin, origin, size, shape, mu)
+            b = nearest_sample(sample, sample_begin, grid, mu)
             home = owner[b]
             foot = vec3(sample[b, 0], sample[b, 1], sample[b, 2])
             depth = (mu - foot).norm()
-            at, to = weights_of(first, gradient, home, foot), weights_of(first, gradient, home, mu)
+            at, to = weights_of(maps, home, foot), weights_of(maps, home, mu)
             t = ti.cast(1.0, ti.f64)
             for c in ti.static(range(4)):
                 d = to[c] - at[c]
                 if ti.abs(d) > 0.0:
                     t = ti.min(t, (MAX_WEIGHT - ti.math.sign(d) * at[c]) / ti.abs(d))
             centre = foot + t * (mu - foot)
-        own = weights_of(first, gradient, home, centre)
+        own = weights_of(maps, home, centre)
         inside = ti.max(own, 0.0)
         h = ti.cast(0.0, ti.f64)
         for c in ti.static(range(4)):
-            h += edge[tet[home, c]] * inside[c]
+            h += corner_edge[home, c] * inside[c]
         h /= inside.sum()
         R = to_matrix(vec4(quats[g, 0], quats[g, 1], quats[g, 2], quats[g, 3]))
         half = vec3(0.0, 0.0, 0.0)
@@ -112,14 +112,14 @@ def _embed(
                 for c in range(4):
                     off = shrink * (H @ corner_direction(c))
                     corner = centre + off
-                    holder = find_tet(first, gradient, begin, candidates, origin, size, shape, corner)
+                    holder = find_tet(maps, begin, candidates, grid, corner)
                     if holder < 0:
                         # The extension of each boundary tet meets that of the next with a gap that grows with the
                         # distance, which would tear a tetrahedron wholly outside: its corners share one tet.
                         holder = home
                         if depth <= off.norm():
-                            holder = owner[nearest_sample(sample, sample_begin, origin, size, shape, corner)]
-                    weight = weights_of(first, gradient, holder, corner)
+                            holder = owner[nearest_sample(sample, sample_begin, grid, corner)]
+                    weight = weights_of(maps, holder, corner)
                     host[g, c] = holder
                     for j in ti.static(range(4)):
                         weights[g, c, j] = ti.cast(weight[j], ti.f32)
@@ -129,9 +129,9 @@ def _embed(
         if not done:  # one tet holds all corners, as small as needed: |w| grows by at most 1 from the centre's
             most = ti.cast(1.0, ti.f64)
             for c in range(4):
-                most = ti.max(most, ti.abs(weight_change(gradient, home, H @ corner_direction(c))).max())
+                most = ti.max(most, ti.abs(weight_change(maps, home, H @ corner_direction(c))).max())
             for c in range(4):
-                weight = own + weight_change(gradient, home, H @ corner_direction(c)) / most
+                weight = own + weight_change(maps, home, H @ corner_direction(c)) / most
                 host[g, c] = home
                 for j in ti.static(range(4)):
                     weights[g, c, j] = ti.cast(weight[j], ti.f32)

@@ -151,22 +151,6 @@ def _tets_of_level(exists: np.ndarray, split: np.ndarray, width: int) -> list[tu
     return out
 
 
-def uniform_lattice(distance: DistanceGrid, cell: float) -> Lattice:
-    """BCC lattice with cubes of width `cell` [m] around the region where a signed distance is negative.
-
-    Raises BadInput where it is nowhere, or for too many cells.
-    """
-    solid = np.argwhere(distance.values < 0)
-    if not len(solid):
-        raise BadInput("cage: the shape is empty")
-    origin, spacing = distance.origin, distance.spacing
-    low, high = origin + spacing * (solid.min(0) - 1), origin + spacing * (solid.max(0) + 1)
-    n = np.ceil((high - low) / cell).astype(int) + 3  # cells; one spare on each side
-    if n.prod() > MAX_LATTICE_CELLS:
-        raise BadInput(f"cage: a cell of {cell:.3g} m is too fine for a body of {(high - low).max():.3g} m")
-    return graded_lattice(np.zeros(n, np.int8), 0, origin=(low + high) / 2 - n * cell / 2, unit=cell / 2)
-
-
 def crossed_edges(tets: np.ndarray, phi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inside and outside ends of the lattice edges that the surface crosses, sorted by both, (E,) each."""
     a, b = tets[:, [0, 0, 0, 1, 1, 2]].reshape(-1), tets[:, [1, 2, 3, 2, 3, 3]].reshape(-1)

@@ -8,8 +8,8 @@ from core.tetmesh import tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles
 from prepare.cage.quality_energy import QualityEnergy
 from prepare.cage.relaxation import Descent, lift_slivers, min_angles, relax
-from prepare.cage.stuffing import stuff, uniform_lattice
-from tests.support.distance_shapes import bumpy, sampled, sphere, torus
+from prepare.cage.stuffing import stuff
+from tests.support.distance_shapes import bumpy, sampled, sphere, torus, uniform_lattice
 from tests.support.reference_quality import energy
 
 

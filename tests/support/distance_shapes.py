@@ -3,6 +3,7 @@
 import numpy as np
 
 from core.distance_grid import DistanceGrid
+from prepare.cage.stuffing import Lattice, graded_lattice
 
 
 def sampled(distance, half_size: float = 2.3, spacing: float = 0.05) -> DistanceGrid:
@@ -30,3 +31,12 @@ def bumpy(p, seed):
     rng = np.random.default_rng(seed)
     waves = sum(np.sin(p @ rng.normal(size=3) * 2.5 + rng.uniform(0, 6)) for _ in range(6))
     return np.maximum(0.2 * waves, sphere(p, radius=1.6))
+
+
+def uniform_lattice(distance: DistanceGrid, cell: float) -> Lattice:
+    """BCC lattice with cubes of width `cell` [m] around the region where a signed distance is negative."""
+    solid = np.argwhere(distance.values < 0)
+    origin, spacing = distance.origin, distance.spacing
+    low, high = origin + spacing * (solid.min(0) - 1), origin + spacing * (solid.max(0) + 1)
+    n = np.ceil((high - low) / cell).astype(int) + 3  # cells; one spare on each side
+    return graded_lattice(np.broadcast_to(np.int8(0), n), 0, origin=(low + high) / 2 - n * cell / 2, unit=cell / 2)

@@ -1,5 +1,6 @@
 """Nothing is compiled in the midst of play: not by the first grip, throw, touch, look, change or size of picture."""
 
+from dataclasses import replace
 from types import SimpleNamespace as N
 
 import numpy as np
@@ -39,7 +40,9 @@ class Play:
         from display.world import World
         from display.xr import avatar
 
-        self.scene, self.frames, self.size, self.views = ring_toss.build(), 0, (96, 64), 1 + headset
+        self.frames, self.size, self.views = 0, (96, 64), 1 + headset
+        scene = ring_toss.build()
+        self.scene = replace(scene, bodies=scene.bodies[1:])  # without the room, for speed
         how = {"fingers": True, "grown": True, "props": avatar.skins()} if headset else {}
         self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
         self.parts = avatar.hidden() if headset else None

@@ -4,9 +4,21 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+import scenes
+from assets.asset import Asset
+from assets.library import animated_height, find_asset
+from core.camera import look_at, perspective
+from core.material import Material
+from display.picture import pixels_of
+from display.protocol import Frame, Reset, SetLight, Undo
+from scenes import registry
+from scenes.scene import Body, Light, Plane, Scene
+from vrgs import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -22,7 +34,7 @@ def vrgs(*args, cwd=ROOT, timeout=400, **env) -> subprocess.CompletedProcess:
 def play(tmp_path, *args, name="run") -> dict:
     """Play headless on the CPU in a small picture; returns the statistics."""
     stats = tmp_path / f"{name}.json"
-    done = vrgs("--headless", "--arch", "cpu", "--size", "160x90", "--stats", stats, *args)
+    done = vrgs("--headless", "--arch", "cpu", "--size", "96x54", "--stats", stats, *args)
     assert done.returncode == 0, done.stderr
     return json.loads(stats.read_text())
 
@@ -53,17 +65,17 @@ def test_a_fixed_seed_repeats_a_cpu_run_exactly(tmp_path):
 
 
 def test_sandbox_takes_a_splat_that_stands_on_its_head(tmp_path, shared):
-    """The real input: prepared on the way, cached, dropped on the table, lifted and lobbed."""
+    """The real input: prepared on the way, cached, and dropped on the table."""
     stats = tmp_path / "cat.json"
     done = vrgs(
-        *("--scene", "sandbox", "--body", shared / "data" / "splats" / "toy_cat.ply", "--vertices", 600),
-        *("--headless", "--arch", "cpu", "--size", "160x90", "--frames", 60, "--stats", stats),
+        *("--scene", "sandbox", "--body", shared / "data" / "splats" / "toy_cat.ply", "--vertices", 300),
+        *("--headless", "--arch", "cpu", "--size", "96x54", "--frames", 8, "--stats", stats),
         VRGS_CACHE=str(tmp_path / "cache"),
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(stats.read_text())
     assert result["finite"] is True
-    assert 480 <= result["vertices"] <= 720
+    assert 240 <= result["vertices"] <= 360
     assert len(list((tmp_path / "cache").glob("*.h5"))) == 1
 
 
@@ -111,3 +123,68 @@ def test_help_shows_examples_for_every_command():
     for command in ("scenes", "render", "prepare", "convert", "build"):
         assert "example:" in vrgs(command, "--help").stdout
     assert "ring_toss" in vrgs("scenes").stdout
+
+
+def test_a_faulty_scene_file_harms_no_other(tmp_path, monkeypatch, capsys):
+    files = {
+        "bare": "def build():\n    pass",
+        "broken": "def build(:",
+        "empty": "from scenes.scene import Scene",
+        "shared": "X = 1",
+    }
+    for name, source in files.items():
+        (tmp_path / f"{name}_scene.py").write_text(source, encoding="utf-8")
+    monkeypatch.setattr(scenes, "__path__", [*scenes.__path__, str(tmp_path)])
+    assert main(["scenes"]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert lines["ring_toss"].startswith("Ring toss:") and lines["bare_scene"] == "(no description)"
+    assert lines["broken_scene"].startswith("cannot be played: SyntaxError") and "shared_scene" not in lines
+    assert lines["empty_scene"] == "cannot be played: it has no function build"
+    assert registry.names() == ["bare_scene", "just_dance", "ring_toss", "sandbox"]
+    for name, fault in {
+        "broken_scene": "SyntaxError",
+        "empty_scene": "no function build",
+        "shared_scene": "no scene",
+    }.items():
+        assert main(["--scene", name]) == 2
+        error = capsys.readouterr().err
+        assert fault in error and error.count("\n") == 1
+
+
+def test_a_body_is_of_its_own_material_unless_another_is_asked_for(tmp_path):
+    jelly = Material.named("jelly")
+    ring = Asset.load(find_asset("ring_red"))
+    for name, material in (("own", jelly), ("none", None)):
+        replace(ring, material=material).save(tmp_path / f"{name}.h5")
+
+    def material(body, **options):
+        return next(
+            b.material for b in registry.load("sandbox", body=str(tmp_path / body), **options).bodies if b.material
+        )
+
+    assert material("own.h5") == jelly and material("none.h5") == Material.named("plush")
+    assert material("own.h5", material="wood") == Material.named("wood")
+    dancer = registry.load("just_dance").bodies[2].material
+    assert dancer == Material.animated("flesh", animated_height("dancer")) and dancer.young < 1e5
+
+
+def test_the_rings_are_of_a_soft_silicone_as_their_assets_are():
+    rings = registry.load("ring_toss").bodies[2:]
+    assert len(rings) == 3 and {r.material for r in rings} == {Material.named("silicone")}
+    assert all(Asset.load(find_asset(r.asset)).material == r.material for r in rings)
+    assert Material.named("rubber").young > 50 * Material.named("silicone").young
+
+
+def test_a_scene_without_a_light_plays_without_shadows(ti_cpu):
+    from display.world import World
+
+    ring = Body("ring_red", Material.named("silicone"), position=(0.0, 0.1, 0.0))
+    scene = Scene([ring], None, (0.0, 0.5, 0.9), (0.0, 0.1, 0.0), [Plane((0, 0, 0), (0, 1, 0))])
+    world = World(scene, width=32, height=24)
+    camera = perspective(32, 24, scene.fov_y, look_at(scene.eye, scene.target))
+    lit = Light((0.0, 2.0, 0.0))
+    for commands in ([], [SetLight(lit)], [Reset()], [Undo()]):
+        world.step(Frame(1 / 60, 1 / 60, [camera], [], commands))
+    assert world.light is None and world.stats()["finite"] and not world.notice
+    assert (world.device.splats.visibility.to_numpy() == 1.0).all()
+    assert pixels_of(world.picture)[..., :3].any()

@@ -105,24 +105,7 @@ def prepare(
     options.check()
     oriented = kept.step("orient", partial(clean_and_orient, gaussians, options, progress))
     g, found = gaussians_of(oriented)
-    clusters = [np.flatnonzero(oriented["cluster"] == k) for k in range(int(oriented["cluster"].max()) + 1)]
-    grids = cluster_grids(g, clusters, options.vertices)
-
-    def of_each_cluster(step: str, make: Callable[[int], dict]) -> list[dict]:
-        """Results of a step for each cluster."""
-
-        def one(k: int) -> dict:
-            progress(step, k / len(grids))
-            return make(k)
-
-        return [kept.step(f"{step}{k or ''}", partial(one, k)) for k in range(len(grids))]
-
-    least = MIN_COMPONENT if options.pieces else 1.0
-    cells = of_each_cluster("fill", lambda k: fill(g.select(clusters[k]), grids[k]))
-    shapes = of_each_cluster("surface", lambda k: {"phi": level_sets(cells[k]["solid"], least)})
-    found_in = zip(clusters, grids, shapes, strict=True)
-    components = [c for k, (own, grid, s) in enumerate(found_in) for c in components_of(g, own, grid, s["phi"], k)]
-
+    components = fill_components(g, oriented["cluster"], options, progress, kept)
     report = partial(progress, "cage")
     how = {"adaptive": options.adaptive, "say": say, "checkpoint": kept.step}
     cages = component_cages(components, g, options.vertices, options.mesher, report, **how)
@@ -148,7 +131,7 @@ def prepare(
     embedded = CageEmbedding(**kept.step("embed", embed))
 
     progress("contact", 0.0)
-    solids = [solid_of(c.component, cells[c.component.cluster], foot, factor) for c in cages]
+    solids = [solid_of(c.component, foot, factor) for c in cages]
     grid = contact_grid([s.distance for s in solids])
     figures = measure(cage, g.means[surface_mask(g)], options.vertices)
     figures |= {
@@ -189,15 +172,36 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
     return arrays_of(turned, counts=counts, up=up, sure=sure) | {"cluster": cluster}
 
 
+def fill_components(
+    g: Gaussians, cluster: np.ndarray, options: Options, progress: Progress, kept: Checkpoints
+) -> list[Component]:
+    """Fill each cluster of Gaussians, given by number (N,), and split what is solid into connected components."""
+    clusters = [np.flatnonzero(cluster == k) for k in range(int(cluster.max()) + 1)]
+    grids = cluster_grids(g, clusters, options.vertices)
+
+    def of_each_cluster(step: str, make: Callable[[int], dict]) -> list[dict]:
+        def one(k: int) -> dict:
+            progress(step, k / len(grids))
+            return make(k)
+
+        return [kept.step(f"{step}{k or ''}", partial(one, k)) for k in range(len(grids))]
+
+    least = MIN_COMPONENT if options.pieces else 1.0
+    cells = of_each_cluster("fill", lambda k: fill(g.select(clusters[k]), grids[k]))
+    shapes = of_each_cluster("surface", lambda k: {"phi": level_sets(cells[k]["solid"], least)})
+    found = zip(clusters, grids, cells, shapes, strict=True)
+    return [c for own, grid, filled, shape in found for c in components_of(g, own, grid, filled, shape["phi"])]
+
+
 def fill(g: Gaussians, grid: Grid) -> dict[str, np.ndarray]:
     """Cells (X, Y, Z) bool of a cluster: the dense `shell`, and `solid`, the shell with what it encloses."""
     density = density_of(g, grid.origin, grid.spacing, grid.shape)
     return {"solid": solid_cells(density), "shell": density > DENSE}
 
 
-def solid_of(component: Component, cells: dict, foot: np.ndarray, factor: float) -> ComponentSolid:
+def solid_of(component: Component, foot: np.ndarray, factor: float) -> ComponentSolid:
     """The component's solid in the asset's frame."""
-    grid = component.grid
+    grid, cells = component.grid, component.cells
     spacing = grid.spacing * factor
     distance = DistanceGrid(component.phi * spacing, (grid.origin - foot) * factor, spacing)
     return ComponentSolid(cells["shell"], cells["solid"], distance)

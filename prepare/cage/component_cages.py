@@ -52,13 +52,13 @@ class Component:
 
     phi      signed distance (X, Y, Z) [grid cells]
     indices  its Gaussians (N,)
-    cluster  the cluster of Gaussians it was filled from
+    cells    {"shell", "solid"}: dense cells (X, Y, Z) bool, and these with what they enclose, of its whole cluster
     """
 
     grid: Grid
     phi: np.ndarray
     indices: np.ndarray
-    cluster: int
+    cells: dict[str, np.ndarray]
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner (3,) of its cells, in the file's units."""
@@ -101,7 +101,7 @@ def cluster_grids(g: Gaussians, clusters: list[np.ndarray], vertices: int) -> li
     return [Grid.over(p, vertices * s) for p, s in zip(seen, size / size.sum(), strict=True)]
 
 
-def components_of(g: Gaussians, indices: np.ndarray, grid: Grid, phis: np.ndarray, cluster: int) -> list[Component]:
+def components_of(g: Gaussians, indices: np.ndarray, grid: Grid, cells: dict, phis: np.ndarray) -> list[Component]:
     """Components phis (P, X, Y, Z) of a cluster, each with those of its Gaussians `indices` that are nearest to it.
 
     A Gaussian near none of them is left out, and so is a component without Gaussians.
@@ -110,7 +110,7 @@ def components_of(g: Gaussians, indices: np.ndarray, grid: Grid, phis: np.ndarra
     values = np.stack([_nearest_value(phi, points) for phi in phis])
     own = values.argmin(0)
     close = values.min(0) < MAX_STRAY * grid.nodes
-    found = [Component(grid, phi, indices[close & (own == k)], cluster) for k, phi in enumerate(phis)]
+    found = [Component(grid, phi, indices[close & (own == k)], cells) for k, phi in enumerate(phis)]
     return found if len(found) == 1 else [c for c in found if len(c.indices) >= MIN_GAUSSIANS]
 
 

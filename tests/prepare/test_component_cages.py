@@ -115,11 +115,11 @@ def test_pieces_closer_than_the_search_for_them_are_parted_by_the_level_set(ti_c
     g = concatenate([ball(6000, open_below=-2), moved(ball(6000, open_below=-2), 2.17, 0.0, 0.0)])
     assert clean_components(g)[1].max() == 0
     every, grid = np.arange(len(g)), Grid.over(g.means.astype(np.float64), 20_000)
-    solid = fill(g, grid)["solid"]
-    found = components_of(g, every, grid, level_sets(solid, MIN_COMPONENT), 0)
+    cells = fill(g, grid)
+    found = components_of(g, every, grid, cells, level_sets(cells["solid"], MIN_COMPONENT))
     assert [len(c.indices) for c in found] == [6000, 6000]
     assert_allclose(*(c.area() for c in found), rtol=0.05)
-    (alone,) = components_of(g, every, grid, level_sets(solid), 0)
+    (alone,) = components_of(g, every, grid, cells, level_sets(cells["solid"]))
     assert len(g) - len(alone.indices) > 2000
 
 

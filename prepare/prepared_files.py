@@ -17,8 +17,7 @@ from assets.splat_files import read_gaussians
 from assets.up_axis import describe_guess
 from core.errors import BadInput
 from prepare.checkpoints import Checkpoints
-from prepare.environment import environment_pipeline
-from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
+from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.progress import Progress, progress_on
 from prepare.report import report_names, report_texts
@@ -148,7 +147,7 @@ def prepare_environment_file(
     """
     path, out = Path(path), Path(out)
     gaussians = read_gaussians(path, report)
-    bar = progress_on(sys.stderr, environment_pipeline.STEPS)
+    bar = progress_on(sys.stderr, ENVIRONMENT_STEPS)
     try:
         asset, objects = prepare_environment(gaussians, options, progress=progress or bar)
     except BadInput as e:

@@ -13,8 +13,8 @@ from prepare.mesh_drawing import PAPER, Canvas, cubes
 WIDTH, HEIGHT = 560, 480  # [px]
 FOV = 0.5  # [rad]
 ELEVATION, AZIMUTH = 0.35, 0.6  # [rad] of the camera above the floor, and from +z to +x
-MARGIN = 1.06  # of the body's half diagonal, shown to each side
-MAX_CELLS = 56  # drawn on the longest side; more cannot be told apart
+FRAME_MARGIN = 1.06  # of the body's half diagonal, shown to each side
+MAX_DRAWN_CELLS = 56  # drawn on the longest side; more cannot be told apart
 MAX_DOTS = 15_000  # Gaussians in the picture of the enclosure
 
 CLAY, BLUE, GREY, RED = (214, 142, 108), (132, 172, 214), (206, 203, 198), (200, 40, 40)
@@ -28,7 +28,7 @@ def camera_for(points: np.ndarray, width: int = WIDTH, height: int = HEIGHT) -> 
     middle, half = (low + high) / 2, np.linalg.norm(high - low) / 2
     towards = np.array([np.sin(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION), np.cos(AZIMUTH) * np.cos(ELEVATION)])
     side = min(1.0, width / height)
-    eye = middle + towards * MARGIN * half / (np.sin(FOV / 2) * side)
+    eye = middle + towards * FRAME_MARGIN * half / (np.sin(FOV / 2) * side)
     near = perspective(width, height, FOV, look_at(eye, middle))
     # The box's diagonal is a loose bound: come closer until the points fill the picture.
     p = points @ near.world_to_camera[:3, :3].T + near.world_to_camera[:3, 3]
@@ -53,7 +53,7 @@ def cells_picture(solids: list[ComponentSolid], camera: Camera) -> np.ndarray:
     x, faces, colours, first = [], [], [], 0
     for m in solids:
         grid = m.distance
-        step = max(1, round(max(np.ptp(np.argwhere(m.solid), axis=0) + 1) / MAX_CELLS))
+        step = max(1, round(max(np.ptp(np.argwhere(m.solid), axis=0) + 1) / MAX_DRAWN_CELLS))
         solid, shell = coarsened(m.solid, step), coarsened(m.shell, step)
         centre = grid.origin + grid.spacing * (np.indices(solid.shape).reshape(3, -1).T * step + (step - 1) / 2)
         keep = behind(centre, camera, _centre_of_mass(m)).reshape(solid.shape)

@@ -15,7 +15,7 @@ from core.tetmesh import tet_volumes
 from prepare.cage.device_locator import DeviceLocator
 from prepare.cage.level_set import volume_of
 from prepare.cage.mesh_quality import smallest_angle
-from prepare.cage.relaxation import STEPS, Descent, relax
+from prepare.cage.relaxation import DESCENT_STEPS, Descent, relax
 from prepare.cage.sizing_field import WIDTH_STEP, ShapeWidths, lattice_of, levels_of
 from prepare.cage.stuffing import stuff
 
@@ -33,7 +33,7 @@ INSIDE_MIN = 0.995  # fraction of the points that must lie inside
 VOLUME_MAX = 0.03  # relative difference between the volumes of cage and shape
 EXACT_VERTICES = 10_000  # from which on the volume must be that right; fewer cannot hold thin features
 
-MARGIN = 3  # grid cells around the shape
+CROP_MARGIN = 3  # grid cells around the shape
 THIN_LIMIT = 1.3  # half width up to which a feature may count as thin, in cells of a uniform lattice
 COARSEST = 1.6  # the cells of a plain surface may be wider than those by this factor
 FINER, COARSER = 2, 2  # levels of an adaptive cage below and above the cell of a plain surface
@@ -146,8 +146,8 @@ def cage_of(
     """
     uniform_cell = (2.8 * volume_of(phi) / vertices) ** (1 / 3)  # two vertices a cell, and those of the surface
     solid = np.argwhere(phi < 0)
-    low = (solid.min(0) - np.ceil(uniform_cell).astype(int) - MARGIN).clip(0)
-    high = solid.max(0) + np.ceil(uniform_cell).astype(int) + MARGIN + 1
+    low = (solid.min(0) - np.ceil(uniform_cell).astype(int) - CROP_MARGIN).clip(0)
+    high = solid.max(0) + np.ceil(uniform_cell).astype(int) + CROP_MARGIN + 1
     exact = vertices >= EXACT_VERTICES if exact is None else exact
     phi = phi[tuple(map(slice, low, high))]
     shape = ShapeWidths.of(phi, THIN_LIMIT * uniform_cell if adaptive else uniform_cell)
@@ -183,7 +183,7 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
     filled  volume of the shape [grid cells]
     """
     whole = filled if exact else volume_of(found.phi)
-    cage, steps, lift = found.cage, STEPS, None
+    cage, steps, lift = found.cage, DESCENT_STEPS, None
     if not (tet_volumes(cage.vertices, cage.tets) > 0).all():
         return cage, fault(cage, filled, 0.0, vertices, exact)
     descent = Descent(cage.tets, len(cage.vertices), DistanceGrid(found.phi, np.zeros(3), 1.0))
@@ -194,7 +194,7 @@ def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exa
         reason = fault(cage, filled, inside, vertices, exact)
         if "inside" not in reason or inside < INSIDE_HOPELESS:
             break
-        lift, steps = lift_over(cage, outside), STEPS // 3
+        lift, steps = lift_over(cage, outside), DESCENT_STEPS // 3
     return cage, reason
 
 

@@ -16,7 +16,7 @@ from prepare.cage.isosurface import areas
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.cage.quality_energy import Matrix, QualityEnergy, Vector, device_array
 
-STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
+DESCENT_STEPS = 30  # of descent; 20 bring most of the substep, the others better angles
 MAX_TRAVEL = 0.35  # lattice cells a vertex may move by descent
 FIRST_STEP, LAST_STEP = 0.05, 1e-4  # lattice cells
 FULL_STEP_PERCENTILE = 95  # vertices with larger gradients take the full step, the others one in proportion
@@ -144,7 +144,7 @@ def relax(
     *,
     volume: float | None = None,
     lift: np.ndarray | None = None,
-    steps: int = STEPS,
+    steps: int = DESCENT_STEPS,
 ) -> Cage:
     """The same tets with vertices moved, for a longer stable substep.
 

@@ -31,7 +31,7 @@ PYTHON = "VRGS_TETGEN_PYTHON"  # environment variable that names the interpreter
 INSTALL = "pip install -r requirements-tetgen.txt"
 TIME_LIMIT = 120.0  # [s] of one run
 MAX_RUNS = 6  # until the number of vertices is right
-VERTEX_GOAL = 0.1  # of it; good enough to stop; 15 % is promised
+TETGEN_VERTEX_GOAL = 0.1  # of it; good enough to stop; 15 % is promised
 OFFSETS = (0.08, 0.2, 0.35)  # edges outwards, tried in turn: flat triangles cut off what is round
 RELAXATIONS = 2  # angles that are still too small after two stay so
 MAX_TET_VOLUME = 1.5  # of a regular tet with the surface's edge
@@ -176,7 +176,7 @@ def _meshed_to_count(phi: np.ndarray, edge: float, offset: float, vertices: int,
         triangles = float(areas(level, faces).sum()) / (0.433 * edge**2)
         cage = run_tetgen(*decimated(level, faces, triangles), MAX_TET_VOLUME * edge**3 * 2**0.5 / 12)
         ratio = len(cage.vertices) / vertices
-        if abs(ratio - 1) <= VERTEX_GOAL:
+        if abs(ratio - 1) <= TETGEN_VERTEX_GOAL:
             break
         low, high = (edge, high) if ratio > 1 else (low, edge)  # a finer mesh has more
         edge *= ratio**0.4

@@ -28,20 +28,20 @@ from prepare.environment.support_planes import (
     relative_to_floor,
     support_planes,
 )
-from prepare.environment.surfels import OPAQUE, Surfels, haze, normals_and_areas, surfels, without_floaters
+from prepare.environment.surfels import SURFACE_OPACITY, Surfels, haze, normals_and_areas, surfels, without_floaters
 from prepare.environment.visibility import VoxelGrid, open_space, oriented, viewers_in
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
-VERSION = 2
-STEPS = ("clean", "upright", "surface", "planes", "distance")
-MAX_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
+ENVIRONMENT_VERSION = 2
+ENVIRONMENT_STEPS = ("clean", "upright", "surface", "planes", "distance")
+MAX_COARSE_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise
 FINE_CELLS = 1_000_000  # of each fine grid
 MAX_FINE_GRIDS = 6
 BOARD_CELL = 0.025  # [m] in which planes are looked for: the boards of tables are 2 to 4 cm thick
 MIN_CELL = 0.01  # [m]; below, only the noise of a capture is added
-MARGIN = 4  # voxels around the scene
+VOXEL_MARGIN = 4  # voxels around the scene
 PLAUSIBLE_SIZE = (1.5, 60.0)  # [m] largest extent of a room or garden; files outside have arbitrary units
 USUAL_SIZE = 6.0  # [m]
 SIZE_RANGE = (0.5, 500.0)  # [m] that may be asked for
@@ -123,7 +123,7 @@ def prepare_environment(
 ) -> tuple[Asset, dict[int, Gaussians]]:
     """Make the splat of a room or a garden a static environment. Taichi must be running.
 
-    progress  called with a step of STEPS and the fraction of it that is done
+    progress  called with a step of ENVIRONMENT_STEPS and the fraction of it that is done
     Out.      the asset, +y up, floor at y = 0, the drop at x = z = 0; and the Gaussians of each id that was cut out
     Raises BadInput where there is no floor, or for too many cells.
     """
@@ -158,7 +158,7 @@ def prepare_environment(
     )
     lean = np.degrees(np.arccos(np.clip(scene.rotation[1] @ AXES[scene.up], -1, 1)))
     provenance = {
-        "made_by": f"vrgs prepare --static {VERSION}",
+        "made_by": f"vrgs prepare --static {ENVIRONMENT_VERSION}",
         "options": {"up": options.up, "scale": options.scale, "cell": options.cell, "cut": list(options.cut)},
         "up": scene.up,
         "up_sure": round(scene.sure, 2),
@@ -180,7 +180,7 @@ def prepare_environment(
 
 def main_component(gaussians: Gaussians) -> Gaussians:
     """Opaque Gaussians of the largest connected component. Raises BadInput where there is no scene."""
-    solid = gaussians.select(gaussians.opacities > OPAQUE)
+    solid = gaussians.select(gaussians.opacities > SURFACE_OPACITY)
     if len(solid) < MIN_GAUSSIANS:
         raise BadInput(f"only {len(solid)} of {len(gaussians)} Gaussians are opaque; {MIN_GAUSSIANS} are needed")
     points = solid.means.astype(np.float64)
@@ -215,7 +215,7 @@ def orient_surface(scene: Upright, cell: float | None) -> Surface:
     low, high, g = scene.low, scene.high, scene.gaussians
     h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * MIN_CELL)
     origin, shape = grid_around(low, high, h)
-    solid = g.select((g.opacities > OPAQUE) & ~haze(g, h))
+    solid = g.select((g.opacities > SURFACE_OPACITY) & ~haze(g, h))
     found = without_floaters(surfels(solid, origin, h, shape), shape, h)
     voxels = VoxelGrid.of(found.cells, origin, h, shape)
     space = open_space(voxels, 0.0)
@@ -226,7 +226,7 @@ def orient_surface(scene: Upright, cell: float | None) -> Surface:
 def level_surface(scene: Upright, surface: Surface) -> tuple[np.ndarray, np.ndarray]:
     """Points and normals of level surfels, in voxels that tell the top of a board from its underside."""
     low, high, h = scene.low, scene.high, surface.spacing
-    coarsening = max(1.0, float((high - low).prod() / (BOARD_CELL**3 * 0.7 * MAX_CELLS)) ** (1 / 3))
+    coarsening = max(1.0, float((high - low).prod() / (BOARD_CELL**3 * 0.7 * MAX_COARSE_CELLS)) ** (1 / 3))
     step = min(h, BOARD_CELL * coarsening)
     origin, shape = grid_around(low, high, step)
     found = in_voxels(surface.voxels, surfels(surface.solid, origin, step, shape))
@@ -277,13 +277,15 @@ def fine_grid(
 
 def grid_around(low: np.ndarray, high: np.ndarray, h: float) -> tuple[np.ndarray, tuple[int, int, int]]:
     """Origin [m] and nodes an axis of the grid of spacing h [m] around a box. Raises BadInput for too many."""
-    count = np.ceil((high - low) / h).clip(1, 1e6).astype(int) + 2 * MARGIN
+    count = np.ceil((high - low) / h).clip(1, 1e6).astype(int) + 2 * VOXEL_MARGIN
     total = int(count.prod())
-    if total > MAX_CELLS:
-        least = h * (total / MAX_CELLS) ** (1 / 3)
+    if total > MAX_COARSE_CELLS:
+        least = h * (total / MAX_COARSE_CELLS) ** (1 / 3)
         sides = " x ".join(map(str, count))
-        raise BadInput(f"a grid of {sides} = {total:,} cells, the limit is {MAX_CELLS:,}: ask for --cell {least:.2g}")
-    return low - MARGIN * h, tuple(map(int, count))
+        raise BadInput(
+            f"a grid of {sides} = {total:,} cells, the limit is {MAX_COARSE_CELLS:,}: ask for --cell {least:.2g}"
+        )
+    return low - VOXEL_MARGIN * h, tuple(map(int, count))
 
 
 def box_around(plane: SupportPlane, h: float) -> tuple[np.ndarray, np.ndarray]:

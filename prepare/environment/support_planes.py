@@ -14,7 +14,7 @@ from core.errors import BadInput
 CELL = 0.04  # [m] of a plane's mask
 BIN = 0.01  # [m] of the histogram of heights
 THICKNESS = 0.025  # [m]; points this near a plane belong to it
-MIN_AREA = 0.06  # [m^2] of a plane that can carry something
+MIN_PLANE_AREA = 0.06  # [m^2] of a plane that can carry something
 HEIGHTS = (0.08, 2.2)  # [m] above the floor, of tables and shelves
 MAX_BOARD = 0.09  # [m] thickness; a plane this little under another is its underside
 GROUND_AREA, GROUND_DEPTH = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
@@ -183,6 +183,6 @@ def planes_at(points: np.ndarray, height: float, kind: str) -> list[SupportPlane
         own = filled[tuple(cell.T)]
         exact = float(np.median(points[own, 1])) if own.any() else height
         name = kind if kind == "floor" else kind_of(exact, filled.sum() * CELL**2)
-        if filled.sum() * CELL**2 >= MIN_AREA:
+        if filled.sum() * CELL**2 >= MIN_PLANE_AREA:
             found.append(SupportPlane(name, exact, corner, filled))
     return found

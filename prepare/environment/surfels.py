@@ -12,12 +12,15 @@ from assets.gaussians import Gaussians
 from assets.level_planes import normals_and_areas
 from core.rotation import matrices_from_quaternions
 
-OPAQUE = 0.3  # fainter Gaussians are haze
+SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
 DISC_RADIUS = 1.5  # standard deviations that are covered with points
 MAX_ACROSS = 7  # points across a disc: a huge Gaussian must not cost more than 49 others
 HAZE_THICKNESS, HAZE_ROUNDNESS = 0.35, 0.3  # least thickness of haze in voxels, and over its width
 HAZE_MIN = 0.012  # [m] least thickness of haze
-MIN_LENGTH, MIN_AREA = 0.4, 0.12  # [m], [m^2]; an isolated component that is shorter or smaller is a floater
+MIN_FLOATER_LENGTH, MIN_FLOATER_AREA = (
+    0.4,
+    0.12,
+)  # [m], [m^2]; an isolated component that is shorter or smaller is a floater
 
 
 @dataclass(frozen=True)
@@ -105,11 +108,13 @@ def haze(g: Gaussians, h: float) -> np.ndarray:
 
 
 def without_floaters(s: Surfels, shape: tuple[int, int, int], spacing: float) -> Surfels:
-    """The surfels of components, connected across corners, of at least MIN_LENGTH and MIN_AREA."""
+    """The surfels of components, connected across corners, of at least MIN_FLOATER_LENGTH and MIN_FLOATER_AREA."""
     grid = np.zeros(shape, bool)
     grid[tuple(s.cells.T)] = True
     labels, _ = label(grid, np.ones((3, 3, 3)))
     of = labels[tuple(s.cells.T)]
     long = [0, *(max(c.stop - c.start for c in box) for box in find_objects(labels))]
-    keep = (spacing * np.array(long) >= MIN_LENGTH) & (spacing**2 * np.bincount(of, minlength=len(long)) >= MIN_AREA)
+    keep = (spacing * np.array(long) >= MIN_FLOATER_LENGTH) & (
+        spacing**2 * np.bincount(of, minlength=len(long)) >= MIN_FLOATER_AREA
+    )
     return s.select(keep[of])

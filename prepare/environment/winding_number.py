@@ -21,9 +21,9 @@ from prepare.environment.visibility import VoxelGrid
 COARSENING = 2  # voxel size of the winding number over that of the distance: it is smooth off the surface
 SOFTENING = 0.5  # of a coarse voxel; softens the kernel's pole
 MIN_JUMP = 0.15  # of the jump of one; less above the surface's mean counts as free
-SIGMA = 0.8  # voxels; standard deviation of a surfel's weight
+SURFEL_SIGMA = 0.8  # voxels; standard deviation of a surfel's weight
 BAND = 2  # voxels on each side of a surfel that its plane influences
-MIN_WEIGHT = float(np.exp(-0.5 * (2.0 / SIGMA) ** 2))  # of one surfel two voxels off
+MIN_WEIGHT = float(np.exp(-0.5 * (2.0 / SURFEL_SIGMA) ** 2))  # of one surfel two voxels off
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def blended_planes(s: Surfels, means: np.ndarray, origin: np.ndarray, spacing: f
 
     The means are of the distances [voxels] to the surfels' planes, and of a value `means` (N,) of each surfel.
 
-    phi(q) = sum w n . (q - p) / sum w, w = exp(-|q - p|^2 / 2 SIGMA^2): smooth, and signed.
+    phi(q) = sum w n . (q - p) / sum w, w = exp(-|q - p|^2 / 2 SURFEL_SIGMA^2): smooth, and signed.
     """
     value, middle, weight = (np.zeros(shape, np.float32) for _ in range(3))
     if len(s.points):
@@ -92,7 +92,7 @@ def _gather(
             q = base + ti.Vector([i, j, k])
             if q.min() >= 0 and q[0] < value.shape[0] and q[1] < value.shape[1] and q[2] < value.shape[2]:
                 r = ti.cast(q, ti.f32) - p
-                w = ti.exp(-0.5 * r.norm_sqr() / SIGMA**2)
+                w = ti.exp(-0.5 * r.norm_sqr() / SURFEL_SIGMA**2)
                 value[q[0], q[1], q[2]] += w * n.dot(r)
                 middle[q[0], q[1], q[2]] += w * means[s]
                 weight[q[0], q[1], q[2]] += w

@@ -22,7 +22,7 @@ from core.errors import BadInput
 
 LIMBS = ("shoulder", "elbow", "wrist", "hand", "hip", "knee", "ankle", "foot")  # hand, foot: their tips
 NAMES = ("head_top", "neck", *(f"{side}_{limb}" for side in ("left", "right") for limb in LIMBS))
-MAX_DISTANCE = 3.0  # [body sizes] from the body, beyond which a landmark is a mistake
+MAX_LANDMARK_DISTANCE = 3.0  # [body sizes] from the body, beyond which a landmark is a mistake
 MAX_FILE_SIZE = 1 << 20  # [bytes] of a landmarks file
 
 ANKLE, SHIN, KNEE, HIP, WAIST, CHEST, SHOULDER, NECK = 0.045, 0.1, 0.285, 0.53, 0.62, 0.72, 0.815, 0.855  # heights
@@ -75,7 +75,7 @@ def landmarks_of(asset: Asset, given: dict | None = None, solid: DistanceGrid | 
         raise BadInput("landmarks cannot be estimated without a distance grid")
     points, source = estimate(grid, given)
     low, high = asset.cage.vertices.min(0), asset.cage.vertices.max(0)
-    limit = MAX_DISTANCE * (high - low).max()
+    limit = MAX_LANDMARK_DISTANCE * (high - low).max()
     for name in NAMES:
         if name in given:
             points[name], source[name] = given[name], "given"

@@ -13,7 +13,7 @@ from core.tetmesh import TET_EDGES
 from prepare.cage.embedding_hosts import CORNERS, MAX_WEIGHT
 from prepare.rig.body_segmentation import Segments
 
-MAX_DISTANCE = 4.0  # edges; a Gaussian farther from all tets of its segment keeps its hosts
+MAX_SEGMENT_DISTANCE = 4.0  # edges; a Gaussian farther from all tets of its segment keeps its hosts
 MAX_EDGE_STRETCH = 1.3  # of all edges of a tet that is called calm
 MAX_GROWTH = 1.35  # of a Gaussian; one that would grow more, to a spike, follows calm tets
 HALF_AXIS = 0.35  # edges; of re-hosted local tetrahedra, so that F is a mean over several tets
@@ -55,19 +55,19 @@ def rehosted(
     host, weights = embedded.host.copy(), embedded.weights.copy()
     count = 0
     for j in np.unique(segments.gaussians[which]):
-        mine, own = which[segments.gaussians[which] == j], np.flatnonzero(tets & (segments.tets == j))
+        chosen, own = which[segments.gaussians[which] == j], np.flatnonzero(tets & (segments.tets == j))
         if not len(own):
             continue
         segment = TetLocator(cage.vertices, cage.tets[own])
-        foot, tet = means[mine].copy(), segment.find(means[mine])
+        foot, tet = means[chosen].copy(), segment.find(means[chosen])
         off = np.flatnonzero(tet < 0)
         if len(off):
-            tet[off], foot[off] = segment.nearest(means[mine[off]])
-        near = np.linalg.norm(means[mine] - foot, axis=1) < MAX_DISTANCE * edge[mine]
-        mine, foot, tet = mine[near], foot[near], tet[near]
-        h, w = local_tetrahedra(segment, foot, tet, HALF_AXIS * edge[mine])
-        host[mine], weights[mine] = own[h], w
-        count += len(mine)
+            tet[off], foot[off] = segment.nearest(means[chosen[off]])
+        near = np.linalg.norm(means[chosen] - foot, axis=1) < MAX_SEGMENT_DISTANCE * edge[chosen]
+        chosen, foot, tet = chosen[near], foot[near], tet[near]
+        h, w = local_tetrahedra(segment, foot, tet, HALF_AXIS * edge[chosen])
+        host[chosen], weights[chosen] = own[h], w
+        count += len(chosen)
     return CageEmbedding(host, weights), count
 
 

@@ -23,7 +23,7 @@ from prepare.rig.rigging import Skeleton, with_animation, with_provenance
 from prepare.rig.skin_weights import diffuse_weights
 
 GAUSSIANS = 60_000
-SIGMA = 0.75  # standard deviation over the spacing of samples: closed where these are uneven
+GAUSSIAN_SIGMA = 0.75  # standard deviation over the spacing of samples: closed where these are uneven
 FLATNESS = 0.1  # thickness over width
 OPACITY = 4.0  # logit
 R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' R2 sequence: even in the plane
@@ -68,15 +68,15 @@ def surface_gaussians(vertices: np.ndarray, mesh: SkinnedMesh, at: Samples) -> G
     side = side / np.linalg.norm(side, axis=1, keepdims=True)
     frames = np.stack([side, np.cross(normal, side), normal], -1)
     quats = Rotation.from_matrix(frames).as_quat()[:, [3, 0, 1, 2]]
-    sigma = SIGMA * at.spacing
+    sigma = GAUSSIAN_SIGMA * at.spacing
     scales = np.log(np.tile([sigma, sigma, FLATNESS * sigma], (len(at.face), 1)))
     linear = at.interpolate(mesh.colours)
     uv, texture = at.interpolate(mesh.uv), mesh.texture[at.face]
     for k, pixels in enumerate(mesh.textures):
-        mine = texture == k
+        textured = texture == k
         height, width = pixels.shape[:2]
-        place = np.floor((uv[mine] % 1.0) * [width, height]).astype(int).clip(0, [width - 1, height - 1])
-        linear[mine] *= linear_from_srgb(pixels[place[:, 1], place[:, 0]] / 255.0)
+        place = np.floor((uv[textured] % 1.0) * [width, height]).astype(int).clip(0, [width - 1, height - 1])
+        linear[textured] *= linear_from_srgb(pixels[place[:, 1], place[:, 0]] / 255.0)
     sh = ((srgb_from_linear(linear) - 0.5) / C0)[:, None]
     return Gaussians.of(at.interpolate(v), quats, scales, np.full(len(quats), OPACITY), sh)
 

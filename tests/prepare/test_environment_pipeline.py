@@ -16,7 +16,7 @@ from assets.splat_files import read_gaussians, write_gaussians
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
 from prepare.environment.support_planes import find_gravity
-from prepare.environment.surfels import OPAQUE, Surfels, normals_and_areas, surfels
+from prepare.environment.surfels import SURFACE_OPACITY, Surfels, normals_and_areas, surfels
 from prepare.environment.winding_number import blended_planes, signed_distance, winding_number
 from prepare.prepared_files import prepare_environment_file
 from scenes import registry
@@ -206,7 +206,7 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 )
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
-    g = g.select(g.opacities > OPAQUE)
+    g = g.select(g.opacities > SURFACE_OPACITY)
     name, floor, rotation, _ = find_gravity(g.means.astype(float), *normals_and_areas(g))
     assert name == up
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))

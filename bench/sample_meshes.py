@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 
 from assets.gaussians import Gaussians
-from core.tetmesh import boundary_surface
+from core.tetmesh import boundary_surface, positively_oriented
 
 
 def box(size, cells, *, mirror: bool = True):
@@ -24,11 +24,8 @@ def box(size, cells, *, mirror: bool = True):
             path[k + 1 :, axis] = 1
         local = np.where(flip[:, None], 1 - path, path) + corner[:, None]
         tets.append((local[..., 0] * (cells[1] + 1) + local[..., 1]) * (cells[2] + 1) + local[..., 2])
-    tets = np.concatenate(tets)
     x = grid * (np.asarray(size, np.float64) / cells)
-    D = x[tets[:, 1:]] - x[tets[:, :1]]
-    wrong = np.linalg.det(D) < 0
-    tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
+    tets = positively_oriented(x, np.concatenate(tets))
     return x, tets, boundary_surface(tets)
 
 
@@ -55,9 +52,7 @@ def torus(radius: float = 0.08, tube: float = 0.015, around: int = 24, across: i
     angle = 2 * np.pi * x[:, 0] / around
     away = radius + disc[:, 0]
     x = np.stack([away * np.cos(angle), disc[:, 1], away * np.sin(angle)], axis=1)
-    corners = x[tets]
-    wrong = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0
-    tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
+    tets = positively_oriented(x, tets)
     return x, tets, boundary_surface(tets)
 
 

@@ -30,6 +30,11 @@ def tet_volumes(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return np.einsum("it,it->t", cross_columns(a, b), c) / 6
 
 
+def positively_oriented(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The tets (T, 4), with two corners exchanged where the volume is negative."""
+    return np.where((tet_volumes(vertices, tets) < 0)[:, None], tets[:, [0, 2, 1, 3]], tets)
+
+
 def enclosed_volume(vertices: np.ndarray, surface: np.ndarray) -> float:
     """Volume [m^3] within a closed outward surface (S, 3), by the divergence theorem."""
     x = np.asarray(vertices, np.float64)

@@ -19,7 +19,7 @@ import numpy as np
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
-from core.tetmesh import boundary_surface, face_components, tet_volumes
+from core.tetmesh import boundary_surface, face_components, positively_oriented, tet_volumes
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
 from prepare.cage.device_locator import fraction_inside
 from prepare.cage.isosurface import areas, marching_cubes
@@ -114,9 +114,7 @@ def checked_cage(vertices: np.ndarray, tets: np.ndarray) -> Cage:
         raise MeshFailed("TetGen returned indices or positions out of range")
     used, tets = np.unique(tets, return_inverse=True)
     vertices = vertices[used].astype(np.float32)
-    tets = tets.reshape(-1, 4).astype(np.int32)
-    inverted = tet_volumes(vertices, tets) < 0
-    tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
+    tets = positively_oriented(vertices, tets.reshape(-1, 4).astype(np.int32))
     if not (tet_volumes(vertices, tets) > 0).all():
         raise MeshFailed("TetGen returned tets without volume")
     surface = boundary_surface(tets)

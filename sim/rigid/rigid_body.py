@@ -14,6 +14,7 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from core.tetmesh import positively_oriented
 from scenes.scene import IDENTITY, Quat, Vec3
 from sim.soft_body import SoftBody
 
@@ -141,12 +142,6 @@ def hull(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inward = (normal * h.equations[:, :3]).sum(1) < 0
     triangles[inward] = triangles[inward][:, [0, 2, 1]]
     return x, triangles
-
-
-def positively_oriented(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """The tets with their corners in positive order."""
-    D = x[tets[:, 1:]] - x[tets[:, :1]]
-    return np.where((np.linalg.det(D) < 0)[:, None], tets[:, [0, 2, 1, 3]], tets)
 
 
 def solid_inertia(vertices: np.ndarray, tets: np.ndarray, density: float) -> tuple[float, np.ndarray, np.ndarray]:

@@ -80,9 +80,16 @@ class GLWindow:
             if name is not None and action != glfw.REPEAT:
                 add(("key", name, action == glfw.PRESS))
 
+        cursor = glfw.get_cursor_pos(self.handle)  # as of the last event: by now it may be elsewhere
+
+        def move(window, x, y):
+            nonlocal cursor
+            cursor = (x, y)
+            add(("move", x, y))
+
         def button(window, code, action, mods):
             if code in buttons:
-                add(("button", buttons[code], action == glfw.PRESS, *glfw.get_cursor_pos(window)))
+                add(("button", buttons[code], action == glfw.PRESS, *cursor))
 
         def focus(window, focused):
             if not focused:
@@ -90,7 +97,7 @@ class GLWindow:
 
         glfw.set_key_callback(self.handle, key)
         glfw.set_mouse_button_callback(self.handle, button)
-        glfw.set_cursor_pos_callback(self.handle, lambda window, x, y: add(("move", x, y)))
+        glfw.set_cursor_pos_callback(self.handle, move)
         glfw.set_scroll_callback(self.handle, lambda window, dx, dy: add(("wheel", dy)))
         glfw.set_window_focus_callback(self.handle, focus)
 

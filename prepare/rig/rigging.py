@@ -16,8 +16,8 @@ from prepare.cage.embedding_hosts import embed
 from prepare.rig.body_segmentation import Segments, Solid, segment_person, shortened, skeleton_adjacency
 from prepare.rig.cage_cut import cut
 from prepare.rig.landmarks import Landmarks
-from prepare.rig.part_embedding import keep_to_segments, without_spikes
 from prepare.rig.retargeting import BONES, PARENTS, retarget
+from prepare.rig.segment_embedding import keep_to_segments, without_spikes
 from prepare.rig.skin_weights import HOLD, diffuse_weights, driven_vertices, largest_influences, least_volumes
 
 LOOP_BLEND = 0.3  # [s] in which a motion that does not return to its start is blended to it

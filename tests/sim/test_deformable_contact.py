@@ -6,14 +6,14 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box, torus
 from core.material import Material
-from scenes.scene import Capsule, Plane
+from scenes.scene import Capsule
 from sim.contact.tet_geometry import tet_neighbors
 from sim.soft_body import SoftBody
 from sim.solver import Solver
+from tests.support.soft_world import FLOOR, soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.5, damping=8.0)
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6, damping=4.0)
-FLOOR = Plane((0, 0, 0), (0, 1, 0))
 DT = 1 / 60
 SIDE = 0.08
 
@@ -25,7 +25,7 @@ def cubes(ti_cpu):
     turned = (np.cos(0.2), 0, np.sin(0.2), 0)
     low = SoftBody("low", x - SIDE / 2, tets, surface, SOFT, position=(0, 0.04, 0))
     high = SoftBody("high", x - SIDE / 2, tets, surface, SOFT, turned, (0.001, 0.122, 0))
-    return Solver([low, high], [FLOOR], hands=0)
+    return soft_solver([low, high])
 
 
 @pytest.fixture(autouse=True)

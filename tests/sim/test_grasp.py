@@ -6,23 +6,22 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
-from scenes.scene import Box, Hand
+from scenes.scene import Hand
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.soft_body import SoftBody
-from sim.solver import Solver
+from tests.support.soft_world import soft_solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
 DT = 1 / 60
 MASS = 0.06**3 * 1000  # of a cube [kg]
-TABLE = Box((0, -0.05, 0), (0.5, 0.05, 0.5))
 
 
 @pytest.fixture(scope="module")
 def solver(ti_cpu):
-    """Two cubes on a table, 20 cm apart."""
+    """Two cubes on the floor, 20 cm apart."""
     x, tets, surface = box((0.06,) * 3, (3, 3, 3))
     cubes = [SoftBody(f"cube{k}", x - 0.03, tets, surface, SOFT, position=(0.2 * k, 0.03, 0)) for k in range(2)]
-    return Solver(cubes, [TABLE], hands=2)
+    return soft_solver(cubes)
 
 
 @pytest.fixture(autouse=True)
@@ -31,8 +30,9 @@ def begin(solver):
     solver.gravity = (0.0, -9.81, 0.0)
 
 
-def contacts(solver):
-    return solver.contacts
+def grasped(solver):
+    """Bodies in the first two hands, -1 for none."""
+    return solver.contacts.grasped_bodies()[:2]
 
 
 def play(solver, seconds, *paths, grip=True, reach=0.04, turn=None):
@@ -50,23 +50,23 @@ def still(*position):
 
 def test_a_hand_grips_the_nearest_body_within_reach(solver):
     play(solver, 2 * DT, still(0.2, 0.07, 0))
-    assert contacts(solver).grasped_bodies() == [1, -1]
+    assert grasped(solver) == [1, -1]
     assert [b.held for b in solver.bodies()] == [False, True]
     play(solver, DT, still(0.2, 0.07, 0), grip=False)
-    assert contacts(solver).grasped_bodies() == [-1, -1]
+    assert grasped(solver) == [-1, -1]
 
 
 def test_a_hand_out_of_reach_grips_nothing(solver):
     play(solver, 2 * DT, still(0.0, 0.12, 0))
-    assert contacts(solver).grasped_bodies() == [-1, -1]
+    assert grasped(solver) == [-1, -1]
     play(solver, 2 * DT, still(0.0, 0.03, 0))  # closed already: coming near does not grip
-    assert contacts(solver).grasped_bodies() == [-1, -1]
+    assert grasped(solver) == [-1, -1]
 
 
 def test_a_small_reach_takes_the_nearest_vertices(solver):
     """Over a corner, 2 cm from the next vertices: within 1.6 cm lies one, within half as much again two more."""
     play(solver, DT, still(0.03, 0.065, 0.03), reach=0.016)
-    x = solver.x.to_numpy()[np.flatnonzero(contacts(solver).hands.held.to_numpy())]
+    x = solver.x.to_numpy()[solver.contacts.grasps().grasps[0].vertices]  # of the first body
     assert_allclose(x[np.lexsort(x.T)], [[0.03, 0.06, 0.01], [0.01, 0.06, 0.03], [0.03, 0.06, 0.03]], atol=1e-4)
 
 
@@ -75,7 +75,7 @@ def test_a_held_body_is_lifted_and_hangs_with_its_weight(solver):
     play(solver, 1.5, still(0, 0.16, 0))
     body = solver.bodies()[0]
     assert 0.08 < body.low[1] < 0.1  # lifted by 10 cm, less its own stretch
-    assert_allclose(contacts(solver).hands.forces()[0], [0, MASS * 9.81, 0], atol=0.05 * MASS * 9.81)
+    assert_allclose(solver.hand_forces()[0], [0, MASS * 9.81, 0], atol=0.05 * MASS * 9.81)
     assert solver.bodies()[1].low[1] > -1e-4
 
 
@@ -106,7 +106,7 @@ def test_pulling_through_the_table_stays_finite_and_comes_back(solver):
     """The hand's force is clamped, so the cube stays on the table however deep the hand goes."""
     play(solver, 0.5, still(0, 0.05, 0))
     play(solver, 0.5, lambda t: np.array([0, 0.05 - 2 * t, 0]))
-    force = np.linalg.norm(contacts(solver).hands.forces()[0])
+    force = np.linalg.norm(solver.hand_forces()[0])
     assert force <= 1.001 * MAX_HAND_FORCE
     assert solver.stats["finite"]
     play(solver, 0.5, lambda t: np.array([0, -0.95 + 2 * t, 0]))
@@ -119,7 +119,7 @@ def test_pulling_through_the_table_stays_finite_and_comes_back(solver):
 
 def test_two_hands_stretch_a_body(solver):
     play(solver, 0.3, still(-0.03, 0.03, 0), still(0.03, 0.03, 0), reach=0.025)
-    assert contacts(solver).grasped_bodies() == [0, 0]
+    assert grasped(solver) == [0, 0]
     for sign in (1, -1):
         play(
             solver,
@@ -141,7 +141,7 @@ def test_transform_reports_what_is_gripped(solver):
         before = solver.x.to_numpy()[:64]
         play(solver, DT, still(0, 0.05, 0))
         play(solver, 10 * DT, lambda t: np.array([t, 0.05, 0]))
-        assert contacts(solver).grasped_bodies() == [0, -1]
+        assert grasped(solver) == [0, -1]
         assert_allclose(solver.x.to_numpy()[:64], before + (10 * DT, 0, 0), atol=1e-6)
     finally:
         solver.interaction = "physics"
@@ -152,5 +152,5 @@ def test_a_grip_begins_without_a_jerk(solver):
     solver.gravity = (0.0, 0.0, 0.0)
     play(solver, DT, still(0.0, 0.15, 0), grip=False)
     play(solver, DT, still(0.0, 0.05, 0))
-    assert contacts(solver).grasped_bodies()[0] == 0
+    assert grasped(solver)[0] == 0
     assert np.abs(solver.v.to_numpy()).max() < 1e-3

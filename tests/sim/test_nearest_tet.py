@@ -6,7 +6,7 @@ import pytest
 from bench.sample_meshes import torus
 from core.material import Material
 from sim.soft_body import SoftBody
-from sim.solver import Solver
+from tests.support.soft_world import soft_solver
 
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0)
 APART = 0.25  # [m] between the rings' middles; their bodies are 0.04 m from one another
@@ -28,7 +28,7 @@ def outside(x, corners):
 def rings(ti_cpu):
     ring = torus(0.08, 0.025, 24, 3)
     bodies = [SoftBody(f"ring{k}", *ring, RUBBER, position=(k * APART, 0, 0.01 * k)) for k in range(2)]
-    return Solver(bodies, gravity=(0, 0, 0), hands=0)
+    return soft_solver(bodies, floor=False, gravity=(0, 0, 0))
 
 
 def found(rings, speed):

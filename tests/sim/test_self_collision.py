@@ -8,7 +8,7 @@ from core.material import Material
 from core.tetmesh import tet_volumes
 from scenes.scene import Hand
 from sim.soft_body import SoftBody
-from sim.solver import Solver
+from tests.support.soft_world import soft_solver
 
 DT = 1 / 60
 LENGTH, THICK, EDGE = 0.4, 0.04, 0.02
@@ -27,7 +27,7 @@ def bar(ti_cpu):
         SoftBody("bar", BAR, TETS, SURFACE, RUBBER),
         SoftBody("ring", RING, RING_TETS, RING_SURFACE, RUBBER, position=tuple(FAR)),
     ]
-    return Solver(bodies, gravity=(0, 0, 0))
+    return soft_solver(bodies, floor=False, gravity=(0, 0, 0))
 
 
 def start(solver, x=BAR, v=None, ring=RING):

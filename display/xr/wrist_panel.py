@@ -34,7 +34,7 @@ class Button:
     box: tuple[int, int, int, int]
 
     def contains(self, u: float, v: float) -> bool:
-        """Whether a point [px] is on it."""
+        """True if a point [px] is on it."""
         x, y, w, h = self.box
         return x <= u < x + w and y <= v < y + h
 

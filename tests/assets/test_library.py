@@ -1,4 +1,4 @@
-"""Where assets are found, what they are made of, and where prepared ones are kept."""
+"""Asset library: shipped and user's assets, their materials, and the cache of prepared ones."""
 
 from dataclasses import replace
 

@@ -254,7 +254,7 @@ def test_what_starts_inside_comes_out_slowly(world):
 
 
 def linked(ring):
-    """Whether the peg passes through the ring's disc."""
+    """True if the peg passes through the ring's disc."""
     n, c = ring.axis, ring.centroid
     foot = np.array([PEG, 0, 0])
     height = (c - foot) @ n / n[1] if abs(n[1]) > 0.05 else np.inf

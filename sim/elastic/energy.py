@@ -84,30 +84,27 @@ def energy_density(I1, dJ, mu, lam):
 
 
 @ti.func
-def curvature(h: ti.template(), w, V, I1, dJ, kappa, mu, lam):
-    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi; also W = sum w |h|^2, and C^2 / V, bounded from below.
+def curvature(W, V, I1, dJ, kappa, mu, lam):
+    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h: gradients of Psi); also C^2 / V, bounded from below.
 
-    h the 4 gradients of Psi, w (4) inverse masses. q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond,
-    it is rounding noise over a small C.
+    q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C.
     """
     energy = ti.max(2.0 * energy_density(I1, dJ, mu, lam), 1e-12 * mu)
-    W = w[0] * h[0].norm_sqr() + w[1] * h[1].norm_sqr()
-    W += w[2] * h[2].norm_sqr() + w[3] * h[3].norm_sqr()
-    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0)), W, energy
+    return ti.min(V * W / energy, kappa * ti.max(1.0, I1 * I1 / 9.0)), energy
 
 
 @ti.func
-def shortened_step(F, g: ti.template(), h: ti.template(), d: ti.template(), w, V, I1, dJ, kappa, mu, lam, dt2):
+def shortened_step(F, g: ti.template(), w, W, motion, V, I1, dJ, kappa, mu, lam, dt2):
     """Stable step of a single sweep for a tet far from rest, with its brake: -s of Elasticity.project_tet.
 
-    g, h, d: the 4 gradients of its shape functions, its gradients of Psi, and the increments of its corners.
+    g: the 4 gradients of its shape functions; W = sum w |h|^2 and motion = sum h . dx of the gradients h of Psi, which
+    come as sums because four vectors more would cost the persistent kernel its registers.
     """
-    q, W, _ = curvature(h, w, V, I1, dJ, kappa, mu, lam)
+    q, _ = curvature(W, V, I1, dJ, kappa, mu, lam)
     cof, volume_stiffness = cofactor(F), 0.0
     for k in ti.static(range(4)):
         volume_stiffness += V * w[k] * (cof @ g[k]).norm_sqr()
     step = ti.min(dt2, 1.0 / (TET_OVERLAP * q), 1.0 / (VOLUME_OVERLAP * lam * volume_stiffness + 1e-30))
-    motion = h[0].dot(d[0]) + h[1].dot(d[1]) + h[2].dot(d[2]) + h[3].dot(d[3])
     return V * step + BRAKE * (1.0 - step / dt2) * motion / ti.max(W, 1e-30)
 
 
@@ -183,13 +180,15 @@ class Elasticity:
             h1, h2, h3 = column(H, 0), column(H, 1), column(H, 2)
             h0 = -(h1 + h2 + h3)
             w = ti.Vector([s_.inv_mass[a[0]], s_.inv_mass[a[1]], s_.inv_mass[a[2]], s_.inv_mass[a[3]]])
+            W = w[0] * h0.norm_sqr() + w[1] * h1.norm_sqr()
+            W += w[2] * h2.norm_sqr() + w[3] * h3.norm_sqr()
             if ti.static(single):
                 g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
-                g, h = ti.static([-(g1 + g2 + g3), g1, g2, g3], [h0, h1, h2, h3])
-                d = ti.static([d0, s_.dx[a[1]], s_.dx[a[2]], s_.dx[a[3]]])
-                s = -shortened_step(F, g, h, d, w, V, I1, dJ, kappa, mu, lam, dt * dt)
+                g = ti.static([-(g1 + g2 + g3), g1, g2, g3])
+                motion = h0.dot(d0) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
+                s = -shortened_step(F, g, w, W, motion, V, I1, dJ, kappa, mu, lam, dt * dt)
             else:
-                q, _, energy = curvature([h0, h1, h2, h3], w, V, I1, dJ, kappa, mu, lam)
+                q, energy = curvature(W, V, I1, dJ, kappa, mu, lam)
                 C = ti.sqrt(V * energy)
                 before = 0.0
                 if ti.static(not first):

@@ -90,9 +90,13 @@ class VertexGather:
             if dJ < -1.0:
                 s.inverted[s.body_of_tet[t]] = 1
             w = ti.Vector([s.inv_mass[a[n]] for n in range(4)])
-            g, h = ti.static([g0, g1, g2, g3], [P @ g0, P @ g1, P @ g2, P @ g3])
-            d = ti.static([self.increment[parity, a[n]] for n in range(4)])
-            step = shortened_step(F, g, h, d, w, V, I1, dJ, self.kappa[t], mu, lam, dt2)
+            g = ti.static([g0, g1, g2, g3])
+            W, motion = 0.0, 0.0
+            for n in ti.static(range(4)):
+                h = P @ g[n]
+                W += w[n] * h.norm_sqr()
+                motion += h.dot(self.increment[parity, a[n]])
+            step = shortened_step(F, g, w, W, motion, V, I1, dJ, self.kappa[t], mu, lam, dt2)
         own = g0 if c == 0 else (g1 if c == 1 else (g2 if c == 2 else g3))
         return -step * (P @ own)
 

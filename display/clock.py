@@ -25,7 +25,7 @@ import numpy as np
 
 from scenes.scene import Hand
 
-MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] a step at most, whatever the display's period
+MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] longest step, and shortest period that is believed
 MIN_CATCH_UP = 1 / 20  # [s] that a frame always catches up with
 CATCH_UP_TIME = 0.5  # [s] within which a gap is closed
 MISSED_PERIODS = 1.5  # between two frames, from which on the frames between were missed
@@ -79,7 +79,7 @@ def catch_up_limit(cost: float | None) -> float:
 
 
 class SimulationCost:
-    """Seconds that it takes to simulate one: the median of the last frames, so that one hitch changes nothing."""
+    """Seconds of computing for a second of simulation: the median of the last frames, robust against a single hitch."""
 
     def __init__(self, count: int = 9):
         self._samples: deque[float] = deque(maxlen=count)
@@ -142,8 +142,8 @@ def interpolate_field(name: str, a, b, fraction: float):
 
 def interpolate_numbers(name: str, x: np.ndarray, y: np.ndarray, fraction: float) -> np.ndarray:
     """Numbers between x and y; quaternions, (..., 4) of a field named rotation, stay normalised."""
-    turns = "rotation" in name and x.shape[-1:] == (4,)
-    if turns:
+    is_rotation = "rotation" in name and x.shape[-1:] == (4,)
+    if is_rotation:
         y = np.where((x * y).sum(-1, keepdims=True) < 0.0, -y, y)
     z = x + fraction * (y - x)
-    return z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12) if turns else z
+    return z / np.maximum(np.linalg.norm(z, axis=-1, keepdims=True), 1e-12) if is_rotation else z

@@ -10,8 +10,8 @@ from time import perf_counter
 
 import numpy as np
 
-HISTORY = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
-RECENT = 60  # samples behind the panel's numbers: steady, and still current
+HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
+RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
 
 
 class Timings:
@@ -27,10 +27,10 @@ class Timings:
         self.exact, self.budget = exact, budget
         self.missed = 0  # frames that took longer than 1.5 budgets, or as many as a headset says
         self.dropped = 0.0
-        self.photon: deque[float] = deque(maxlen=HISTORY)
+        self.photon: deque[float] = deque(maxlen=HISTORY_LENGTH)
         self._first: dict[str, float] = {}
         self._samples: dict[str, deque[float]] = {}
-        self._frames: deque[float] = deque(maxlen=HISTORY)
+        self._frames: deque[float] = deque(maxlen=HISTORY_LENGTH)
         self._mark: float | None = None
 
     @contextmanager
@@ -48,7 +48,7 @@ class Timings:
         """Record one duration [s] of a stage."""
         if name not in self._first:
             self._first[name] = seconds
-            self._samples[name] = deque(maxlen=HISTORY)
+            self._samples[name] = deque(maxlen=HISTORY_LENGTH)
         else:
             self._samples[name].append(seconds)
 
@@ -105,7 +105,7 @@ class Timings:
         """(stage, median, worst) [ms] of the last samples, in the order in which stages first ran."""
         rows = []
         for name, samples in self._samples.items():
-            values = np.array(last(samples, RECENT) or [self._first[name]]) * 1e3
+            values = np.array(last(samples, RECENT_SAMPLES) or [self._first[name]]) * 1e3
             rows.append((name, float(np.median(values)), float(values.max())))
         return rows
 

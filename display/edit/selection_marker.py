@@ -20,7 +20,7 @@ SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the eight
 
 
 def corners(body: BodyState) -> tuple[np.ndarray, float]:
-    """The corners of the box around a body (8, 3) [m], in the order of SIGNS, and how long their strokes are [m]."""
+    """Corners of the box around a body (8, 3) [m], in the order of SIGNS, and the length of their strokes [m]."""
     low, high = np.asarray(body.low) - CORNER_GAP, np.asarray(body.high) + CORNER_GAP
     length = min(STROKE_FRACTION * float((high - low).max()), MAX_STROKE)
     return 0.5 * (low + high) + 0.5 * SIGNS * (high - low), length
@@ -35,7 +35,7 @@ def strokes(body: BodyState) -> np.ndarray:
 
 
 def marked(world, *, near: bool) -> BodyState | None:
-    """The body to be marked now; `near`: an edit may come. None while a hand has it, or if there is none."""
+    """The body to be marked now, or None; `near`: the user is at a panel of edits."""
     index, bodies = world.selected, world.bodies()
     if index is None or not index < len(bodies) or bodies[index].held or not (near or world.recently_selected):
         return None

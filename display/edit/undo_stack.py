@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-MOST_STEPS = 64
-MOST_BYTES = 256 << 20
+STEPS_MAX = 64
+BYTES_MAX = 256 << 20
 
 
 @dataclass
@@ -25,7 +25,7 @@ class Step:
 class UndoStack:
     """The last actions, at most `steps` and at most `size` bytes together; the oldest are dropped."""
 
-    def __init__(self, steps: int = MOST_STEPS, size: int = MOST_BYTES):
+    def __init__(self, steps: int = STEPS_MAX, size: int = BYTES_MAX):
         self.steps, self.size = steps, size
         self.done: list[Step] = []
         self.undone: list[Step] = []

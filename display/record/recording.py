@@ -40,8 +40,8 @@ from display.record.codec import from_text, pack_hand, to_text
 FORMAT, VERSION = "vrgs-recording", 2  # in version 1, bodies were not of their own material
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
 OPTIONS += ("cells", "pieces")  # of the command: they make the world what it is
-SECOND = 1.0  # [s] between two states, and between two writings
-CAMERA = 22  # numbers
+WRITE_PERIOD = 1.0  # [s] between two states, and between two writings
+CAMERA_SIZE = 22  # numbers of a camera
 CHUNK = {"frames": 1024, "hands/layout": 2048, "hands/numbers": 32768, "cameras": 256, "commands": 4096, "states": 256}
 DATASETS = {
     "frames/dt": ((), np.float64),
@@ -51,7 +51,7 @@ DATASETS = {
     "frames/cameras": ((), np.int32),
     "hands/layout": ((), np.int32),
     "hands/numbers": ((), np.float64),
-    "cameras/values": ((CAMERA,), np.float64),
+    "cameras/values": ((CAMERA_SIZE,), np.float64),
     "commands/text": ((), np.uint8),
     "states/frame": ((), np.int64),
     "states/count": ((), np.int32),
@@ -67,9 +67,7 @@ class Recording:
         self.path = Path(path)
         self.part = self.path.with_name(f"{self.path.name}.part")
         if self.part.exists():
-            raise BadInput(
-                f"{self.part} is what a session that broke off has left: play it with --replay, or remove it"
-            )
+            raise BadInput(f"{self.part} was left by an interrupted session: play it with --replay, or remove it")
         check_writable(self.path, self.part)
         self.about: dict = {}
         self.frames = 0
@@ -91,14 +89,14 @@ class Recording:
     def __exit__(self, *error) -> None:
         self.close()
 
-    def begin(self, args, how: dict) -> None:
+    def begin(self, args, world_options: dict) -> None:
         """Store the options of the command and of the world."""
         import taichi as ti
 
         given = {key: getattr(args, key, None) for key in OPTIONS}
         self.about = {key: value if value is None else plain(value) for key, value in given.items()}
         self.about["arch"] = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-        self.about["world"] = {key: value for key, value in how.items() if isinstance(value, (bool, str))}
+        self.about["world"] = {key: value for key, value in world_options.items() if isinstance(value, (bool, str))}
 
     def note(self, frame: Frame) -> Frame:
         """Record a frame before the world's step; returns the frame to pass to the world.
@@ -116,14 +114,14 @@ class Recording:
             new["hands/layout"].append(self._layouts.setdefault(text, len(self._layouts)))
             new["hands/numbers"].extend(numbers)
         if frame.commands:
-            self._take_down(frame.commands)
+            self._record_commands(frame.commands)
         new["frames/cameras"].append(0)
         if not callable(frame.cameras):
-            self._look(frame.cameras)
+            self._record_cameras(frame.cameras)
             return frame
-        return dataclasses.replace(frame, cameras=lambda: self._look(frame.cameras()))
+        return dataclasses.replace(frame, cameras=lambda: self._record_cameras(frame.cameras()))
 
-    def _take_down(self, commands: Sequence[Command]) -> None:
+    def _record_commands(self, commands: Sequence[Command]) -> None:
         line = to_text(self.frames, commands)
         try:
             from_text(line)
@@ -132,7 +130,7 @@ class Recording:
             return
         self._new["commands/text"].extend(f"{line}\n".encode())
 
-    def _look(self, cameras: list[Camera]) -> list[Camera]:
+    def _record_cameras(self, cameras: list[Camera]) -> list[Camera]:
         self._new["frames/cameras"][-1] = len(cameras)
         self._new["cameras/values"].extend(numbers_of(c) for c in cameras)
         return cameras
@@ -143,9 +141,9 @@ class Recording:
         self._world = world
         self._since += self._dt
         self._written += self._dt
-        if self._since >= SECOND - 1e-6 or self.frames == 1:
+        if self._since >= WRITE_PERIOD - 1e-6 or self.frames == 1:
             self._state(world)
-        if self._written >= SECOND - 1e-6 or self.frames == 1:
+        if self._written >= WRITE_PERIOD - 1e-6 or self.frames == 1:
             self._write()
 
     def _state(self, world) -> None:
@@ -179,7 +177,7 @@ class Recording:
             print(f"{self.path}: nothing more is recorded ({' '.join(str(e).split())[:100]})", file=sys.stderr)
             self._file = None
 
-    def settle(self) -> None:
+    def flush(self) -> None:
         """Wait until all data is written."""
         self._writer.submit(lambda: None).result()
 
@@ -214,6 +212,6 @@ def plain(value):
 
 
 def numbers_of(camera: Camera) -> list[float]:
-    """A camera as CAMERA numbers."""
+    """A camera as CAMERA_SIZE numbers."""
     c = camera
     return [c.width, c.height, c.fx, c.fy, c.cx, c.cy, *np.asarray(c.world_to_camera, np.float64).ravel().tolist()]

@@ -11,11 +11,11 @@ from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Command, Frame
 from display.record.codec import from_text, hand_size, touch_count, unpack_hand
-from display.record.recording import CAMERA, OPTIONS
+from display.record.recording import CAMERA_SIZE, OPTIONS
 from render import SORTS
 
 MAX_FRAME_DT = 10.0  # [s]
-HANDS, CAMERAS, SIDE = 16, 2, 16384  # of a frame; [px]
+HANDS_MAX, CAMERAS_MAX, SIDE_MAX = 16, 2, 16384  # of a frame; [px]
 CHOICES = {
     "arch": ("cpu", "cuda"),
     "interaction": ("physics", "transform"),
@@ -76,8 +76,8 @@ def read_frames(file: Hdf5Reader) -> list[Frame]:
     count = len(dt)
     time = finite(file, "frames/time", (count,), low=0.0)
     step = finite(file, "frames/step", (count,), low=0.0, high=MAX_FRAME_DT)
-    hands = read_hands(file, counts(file, "frames/hands", HANDS, count))
-    cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS, count))
+    hands = read_hands(file, counts(file, "frames/hands", HANDS_MAX, count))
+    cameras = read_cameras(file, counts(file, "frames/cameras", CAMERAS_MAX, count))
     commands = read_commands(file, count)
     return [
         Frame(float(dt[k]), float(time[k]), cameras[k], hands[k], commands.get(k, []), max_step=float(step[k]) or None)
@@ -111,9 +111,9 @@ def read_hands(file: Hdf5Reader, per_frame: np.ndarray) -> list[list]:
 
 def read_cameras(file: Hdf5Reader, per_frame: np.ndarray) -> list[list[Camera]]:
     """The cameras of each frame."""
-    values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA), low=-1e9, high=1e9)
+    values = finite(file, "cameras/values", (int(per_frame.sum()), CAMERA_SIZE), low=-1e9, high=1e9)
     sides, focal = values[:, :2], values[:, 2:4]
-    if len(values) and not (sides.min() >= 1 and sides.max() <= SIDE and focal.min() > 0):
+    if len(values) and not (sides.min() >= 1 and sides.max() <= SIDE_MAX and focal.min() > 0):
         raise file.error("cameras/values holds a camera that cannot be")
     cameras = [Camera(int(v[0]), int(v[1]), *v[2:6].tolist(), v[6:].reshape(4, 4)) for v in values]
     ends = np.cumsum(per_frame)

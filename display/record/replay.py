@@ -25,12 +25,12 @@ class Replay:
 
     def __init__(self, path: Path, version: int, about: dict, frames: list[Frame], states: dict[int, np.ndarray]):
         self.path, self.version, self.about = path, version, about
-        self._frames, self._states = frames, states
+        self.recorded, self.states = frames, states
         self.done, self.largest, self.compared = 0, 0.0, 0
-        self._cameras: list[Camera] = []  # the last that there were
+        self._cameras: list[Camera] = []  # of the last frame that had some
 
     def __len__(self) -> int:
-        return len(self._frames)
+        return len(self.recorded)
 
     @classmethod
     def load(cls, path: str | Path) -> Replay:
@@ -56,12 +56,12 @@ class Replay:
                 setattr(args, key, self.about[key])
         args.arch = args.arch or self.about.get("arch")
 
-    def world_options(self, how: dict) -> dict:
+    def world_options(self, options: dict) -> dict:
         """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""
         recorded = self.about.get("world", {})
         if "room" in recorded:
             recorded = recorded | {"grown": recorded["room"]}
-        return how | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
+        return options | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
 
     def implied_material(self, scene: str, body: str | None) -> str | None:
         """The material of a body for which none was asked: before version 2 that was not the asset's own."""
@@ -82,12 +82,12 @@ class Replay:
                 return
             held ^= paced and last_of(Pause, shown.commands) is not None
             due += 0.0 if held else shown.dt
-            now = self._frames[self.done]
-            while paced and self.done + 1 < len(self) and due >= now.dt + self._frames[self.done + 1].dt:
+            now = self.recorded[self.done]
+            while paced and self.done + 1 < len(self) and due >= now.dt + self.recorded[self.done + 1].dt:
                 world.step(replace(now, cameras=[]))  # more steps than pictures
                 due -= now.dt
                 self._after(world)
-                now = self._frames[self.done]
+                now = self.recorded[self.done]
             if paced and due < now.dt:
                 display.present(world)  # nothing new
                 continue
@@ -103,7 +103,7 @@ class Replay:
 
     def _after(self, world) -> None:
         """Compare the world after its step with the recorded state."""
-        expected = self._states.get(self.done)
+        expected = self.states.get(self.done)
         self.done += 1
         if expected is None:
             return

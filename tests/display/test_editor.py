@@ -100,8 +100,7 @@ def play(shared) -> Play:
     shared.do(Reset(), SetInteraction("physics"), SetLight(shared.world.scene.light))
     shared.world.editor.history.done.clear()
     shared.world.editor.history.undone.clear()
-    shared.world.editor.selected = None
-    shared.world.editor._gripped = []
+    shared.do(Select(None))
     shared.step()
     return shared
 

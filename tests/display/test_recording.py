@@ -92,9 +92,9 @@ def test_frames_come_back_as_they_were(tmp_path):
     frames = some_frames()
     record(tmp_path / "play.h5", frames)
     replay = Replay.load(tmp_path / "play.h5")
-    assert len(replay) == 200 and all(same(a, b) for a, b in zip(frames, replay._frames, strict=True))
+    assert len(replay) == 200 and all(same(a, b) for a, b in zip(frames, replay.recorded, strict=True))
     assert [p.name for p in tmp_path.iterdir()] == ["play.h5"]
-    assert sorted(replay._states) == [0, 90, 180, 199]
+    assert sorted(replay.states) == [0, 90, 180, 199]
     with h5py.File(tmp_path / "play.h5") as file:
         assert len(json.loads(file.attrs["layouts"])) == 1 and file.attrs["format"] == "vrgs-recording"
 
@@ -105,13 +105,13 @@ def test_cameras_are_taken_down_when_the_world_asks_for_them(tmp_path):
     world = Ball()
     record(tmp_path / "play.h5", [late, Frame(0.1, 0.2, [], []), late], world)
     assert len(asked) == 2 and [len(cameras) for _, cameras in world.frames] == [2, 0, 2]
-    assert [len(f.cameras) for f in Replay.load(tmp_path / "play.h5")._frames] == [2, 0, 2]
+    assert [len(f.cameras) for f in Replay.load(tmp_path / "play.h5").recorded] == [2, 0, 2]
 
 
 def test_a_hand_without_a_pose_is_recorded_as_none(tmp_path):
     hands = [Hand((float("nan"), 0.0, 0.0)), None, Hand()]
     record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], hands)])
-    assert Replay.load(tmp_path / "play.h5")._frames[0].hands == [None, None, Hand()]
+    assert Replay.load(tmp_path / "play.h5").recorded[0].hands == [None, None, Hand()]
 
 
 def test_hands_with_and_without_finger_capsules_come_back_as_they_were():
@@ -163,7 +163,7 @@ def test_commands_come_back_as_they_were_and_others_are_refused():
 
 def test_a_command_that_cannot_be_replayed_is_left_out_with_a_line(tmp_path, capsys):
     record(tmp_path / "play.h5", [Frame(0.1, 0.1, [], [], [Rescale(0, np.nan)]), Frame(0.1, 0.2, [], [], [Reset()])])
-    assert [f.commands for f in Replay.load(tmp_path / "play.h5")._frames] == [[], [Reset()]]
+    assert [f.commands for f in Replay.load(tmp_path / "play.h5").recorded] == [[], [Reset()]]
     assert (
         capsys.readouterr().err == f"{tmp_path / 'play.h5'}: not recorded: the command 'rescale' cannot be '[0, nan]'\n"
     )
@@ -276,8 +276,8 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, caps
     assert all(np.array_equal(a, b) for a, b in zip(*ends, strict=True))
     replay = Replay.load(file)
     assert replay.about["interaction"] == "physics" and replay.version == 2
-    assert any(f.hands[0].grip for f in replay._frames)
-    first, *_, last = (centroids[0, 1] for _, centroids in sorted(replay._states.items()))
+    assert any(f.hands[0].grip for f in replay.recorded)
+    first, *_, last = (centroids[0, 1] for _, centroids in sorted(replay.states.items()))
     assert last > first + 0.02
 
 

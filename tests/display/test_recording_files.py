@@ -22,7 +22,7 @@ DIES = """
 import sys; sys.path.insert(0, {root!r})
 from tests.display.test_recording import record, some_frames
 recording = record({path!r}, some_frames(460), close=False)
-recording.settle()
+recording.flush()
 print("written", flush=True)
 import time
 while True: time.sleep(1)
@@ -37,8 +37,8 @@ def test_a_session_that_is_killed_leaves_what_was_until_then(tmp_path):
         process.send_signal(signal.SIGKILL)
     assert not path.exists()
     replay = Replay.load(tmp_path / "play.h5.part")
-    assert len(replay) == 451 and all(same(a, b) for a, b in zip(some_frames(451), replay._frames, strict=True))
-    with pytest.raises(BadInput, match=r"play\.h5\.part is what a session that broke off has left"):
+    assert len(replay) == 451 and all(same(a, b) for a, b in zip(some_frames(451), replay.recorded, strict=True))
+    with pytest.raises(BadInput, match=r"play\.h5\.part was left by an interrupted session"):
         Recording(path)
 
 
@@ -72,8 +72,8 @@ def test_a_disk_that_fills_up_does_not_end_the_play(tmp_path, capsys, monkeypatc
     def full():
         raise OSError("No space left on device")
 
-    recording.settle()
-    monkeypatch.setattr(recording._file, "flush", full)
+    recording.flush()
+    monkeypatch.setattr(h5py.File, "flush", lambda self: full())
     world = Ball()
     for frame in some_frames(200):
         world.step(recording.note(frame))

@@ -162,7 +162,7 @@ def strain_energy(body, x: np.ndarray) -> float:
 
 # ---- rings thrown on pegs
 
-RING_RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
+RING_MATERIAL = Material.named("silicone")
 PEG_HEIGHT, PEG_RADIUS = 0.4, 0.01  # [m]; a floor and a ceiling close the pegs: only a ring that tunnels gets loose
 PEG_SPACING = 1.0  # [m]
 RING, TUBE = 0.08, 0.016  # [m] as the rings of the ring toss
@@ -180,7 +180,7 @@ def linked_throws(
     rings = min(MOST_RINGS, count)
     x, tets, surface = torus(RING, TUBE, around, across)
     feet = [(PEG_SPACING * (k % 4), 0.0, PEG_SPACING * (k // 4)) for k in range(rings)]
-    bodies = [SoftBody(f"ring{k}", x, tets, surface, RING_RUBBER, position=foot) for k, foot in enumerate(feet)]
+    bodies = [SoftBody(f"ring{k}", x, tets, surface, RING_MATERIAL, position=foot) for k, foot in enumerate(feet)]
     pegs = [Capsule(foot, (foot[0], PEG_HEIGHT, foot[2]), PEG_RADIUS) for foot in feet]
     lids = [Plane((0, 0, 0), (0, 1, 0)), Plane((0, PEG_HEIGHT, 0), (0, -1, 0))]
     solver = Solver(bodies, [*pegs, *lids], hands=0)

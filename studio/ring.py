@@ -22,7 +22,7 @@ from studio.textures import plain
 
 RING_MAJOR, RING_TUBE = 0.08, 0.015  # [m] radii of the torus
 CAGE_SEGMENTS, CAGE_SIDES = 30, 8  # prisms about as long as they are wide
-MATERIAL = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.6)
+MATERIAL = Material.named("silicone")
 TINTS = {  # rubber, stripe
     "ring_red": ("e0301e", "f4d9c4"),
     "ring_blue": ("1567c8", "d4e6f2"),

@@ -6,6 +6,8 @@ x_i = sum_k w_ik  M_j(i,k)  X_i,    M = world_from_body  world_j  inverse_bind_j
 import numpy as np
 import taichi as ti
 
+from core.fields import FieldGroup, Upload
+
 
 @ti.data_oriented
 class Skinning:
@@ -19,15 +21,13 @@ class Skinning:
     """
 
     def __init__(self, first: int, vertices, points, joints, weights, count: int):
-        D = len(vertices)
-        self.first = first
-        self.index, self.joint = ti.field(ti.i32, D), ti.Vector.field(4, ti.i32, D)
-        self.point, self.weight = ti.Vector.field(3, ti.f32, D), ti.Vector.field(4, ti.f32, D)
-        self.matrix = ti.Matrix.field(3, 4, ti.f32, count)
-        self.index.from_numpy(np.asarray(vertices, np.int32))
-        self.point.from_numpy(np.asarray(points, np.float32))
-        self.joint.from_numpy(np.asarray(joints, np.int32))
-        self.weight.from_numpy(np.asarray(weights, np.float32))
+        D, self.first = len(vertices), first
+        f = FieldGroup()
+        self.index, self.joint = f.scalar(D, dtype=ti.i32), f.vector(D, n=4, dtype=ti.i32)
+        self.point, self.weight = f.vector(D), f.vector(D, n=4)
+        self.matrix = f.matrix(count, n=3, m=4)
+        f.build()
+        Upload([self.index, self.joint, self.point, self.weight])([vertices, joints, points, weights])
 
     def pose(self, matrices: np.ndarray, targets, first: int | None = None) -> None:
         """Out: positions [m] of the vertices in the field `targets`, vec3 (V,), by the joints' matrices (J, 4, 4).

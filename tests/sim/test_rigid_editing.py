@@ -1,8 +1,8 @@
-"""Two hands in transform mode: a body follows both, with its size; what they leave is to be rescaled, and is."""
+"""Rigid editing: a body follows one hand rigidly, or two hands with its size, and is then rescaled."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.sample_meshes import box
 from core.material import Material
@@ -15,6 +15,7 @@ SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)
 DT, SIDE = 1 / 60, 0.06
 X, TETS, SURFACE = box((SIDE,) * 3, (3, 3, 3))
 BESIDE = SIDE / 2 + 0.005
+QUARTER_TURN_Z = (np.cos(np.pi / 4), 0.0, 0.0, np.sin(np.pi / 4))  # y -> -x
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,26 @@ def gripped(solver):
     x = hold(solver, a, b)
     assert solver.contacts.grasped_bodies()[:2] == [0, 0]
     return a, b, x
+
+
+def test_a_body_follows_one_hand_rigidly_and_nothing_else_moves(solver):
+    at, idle = np.array([BESIDE, SIDE / 2, 0.0]), Hand(position=(9.0, 9.0, 9.0))
+    hold(solver, at, idle.position, (False, False))
+    start = solver.snapshot()["x"].astype(np.float64)
+    hold(solver, at, idle.position, (True, False))
+    assert [b.held for b in solver.bodies()] == [True, False]
+    for _ in range(3):
+        solver.step(DT, [Hand((0.4, 0.3, 0.2), QUARTER_TURN_Z, grip=True), idle])
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    x = solver.snapshot()["x"]
+    assert_allclose(x[: len(X)], (start[: len(X)] - at) @ turn.T + [0.4, 0.3, 0.2], atol=1e-6)
+    assert_array_equal(x[len(X) :], start[len(X) :].astype(np.float32))
+    solver.step(DT, [Hand((0.0, 0.0, 0.0)), idle])
+    assert_array_equal(solver.snapshot()["x"], x)
+    assert not any(b.held for b in solver.bodies())
+    solver.interaction = "physics"
+    solver.step(DT)
+    assert solver.bodies()[0].velocity[1] == pytest.approx(-9.81 * DT, rel=1e-3)
 
 
 def test_a_body_grows_with_the_distance_of_two_hands_about_their_middle(solver):

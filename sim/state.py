@@ -73,6 +73,7 @@ class State:
         self.friction = g.scalar(B)  # static coefficient
         self.sliding_friction = g.scalar(B)  # kinetic coefficient
         self.max_step = g.scalar(B)  # the farthest that a vertex may move in a substep [m]
+        self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is led to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
         # The frame
         self.dt = g.scalar()  # length of a substep [s]

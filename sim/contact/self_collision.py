@@ -106,7 +106,8 @@ class SelfCollision:
                     L = self.gradient[b] @ inverse
                     sigma = ti.max(sigma, 1.0 / inverse.norm()) * (1.0 - 0.5 * t * (L + L.transpose()).norm())
                 distance = 2.0 * self.speed_residual[b] * t + CONTACT_MARGIN
-                apart = self.disabled[b] != 0 or sigma * self.min_rest_distance(b) >= 2.0 * self.residual[b] + distance
+                passes = self.disabled[b] != 0 or self.state.untangling[b] != 0
+                apart = passes or sigma * self.min_rest_distance(b) >= 2.0 * self.residual[b] + distance
                 self.self_colliding[b] = 0 if apart else 1
                 # a larger search would cost too much; faster points are met inside, where a body is thick enough
                 self.search_distance[b] = ti.min(distance, self.min_rest_distance(b))

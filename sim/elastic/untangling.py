@@ -1,15 +1,16 @@
 """Untangling: a body that was inverted is moved back to its rest shape by shape matching (Mueller et al. 2005).
 
-Without contact with itself, a body that is squeezed through itself can be left in a kink: all tets upright again, but
-wound around one another, in a true minimum of the energy that no force leaves. So when a hand lets go of a
-body of which it had inverted some tets, or tets stay inverted by themselves, then for DURATION the body is soft, and
-its vertices are led to its rest shape, where the rest shape fits best:
+A body that is squeezed through itself can be left in a kink: all tets upright again, but wound around one another, in a
+true minimum of the energy that no force leaves. So when a hand lets go of a body of which it had inverted some tets, or
+tets stay inverted by themselves, then for DURATION the body is soft, and its vertices are led to its rest shape, where
+the rest shape fits best:
 
     v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME_CONSTANT - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
 
-It stiffens again gradually while it is moved: a soft body sags under its weight, and full stiffness at once would
-turn that into speed: 9 m/s from the 1.6 mm by which a body of 0.1 m and 1e8 Pa sags.
+It does not collide with itself meanwhile, because contact would hold the vertices that have passed through the body
+where they are. It stiffens again gradually while it is moved: a soft body sags under its weight, and full stiffness at
+once would turn that into speed: 9 m/s from the 1.6 mm by which a body of 0.1 m and 1e8 Pa sags.
 """
 
 import numpy as np
@@ -43,11 +44,10 @@ class Untangling:
     def __init__(self, state: State, reductions: Reductions, damping: Damping):
         self.state, self.reductions, self.damping = state, reductions, damping
         g = self._group = FieldGroup()
-        self.soft = g.scalar(MAX_BODIES, dtype=ti.i32)
         self.quaternion = g.vector(MAX_BODIES, n=4)
         self.farthest = g.scalar(MAX_BODIES)
         g.build()
-        self._upload = Upload([self.soft, state.inverted, state.mu, state.lam])
+        self._upload = Upload([state.untangling, state.inverted, state.mu, state.lam])
         self._inverted: np.ndarray | None = None  # state.inverted after the last frame, if the host knows it already
         self.bodies = ()
         self._status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; tangled while a hand holds it
@@ -118,7 +118,7 @@ class Untangling:
         return self.state.inverted.to_numpy()[: len(self.bodies)]
 
     def _set_stiffness(self, inverted: np.ndarray) -> None:
-        """Set `soft`, state.inverted and the Lame constants of the bodies as they are now."""
+        """Set state.untangling, state.inverted and the Lame constants of the bodies as they are now."""
         materials = [p.material for p in self.bodies]
         softest = np.array([min(1.0, SOFT_YOUNG / m.young) for m in materials])
         scale = np.where(self.active, softest ** np.clip(self._status[0] / STIFFENING, 0.0, 1.0), 1.0)
@@ -131,19 +131,19 @@ class Untangling:
         s = self.state
         total = ti.static(self.reductions.total)
         for b in range(MAX_BODIES):
-            if b < s.body_count[None] and self.soft[b]:
+            if b < s.body_count[None] and s.untangling[b]:
                 A = ti.Matrix([[total[b, 6 + 3 * k + l] for l in range(3)] for k in range(3)])
                 self.quaternion[b] = polar_quaternion(A)
                 self.farthest[b] = 0.0
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.soft[b] and s.inv_mass[i] > 0.0:
+                if s.untangling[b] and s.inv_mass[i] > 0.0:
                     ti.atomic_max(self.farthest[b], self._to_rest_shape(i, b).norm())
         for i in range(s.V):
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
-                if self.soft[b] and s.inv_mass[i] > 0.0:
+                if s.untangling[b] and s.inv_mass[i] > 0.0:
                     center = ti.Vector([total[b, k] for k in range(3)])
                     goal = ti.Vector([total[b, 3 + k] for k in range(3)])
                     goal += self.damping.omega[b].cross(s.x[i] - center)

@@ -165,7 +165,7 @@ def test_a_body_is_of_its_own_material_unless_another_is_asked_for(tmp_path):
     assert material("own.h5") == jelly and material("none.h5") == Material.named("plush")
     assert material("own.h5", material="wood") == Material.named("wood")
     dancer = registry.load("just_dance").bodies[2].material
-    assert dancer == Material.animated("flesh", animated_height("dancer")) and dancer.young < 1e5
+    assert dancer == Material.named("flesh").animated(animated_height("dancer")) and dancer.young < 1e5
 
 
 def test_the_rings_are_of_a_soft_silicone_as_their_assets_are():

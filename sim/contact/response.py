@@ -13,7 +13,7 @@ MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
 # it also rises, friction makes the push that raises it larger, up to a jam; more than twice as large, it threw a plate
 # of 1e8 Pa at 10 m/s.
 MIN_COMPLIANCE_RATIO = 0.5
-# [body mass / dt^2] with which a shape meets a vertex on the descent path, on top of the force it had: a push grows to
+# [body mass / dt^2] with which a shape meets a vertex in VBD, on top of the force it had: a push grows to
 # its full size over a few sweeps. At once, the corner of a light stiff body would be held against the motion of the
 # whole body before the sweeps have told the body, and store more energy than the body has. What rests is not affected.
 CONTACT_STIFFNESS = 0.5

@@ -85,7 +85,7 @@ def energy_density(I1, dJ, mu, lam):
 
 @ti.func
 def curvature(W, V, I1, dJ, kappa, mu, lam):
-    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h: gradients of Psi); also C^2 / V, bounded from below.
+    """q = sum w |V h|^2 / C^2, C^2 = 2 V Psi, of W = sum w |h|^2 (h = grad Psi); also C^2 / V, bounded from below.
 
     q exceeds kappa (of the rest shape) at most like |cof F|^2; beyond, it is rounding noise over a small C.
     """

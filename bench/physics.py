@@ -72,7 +72,7 @@ def free_fall() -> list[dict]:
         rows.append(row(f"free fall at {h} m, speed [m/s]", G * duration, -state.velocity[1], 1e-4))
         fallen = h + 0.05 - state.centroid[1]
         exact = 0.5 * G * duration * (duration + solver.stats["dt"])  # of the symplectic step
-        rows.append(row(f"free fall at {h} m, way [m]", exact, fallen, 1e-4))
+        rows.append(row(f"free fall at {h} m, distance [m]", exact, fallen, 1e-4))
     return rows
 
 

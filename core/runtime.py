@@ -7,6 +7,10 @@ import os
 
 from core.errors import BadInput
 
+# Compiled kernels are kept between runs in files of this many bytes in all. Taichi's default of 100 MB is less than what
+# a few scenes and a preparation compile, and what is pushed out is compiled again, for half a minute.
+KERNEL_CACHE = {"offline_cache": True, "offline_cache_max_size_of_files": 1 << 30}
+
 
 def start_taichi(arch: str | None = None, seed: int = 0) -> None:
     """Start Taichi once: on CUDA if there is a GPU or `arch` is "cuda", else on the CPU. Raises BadInput."""
@@ -23,7 +27,7 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
         raise BadInput("--arch cuda: no CUDA GPU was found")
     wanted = ti.cuda if cuda else ti.cpu
     with contextlib.redirect_stdout(None):  # ti.init prints a banner that no option turns off
-        ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, offline_cache=True, log_level=ti.ERROR)
+        ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, log_level=ti.ERROR, **KERNEL_CACHE)
     if cuda and ti.cfg.arch != ti.cuda:
         raise BadInput("the CUDA GPU could not be started; --arch cpu runs without it")
     shorten_source_locations()

@@ -39,9 +39,9 @@ def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, ma
     square = (r**2).sum(1)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None, :]
     inertia = np.einsum("i,ijk->jk", mass, square)
     inertia += (1e-6 * np.trace(inertia) + 1e-12) * np.eye(3)
-    spin = np.linalg.solve(inertia, mass @ np.cross(r, v))
+    omega_body = np.linalg.solve(inertia, mass @ np.cross(r, v))
     position, velocity, omega = hand_motion(history)
-    change = velocity + np.cross(omega, c - position) - v_c + np.cross(omega - spin, r)
+    change = velocity + np.cross(omega, c - position) - v_c + np.cross(omega - omega_body, r)
     size = np.sqrt(mass @ (change**2).sum(1) / M)
     return change * min(1.0, max_impulse / M / max(size, 1e-12))
 

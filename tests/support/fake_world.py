@@ -181,7 +181,7 @@ def main() -> None:
     parser.add_argument("--xr", action="store_true")
     args = parser.parse_args()
 
-    ti.init(arch=ti.cpu, log_level=ti.WARN, offline_cache=True)
+    ti.init(arch=ti.cpu, log_level=ti.WARN, **KERNEL_CACHE)
     scene = fake_scene()
     with open_display(scene, args) as display, open(args.log, "w", encoding="utf-8", buffering=1) as log:
         world = FakeWorld(scene, width=display.size[0], height=display.size[1], views=1 + args.xr)

@@ -7,8 +7,8 @@ import os
 
 from core.errors import BadInput
 
-# Compiled kernels are kept between runs in files of this many bytes in all. Taichi's default of 100 MB is less than what
-# a few scenes and a preparation compile, and what is pushed out is compiled again, for half a minute.
+# Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
+# few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
 KERNEL_CACHE = {"offline_cache": True, "offline_cache_max_size_of_files": 1 << 30}
 
 

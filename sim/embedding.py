@@ -8,7 +8,7 @@ import taichi as ti
 
 from core.fields import FieldGroup, round_up_capacity
 from core.quaternion import polar_quaternion
-from sim.embedding_weights import LANES, EmbeddedBody, PackedBody, pack
+from sim.embedding_weights import SLICE_LANES, EmbeddedBody, PackedBody, pack
 
 MAX_STRETCH = 4.0  # of a Gaussian, root mean square over its axes: up to here its neighbours hide the gaps
 
@@ -79,7 +79,7 @@ class Embedding:
         """Bytes that a call of `deform` reads and writes, but for the vertices, which stay in a cache."""
         slices, slots = self._starts[-1]
         written = 12 + 24 + (16 if self.with_rotation else 0)
-        return 20 * LANES * slots + (4 + 4 + 24) * LANES * slices + written * self.count
+        return 20 * SLICE_LANES * slots + (4 + 4 + 24) * SLICE_LANES * slices + written * self.count
 
     def destroy(self) -> None:
         """Free the device memory."""
@@ -99,19 +99,23 @@ class Embedding:
         for i in self.target:
             g = self.target[i]
             if g >= 0:
-                slice_, lane = i // LANES, i % LANES
+                slice_, lane = i // SLICE_LANES, i % SLICE_LANES
                 xa = x[self.anchor[i]]
                 F = ti.Matrix.zero(ti.f32, 3, 3)
                 mu = xa
                 for s in range(self.begin[slice_], self.begin[slice_ + 1]):
-                    d = x[self.vertex[s * LANES + lane]] - xa
-                    c = s * (4 * LANES) + lane
-                    grad = ti.Vector([self.factor[c], self.factor[c + LANES], self.factor[c + 2 * LANES]])
+                    d = x[self.vertex[s * SLICE_LANES + lane]] - xa
+                    c = s * (4 * SLICE_LANES) + lane
+                    grad = ti.Vector([self.factor[c], self.factor[c + SLICE_LANES], self.factor[c + 2 * SLICE_LANES]])
                     F += d.outer_product(grad)
-                    mu += self.factor[c + 3 * LANES] * d
-                r = slice_ * (6 * LANES) + lane
-                xx, xy, xz = self.rest_cov[r], self.rest_cov[r + LANES], self.rest_cov[r + 2 * LANES]
-                yy, yz, zz = self.rest_cov[r + 3 * LANES], self.rest_cov[r + 4 * LANES], self.rest_cov[r + 5 * LANES]
+                    mu += self.factor[c + 3 * SLICE_LANES] * d
+                r = slice_ * (6 * SLICE_LANES) + lane
+                xx, xy, xz = self.rest_cov[r], self.rest_cov[r + SLICE_LANES], self.rest_cov[r + 2 * SLICE_LANES]
+                yy, yz, zz = (
+                    self.rest_cov[r + 3 * SLICE_LANES],
+                    self.rest_cov[r + 4 * SLICE_LANES],
+                    self.rest_cov[r + 5 * SLICE_LANES],
+                )
                 S = F @ ti.Matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ F.transpose()
                 # an extreme stretch, of a body pulled apart or blown up, must not throw spikes across the view
                 S *= ti.min(1.0, MAX_STRETCH**2 * (xx + yy + zz) / ti.max(S.trace(), 1e-30))
@@ -129,12 +133,12 @@ class Embedding:
         self.slice_capacity = round_up_capacity(int(np.ceil(headroom * slices)))
         self.slot_capacity = round_up_capacity(int(np.ceil(headroom * slots)))
         self.fields = f = FieldGroup()  # as the arrays of PackedBody
-        self.target = f.scalar(self.slice_capacity * LANES, dtype=ti.i32)
-        self.anchor = f.scalar(self.slice_capacity * LANES, dtype=ti.i32)
+        self.target = f.scalar(self.slice_capacity * SLICE_LANES, dtype=ti.i32)
+        self.anchor = f.scalar(self.slice_capacity * SLICE_LANES, dtype=ti.i32)
         self.begin = f.scalar(self.slice_capacity + 1, dtype=ti.i32)
-        self.rest_cov = f.scalar(self.slice_capacity * 6 * LANES)
-        self.vertex = f.scalar(self.slot_capacity * LANES, dtype=ti.i32)
-        self.factor = f.scalar(self.slot_capacity * 4 * LANES)
+        self.rest_cov = f.scalar(self.slice_capacity * 6 * SLICE_LANES)
+        self.vertex = f.scalar(self.slot_capacity * SLICE_LANES, dtype=ti.i32)
+        self.factor = f.scalar(self.slot_capacity * 4 * SLICE_LANES)
         f.build()
         self.target.fill(-1)
 
@@ -146,15 +150,15 @@ class Embedding:
         all_ = self._fetch(*self._starts[-1])
         bodies = []
         for span, (a, c), (b, d) in zip(self.spans, self._starts, ends, strict=False):  # slices a to b, slots c to d
-            target = all_.target[a * LANES : b * LANES]
+            target = all_.target[a * SLICE_LANES : b * SLICE_LANES]
             bodies.append(
                 PackedBody(
                     target=np.where(target >= 0, target - span.gaussian, -1).astype(np.int32),
-                    anchor=all_.anchor[a * LANES : b * LANES] - np.int32(span.vertex),
+                    anchor=all_.anchor[a * SLICE_LANES : b * SLICE_LANES] - np.int32(span.vertex),
                     begin=all_.begin[a : b + 1] - np.int32(c),
-                    rest_cov=all_.rest_cov[a * 6 * LANES : b * 6 * LANES].copy(),
-                    vertex=all_.vertex[c * LANES : d * LANES] - np.int32(span.vertex),
-                    factor=all_.factor[c * 4 * LANES : d * 4 * LANES].copy(),
+                    rest_cov=all_.rest_cov[a * 6 * SLICE_LANES : b * 6 * SLICE_LANES].copy(),
+                    vertex=all_.vertex[c * SLICE_LANES : d * SLICE_LANES] - np.int32(span.vertex),
+                    factor=all_.factor[c * 4 * SLICE_LANES : d * 4 * SLICE_LANES].copy(),
                 )
             )
         return bodies
@@ -166,8 +170,8 @@ class Embedding:
             return np.zeros(max(count, 1), kind)  # Taichi takes no empty arrays
 
         front = PackedBody(
-            zeros(slices * LANES), zeros(slices * LANES), zeros(slices + 1), zeros(slices * 6 * LANES, np.float32),
-            zeros(slots * LANES), zeros(slots * 4 * LANES, np.float32),
+            zeros(slices * SLICE_LANES), zeros(slices * SLICE_LANES), zeros(slices + 1),
+            zeros(slices * 6 * SLICE_LANES, np.float32), zeros(slots * SLICE_LANES), zeros(slots * 4 * SLICE_LANES, np.float32),
         )  # fmt: skip
         self._copy_front(
             slices, slots, front.target, front.anchor, front.begin, front.rest_cov, front.vertex, front.factor
@@ -180,15 +184,15 @@ class Embedding:
         target: ti.types.ndarray(ti.i32, 1), anchor: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1),
         rest_cov: ti.types.ndarray(ti.f32, 1), vertex: ti.types.ndarray(ti.i32, 1), factor: ti.types.ndarray(ti.f32, 1),
     ):  # fmt: skip
-        for i in range(slices * LANES):
+        for i in range(slices * SLICE_LANES):
             target[i], anchor[i] = self.target[i], self.anchor[i]
         for i in range(slices + 1):
             begin[i] = self.begin[i]
-        for i in range(slices * 6 * LANES):
+        for i in range(slices * 6 * SLICE_LANES):
             rest_cov[i] = self.rest_cov[i]
-        for i in range(slots * LANES):
+        for i in range(slots * SLICE_LANES):
             vertex[i] = self.vertex[i]
-        for i in range(slots * 4 * LANES):
+        for i in range(slots * 4 * SLICE_LANES):
             factor[i] = self.factor[i]
 
     def warm_up(self) -> None:
@@ -228,7 +232,7 @@ class Embedding:
             )  # fmt: skip
             self._write_slots(first_slot, span.vertex, 1.0 / span.scale, body.vertex, body.factor)
         if self.fields is not None:
-            self._clear(starts[-1][0] * LANES)
+            self._clear(starts[-1][0] * SLICE_LANES)
         self.spans, self._starts = list(spans), starts
         self.count = sum(b.count for b in bodies)
 
@@ -240,12 +244,12 @@ class Embedding:
     ):  # fmt: skip
         """Write slices whose covariances are scaled; indices are offset by the body's first vertex and Gaussian."""
         for i in range(target.shape[0]):
-            self.target[slice_ * LANES + i] = target[i] + first_gaussian if target[i] >= 0 else -1
-            self.anchor[slice_ * LANES + i] = anchor[i] + first_vertex
+            self.target[slice_ * SLICE_LANES + i] = target[i] + first_gaussian if target[i] >= 0 else -1
+            self.anchor[slice_ * SLICE_LANES + i] = anchor[i] + first_vertex
         for i in range(begin.shape[0]):
             self.begin[slice_ + i] = begin[i] + slot
         for i in range(rest_cov.shape[0]):
-            self.rest_cov[slice_ * 6 * LANES + i] = rest_cov[i] * area_scale
+            self.rest_cov[slice_ * 6 * SLICE_LANES + i] = rest_cov[i] * area_scale
 
     @ti.kernel
     def _write_slots(
@@ -254,9 +258,9 @@ class Embedding:
     ):  # fmt: skip
         """Write slots; the gradients [1/m], three of the four factors of a vertex, are scaled."""
         for i in range(vertex.shape[0]):
-            self.vertex[slot * LANES + i] = vertex[i] + first_vertex
+            self.vertex[slot * SLICE_LANES + i] = vertex[i] + first_vertex
         for i in range(factor.shape[0]):
-            self.factor[slot * 4 * LANES + i] = factor[i] * (gradient_scale if i // LANES % 4 < 3 else 1.0)
+            self.factor[slot * 4 * SLICE_LANES + i] = factor[i] * (gradient_scale if i // SLICE_LANES % 4 < 3 else 1.0)
 
     @ti.kernel
     def _clear(self, first: ti.i32):

@@ -8,7 +8,7 @@ from assets.gaussians import Gaussians
 from core.errors import BadInput
 from core.point_location import TetLocator
 
-LANES = 32  # Gaussians side by side in a slice: one warp reads 128 contiguous bytes at a time
+SLICE_LANES = 32  # Gaussians side by side in a slice: one warp reads 128 contiguous bytes at a time
 SORT_WINDOW = 4096  # Gaussians, within which they are sorted by number of vertices: full warps, writes stay close
 CHUNK = 1 << 16  # Gaussians prepared at once: bounds the float64 intermediates to about 200 MB
 MIN_FLATNESS = 1e-9  # 6 volumes over the longest edge cubed; below it float32 weights do not span space
@@ -40,15 +40,15 @@ class EmbeddedBody:
 class PackedBody:
     """Vertex factors of one body as the device holds them: a sorted, sliced ELLPACK matrix.
 
-    Gaussians lie in slices of LANES; a slice has a slot for each vertex of its Gaussian with the most vertices.
+    Gaussians lie in slices of SLICE_LANES; a slice has a slot for each vertex of its Gaussian with the most vertices.
     Indices count from the body's first vertex and first Gaussian.
 
-    target    Gaussian of each lane, -1 if none, (slices * LANES,) int32
-    anchor    its anchor vertex, (slices * LANES,) int32
+    target    Gaussian of each lane, -1 if none, (slices * SLICE_LANES,) int32
+    anchor    its anchor vertex, (slices * SLICE_LANES,) int32
     begin     first slot of each slice, and the end of the last, (slices + 1,) int32
-    rest_cov  rest covariances [m^2], a component of all lanes after the other, (slices * 6 * LANES,) float32
-    vertex    vertices, slot by slot, (slots * LANES,) int32
-    factor    gradient [1/m] and weight, a component of all lanes after the other, (slots * 4 * LANES,) float32
+    rest_cov  rest covariances [m^2], a component of all lanes after the other, (slices * 6 * SLICE_LANES,) float32
+    vertex    vertices, slot by slot, (slots * SLICE_LANES,) int32
+    factor    gradient [1/m] and weight, a component of all lanes after the other, (slots * 4 * SLICE_LANES,) float32
     """
 
     target: np.ndarray
@@ -67,12 +67,12 @@ class PackedBody:
     @property
     def slices(self) -> int:
         """Number of slices."""
-        return len(self.target) // LANES
+        return len(self.target) // SLICE_LANES
 
     @property
     def slots(self) -> int:
         """Number of slots of all slices."""
-        return len(self.vertex) // LANES
+        return len(self.vertex) // SLICE_LANES
 
     @property
     def count(self) -> int:
@@ -132,7 +132,7 @@ def vertex_factors(body: EmbeddedBody, scheme: str) -> tuple[np.ndarray, ...]:
 
 
 def pack(body: EmbeddedBody, scheme: str) -> PackedBody:
-    """Arrange the entries in slices of LANES Gaussians. Raises BadInput if a local tetrahedron is flat."""
+    """Arrange the entries in slices of SLICE_LANES Gaussians. Raises BadInput if a local tetrahedron is flat."""
     n = len(body.gaussians)
     if n == 0:
         return PackedBody.empty()
@@ -146,32 +146,32 @@ def pack(body: EmbeddedBody, scheme: str) -> PackedBody:
     row, vertex, factors = (np.delete(a, heaviest, 0) for a in (row, vertex, factors))
     counts = np.bincount(row, minlength=n)
     order = np.lexsort((counts, np.arange(n) // SORT_WINDOW))
-    slices = -(-n // LANES)
-    target = np.full(slices * LANES, -1)
+    slices = -(-n // SLICE_LANES)
+    target = np.full(slices * SLICE_LANES, -1)
     target[:n] = order
-    padded = np.zeros(slices * LANES, np.int64)
+    padded = np.zeros(slices * SLICE_LANES, np.int64)
     padded[:n] = counts[order]
-    begin = np.r_[0, padded.reshape(-1, LANES).max(1).cumsum()]
+    begin = np.r_[0, padded.reshape(-1, SLICE_LANES).max(1).cumsum()]
     position = np.empty(n, np.int64)
     position[order] = np.arange(n)
     at = position[row]  # of each entry's Gaussian
     rank = np.arange(len(row)) - (counts.cumsum() - counts)[row]
-    slot, lane = begin[at // LANES] + rank, at % LANES
+    slot, lane = begin[at // SLICE_LANES] + rank, at % SLICE_LANES
     anchors = np.where(target >= 0, anchor[target], 0)
     # An empty slot points at the anchor with factors 0.
     owner = np.repeat(np.arange(slices), np.diff(begin))
-    vertices = anchors.reshape(-1, LANES)[owner]
+    vertices = anchors.reshape(-1, SLICE_LANES)[owner]
     vertices[slot, lane] = vertex
-    table = np.zeros(begin[-1] * 4 * LANES, np.float32)
+    table = np.zeros(begin[-1] * 4 * SLICE_LANES, np.float32)
     for c in range(4):
-        table[slot * (4 * LANES) + c * LANES + lane] = factors[:, c]
-    cov = np.zeros((slices * LANES, 6), np.float32)
+        table[slot * (4 * SLICE_LANES) + c * SLICE_LANES + lane] = factors[:, c]
+    cov = np.zeros((slices * SLICE_LANES, 6), np.float32)
     cov[:n] = body.gaussians.covariances[order]
     return PackedBody(
         target=target.astype(np.int32),
         anchor=anchors.astype(np.int32),
         begin=begin.astype(np.int32),
-        rest_cov=np.ascontiguousarray(np.moveaxis(cov.reshape(-1, LANES, 6), 1, 2)).ravel(),
+        rest_cov=np.ascontiguousarray(np.moveaxis(cov.reshape(-1, SLICE_LANES, 6), 1, 2)).ravel(),
         vertex=vertices.astype(np.int32).ravel(),
         factor=table,
     )

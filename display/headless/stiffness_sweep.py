@@ -26,13 +26,13 @@ STEP = 1 / 120  # [s] between two measurements: a stiff body touches the floor f
 DROP_TIME_MAX = 4.0  # [s]
 REST_SPEED = 0.02  # [m/s], root mean square over the vertices
 REST_TIME = 0.25  # [s] below REST_SPEED
-BACKGROUND = (0.93, 0.92, 0.90)
+FLOOR_BACKGROUND = (0.93, 0.92, 0.90)
 FLOOR_COLOUR, LINE_COLOUR = (0.80, 0.78, 0.75), (0.66, 0.64, 0.62)
 FLOOR_CELLS = 160  # Gaussians along each side of the floor
 LINE_SPACING = 10  # Gaussians
 FLOOR_SIZE = 8.0  # sides of the floor, in sizes of the body
 FOV = 0.55  # [rad]
-ELEVATION, AZIMUTH = 0.33, 0.35  # [rad] of the camera above the floor, and from +z to +x
+CAMERA_ELEVATION, AZIMUTH = 0.33, 0.35  # [rad] of the camera above the floor, and from +z to +x
 FRAMING = 0.9  # what the picture shows to each side, of the body's half diagonal
 
 
@@ -135,7 +135,7 @@ def floor(size: float) -> Gaussians:
     lined = (i % LINE_SPACING == 0) | (k % LINE_SPACING == 0)
     colour = np.where(lined[:, None], LINE_COLOUR, FLOOR_COLOUR)
     far = np.clip(np.hypot(x, z) / (0.45 * FLOOR_SIZE * size), 0, 1)[:, None] ** 2
-    colour = (1 - far) * colour + far * np.array(BACKGROUND)
+    colour = (1 - far) * colour + far * np.array(FLOOR_BACKGROUND)
     n = len(x)
     thin = 1e-3 * size
     return Gaussians.of(
@@ -159,7 +159,7 @@ def drop_scene(asset: Path, cage: np.ndarray, material: Material, drop: float, f
         bodies=[Body(str(file)), Body(str(asset), material, position=tuple(map(float, place)))],
         colliders=[Plane((0, 0, 0), (0, 1, 0), friction=material.friction)],
         light=Light(position=(-1.2 * size, 3.0 * size, 1.6 * size), softness=0.02 * size),
-        background=BACKGROUND,
+        background=FLOOR_BACKGROUND,
         eye=(0.0, size, 2 * size),
         target=(0.0, 0.0, 0.0),
         fov_y=FOV,
@@ -170,6 +170,8 @@ def framing(centre: np.ndarray, extent: np.ndarray, width: int, height: int) -> 
     """A camera that shows a body of `extent` (3,) [m] standing on the floor around `centre` (x and z count)."""
     half = FRAMING * float(np.linalg.norm(extent)) / 2
     target = np.array([centre[0], 0.45 * extent[1], centre[2]])
-    flat = np.cos(ELEVATION)
-    offset = half / np.tan(FOV / 2) * np.array([flat * np.sin(AZIMUTH), np.sin(ELEVATION), flat * np.cos(AZIMUTH)])
+    flat = np.cos(CAMERA_ELEVATION)
+    offset = (
+        half / np.tan(FOV / 2) * np.array([flat * np.sin(AZIMUTH), np.sin(CAMERA_ELEVATION), flat * np.cos(AZIMUTH)])
+    )
     return perspective(width, height, FOV, look_at(target + offset, target))

@@ -15,7 +15,7 @@ from display.xr.swapchains import QuadLayer
 from display.xr.wrist_panel import BUTTONS, PANEL_WIDTH, PIXELS, Button, WristPanel
 
 RATE_INTERVAL = 0.5  # [s] between two readings of the frame rate
-BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
+PANEL_BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
 ACCENT_HOVERED = (252, 194, 116)
 LIGHT_TEXT, DARK_TEXT = (237, 240, 245), (20, 20, 20)
 ACCENT_8BIT, QUIET_8BIT = (tuple(round(255 * c) for c in colour[:3]) for colour in (ACCENT, QUIET))
@@ -140,7 +140,7 @@ def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
     """A button on the panel, (H, W, 3) uint8."""
     _, _, w, h = button.box
     colour = np.float32((ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
-    background = np.float32(BACKGROUND)
+    background = np.float32(PANEL_BACKGROUND)
     picture = (background + rounded_rectangle(w, h) * (colour - background) + 0.5).astype(np.uint8)
     left = (w - text_width(button.name.capitalize(), LABEL_SIZE)) // 2 - 4
     write(picture, button.name.capitalize(), left, h // 2, LABEL_SIZE, DARK_TEXT if lit else LIGHT_TEXT)
@@ -151,7 +151,7 @@ def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
 def empty_panel() -> np.ndarray:
     """The panel without anything on it, (H, W, 4) uint8."""
     alpha = rounded_rectangle(*PIXELS)
-    return (np.concatenate([alpha * np.float32(BACKGROUND), 255.0 * alpha], axis=2) + 0.5).astype(np.uint8)
+    return (np.concatenate([alpha * np.float32(PANEL_BACKGROUND), 255.0 * alpha], axis=2) + 0.5).astype(np.uint8)
 
 
 def warm_up() -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MIN_REST_DISTANCE = 5.0  # [max. displacement of a substep, half an edge]: points closer at rest do not collide
 MIN_LENGTH = 5.0  # [edges]; a shorter body has no two ends that far apart that could still meet
-SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
+SHAPE_SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 
 
 @ti.data_oriented
@@ -44,7 +44,7 @@ class SelfCollision:
     def __init__(self, state: "State", blocks, bounds: "BodyBounds"):
         self.state, self.blocks, self.bounds = state, blocks, bounds
         group, B = FieldGroup(), MAX_BODIES
-        self.sums, self.total = group.scalar(blocks.size, SUMS), group.scalar(B, SUMS)
+        self.sums, self.total = group.scalar(blocks.size, SHAPE_SUMS), group.scalar(B, SHAPE_SUMS)
         self.self_colliding, self.disabled = group.scalar(B, dtype=ti.i32), group.scalar(B, dtype=ti.i32)
         self.search_distance, self.residual, self.speed_residual = (group.scalar(B) for _ in range(3))
         self.fit, self.gradient = group.matrix(B), group.matrix(B)
@@ -76,8 +76,8 @@ class SelfCollision:
             span = c.span[j]
             if span[1] > span[0]:
                 self._sum(j, span)
-        for bk in range(MAX_BODIES * SUMS):
-            b, k = bk // SUMS, bk % SUMS
+        for bk in range(MAX_BODIES * SHAPE_SUMS):
+            b, k = bk // SHAPE_SUMS, bk % SHAPE_SUMS
             value = 0.0
             for j in range(c.begin[b], c.begin[b + 1]):
                 value += self.sums[j, k]
@@ -140,7 +140,7 @@ class SelfCollision:
     def _fit(self, b):
         """Affine maps of body b from the sums of its blocks."""
         s = self.state
-        total = ti.Vector([self.total[b, k] for k in range(SUMS)])
+        total = ti.Vector([self.total[b, k] for k in range(SHAPE_SUMS)])
         M, first = total[0], s.vertex_begin[b]
         p, P, q = total[1:4] / M, total[4:7] / M, total[7:10] / M
         xx, yy, zz = total[10] - M * P[0] * P[0], total[11] - M * P[1] * P[1], total[12] - M * P[2] * P[2]

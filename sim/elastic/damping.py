@@ -13,7 +13,7 @@ from sim.capacity import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
-SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
+DAMPING_SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
 
 
 @ti.data_oriented
@@ -23,7 +23,7 @@ class Damping:
     def __init__(self, state: State, blocks: ReductionBlocks):
         self.state, self.blocks = state, blocks
         g = self._group = FieldGroup()
-        self.sums, self.total = g.scalar(blocks.size, SUMS), g.scalar(MAX_BODIES, SUMS)
+        self.sums, self.total = g.scalar(blocks.size, DAMPING_SUMS), g.scalar(MAX_BODIES, DAMPING_SUMS)
         self.center = g.vector(MAX_BODIES)  # of mass [m]
         self.velocity = g.vector(MAX_BODIES)  # m/s
         self.omega = g.vector(MAX_BODIES)  # rad/s
@@ -55,13 +55,13 @@ class Damping:
                 self.sums[j, 9 + k] = square[k]
                 self.sums[j, 12 + k] = mixed[k]
         ti.loop_config(serialize=s.serial)
-        for bk in range(MAX_BODIES * SUMS):
-            b, k = bk // SUMS, bk % SUMS
+        for bk in range(MAX_BODIES * DAMPING_SUMS):
+            b, k = bk // DAMPING_SUMS, bk % DAMPING_SUMS
             self.total[b, k] = c.sum(self.sums, b, k)
         ti.loop_config(serialize=s.serial)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
-                total = ti.Vector([self.total[b, k] for k in range(SUMS)])
+                total = ti.Vector([self.total[b, k] for k in range(DAMPING_SUMS)])
                 M = s.prescribed_mass[b] if s.prescribed_mass[b] > 0.0 else s.body_mass[b]
                 d = total[0:3] / M
                 v = total[3:6] / M

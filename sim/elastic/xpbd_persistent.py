@@ -17,7 +17,7 @@ from sim.model import Model
 from sim.state import State
 
 BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
-LANES = 8  # threads that share the tets of a vertex
+LANES_PER_VERTEX = 8  # threads that share the tets of a vertex
 
 
 def multiprocessors() -> int:
@@ -81,7 +81,7 @@ class PersistentXPBD:
 
     @ti.func
     def _gathered(self, i, lane, parity):
-        """Sum of the corrections of vertex i, complete in lane 0 of the LANES threads that share it."""
+        """Sum of the corrections of vertex i, complete in lane 0 of the LANES_PER_VERTEX threads that share it."""
         s = self.state
         g = self.gather
         total = ti.Vector([0.0, 0.0, 0.0])
@@ -92,8 +92,8 @@ class PersistentXPBD:
             k = g.begin[i] + lane
             while k < g.begin[i + 1]:
                 total += g.correction(k, parity, here, mu, lam)
-                k += LANES
-        for half in ti.static([LANES >> (n + 1) for n in range(LANES.bit_length() - 1)]):
+                k += LANES_PER_VERTEX
+        for half in ti.static([LANES_PER_VERTEX >> (n + 1) for n in range(LANES_PER_VERTEX.bit_length() - 1)]):
             for c in ti.static(range(3)):
                 total[c] += ti.simt.warp.shfl_down_f32(ti.u32(0xFFFFFFFF), total[c], half)
         return total
@@ -108,7 +108,7 @@ class PersistentXPBD:
             g.publish(i, 0)
         ti.loop_config(block_dim=BLOCK)
         for thread in range(self.threads):
-            lane, parity, rounds = thread % LANES, 0, 0
+            lane, parity, rounds = thread % LANES_PER_VERTEX, 0, 0
             paired = self._paired()
             begin, end = self._chunk(thread)
             for _ in range(substeps):
@@ -118,7 +118,7 @@ class PersistentXPBD:
                         while k < c.phase_count(0):
                             c.evaluate(k)
                             k += self.threads
-                i = begin + thread % BLOCK // LANES
+                i = begin + thread % BLOCK // LANES_PER_VERTEX
                 while i < end:
                     total = self._gathered(i, lane, parity)
                     if lane == 0 and i < s.vertex_count[None]:
@@ -134,7 +134,7 @@ class PersistentXPBD:
                                 d = c.apply_impulses(i, d)  # clears the sums of the last constraints
                             s.commit(i, d)
                             g.publish(i, 1 - parity)
-                    i += BLOCK // LANES
+                    i += BLOCK // LANES_PER_VERTEX
                 if paired:
                     rounds = self._pairs(thread, rounds, parity)
                 parity = 1 - parity
@@ -155,7 +155,7 @@ class PersistentXPBD:
     @ti.func
     def _chunk(self, thread):
         """The vertices of this thread's block: a run, so that its neighbours are mostly its own; of whole warps."""
-        together = ti.static(32 // LANES)
+        together = ti.static(32 // LANES_PER_VERTEX)
         length = (self.state.vertex_count[None] + self.blocks * together - 1) // (self.blocks * together) * together
         begin = thread // BLOCK * length
         return begin, begin + length

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from display import protocol
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import HandJoints
-from display.xr.panel_layer import BACKGROUND, PanelContent, paint
+from display.xr.panel_layer import PANEL_BACKGROUND, PanelContent, paint
 from display.xr.poses import pose_matrix
 from display.xr.wrist_panel import (
     BUTTONS,
@@ -260,7 +260,7 @@ def test_its_picture_is_readable_and_says_what_is_on():
         assert (inside[8, w // 2] > [200, 120, 0]).all() == (b.name == "physics")
         outside = inside[:, [2, w - 3]].mean(2)
         assert abs(outside[h // 2].mean() - inside[8, w // 2].mean()) < 3, f"{b.name}'s letters reach its edge"
-    assert (plain[6, 300, :3] == BACKGROUND).all()
+    assert (plain[6, 300, :3] == PANEL_BACKGROUND).all()
     x, y, w, h = BY_NAME["undo"].box
     changed = (plain != paint(replace(content, hovered="undo"))).any(2)
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()

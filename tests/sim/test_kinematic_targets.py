@@ -194,7 +194,7 @@ def test_what_cannot_be_driven_is_said(place):
     body = where["cantilever"].start
     with pytest.raises(BadInput, match="only pinned vertices"):
         solver.drive_vertices(body, [int(root.max()) + 1], np.zeros((1, 3)))
-    with pytest.raises(BadInput, match="targets of [0-9]+ vertices must be finite"):
+    with pytest.raises(BadInput, match="vertices must be finite"):
         solver.drive_vertices(body, root, np.zeros((1, 3)))
     with pytest.raises(BadInput, match="only a kinematic"):
         solver.drive(body, (0, 0, 0))

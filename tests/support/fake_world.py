@@ -15,6 +15,7 @@ import taichi as ti
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from core.runtime import KERNEL_CACHE
 from display.protocol import Pause, Reset, SetInteraction, SetLight, SingleStep, WorldView, in_order, last_of
 from display.record.codec import NAMES
 from display.timing import Timings

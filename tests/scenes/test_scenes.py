@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import scenes
@@ -16,8 +17,9 @@ from core.camera import look_at, perspective
 from core.material import Material
 from display.picture import pixels_of
 from display.protocol import Frame, Reset, SetLight, Undo
-from scenes import registry
-from scenes.scene import Body, Light, Plane, Scene
+from scenes import registry, ring_toss
+from scenes.dining_table import BOTTLE
+from scenes.scene import Body, BodyState, Light, Plane, Scene
 from vrgs import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,6 +54,13 @@ def test_the_scripted_hand_wins_the_ring_toss(tmp_path):
     capture = cv2.VideoCapture(str(film))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) >= stats["frames"] // 2
     assert cv2.imread(str(picture)).std() > 20  # a picture, not a flat colour
+
+
+@pytest.mark.parametrize(("held", "height", "score"), [(False, 0.05, 1), (True, 0.05, 0), (False, 0.35, 0)])
+def test_a_ring_scores_around_the_bottle_once_it_is_let_go(held, height, score):
+    game, at = ring_toss.RingToss(), np.array(BOTTLE) + (0.01, height, 0.0)
+    game.update(0.0, [BodyState("ring", at, np.zeros(3), at - 0.08, at + 0.08, np.array([0.0, 1.0, 0.0]), held)])
+    assert game.score == score
 
 
 @pytest.mark.long

@@ -171,7 +171,8 @@ class Embedding:
 
         front = PackedBody(
             zeros(slices * SLICE_LANES), zeros(slices * SLICE_LANES), zeros(slices + 1),
-            zeros(slices * 6 * SLICE_LANES, np.float32), zeros(slots * SLICE_LANES), zeros(slots * 4 * SLICE_LANES, np.float32),
+            zeros(slices * 6 * SLICE_LANES, np.float32), zeros(slots * SLICE_LANES),
+            zeros(slots * 4 * SLICE_LANES, np.float32),
         )  # fmt: skip
         self._copy_front(
             slices, slots, front.target, front.anchor, front.begin, front.rest_cov, front.vertex, front.factor

@@ -10,6 +10,14 @@ from tests.support.runtime import runtime
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
+SLOW = ("display", "scenes", "sim")  # folders that take most of the time
+
+
+def pytest_collection_modifyitems(items):
+    """Start the slow folders first, so that two workers finish at about the same time."""
+    items.sort(key=lambda item: item.path.parent.name not in SLOW)
+
+
 @pytest.fixture(scope="module")
 def ti_cpu():
     """Taichi on the CPU, initialised once a test file: it holds 512 field trees at most, and a solver has thirty.

@@ -32,7 +32,7 @@ RECOVERY_CROSSINGS = 12.0  # time to recover, in crossings of an elastic wave th
 CAPACITY = Capacity(
     vertices=3000, tets=7000, triangles=6000, samples=12000, nodes=2 * MAX_BODIES * GRID_NODES**3, bodies=MAX_BODIES
 )
-# What must hold
+# Requirements
 MAX_DEPTH = 0.03  # [m] of a surface vertex behind floor or wall: a hand presses it there
 INNER_DEPTH = 0.1  # [m] by which inner vertices may be deeper: the surface can be as coarse as one vertex
 GAIN = 0.02  # of kinetic and elastic energy, by rounding and by contacts, between two checks

@@ -106,7 +106,7 @@ class FakeXr:
         if not condition:
             raise getattr(self._real, error)
 
-    # What happens.
+    # Events of the play.
 
     def enter(self, *states: str) -> None:
         """Let the session go through these states."""

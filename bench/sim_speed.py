@@ -17,6 +17,7 @@ import taichi as ti
 from assets.file_access import check_writable
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
+from core.errors import BadInput
 from core.material import Material
 from display.run_stats import write_stats
 from sim.contact.static_shapes import StaticGrid
@@ -37,12 +38,15 @@ TITLES = ("vertices", "tets", "ms / 400", "us / substep", "ms / 90 Hz", "times r
 
 
 def run(args) -> None:
-    """Run the command: measure every scene, print a table, write --json."""
+    """Run the command: measure every scene, print a table, write --json. Raises BadInput."""
     if args.json:
         check_writable(args.json)
+    sizes = args.sizes or list(SINGLE_POINTS)
+    if unknown := [s for s in sizes if s not in SINGLE_POINTS]:
+        raise BadInput(f"bench sim: no size {unknown[0]}; known: {' '.join(SINGLE_POINTS)}")
     rows = []
     print(f"{'scene':28}" + "".join(f" {title:>12}" for title in TITLES), flush=True)
-    for name, bodies, ground, contacts in scenes(args.sizes):
+    for name, bodies, ground, contacts in scenes(sizes):
         row = measure(name, bodies, ground, contacts, frames=args.rounds)
         rows.append(row)
         figures = (row[k] for k in ("median_ms", "us_per_substep", "headset_ms", "simulated_per_second"))

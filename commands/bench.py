@@ -14,6 +14,7 @@ HELP = "measure speed"
 EXAMPLES = ("bench sim --json sim.json",)
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
+    "scene": ("bench.scene_speed", "the solver, real bodies dropped, thrown, squeezed, piled up"),
     "render": ("bench.render_speed", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
     "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
@@ -31,10 +32,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "embedding: number of Gaussians (default 1000000)"
     parser.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help=text)
     parser.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
-    sizes = ("1.7k", "9.3k", "24k", "46k")
-    parser.add_argument(
-        "--sizes", nargs="+", choices=sizes, default=list(sizes), help="sim: numbers of vertices (default: all)"
-    )
+    text = "numbers of vertices; sim: some of 1.7k 9.3k 24k 46k (default: all); scene: any (default: 10k 20k 46k)"
+    parser.add_argument("--sizes", nargs="+", metavar="N", help=text)
+    text = "scene: splats, prepared bodies (.h5), or ball, mug, ring, bunny, capsule (default: these five)"
+    parser.add_argument("--asset", nargs="+", metavar="FILE", help=text)
+    text = "scene: (default: plush rubber wood)"
+    parser.add_argument("--materials", nargs="+", default=["plush", "rubber", "wood"], metavar="NAME", help=text)
+    acts = ("drop", "throw", "squeeze", "stack")
+    parser.add_argument("--acts", nargs="+", choices=acts, default=list(acts), help="scene: (default: all)")
+    parser.add_argument("--frames", type=positive(int), metavar="N", help="scene: a row (default 1000, quick 240)")
+    parser.add_argument("--quick", action="store_true", help="scene: drop, throw and squeeze in one row; 3 s a row")
+    text = "scene: folder of bodies that were made for it (default: in the user's cache)"
+    parser.add_argument("--bodies", type=Path, metavar="DIR", help=text)
     rooms = ("0.305M", "1.313M", "2.526M")
     text = "render: rooms (default: all)"
     parser.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help=text)

@@ -22,7 +22,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
-from sim.contact.response import fingertip_impulse, friction_impulse, min_normal_motion, normal_impulse
+from sim.contact.response import UNBOUNDED, contact_impulse, fingertip_spring, holding_impulse, min_normal_motion
 
 if TYPE_CHECKING:
     from sim.state import State
@@ -149,7 +149,7 @@ class ContactConstraints:
 
     @ti.func
     def solve(self, r, j: ti.template(), integrator: ti.template()):
-        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (see `coulomb_friction`)."""
+        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (`contact_impulse`)."""
         if self.active[r]:
             inv_mass = 0.0
             if ti.static(self.unrolled):
@@ -159,10 +159,9 @@ class ContactConstraints:
                 for e in range(self.vertex_count[r]):
                     inv_mass += self._vertex_inv_mass(r, e, integrator)
             n, old, y, dt = self.normal[r], self.impulse[r], self.relative_motion(r, j, integrator), self.state.dt[None]
-            old_n, y_n = n.dot(old), n.dot(y)
             inv_mass_t = inv_mass
             if ti.static(self.coupled):
-                y_t = y - y_n * n
+                y_t = y - n.dot(y) * n
                 along = y_t / ti.max(y_t.norm(), 1e-20)
                 for e in range(self.body_count[r]):
                     b, arm = self.body[r, e], self.lever_arm[r, e]
@@ -170,12 +169,13 @@ class ContactConstraints:
                     inv_mass += count * self.rigid_bodies.inverse_effective_mass(b, arm, n)
                     inv_mass_t += count * self.rigid_bodies.inverse_effective_mass(b, arm, along)
             if inv_mass > 0.0:
-                new_n = normal_impulse(old_n, y_n, min_normal_motion(self.phi[r], dt), inv_mass)
+                least, compliance, damping, most = min_normal_motion(self.phi[r], dt), 0.0, 1.0, UNBOUNDED
                 if ti.static(self.fingers):  # noqa: SIM102
                     if r >= self.first_finger:
+                        least, compliance, damping = fingertip_spring(self.phi[r], dt)
                         most = self.max_force[r - self.first_finger] * dt * dt
-                        new_n = fingertip_impulse(old_n, self.phi[r], y_n, inv_mass, dt, most)
-                new = new_n * n + friction_impulse(old, n, y, new_n, self.friction[r], inv_mass_t, dt)
+                held = holding_impulse(old, n, y, least, inv_mass, inv_mass_t, compliance, damping, most)
+                new = contact_impulse(held, n, n, inv_mass_t, self.friction[r], dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
 

@@ -10,12 +10,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from sim.contact.response import (
-    CONTACT_STIFFNESS,
-    min_normal_motion,
-    project_contact,
-    project_contact_metric,
-)
+from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, min_normal_motion
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 
 if TYPE_CHECKING:
@@ -92,7 +87,7 @@ class StaticContact:
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    c = project_contact(phi, n, y, friction, s.dt[None])
+                    c = contact_impulse(min_normal_motion(phi, s.dt[None]) * n - y, n, n, 1.0, friction, s.dt[None])
                     y += c
                     correction += c
                     clearance = ti.min(clearance, phi)
@@ -119,12 +114,15 @@ class StaticContact:
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    y = d - s.x_lo[i]
-                    c, f = project_contact_metric(phi, n, y, friction, s.dt[None], H, A, prior, contact_stiffness)
-                    if f.norm_sqr() > 0.0:
-                        d += c
+                    y, A_n = d - s.x_lo[i], A @ n
+                    y_n, w_n = n.dot(y), n.dot(A_n)
+                    lacking = min_normal_motion(phi, s.dt[None]) - y_n
+                    if lacking > 0.0:
+                        most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
+                        holding = H @ (ti.min(lacking, w_n * most) * n - (y - y_n * n))
+                        f = contact_impulse(holding, n, A_n, A.trace() / 3.0, friction, s.dt[None])
+                        d += A @ f
                         force += f
-                        lacking = min_normal_motion(phi, s.dt[None]) - n.dot(y)
                         stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
                     clearance = ti.min(clearance, phi)
                 else:

@@ -6,7 +6,7 @@ displacement / substeps the motion of a sample at c in this substep and r its ra
 
     phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
 
-compliantly and with bounded force (`fingertip_impulse` in sim/contact/response.py). A hand passes through a body that
+compliantly and with bounded force (`fingertip_spring` in sim/contact/response.py). A hand passes through a body that
 it holds, and through one that it has let go until they are apart.
 """
 

@@ -12,7 +12,13 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
-from sim.contact.response import angular_inv_mass, friction_impulse, min_normal_motion, normal_impulse
+from sim.contact.response import (
+    UNBOUNDED,
+    angular_inv_mass,
+    contact_impulse,
+    holding_impulse,
+    min_normal_motion,
+)
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_broad_phase import WORLD
@@ -162,13 +168,13 @@ class RigidContacts:
                                 r_a, r_b = r_b, r_a
                         y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
                         n, old = table.normal[r], table.impulse[r]
-                        y_n = n.dot(y)
-                        y_t = y - y_n * n
+                        y_t = y - n.dot(y) * n
                         u = y_t / ti.max(y_t.norm(), 1e-20)
                         w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
                         w_t = w_a + w_b + angular_inv_mass(r_a, u, I_a) + angular_inv_mass(r_b, u, I_b)
-                        new_n = normal_impulse(n.dot(old), y_n, self._min_normal_motion(r, q, restitution), w_n)
-                        new = new_n * n + friction_impulse(old, n, y, new_n, table.friction[r], w_t, dt)
+                        least = self._min_normal_motion(r, q, restitution)
+                        held = holding_impulse(old, n, y, least, w_n, w_t, 0.0, 1.0, UNBOUNDED)
+                        new = contact_impulse(held, n, n, w_t, table.friction[r], dt)
                         table.impulse[r] = new
                         c = sign * (new - old)
                         d_a += w_a * c

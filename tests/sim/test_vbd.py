@@ -43,62 +43,6 @@ def test_no_tet_has_two_vertices_of_one_colour():
             assert (color[order[begin[c] : begin[c + 1]]] == c).all()
 
 
-def test_a_contact_stops_sticks_and_slides_in_the_metric(ti_cpu):
-    """n . y' is the least; what sticks has no tangential motion, what slides is at the edge of the cone."""
-    ti = ti_cpu
-    from sim.contact.response import CONTACT_SLOP, MIN_COMPLIANCE_RATIO, project_contact_metric
-
-    N, friction = 256, 1.0
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(N, 3, 3))
-    H = root @ np.swapaxes(root, 1, 2) + 0.3 * np.eye(3)
-    y = rng.normal(size=(N, 3))
-    fields = [ti.Matrix.field(3, 3, ti.f32, N) for _ in range(2)] + [ti.Vector.field(3, ti.f32, N) for _ in range(3)]
-    h, a, motion, corrected, force = fields
-    prior = ti.Vector.field(3, ti.f32, ())
-
-    @ti.kernel
-    def solve(firm: ti.f32):
-        for k in range(N):
-            up = ti.Vector([0.0, 1.0, 0.0])
-            corrected[k], force[k] = project_contact_metric(
-                -CONTACT_SLOP, up, motion[k], ti.Vector([friction, friction]), 1e-3, h[k], a[k], prior[None], firm
-            )
-
-    for field, value in ((h, H), (a, np.linalg.inv(H)), (motion, y)):
-        field.from_numpy(value.astype(np.float32))
-    solve(1e9)
-    c, p = corrected.to_numpy(), force.to_numpy()
-    touching = y[:, 1] < 0
-    assert_array_equal(c[~touching], 0)
-    assert_allclose(np.einsum("kij,kj->ki", H, c), p, atol=1e-4 * np.abs(p).max())
-    assert_allclose((y + c)[touching, 1], 0, atol=1e-4)
-    normal, tangential = p[:, 1], np.hypot(p[:, 0], p[:, 2])
-    slides = np.hypot(*(y + c)[:, [0, 2]].T) > 1e-4
-    assert (touching & slides).sum() > 5 and (touching & ~slides).sum() > 5
-    assert (tangential[touching & ~slides] <= friction * normal[touching & ~slides] * (1 + 1e-4)).all()
-    A, u = np.linalg.inv(H), y * [1, 0, 1]
-    u /= np.linalg.norm(u, axis=1)[:, None]
-    most = (
-        (1 - MIN_COMPLIANCE_RATIO) * A[:, 1, 1] / np.maximum(np.einsum("ki,ki->k", A[:, 1], u), 1e-9)
-    )  # else it would jam
-    cone = touching & slides & (tangential > 1e-6)
-    assert (most[cone] < friction).any() and (most[cone] > friction).any()
-    assert_allclose(tangential[cone], np.minimum(friction, most)[cone] * normal[cone], rtol=1e-3)
-    assert (normal[touching] < -y[touching, 1] / (MIN_COMPLIANCE_RATIO * A[touching, 1, 1]) * 1.001)[
-        slides[touching]
-    ].all()
-    assert ((p * y)[cone][:, [0, 2]].sum(1) < 0).all()
-    # A push that begins has at most a given stiffness; one that was there before goes on.
-    for before in (0.0, 0.2):
-        prior[None] = (0.0, before, 0.0)
-        solve(0.5)
-        raised, gap = corrected.to_numpy()[:, 1], np.maximum(-y[:, 1], 0)
-        most = A[:, 1, 1] * (before * touching + 0.5 * gap)
-        assert 20 < (touching & (most < gap)).sum() < touching.sum()
-        assert_allclose(raised, np.minimum(gap, most), rtol=1e-3, atol=1e-5)
-
-
 class Twin:
     """Float64 twin of one body's substep problem."""
 

@@ -1,0 +1,180 @@
+"""The contact law: against its float64 twin, and what must hold of every contact whatever its effective mass."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from tests.support.reference_contact import contact_impulse, dot, holding_impulse, split
+
+N, DT = 512, 1e-3
+FRICTIONS = [0.0, 0.3, 1.0]
+
+
+def random_contacts(seed: int = 3) -> dict[str, np.ndarray]:
+    """Normals n, motions y, impulses before, and effective masses H = A^-1, from nearly isotropic to 100 : 1."""
+    rng = np.random.default_rng(seed)
+    n = rng.normal(size=(N, 3))
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    turns = Rotation.random(N, rng).as_matrix()
+    H = np.einsum("kij,kj,klj->kil", turns, 10.0 ** rng.uniform(-1, 1, (N, 3)), turns)
+    y, old = rng.normal(size=(N, 3)), rng.normal(size=(N, 3))
+    return {"n": n, "y": y, "old": old, "H": H, "A": np.linalg.inv(H), "w": rng.uniform(0.5, 2.0, (N, 2))}
+
+
+@pytest.fixture(scope="module")
+def device(ti_cpu):
+    """The law on the device: impulse(n, holding, A, mu_s, mu_k), and held(n, y, old, w, least, spring)."""
+    ti = ti_cpu
+    from sim.contact.response import contact_impulse, holding_impulse, min_normal_motion
+
+    n, vector, other, out = (ti.Vector.field(3, ti.f32, N) for _ in range(4))
+    matrix, pair = ti.Matrix.field(3, 3, ti.f32, N), ti.Vector.field(2, ti.f32, N)
+    scalar, spring = ti.field(ti.f32, N), ti.Vector.field(3, ti.f32, ())
+
+    @ti.kernel
+    def solve(mu_s: ti.f32, mu_k: ti.f32):
+        for k in range(N):
+            A = matrix[k]
+            out[k] = contact_impulse(vector[k], n[k], A @ n[k], A.trace() / 3.0, ti.Vector([mu_s, mu_k]), DT)
+
+    @ti.kernel
+    def hold(least: ti.f32):
+        for k in range(N):
+            c = spring[None]
+            out[k] = holding_impulse(other[k], n[k], vector[k], least, pair[k][0], pair[k][1], c[0], c[1], c[2])
+
+    @ti.kernel
+    def least_motion():
+        for k in range(N):
+            scalar[k] = min_normal_motion(scalar[k], DT)
+
+    def take(**values):
+        fields = {"n": n, "vector": vector, "other": other, "matrix": matrix, "pair": pair, "scalar": scalar}
+        for name, value in values.items():
+            fields[name].from_numpy(value.astype(np.float32))
+
+    class Device:
+        @staticmethod
+        def impulse(normals, holding, A, mu_s, mu_k=None):
+            take(n=normals, vector=holding, matrix=A)
+            solve(mu_s, mu_s if mu_k is None else mu_k)
+            return out.to_numpy().astype(np.float64)
+
+        @staticmethod
+        def held(normals, y, old, w, least, compliance=0.0, damping=1.0, most=1e30):
+            take(n=normals, vector=y, other=old, pair=w)
+            spring[None] = (compliance, damping, most)
+            hold(least)
+            return out.to_numpy().astype(np.float64)
+
+        @staticmethod
+        def least_motion(phi):
+            take(scalar=phi)
+            least_motion()
+            return scalar.to_numpy().astype(np.float64)
+
+    return Device
+
+
+def solved(device, friction: float, least: float = 0.0):
+    """Random contacts, what would hold them, their impulses, and the motions after."""
+    c = random_contacts()
+    y_n, y_t = split(c["y"], c["n"])
+    holding = np.einsum("kij,kj->ki", c["H"], (least - y_n)[:, None] * c["n"] - y_t)
+    p = device.impulse(c["n"], holding, c["A"], friction)
+    return c, holding, p, c["y"] + np.einsum("kij,kj->ki", c["A"], p)
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_impulses_are_those_of_the_twin(device, friction):
+    c, holding, p, _ = solved(device, friction)
+    scale = np.linalg.norm(holding, axis=1).max()
+    assert_allclose(p, contact_impulse(holding, c["n"], c["A"], friction), atol=2e-5 * scale)
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+@pytest.mark.parametrize("least", [-0.3, 0.0, 0.2])
+def test_nothing_penetrates_and_nothing_is_pulled(device, friction, least):
+    """Signorini: n . y' >= least, n . p >= 0, and one of the two is an equality."""
+    c, _, p, after = solved(device, friction, least)
+    normal, excess = dot(p, c["n"]), dot(after, c["n"]) - least
+    assert normal.min() >= 0.0 and excess.min() > -1e-4
+    assert np.minimum(normal, excess).max() < 1e-4
+    assert (normal > 0).sum() > 100 and (normal == 0).sum() > 100
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_contacts_stick_in_coulombs_cone_or_slide_on_its_edge(device, friction):
+    c, _, p, after = solved(device, friction)
+    normal, tangential = split(p, c["n"])
+    size, slip = np.linalg.norm(tangential, axis=1), np.linalg.norm(split(after, c["n"])[1], axis=1)
+    touching = normal > 0
+    assert (size <= friction * normal + 1e-4).all()
+    sticks, slides = touching & (slip < 1e-4), touching & (slip > 1e-3)
+    assert (sticks | slides)[touching].all()
+    assert slides.sum() > 20 and (sticks.sum() > 20 or friction < 1.0)
+    assert_allclose(size[slides], friction * normal[slides], rtol=1e-3, atol=1e-5)
+    power = dot(tangential, after)
+    assert (power[slides] < 1e-5).all()  # friction never drives
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_energy_is_only_taken_and_no_push_is_larger_than_what_holds(device, friction):
+    """Whatever the coupling: a stiff vertex that can slide only if it rises is neither jammed nor thrown."""
+    c, holding, p, after = solved(device, friction)
+    before, now = (0.5 * np.einsum("ki,kij,kj->k", y, c["H"], y) for y in (c["y"], after))
+    assert (now <= before * (1 + 1e-4)).all()
+    A_n = np.einsum("kij,kj->ki", c["A"], c["n"])
+    frictionless = dot(A_n, holding) / dot(A_n, c["n"])
+    most = np.maximum(frictionless, dot(holding, c["n"]))
+    assert (dot(p, c["n"]) <= np.maximum(most, 0) * (1 + 1e-4) + 1e-5).all()
+
+
+def test_a_turned_world_has_the_turned_impulses(device):
+    c, holding, p, _ = solved(device, 0.5)
+    R = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    turned = device.impulse(c["n"] @ R.T, holding @ R.T, R @ c["A"] @ R.T, 0.5)
+    assert_allclose(turned, p @ R.T, atol=2e-4 * np.abs(p).max())
+
+
+def test_friction_falls_from_the_static_to_the_kinetic_coefficient(device):
+    """At the cone's edge mu_s holds what mu_k would not; at 1 m/s of slip mu_k is left, and a mean between."""
+    from sim.contact.response import KINETIC_FRICTION_SPEED
+
+    n = np.tile([0.0, 1.0, 0.0], (N, 1))
+    slip = np.linspace(0, 2 * KINETIC_FRICTION_SPEED * DT, N)
+    holding = np.stack([0.5e-3 + slip, np.full(N, 1e-3), 0 * slip], axis=1)  # mu_s n . p is 0.5e-3
+    p = device.impulse(n, holding, np.tile(np.eye(3), (N, 1, 1)), 0.5, 0.2)
+    mu = 0.5 - 0.3 * np.minimum(slip / (KINETIC_FRICTION_SPEED * DT), 1)
+    assert_allclose(p[:, 0], 1e-3 * mu, rtol=1e-3)
+    assert_allclose(p[:, 1], 1e-3, rtol=1e-5)
+
+
+@pytest.mark.parametrize("spring", [(0.0, 1.0, 1e30), (0.7, 5.0, 1e30), (0.7, 5.0, 0.1)])
+def test_holding_impulses_are_those_of_the_twin(device, spring):
+    c = random_contacts()
+    p = device.held(c["n"], c["y"], c["old"], c["w"], 0.1, *spring)
+    expected = holding_impulse(c["old"], c["n"], c["y"], 0.1, *c["w"].T, *spring)
+    assert_allclose(p, expected, atol=1e-5)
+
+
+def test_a_rigid_holding_impulse_leaves_the_least_motion(device):
+    c = random_contacts()
+    p = device.held(c["n"], c["y"], c["old"], c["w"], 0.1)
+    (n, t), (w_n, w_t) = split(p - c["old"], c["n"]), c["w"].T
+    after = c["y"] + (w_n * n)[:, None] * c["n"] + w_t[:, None] * t
+    assert_allclose(after, 0.1 * c["n"], atol=1e-5)
+
+
+def test_the_least_motion_closes_gaps_rests_in_the_slop_and_recovers_slowly(device):
+    from sim.contact.response import CONTACT_SLOP, MAX_RECOVERY_SPEED
+
+    phi = np.linspace(-0.05, 0.01, N)
+    least = device.least_motion(phi)
+    apart, deep = phi > 0, phi < -2 * CONTACT_SLOP
+    assert_allclose(least[apart], -(phi + CONTACT_SLOP)[apart], rtol=1e-4)  # it may come to the slop, not further
+    assert (least[~apart] >= 0).all() and least.max() <= MAX_RECOVERY_SPEED * DT * 1.0001
+    assert (phi + least)[deep].max() < 1e-9 and (np.diff(least[deep]) < 1e-9).all()  # the deeper, the faster
+    at_rest = device.least_motion(np.linspace(-2 * CONTACT_SLOP, 0, N))
+    assert_allclose(at_rest, 0, atol=1e-9)

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     acts = ("drop", "throw", "squeeze", "stack")
     parser.add_argument("--acts", nargs="+", choices=acts, default=list(acts), help="scene: (default: all)")
     parser.add_argument("--frames", type=positive(int), metavar="N", help="scene: a row (default 1000, quick 240)")
-    parser.add_argument("--quick", action="store_true", help="scene: drop, throw and squeeze in one row; 3 s a row")
+    parser.add_argument("--quick", action="store_true", help="scene: drop, throw and squeeze in one row; 2 s a row")
     text = "scene: folder of bodies that were made for it (default: in the user's cache)"
     parser.add_argument("--bodies", type=Path, metavar="DIR", help=text)
     rooms = ("0.305M", "1.313M", "2.526M")

@@ -130,4 +130,5 @@ def test_the_command_measures_and_writes_rows(folder, shape, tmp_path, capsys):
     assert (row["asset"], row["acts"], row["material"], row["frames"]) == ("ball", "stack", "plush", 3)
     assert row["bodies"] == 2 and abs(row["vertices"] / row["size"] - 1) < 0.15
     assert 0 < row["median_ms"] <= row["p99_ms"] <= row["worst_ms"] and row["integrator"] in ("xpbd", "vbd")
-    assert "ball" in capsys.readouterr().out
+    assert row["sound"]
+    assert f"| 0.6k | 2 | {row['median_ms']:.2f} ({row['worst_ms']:.2f}) |" in capsys.readouterr().out

@@ -18,6 +18,18 @@ SPEED_GROWTH = 1.2  # by which vertices may exceed the fastest of now until the 
 MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has exploded
 
 
+@ti.func
+def outside_box(low, high, x):
+    """How far [m] x is outside of a box along the axis where that is most; negative inside."""
+    return ti.max(low - x, x - high).max()
+
+
+@ti.func
+def gap_of_boxes(low, high, other_low, other_high):
+    """Gap [m] between two boxes along the axis where it is largest; negative where they overlap."""
+    return ti.max(low - other_high, other_low - high).max()
+
+
 @ti.data_oriented
 class BodyBounds:
     """Per body: box of positions low, high vec3[B] [m], and of velocities v_min, v_max vec3[B] [m/s].

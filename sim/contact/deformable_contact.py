@@ -11,15 +11,16 @@ and the contact acts on the sample with its weights, and on the tet's corners wi
 from typing import TYPE_CHECKING
 
 import taichi as ti
+from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid
-from core.fields import FieldGroup, Upload
+from core.fields import FieldGroup
 from scenes.scene import Capsule
 from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.contact.contact_samples import CapsuleSamples
 from sim.contact.nearest_tet import NearestTets
-from sim.contact.signed_distance import DistanceGrids, grid_of, known, margin_of, usable_normal
-from sim.contact.tet_geometry import MIN_WEIGHT, deformed_gradient, rest_coordinates
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known, usable_normal
+from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
@@ -38,10 +39,7 @@ NORMAL_STEPS = 2.0**20  # of a unit normal in integer sums, which do not depend 
 
 @ti.data_oriented
 class DeformableContact:
-    """Contact of points and tets of other bodies: constraint begin + p for point p of sim/contact/nearest_tet.py.
-
-    grid_margin f32[B] [m]: distance around a body that its grid surely covers
-    """
+    """Contact of points and tets of other bodies: constraint begin + p for point p of sim/contact/nearest_tet.py."""
 
     def __init__(
         self,
@@ -64,10 +62,6 @@ class DeformableContact:
         self.grids = DistanceGrids(self._grids(first), capacity)
         self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision)
         self.normals = VertexNormals(state)
-        self._group = FieldGroup()
-        self.grid_margin = self._group.scalar(MAX_BODIES)
-        self._group.build()
-        self._upload = Upload([self.grid_margin])
 
     def _grids(self, model: "Model") -> list[DistanceGrid]:
         return [s.once(grid_of) for s in model.shapes] if self.needed or self.rigid else []
@@ -85,7 +79,6 @@ class DeformableContact:
             self.grids.load(self._grids(model))
         if self.needed:
             self.hosts.load(model)
-            self._upload([[s.once(margin_of) for s in model.shapes]])
 
     @property
     def size(self) -> int:
@@ -99,48 +92,75 @@ class DeformableContact:
             self.hosts.find(constraints, self.begin)
 
     @ti.func
+    def distance(self, t, x):
+        """Signed distance of the body of tet t at a point x in or near it, by the equations above.
+
+        Returns whether the tet has enough volume for that; phi [m], UNKNOWN_DISTANCE without a usable gradient, and n;
+        the weights b in the tet; the rest position X [m], and how far [m] that is outside the body's grid.
+        """
+        phi, normal, beyond = UNKNOWN_DISTANCE, vec3(0.0), 0.0
+        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(self.state, t, x)
+        if thick:
+            rest_phi, N, beyond = self.grids.extrapolated(self.state.body_of_tet[t], X)
+            gradient = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
+            if usable_normal(rest_phi, N, gradient):
+                length = gradient.norm()
+                phi, normal = rest_phi * N.norm() / length, gradient / length
+        return thick, phi, normal, b, X, beyond
+
+    @ti.func
     def evaluate(self, r, constraints: ti.template()):
         """Update constraint r's distance, normal and vertices; whether the host's grid has a distance there."""
         s = self.state
         p = r - self.begin
         sampled = p < self.samples.count[None]
         t = self.hosts.host[p]
-        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(s, t, self.hosts.position(p))
+        thick, phi, normal, b, X, beyond = self.distance(t, self.hosts.position(p))
         usable = constraints.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
         if thick:
             host = s.body_of_tet[t]
             closing_speed = self.bounds.max_speed[host]
-            if sampled:
+            usable = known(phi)
+            if usable and sampled:
                 closing_speed += self.bounds.max_speed[self.samples.body[p]]
-            phi, N = self.grids.sample(host, X)
-            normal = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
-            length, slope = normal.norm(), N.norm()
-            usable = usable_normal(phi, N, normal)
-            facing = MAX_FACING_COSINE * length
-            if usable and sampled and self.samples.blend(p, self.normals.normal).dot(normal) > facing:
-                usable = False
-                constraints.postpone(r, phi * slope / length, closing_speed)
-            if ti.static(self.self_collides):
-                min_distance = 0.5 * self.self_collision.min_rest_distance(host)
-                if usable and sampled and self.samples.body[p] == host:
-                    closing_speed = self.self_collision.closing_speed(host)
-                    distance = (X - self.samples.blend(p, s.rest)).norm()
-                    if distance < min_distance:  # it is just where it belongs
-                        usable = False
-                        constraints.postpone(r, min_distance - distance, closing_speed)
-            self._walk(p, t, b)
+                if beyond > 0.0:  # phi is an estimate there
+                    usable = False
+                    constraints.postpone(r, beyond, closing_speed)
+                elif self.samples.blend(p, self.normals.normal).dot(normal) > MAX_FACING_COSINE:
+                    usable = False
+                    constraints.postpone(r, phi, closing_speed)
+                if ti.static(self.self_collides):
+                    min_distance = 0.5 * self.self_collision.min_rest_distance(host)
+                    if usable and self.samples.body[p] == host:
+                        closing_speed = self.self_collision.closing_speed(host)
+                        distance = (X - self.samples.blend(p, s.rest)).norm()
+                        if distance < min_distance:  # it is just where it belongs
+                            usable = False
+                            constraints.postpone(r, min_distance - distance, closing_speed)
+            self.hosts.host[p] = self.hosts.next_host(t, b)
             if usable:
-                b = ti.max(b, 0.0)
-                self._fill(r, p, t, b / b.sum(), phi * slope / length, normal / length, closing_speed, constraints)
-            elif not known(phi):  # outside the grid, which ends outside the body
-                constraints.postpone(r, self.grid_margin[host] + self.grids.box_distance(host, X), closing_speed)
+                self._fill(r, p, t, b, phi, normal, closing_speed, constraints)
         return usable
+
+    @ti.func
+    def set_host(self, r, first, t, b, normal, constraints: ti.template()):
+        """Make the corners of tet t, with weights b, the last vertices of constraint r, from its `first`.
+
+        Returns what of the distance their x_lo take [m].
+        """
+        s = self.state
+        a, weight, low = s.tets[t], ti.max(b, 0.0), 0.0
+        weight /= weight.sum()
+        for j in ti.static(range(4)):
+            low += weight[j] * normal.dot(s.x_lo[a[j]])
+            constraints.set_vertex(r, first + j, a[j], -weight[j])
+        constraints.set_vertex_count(r, first + 4)
+        return low
 
     @ti.func
     def _fill(self, r, p, t, b, distance, normal, closing_speed, constraints: ti.template()):
         """Write constraint r: point p at a distance [m] from the body of tet t, with weights b in the tet."""
         s = self.state
-        a = s.tets[t]
         host = s.body_of_tet[t]
         phi, friction, first = distance, s.frictions(host), 0
         if p < self.samples.count[None]:
@@ -155,21 +175,10 @@ class DeformableContact:
                     constraints.set_body(r, 0, body, self.samples.blend(p, s.x), 1.0)
                     constraints.body_count[r], first = 1, 0
         else:
-            phi -= ti.min(self.hosts.radius(p), self.grid_margin[host])
+            phi -= self.hosts.radius(p)
             friction *= self.capsules.friction[p - self.samples.count[None]]
-        for j in ti.static(range(4)):
-            phi -= b[j] * normal.dot(s.x_lo[a[j]])
-            constraints.set_vertex(r, first + j, a[j], -b[j])
-        constraints.set_vertex_count(r, first + 4)
+        phi -= self.set_host(r, first, t, b, normal, constraints)
         constraints.set_contact(r, phi, normal, ti.sqrt(friction), closing_speed)
-
-    @ti.func
-    def _walk(self, p, t, b):
-        """From the next substep on, point p belongs to the tet across the face that it lies furthest outside of."""
-        if b.min() < MIN_WEIGHT:
-            for j in ti.static(range(4)):
-                if b[j] == b.min() and self.hosts.neighbor[t][j] >= 0:
-                    self.hosts.host[p] = self.hosts.neighbor[t][j]
 
 
 @ti.data_oriented

@@ -13,10 +13,19 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
-from sim.contact.broad_phase import CONTACT_MARGIN, PointHash
+from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.contact_samples import MAX_CAPSULES
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
-from sim.contact.tet_geometry import NO_TET, distance_outside, face_normals, tet_key, tet_neighbors, tet_of_key
+from sim.contact.tet_geometry import (
+    MIN_WEIGHT,
+    NO_TET,
+    distance_outside,
+    face_normals,
+    tet_edges,
+    tet_key,
+    tet_neighbors,
+    tet_of_key,
+)
 
 if TYPE_CHECKING:
     from sim.body_model import RestShape
@@ -85,6 +94,15 @@ class NearestTets:
         else:
             x = self.capsules.position[p - n]
         return x
+
+    @ti.func
+    def next_host(self, t, b):
+        """Where to look in the next substep for a point of weights b in tet t: across the worst face that leads on."""
+        result, worst = t, MIN_WEIGHT
+        for j in ti.static(range(4)):
+            if b[j] < worst and self.neighbor[t][j] >= 0:
+                result, worst = self.neighbor[t][j], b[j]
+        return result
 
     @ti.func
     def radius(self, p):
@@ -191,7 +209,7 @@ class NearestTets:
                 if meets:
                     box_low, box_high = ti.min(box_low, part_low), ti.max(box_high, part_high)
                     max_distance = ti.max(max_distance, approach)
-        x0, e1, e2, e3 = self._edges(t)
+        x0, e1, e2, e3 = tet_edges(s, t)
         if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
             first, last = h.cell_range(box_low, box_high)
@@ -201,7 +219,7 @@ class NearestTets:
                         bucket = h.bucket_of(ti.Vector([i, j, k]))
                         for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
                             x = h.position[e]
-                            if (box_low - x).max() <= 0.0 and (x - box_high).max() <= 0.0:
+                            if outside_box(box_low, box_high, x) <= 0.0:
                                 outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
                                 p = h.entry[e]
                                 if outside < max_distance and self._may_collide(p, t, body):
@@ -224,7 +242,7 @@ class NearestTets:
         for b in range(s.body_count[None]):
             if b != g and self.max_approach[b, g] > self._near(g):
                 low, high, _meets, _approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
-                if (low - x).max() <= 0.0 and (x - high).max() <= 0.0:
+                if outside_box(low, high, x) <= 0.0:
                     first, n = s.tet_begin[b], s.tet_begin[b + 1] - s.tet_begin[b]
                     count = ti.min(n, SEEDS)  # none of a rigid body
                     for k in range(count):
@@ -262,16 +280,9 @@ class NearestTets:
         return ti.min(x0, x1, x2, x3), ti.max(x0, x1, x2, x3), v_min, v_max
 
     @ti.func
-    def _edges(self, t):
-        """Corner 0 of tet t, and the edges from it."""
-        s, a = self.state, self.state.tets[t]
-        x0 = s.x[a[0]]
-        return x0, s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
-
-    @ti.func
     def _outside(self, t, x):
         """Distance [m] of x beyond the worst face of tet t, 0 inside; UNKNOWN_DISTANCE if the tet is inverted."""
-        x0, e1, e2, e3 = self._edges(t)
+        x0, e1, e2, e3 = tet_edges(self.state, t)
         result = UNKNOWN_DISTANCE
         if e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)

@@ -110,6 +110,24 @@ class DistanceGrids:
             gradient = ti.Vector([c1 - c0, ti.math.mix(c01 - c00, c11 - c10, f[0]), gz]) / self.spacing[k]
         return phi, gradient
 
+    @ti.func
+    def extrapolated(self, k, p):
+        """As `sample`, and outside the grid by way of its nearest point; and how far [m] p is outside.
+
+        With e the nearest point of the grid, e - phi grad phi is on the surface: phi is the distance from p to there.
+        """
+        low = self.origin[k]
+        high = low + self.spacing[k] * ti.cast(self.dims[k] - 1, ti.f32)
+        inset = vec3(1e-3 * self.spacing[k])  # rounding must not put it outside again
+        edge = ti.min(ti.max(p, low + inset), high - inset)
+        phi, gradient = self.sample(k, edge)
+        beyond = self.box_distance(k, p)
+        if known(phi) and beyond > 0.0:
+            total = p - edge + ti.max(phi, 0.0) * gradient / ti.max(gradient.norm(), 1e-9)
+            phi = total.norm()
+            gradient = total / ti.max(phi, 1e-9)
+        return phi, gradient, beyond
+
 
 def distinct(grids: list[DistanceGrid]) -> list[DistanceGrid]:
     """The grids without repetitions."""
@@ -200,9 +218,3 @@ def grid_of(shape: "RestShape") -> DistanceGrid:
     if shape.root is not shape:
         return shape.root.once(grid_of).scaled(shape.factor)
     return rest_grid(shape.vertices, shape.solid, shape.surface)
-
-
-def margin_of(shape: "RestShape") -> float:
-    """Distance [m] around the surface that the grid of a rest shape surely covers: the least on its outermost nodes."""
-    v = np.asarray(shape.once(grid_of).values, np.float64)
-    return float(max(0.0, min(face.min() for k in range(3) for face in (v.take(0, k), v.take(-1, k)))))

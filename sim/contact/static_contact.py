@@ -44,7 +44,7 @@ class StaticContact:
         margin = self.bounds.max_speed[self.samples.body[p]] * self.state.detect_dt[None]
         x, n = self.samples.blend(p, self.state.x), 0
         for k in range(count):
-            if self.shapes.within(k, x, margin - self.samples.skin[p]):
+            if known(self.shapes.distance_within(k, x, margin - self.samples.skin[p])):
                 if n < MAX_NEAR:
                     self.near[p, n] = k
                     n += 1

@@ -11,6 +11,7 @@ from core.errors import BadInput
 from core.fields import FieldGroup
 from core.rotation import matrices_from_quaternions
 from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
+from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
 
 PLANE, CAPSULE, BOX, GRID = range(4)
@@ -83,28 +84,15 @@ class StaticShapes:
             field[k] = [float(c) for c in value]
 
     @ti.func
-    def within(self, k, p, margin):
-        """True if shape k may be closer to p than margin [m]: tested by boxes, then by the distance."""
-        near = False
-        if (self.low[k] - p).max() < margin and (p - self.high[k]).max() < margin:
-            if self.kind[k] == GRID:
-                q = self._to_grid(k, p)
-                outside = self.grids.box_distance(self.grid[k], q)
-                phi, _ = self.grids.sample(self.grid[k], q)
-                near = outside * self.scale[k] < margin and (outside > 0.0 or phi * self.scale[k] < margin)
-            else:
-                phi, _ = self.distance(k, p)
-                near = phi < margin
-        return near
-
-    @ti.func
-    def lower_bound(self, k, p):
-        """Distance [m] from p to shape k, or to the box of its grid if p is outside; may be UNKNOWN_DISTANCE."""
-        phi, _ = self.distance(k, p)
-        if self.kind[k] == GRID and not known(phi):
-            outside = self.grids.box_distance(self.grid[k], self._to_grid(k, p)) * self.scale[k]
-            phi = outside if outside > 0.0 else phi
-        return phi
+    def distance_within(self, k, p, margin):
+        """Distance [m] from p to shape k, or to its grid's box from outside; UNKNOWN_DISTANCE unless below margin."""
+        phi = UNKNOWN_DISTANCE
+        if outside_box(self.low[k], self.high[k], p) < margin:
+            phi, _ = self.distance(k, p)
+            if self.kind[k] == GRID and not known(phi):
+                outside = self.grids.box_distance(self.grid[k], self._to_grid(k, p)) * self.scale[k]
+                phi = outside if outside > 0.0 else phi
+        return phi if phi < margin else UNKNOWN_DISTANCE
 
     @ti.func
     def distance(self, k, p):
@@ -125,17 +113,6 @@ class StaticShapes:
         else:
             phi, normal = self._grid_distance(k, p)
         return phi, normal
-
-    @ti.func
-    def nearest(self, p):
-        """Signed distance [m], outward unit normal and friction of the shape that is nearest to p (or deepest)."""
-        phi, normal, friction = UNKNOWN_DISTANCE, vec3(0.0), 0.0
-        for k in range(self.count[None]):
-            if (self.low[k] - p).max() < phi and (p - self.high[k]).max() < phi:
-                d, n = self.distance(k, p)
-                if d < phi:
-                    phi, normal, friction = d, n, self.friction[k]
-        return phi, normal, friction
 
     @ti.func
     def _to_grid(self, k, p):

@@ -16,7 +16,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
-from sim.contact.broad_phase import CONTACT_MARGIN
+from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.elastic.energy import energy_density
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class SweptBounds:
         result = self.impact_speed[now, b]
         for c in range(s.body_count[None]):
             margin = (self.impact_speed[now, b] + self.impact_speed[now, c]) * t + CONTACT_MARGIN
-            apart = ti.max(box.low[b] - box.high[c], box.low[c] - box.high[b]).max()
+            apart = gap_of_boxes(box.low[b], box.high[b], box.low[c], box.high[c])
             if c != b and apart < margin:
                 transfer = 2.0 * s.body_mass[c] / (s.body_mass[b] + s.body_mass[c])
                 result = ti.max(result, transfer * self.impact_speed[now, c])

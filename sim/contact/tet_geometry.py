@@ -9,6 +9,14 @@ NO_TET = 2**62  # a key above those of all tets
 
 
 @ti.func
+def tet_edges(s: ti.template(), t):
+    """Corner 0 of tet t of the state s, and the edges from it [m]."""
+    a = s.tets[t]
+    x0 = s.x[a[0]]
+    return x0, s.x[a[1]] - x0, s.x[a[2]] - x0, s.x[a[3]] - x0
+
+
+@ti.func
 def face_normals(e1, e2, e3):
     """Outward unit normals of a tet's faces, each opposite its corner; e1, e2, e3 are its edges from corner 0."""
     n1, n2, n3 = -e2.cross(e3).normalized(), -e3.cross(e1).normalized(), -e1.cross(e2).normalized()

@@ -11,7 +11,7 @@ import taichi as ti
 from core.fields import FieldGroup, Upload
 from scenes.scene import Hand
 from sim.capacity import MAX_BODIES
-from sim.contact.broad_phase import CONTACT_MARGIN
+from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.contact.response import FINGERTIP_DAMPING_TIME, FINGERTIP_MAX_DEPTH
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class FingerCapsules:
     @ti.func
     def may_meet(self, c, low, high):
         """True if capsule c may enter a box before the next search."""
-        return (self.low[c] - high).max() <= 0.0 and (low - self.high[c]).max() <= 0.0
+        return gap_of_boxes(self.low[c], self.high[c], low, high) <= 0.0
 
     @ti.kernel
     def sweep(self):

@@ -18,17 +18,9 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from scenes.scene import Hand
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known, usable_normal
-from sim.contact.tet_geometry import (
-    MIN_WEIGHT,
-    NO_TET,
-    deformed_gradient,
-    distance_outside,
-    face_normals,
-    rest_coordinates,
-    tet_key,
-    tet_of_key,
-)
+from sim.contact.broad_phase import outside_box
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
+from sim.contact.tet_geometry import NO_TET, distance_outside, face_normals, tet_edges, tet_key, tet_of_key
 from sim.hands.finger_capsules import CAPSULES_PER_HAND, SAMPLES_PER_CAPSULE, SAMPLES_PER_HAND, FingerCapsules
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.rigid.rigid_motion import FREE
@@ -76,7 +68,7 @@ class FingerContact:
         """Rigid_bodies and their shapes: None without any."""
         self.state, self.bounds, self.constraints, self.begin = state, bounds, constraints, begin
         self.rigid_bodies, self.shapes, self.coupled = rigid_bodies, shapes, rigid_bodies is not None
-        self.hosts, self.grids = deformable.hosts, deformable.grids
+        self.deformable = deformable
         self.capsules = FingerCapsules(state, bounds, hands)
         self.hands, self.count = self.capsules.hands, self.capsules.count
         self.size = finger_rows(hands, self.coupled)
@@ -166,11 +158,10 @@ class FingerContact:
         """Offer tet t to the samples that it may meet until the next search; the lowest (distance, t) wins."""
         s = self.state
         f = self.capsules
-        a, b = s.tets[t], s.body_of_tet[t]
-        x0, x1, x2, x3 = s.x[a[0]], s.x[a[1]], s.x[a[2]], s.x[a[3]]
+        b = s.body_of_tet[t]
+        x0, e1, e2, e3 = tet_edges(s, t)
         margin = self.bounds.max_speed[b] * s.detect_dt[None]
-        low, high = ti.min(x0, x1, x2, x3) - margin, ti.max(x0, x1, x2, x3) + margin
-        e1, e2, e3 = x1 - x0, x2 - x0, x3 - x0
+        low, high = x0 + ti.min(e1, e2, e3, 0.0) - margin, x0 + ti.max(e1, e2, e3, 0.0) + margin
         if e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
             for c in range(self.hands * CAPSULES_PER_HAND):
@@ -195,7 +186,7 @@ class FingerContact:
             x, h = f.next_position(p), p // SAMPLES_PER_HAND
             for b in range(s.body_count[None]):
                 max_distance = f.radius[p] + self.bounds.max_speed[b] * s.detect_dt[None] + f.displacement[p].norm()
-                outside = ti.max(self.bounds.low[b] - x, x - self.bounds.high[b]).max()
+                outside = outside_box(self.bounds.low[b], self.bounds.high[b], x)
                 if self.rigid_bodies.kind[b] == FREE and outside < max_distance:
                     phi, _ = self.shapes.distance(b, x, vec3(0.0))
                     if not known(phi):
@@ -225,33 +216,20 @@ class FingerContact:
 
     @ti.func
     def _evaluate_tet(self, p, r):
-        """As in sim/contact/deformable_contact.py; beyond its grid, a body's distance is extrapolated."""
         s = self.state
         table = self.constraints
         t = self.tet[p]
-        thick, b, X, g1, g2, g3, E1, E2, E3 = rest_coordinates(s, t, self.capsules.position(p))
+        thick, phi, normal, b, _X, _beyond = self.deformable.distance(t, self.capsules.position(p))
         usable = table.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
         if thick:
-            body = s.body_of_tet[t]
-            phi, N = self._distance(body, X)
-            normal = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
-            usable = usable_normal(phi, N, normal)
-            self._walk(p, t, b)
+            usable = known(phi)
+            self.tet[p] = self.deformable.hosts.next_host(t, b)
             if usable:
-                length = normal.norm()
-                normal /= length
-                phi = phi * N.norm() / length - self.capsules.radius[p]
-                b = ti.max(b, 0.0)
-                b /= b.sum()
-                a = s.tets[t]
-                for j in ti.static(range(4)):
-                    phi -= b[j] * normal.dot(s.x_lo[a[j]])
-                    table.set_vertex(r, j, a[j], -b[j])
-                table.set_vertex_count(r, 4)
+                body, radius = s.body_of_tet[t], self.capsules.radius[p]
+                phi -= radius + self.deformable.set_host(r, 0, t, b, normal, table)
                 if ti.static(table.coupled):
                     table.body_count[r] = 0
-                max_force = ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * s.mu[body] * self.capsules.radius[p] ** 2)
-                self._fill(p, r, body, phi, normal, max_force)
+                self._fill(p, r, body, phi, normal, ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * s.mu[body] * radius**2))
         return usable
 
     @ti.func
@@ -275,31 +253,6 @@ class FingerContact:
         friction = ti.sqrt(self.state.frictions(body) * SKIN_FRICTION)
         closing_speed = self.bounds.max_speed[body] + self.capsules.speed[h]
         self.constraints.set_contact(r, phi, normal, friction, closing_speed)
-
-    @ti.func
-    def _distance(self, k, X):
-        """Distance [m] and its gradient at X in the frame of grid k; outside the grid from its nearest point."""
-        g = self.grids
-        low = g.origin[k]
-        high = low + g.spacing[k] * ti.cast(g.dims[k] - 1, ti.f32)
-        inset = vec3(1e-3 * g.spacing[k])  # rounding must not put it outside again
-        edge = ti.min(ti.max(X, low + inset), high - inset)
-        phi, N = g.sample(k, edge)
-        beyond = X - edge
-        if known(phi) and beyond.norm_sqr() > 0.0:
-            total = beyond + ti.max(phi, 0.0) * N / ti.max(N.norm(), 1e-9)
-            phi = total.norm()
-            N = total / ti.max(phi, 1e-9)
-        return phi, N
-
-    @ti.func
-    def _walk(self, p, t, b):
-        """From the next substep on, sample p belongs to the tet across the worst face that has a neighbour."""
-        worst = MIN_WEIGHT
-        for j in ti.static(range(4)):
-            if b[j] < worst and self.hosts.neighbor[t][j] >= 0:
-                worst = b[j]
-                self.tet[p] = self.hosts.neighbor[t][j]
 
     @ti.func
     def _force(self, q):

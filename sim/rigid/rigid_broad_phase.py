@@ -11,6 +11,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
+from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_motion import FREE, SOFT
@@ -114,11 +115,10 @@ class RigidBroadPhase:
         """Distance [m] of x from shape k, unknown if it is more than margin [m]."""
         d = UNKNOWN_DISTANCE
         if k < MAX_SHAPES:
-            if (self.static_shapes.low[k] - x).max() < margin and (x - self.static_shapes.high[k]).max() < margin:
-                d = self.static_shapes.lower_bound(k, x)
+            d = self.static_shapes.distance_within(k, x, margin)
         else:
             m = k - MAX_SHAPES
-            if (self.bounds.low[m] - x).max() < margin and (x - self.bounds.high[m]).max() < margin:
+            if outside_box(self.bounds.low[m], self.bounds.high[m], x) < margin:
                 d, _ = self.shapes.distance(m, x, facing)
         return d if d < margin else UNKNOWN_DISTANCE
 

@@ -11,7 +11,7 @@ from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.contact.contact_samples import skin_depth, surface_points
-from sim.contact.signed_distance import rest_grid
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid
 from sim.contact.static_shapes import StaticGrid, StaticShapes
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
@@ -45,7 +45,7 @@ def trilinear_twin(grid: DistanceGrid, p):
 
 
 def measure(shapes, points):
-    """Distance, normal, friction of `nearest` at points (N, 3)."""
+    """Distance, normal, friction of the nearest shape at points (N, 3)."""
     colliders, n = StaticShapes(shapes), len(points)
     p, normal = ti.Vector.field(3, ti.f32, n), ti.Vector.field(3, ti.f32, n)
     phi, friction = ti.field(ti.f32, n), ti.field(ti.f32, n)
@@ -54,7 +54,11 @@ def measure(shapes, points):
     @ti.kernel
     def run():
         for i in range(n):
-            phi[i], normal[i], friction[i] = colliders.nearest(p[i])
+            phi[i], friction[i] = UNKNOWN_DISTANCE, 0.0
+            for k in range(colliders.count[None]):
+                d, direction = colliders.distance(k, p[i])
+                if d < phi[i]:
+                    phi[i], normal[i], friction[i] = d, direction, colliders.friction[k]
 
     run()
     result = phi.to_numpy(), normal.to_numpy(), friction.to_numpy()
@@ -115,7 +119,38 @@ def test_grid_says_nothing_outside_and_deep_inside(ti_cpu):
     assert_allclose(phi[2], -0.02, atol=2e-3)
 
 
-def test_nearest_of_several_shapes(ti_cpu):
+def test_outside_its_box_a_grid_is_extrapolated(ti_cpu):
+    """A ball's distance, exactly along the axes and by at most sqrt(2) too large anywhere; its box is never nearer."""
+    from sim.contact.signed_distance import DistanceGrids
+
+    grid, n = sphere_grid(dtype=np.float32), 1000
+    grids = DistanceGrids([grid])
+    grids.load([grid])
+    points = np.random.default_rng(4).uniform(-1.2, 1.2, (n, 3))
+    points[:100, 1:] = 0.0
+    p, out, normal = ti.Vector.field(3, ti.f32, n), ti.Vector.field(2, ti.f32, n), ti.Vector.field(3, ti.f32, n)
+    p.from_numpy(points.astype(np.float32))
+
+    @ti.kernel
+    def run():
+        for i in range(n):
+            phi, gradient, beyond = grids.extrapolated(0, p[i])
+            out[i], normal[i] = ti.Vector([phi, beyond]), gradient
+
+    run()
+    (phi, beyond), exact = out.to_numpy().T, np.linalg.norm(points, axis=1) - 0.3
+    low, high = np.asarray(grid.origin), np.asarray(grid.upper)
+    assert_allclose(beyond, np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0), axis=1), atol=1e-6)
+    outside = beyond > 0
+    assert outside.sum() > 500 and (beyond[outside] < exact[outside]).all()
+    assert_allclose(phi[:100][outside[:100]], exact[:100][outside[:100]], atol=2e-3)
+    assert (phi > exact - 3e-3)[outside].all() and (phi < np.sqrt(2) * exact)[outside].all()
+    cosine = (normal.to_numpy() * points).sum(1) / np.linalg.norm(points, axis=1)
+    assert (cosine[outside] > np.sqrt(0.5)).all()
+    destroy_fields(grids)
+
+
+def test_several_shapes_have_each_their_own_distance_and_friction(ti_cpu):
     points = np.random.default_rng(2).uniform(-0.4, 0.4, (2000, 3))
     phi, _, friction = measure([PLANE, CAPSULE, BOX], points)
     each = np.stack([plane_twin(points), capsule_twin(points), box_twin(points)])

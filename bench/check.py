@@ -16,7 +16,7 @@ from bench import physics, physics_contact
 from display.run_stats import write_stats
 
 HEAD = ("check", "reference", "measured", "tolerance", "verdict")
-KEYS = (*HEAD[:4], "pass")  # of a row in the JSON file
+KEYS = ("check", "relation", *HEAD[1:4], "pass")  # of a row in the JSON file
 VERDICTS = {True: "pass", False: "FAIL", None: "skipped"}
 
 
@@ -37,7 +37,7 @@ def both(function: Callable[[], list[dict]], quick: dict | None = None, tested: 
 
 MEASUREMENTS = (
     *map(both, physics.ALL),
-    both(physics.long_run, quick={"substeps": 100_000}),
+    both(physics.energy_kept, quick={"substeps": 100_000, "vbd_substeps": 20_000}),
     both(physics_contact.rigid_bodies, tested="test_rigid"),
     both(physics_contact.ring_throws, quick={"count": 8, "around": 16, "seconds": 0.5}, tested="test_thin"),
     both(physics_contact.pile_at_rest, quick={"seconds": 5.0}, tested="test_piles"),
@@ -72,6 +72,8 @@ def show(rows: Iterable[dict], out=None) -> Iterator[dict]:
     print(line(*HEAD), file=out, flush=True)
     for r in rows:
         numbers = ["-" if r[key] is None else f"{r[key]:.6g}" for key in HEAD[1:4]]
+        if r["relation"] != "=":
+            numbers[0], numbers[2] = f"{r['relation']} {numbers[0]}", "-"
         note = f"  {r['note']}" if "note" in r else ""
         print(line(r["check"], *numbers, VERDICTS[r["pass"]]) + note, file=out, flush=True)
         yield r

@@ -5,7 +5,7 @@ Functions on rigid bodies take a `playground()` or create one. Taichi must be in
 
 import numpy as np
 
-from bench.physics import row
+from bench.physics import at_most, row
 from bench.setups import DROP, FRAME, RESTITUTIONS, SIDE, G, linked_throws, playground, resting_pile
 
 TIP_HEIGHT = 0.07  # [m] of an octahedron's centre over its lowest vertex
@@ -25,8 +25,7 @@ def ring_throws(count: int = 100, **options) -> list[dict]:
 
 def pile_at_rest(seconds: float = 60.0) -> list[dict]:
     """A pile at rest gains no energy."""
-    gained = resting_pile(seconds)["gained"]
-    return [row(f"pile at rest, energy gained in {seconds:g} s [J]", 0.0, gained, MOST_GAINED, error=gained)]
+    return [at_most(f"pile at rest, energy gained in {seconds:g} s [J]", MOST_GAINED, resting_pile(seconds)["gained"])]
 
 
 def run(solver, seconds: float) -> None:
@@ -74,8 +73,8 @@ def rigid_stack(place=None, seconds: float = 10.0) -> list[dict]:
     rows = []
     for scene, name in (("stack", "stack of five"), ("wall", "brick wall")):
         drift, fastest = moved[where[scene]].max(), speed[where[scene]].max()
-        rows.append(row(f"{name}, drift in {seconds:g} s [m]", 0.0, drift, 1e-3, error=drift))
-        rows.append(row(f"{name}, fastest at the end [m/s]", 0.0, fastest, 1e-3, error=fastest))
+        rows.append(at_most(f"{name}, drift in {seconds:g} s [m]", 1e-3, drift))
+        rows.append(at_most(f"{name}, fastest at the end [m/s]", 1e-3, fastest))
     return rows
 
 

@@ -82,6 +82,7 @@ class Model:
             "kappa": self.kappas,
             "max_step": [MAX_STEP * s.edge for s in shapes],
             "damping": [m.damping for m in material],
+            "retardation": [m.retardation_time for m in material],
             "friction": [m.friction for m in material],
             "sliding_friction": [m.sliding_friction for m in material],
             "density": [m.density for m in material],

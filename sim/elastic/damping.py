@@ -2,6 +2,8 @@
 
     v_i += k (v_cm + omega x r_i - v_i),   k = 1 - exp(-c t),   omega = I^-1 L
 
+Inner friction is the other part of a material's damping (sim/state.py).
+
 In a body with prescribed vertices, v_cm and omega are those of these alone. Applied once for several
 substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
 """

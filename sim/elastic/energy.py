@@ -62,10 +62,11 @@ def fine_stress(s: ti.template(), t, B):
     In single precision, J - 1 is off by 1e-7: at 1e8 Pa that alone is a force like a vertex's weight, and it flickers.
     """
     a, b = s.tets[t], s.body_of_tet[t]
-    x0, d0 = ti.cast(s.x[a[0]], ti.f64), ti.cast(s.dx[a[0]], ti.f64)
-    e1 = (ti.cast(s.x[a[1]], ti.f64) - x0) + (ti.cast(s.dx[a[1]], ti.f64) - d0)
-    e2 = (ti.cast(s.x[a[2]], ti.f64) - x0) + (ti.cast(s.dx[a[2]], ti.f64) - d0)
-    e3 = (ti.cast(s.x[a[3]], ti.f64) - x0) + (ti.cast(s.dx[a[3]], ti.f64) - d0)
+    lag = s.stress_lag[b]
+    x0, d0 = ti.cast(s.x[a[0]], ti.f64), ti.cast(s.strain_increment(a[0], lag), ti.f64)
+    e1 = (ti.cast(s.x[a[1]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[1], lag), ti.f64) - d0)
+    e2 = (ti.cast(s.x[a[2]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[2], lag), ti.f64) - d0)
+    e3 = (ti.cast(s.x[a[3]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[3], lag), ti.f64) - d0)
     F = ti.Matrix.cols([e1, e2, e3]) @ B
     P, _, _ = stress(F, s.mu[b], s.lam[b])
     return ti.cast(F, ti.f32), ti.cast(P, ti.f32)
@@ -162,11 +163,12 @@ class Elasticity:
         b = s_.body_of_tet[t]
         mu, lam = s_.mu[b], s_.lam[b]
         dt = s_.dt[None]
-        x0, d0 = s_.x[a[0]], s_.dx[a[0]]
+        lag = s_.stress_lag[b]
+        x0, d0 = s_.x[a[0]], s_.strain_increment(a[0], lag)
         # differences of positions first, then of increments: what lies under the last bit of x survives
-        e1 = (s_.x[a[1]] - x0) + (s_.dx[a[1]] - d0)
-        e2 = (s_.x[a[2]] - x0) + (s_.dx[a[2]] - d0)
-        e3 = (s_.x[a[3]] - x0) + (s_.dx[a[3]] - d0)
+        e1 = (s_.x[a[1]] - x0) + (s_.strain_increment(a[1], lag) - d0)
+        e2 = (s_.x[a[2]] - x0) + (s_.strain_increment(a[2], lag) - d0)
+        e3 = (s_.x[a[3]] - x0) + (s_.strain_increment(a[3], lag) - d0)
         B = self.rest_inverse[t]
         F = ti.Matrix.cols([e1, e2, e3]) @ B
         P, I1, dJ = stress(F, mu, lam)
@@ -185,7 +187,7 @@ class Elasticity:
             if ti.static(single):
                 g1, g2, g3 = row(B, 0), row(B, 1), row(B, 2)
                 g = ti.static([-(g1 + g2 + g3), g1, g2, g3])
-                motion = h0.dot(d0) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
+                motion = h0.dot(s_.dx[a[0]]) + h1.dot(s_.dx[a[1]]) + h2.dot(s_.dx[a[2]]) + h3.dot(s_.dx[a[3]])
                 s = -shortened_step(F, g, w, W, motion, V, I1, dJ, kappa, mu, lam, dt * dt)
             else:
                 q, energy = curvature(W, V, I1, dJ, kappa, mu, lam)

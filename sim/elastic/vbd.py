@@ -5,10 +5,11 @@ vertex, so for that vertex alone the energy is a quadratic, and its minimum is m
 
     f = m/dt^2 (target - dx) - sum_t V P b,    H = m/dt^2 I + sum_t V (mu |b|^2 I + lam c c^T),    dx += H^-1 f
 
-with b the gradient of the vertex's shape function at rest and c = cof(F) b. H is positive definite whatever F is, so
-every update lowers the energy. Vertices of one colour share no tet and are moved at the same time. After the sweeps of
-a substep each body moves along its softest modes (sim/elastic/modal_correction.py): few sweeps bring a push only a few
-rings of tets far. The modes come last because they include the rigid ones, so that momentum is kept.
+where F is that of dx - lag v (sim/state.py), and b is the gradient of the vertex's shape function at rest and c =
+cof(F) b. H is positive definite whatever F is, so every update lowers the energy. Vertices of one colour share no tet
+and are moved at the same time. After the sweeps of a substep each body moves along its softest modes
+(sim/elastic/modal_correction.py): few sweeps bring a push only a few rings of tets far. The modes come last because
+they include the rigid ones, so that momentum is kept.
 
     begin     dx = dt v + dt^2 a + x_lo, a = the part of the last acceleration along gravity, in [0, |g|] (Sec. 3.6):
               what rests starts at rest, so that few sweeps do not let it sag;   target = prediction + pushes

@@ -34,9 +34,9 @@ class VertexGather:
         self.corner = g.scalar(N, dtype=ti.i32)  # 4 t + c: the slot's vertex is corner c of tet t
         self.kappa = g.scalar(state.T)  # 1/s^2
         self.begin = g.scalar(V + 1, dtype=ti.i32)  # slots of each vertex
-        # At the start of a substep, of even and of odd ones. x + dx is in double precision, because the difference of
-        # two must keep what lies under the last bit of x.
-        self.position = g.vector(2, V, dtype=ti.f64)  # x + dx [m]
+        # At the start of a substep, of even and of odd ones. Positions are in double precision, because the difference
+        # of two must keep what lies under the last bit of x.
+        self.position = g.vector(2, V, dtype=ti.f64)  # at which the stress is evaluated [m]
         self.increment = g.vector(2, V)  # dx [m]
         g.build()
         self._upload = Upload([*self.other, *self.gradient, self.corner, self.kappa, self.begin])
@@ -62,7 +62,8 @@ class VertexGather:
         """Show the neighbours of vertex i its position and increment, in substeps of this parity."""
         s = self.state
         self.increment[parity, i] = s.dx[i]
-        self.position[parity, i] = ti.cast(s.x[i], ti.f64) + ti.cast(s.dx[i], ti.f64)
+        offset = s.strain_increment(i, s.stress_lag[s.body_of_vertex[i]])
+        self.position[parity, i] = ti.cast(s.x[i], ti.f64) + ti.cast(offset, ti.f64)
 
     @ti.func
     def correction(self, k, parity, here, mu, lam):

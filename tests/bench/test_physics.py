@@ -33,7 +33,8 @@ def test_another_process_finds_the_same_positions_on_the_cpu(ti_cpu):
 
 def rows_of(*verdicts) -> tuple[check.Measurement, ...]:
     """Measurements of one row each, with these verdicts."""
-    rows = [{"check": str(v), "reference": 1.0, "measured": np.float64(2), "tolerance": 3, "pass": v} for v in verdicts]
+    given = {"relation": "=", "reference": 1.0, "measured": np.float64(2), "tolerance": 3}
+    rows = [{"check": str(v), **given, "pass": v} for v in verdicts]
     return tuple(check.Measurement(lambda r=r: [r], lambda r=r: [r, r], r["check"]) for r in rows)
 
 
@@ -55,6 +56,7 @@ def test_the_command_prints_writes_and_returns_its_verdict(monkeypatch, tmp_path
     assert [r["pass"] for r in rows] == list(verdicts)
     assert rows[0] == {
         "check": str(verdicts[0]),
+        "relation": "=",
         "reference": 1.0,
         "measured": 2.0,
         "tolerance": 3,
@@ -78,3 +80,11 @@ def test_a_row_out_of_tolerance_or_not_a_number_fails():
     assert physics.row("", 2.0, 2.01, 0.01)["pass"]
     assert not physics.row("", 2.0, 2.03, 0.01)["pass"]
     assert not physics.row("", 2.0, np.nan, 0.01)["pass"]
+
+
+def test_a_bound_is_shown_as_a_bound_and_fails_beyond(capsys):
+    rows = [physics.at_most("most", 2.0, x) for x in (-9.0, 2.0, 2.1, np.nan)]
+    rows += [physics.at_least("least", 2.0, x) for x in (9.0, 2.0, 1.9, np.nan)]
+    assert [r["pass"] for r in check.show(rows)] == 2 * [True, True, False, False]
+    lines = capsys.readouterr().out.splitlines()[1:]
+    assert all("<= 2" in line for line in lines[:4]) and all(">= 2" in line for line in lines[4:])

@@ -146,40 +146,46 @@ class Download:
 
 
 class Upload:
-    """Kernel that fills several fields (single values, or one-dimensional) at once: one each takes long to compile."""
+    """Kernel that fills several fields (single values, or one-dimensional) at once, in one loop.
+
+    A kernel or a loop for each field would take as long to compile as a hundred lines of physics.
+    """
 
     def __init__(self, fields: list):
         self.fields = fields
-        self.shapes = [(f.shape or (1,), getattr(f, "n", 1), getattr(f, "m", 1)) for f in fields]
-        sizes = [int(np.prod(shape)) * n * m for shape, n, m in self.shapes]
-        begins = [0, *np.cumsum(sizes).tolist()]
-        widths, matrix = [n * m for _, n, m in self.shapes], [m for _, _, m in self.shapes]
-        reals = [f.dtype == ti.f32 for f in fields]
+        shapes = [(getattr(f, "n", 1), getattr(f, "m", 1)) for f in fields]
+        self.lengths = [int(np.prod(f.shape)) for f in fields]
+        lengths, self.widths, columns = self.lengths, [n * m for n, m in shapes], [m for _, m in shapes]
+        widths, reals, longest = self.widths, [f.dtype == ti.f32 for f in fields], max(self.lengths)
 
         @ti.kernel
-        def fill(bits: ti.types.ndarray(ti.i32, 1)):
-            for k in ti.static(range(len(fields))):
-                for i in range(sizes[k] // widths[k]):
-                    for c in ti.static(range(widths[k])):
-                        bit = bits[begins[k] + i * widths[k] + c]
-                        value = ti.bit_cast(bit, ti.f32) if ti.static(reals[k]) else bit
-                        if ti.static(len(fields[k].shape) == 0 and widths[k] == 1):
-                            fields[k][None] = value
-                        elif ti.static(widths[k] == 1):
-                            fields[k][i] = value
-                        elif ti.static(matrix[k] == 1):
-                            fields[k][i][c] = value
-                        else:
-                            fields[k][i][c // matrix[k], c % matrix[k]] = value
+        def fill(bits: ti.types.ndarray(ti.i32, 1), begin: ti.types.ndarray(ti.i32, 1)):
+            for i in range(longest):
+                for k in ti.static(range(len(fields))):
+                    if i < lengths[k]:
+                        for c in ti.static(range(widths[k])):
+                            at, bit = begin[k] + i * widths[k] + c, 0
+                            if at < begin[k + 1]:
+                                bit = bits[at]
+                            value = ti.bit_cast(bit, ti.f32) if ti.static(reals[k]) else bit
+                            if ti.static(len(fields[k].shape) == 0 and widths[k] == 1):
+                                fields[k][None] = value
+                            elif ti.static(widths[k] == 1):
+                                fields[k][i] = value
+                            elif ti.static(columns[k] == 1):
+                                fields[k][i][c] = value
+                            else:
+                                fields[k][i][c // columns[k], c % columns[k]] = value
 
         self.fill = fill
 
     def __call__(self, values: list) -> None:
         """Fill the first elements of each field from its values (n, ...); the rest becomes zero."""
-        flat = []
-        for field, (shape, n, m), value in zip(self.fields, self.shapes, values, strict=True):
-            full = np.zeros((*shape, n * m), np.int32 if field.dtype == ti.i32 else np.float32)
-            value = np.asarray(value, full.dtype).reshape(-1, n * m)
-            full[: len(value)] = value
-            flat.append(full.view(np.int32).ravel())
-        self.fill(np.concatenate(flat))
+        flat, begin = [], [0]
+        for field, length, width, value in zip(self.fields, self.lengths, self.widths, values, strict=True):
+            words = np.ascontiguousarray(value, np.int32 if field.dtype == ti.i32 else np.float32).reshape(-1)
+            if len(words) > length * width:
+                raise ValueError(f"{len(words)} words do not fit into {length} elements of {width}")
+            flat.append(words.view(np.int32))
+            begin.append(begin[-1] + len(words))
+        self.fill(np.concatenate([*flat, np.zeros(1, np.int32)]), np.array(begin, np.int32))  # no empty arrays

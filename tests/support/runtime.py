@@ -13,11 +13,12 @@ def runtime(arch: str = "cpu", **options):
     """
     import taichi as ti
 
-    from core.runtime import KERNEL_CACHE, shorten_source_locations
+    from core.runtime import compiler_options, shorten_source_locations
 
     _end(ti)
     backend = {"cpu": ti.cpu, "cuda": ti.cuda}[arch]
-    ti.init(arch=backend, default_fp=ti.f32, random_seed=0, log_level=ti.WARN, **KERNEL_CACHE, **options)
+    options = compiler_options(cuda=arch == "cuda") | options
+    ti.init(arch=backend, default_fp=ti.f32, random_seed=0, log_level=ti.WARN, **options)
     shorten_source_locations()
     yield ti
     _end(ti)

@@ -72,8 +72,8 @@ def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
     parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)", **suppress)
     text = f"{prefix}largest extent in metres (default: guessed)"
     parser.add_argument("--scale", type=positive(float), metavar="M", help=text, **suppress)
-    text = f"{prefix}cage vertices (default 2000)"
-    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text, **(suppress or {"default": 2000}))
+    text = f"{prefix}cage vertices (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
+    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text, **suppress)
     text = f"{prefix}cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)"
     parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, **(suppress or {"default": "adaptive"}))
     text = f"{prefix}separate pieces each get a cage and become bodies of their own (default: the largest alone)"

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> None:
     """Prepare a body, or with --static an environment, after a check of where its files go. Raises BadInput."""
     from prepare.environment.environment_pipeline import EnvironmentOptions
     from prepare.pipeline import Options
-    from prepare.prepared_files import object_file, prepare_environment_file, prepare_file
+    from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
     from prepare.report import report_names
 
     out = Path(args.out)
@@ -69,11 +69,20 @@ def run(args: argparse.Namespace) -> None:
         for file in prepare_environment_file(args.splats, out, options):
             print(f"wrote {file}")
         return
+    vertices = () if args.vertices else device_vertices(animated=is_animated(args.splats, args.rig))
     options = Options(
-        args.vertices, args.scale, args.up, args.material, args.mesher, args.cells == "adaptive", args.pieces
+        args.vertices or vertices[0],
+        args.scale,
+        args.up,
+        args.material,
+        args.mesher,
+        args.cells == "adaptive",
+        args.pieces,
     )
+    if vertices:
+        print(suited(vertices[0]))
     files = {"rig": args.rig, "landmarks": args.landmarks}
-    prepare_file(args.splats, out, options, **files, pictures=True, page=bool(reports))
+    prepare_file(args.splats, out, options, vertices=vertices, **files, pictures=True, page=bool(reports))
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))
 
 
@@ -86,9 +95,30 @@ def _check_static(args: argparse.Namespace) -> None:
         raise BadInput("--pieces belongs to bodies; objects are cut out of a scene with --cut")
 
 
+def is_animated(splats: Path, rig: Path | None = None) -> bool:
+    """True if the body made of these files moves by itself."""
+    return rig is not None or Path(splats).suffix.lower() == ".glb"
+
+
+def suited(vertices: int) -> str:
+    """The line that says which number of vertices was chosen."""
+    import taichi as ti
+
+    return f"a cage of {vertices} vertices, as suits a {'GPU' if ti.cfg.arch == ti.cuda else 'CPU'} (--vertices N)"
+
+
 def cached_body(splats: Path, args: argparse.Namespace) -> Path:
-    """The asset prepared from a splat file with the options; made now unless it is in the cache. Raises BadInput."""
-    key = {"vertices": args.vertices, "scale": args.scale, "up": args.up}
+    """The asset prepared from a splat file with the options; made now unless it is in the cache. Raises BadInput.
+
+    Without args.vertices as many as suit the device are taken; then it becomes that number.
+    """
+    from prepare.prepared_files import device_vertices
+
+    chosen: tuple[int, ...] = ()
+    if not args.vertices:
+        start_taichi(args.arch, args.seed)
+        chosen = device_vertices(animated=is_animated(splats))
+    key = {"vertices": args.vertices or chosen, "scale": args.scale, "up": args.up}
     key |= {} if args.cells == "adaptive" else {"cells": args.cells}
     key |= {"pieces": True} if args.pieces else {}
     out = cached_asset(splats, key | {"version": BODY_CACHE_VERSION})
@@ -98,9 +128,23 @@ def cached_body(splats: Path, args: argparse.Namespace) -> Path:
 
         _begin(splats, out, args)
         adaptive = args.cells == "adaptive"
-        options = Options(args.vertices, args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
-        prepare_file(splats, out, options)
+        options = Options(args.vertices or chosen[0], args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
+        prepare_file(splats, out, options, vertices=chosen)
+    if chosen:
+        args.vertices = wanted_vertices(out)
+        print(f"{splats.name}: {suited(args.vertices)}", flush=True)
     return out
+
+
+def wanted_vertices(path: Path) -> int:
+    """Number of vertices that an asset of `prepare` was asked for. Raises BadInput."""
+    from assets.hdf5 import open_hdf5
+
+    with open_hdf5(path) as file:
+        try:
+            return int(file.json("", "provenance")["options"]["vertices"])
+        except (KeyError, TypeError, ValueError) as e:
+            raise file.error("does not say how many vertices it was prepared with") from e
 
 
 def cached_environment(splats: Path, args: argparse.Namespace) -> Path:

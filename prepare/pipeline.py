@@ -13,10 +13,9 @@ from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from assets.up_axis import body_size, guess_up_axis, rotation_to_up
 from core.distance_grid import DistanceGrid
-from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
 from core.tetmesh import tet_volumes
-from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE, check_count
+from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE, NoSoundCage, check_count
 from prepare.cage.component_cages import (
     MIN_COMPONENT,
     Component,
@@ -213,7 +212,7 @@ def filled_volume(cages: list[ComponentCage], factor: float) -> float:
 
 
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
-    """Figures of the cage. Raises BadInput, naming the figure, if it must not be simulated.
+    """Figures of the cage. Raises NoSoundCage, naming the figure, if it must not be simulated.
 
     surface_points  centres of the opaque Gaussians (N, 3) [m]
     """
@@ -226,11 +225,11 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
         "volume": float(volume.sum()),
     }
     if not (volume > 0).all():
-        raise BadInput(f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume")
+        raise NoSoundCage(f"the cage is not sound: {int((volume <= 0).sum())} tets have no positive volume")
     if figures["min_dihedral"] < ANGLE_MIN:
-        raise BadInput(f"the cage is not sound: its smallest dihedral angle is {figures['min_dihedral']} degrees")
+        raise NoSoundCage(f"the cage is not sound: its smallest dihedral angle is {figures['min_dihedral']} degrees")
     if figures["inside"] < INSIDE_MIN:
-        raise BadInput(f"the cage holds only {figures['inside']:.1%} of the opaque Gaussians; ask for more vertices")
+        raise NoSoundCage(f"the cage holds only {figures['inside']:.1%} of the opaque Gaussians; ask for more vertices")
     if abs(len(cage.vertices) - wanted) > VERTEX_TOLERANCE * wanted:
-        raise BadInput(f"the cage has {len(cage.vertices)} vertices, {wanted} were asked for")
+        raise NoSoundCage(f"the cage has {len(cage.vertices)} vertices, {wanted} were asked for")
     return figures

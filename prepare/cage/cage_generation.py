@@ -45,6 +45,10 @@ INSIDE_HOPELESS = 0.95  # with fewer inside a feature is missing, which growing 
 CELL_FACTORS = (1.0, 0.985, 1.02, 0.96)  # other lattices, tried in turn where one gave too small an angle
 
 
+class NoSoundCage(BadInput):
+    """Raised where a shape has no good cage of the number of vertices that was asked for; it may have one of more."""
+
+
 def check_count(vertices: int) -> None:
     """Raise BadInput unless a cage can have this many vertices."""
     if not VERTEX_RANGE[0] <= vertices <= VERTEX_RANGE[1]:
@@ -142,7 +146,7 @@ def cage_of(
     report    is called with the fraction done
     adaptive  smaller cells where the shape is thin or curved, larger ones deep inside
     exact     whether its volume must be that of the shape; None: from EXACT_VERTICES on
-    Out.      its vertices in grid cells: node (i, j, k) lies at (i, j, k). Raises BadInput, with the reason.
+    Out.      its vertices in grid cells: node (i, j, k) lies at (i, j, k). Raises NoSoundCage, with the reason.
     """
     uniform_cell = (2.8 * volume_of(phi) / vertices) ** (1 / 3)  # two vertices a cell, and those of the surface
     solid = np.argwhere(phi < 0)
@@ -156,7 +160,7 @@ def cage_of(
 
 
 def _first_sound_cage(shape: ShapeWidths, points, vertices: int, uniform_cell: float, report, adaptive, exact) -> Cage:
-    """The first cage without a fault over grading, widening and lattice. Raises BadInput with the first's fault."""
+    """The first cage without a fault over grading, widening and lattice. Raises NoSoundCage with the first's fault."""
     filled, reason = volume_of(shape.phi), ""
     for finer, coarser in ((FINER, COARSER), (1, COARSER), (0, COARSER)) if adaptive else ((0, 0),):
         for tube in TUBE_RADII:
@@ -174,7 +178,7 @@ def _first_sound_cage(shape: ShapeWidths, points, vertices: int, uniform_cell: f
                     return cage
                 if "not sound" not in reason:
                     break
-    raise BadInput(reason)
+    raise NoSoundCage(reason)
 
 
 def fitted(found: Stuffed, filled: float, points: np.ndarray, vertices: int, exact: bool) -> tuple[Cage, str]:

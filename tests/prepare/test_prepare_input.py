@@ -1,5 +1,6 @@
 """vrgs.py prepare, given what cannot be used: one line, exit status 2, and no file where there was none."""
 
+import argparse
 from dataclasses import replace
 
 import numpy as np
@@ -10,10 +11,12 @@ from assets.asset import Asset
 from assets.gaussians import concatenate
 from assets.splat_files import write_gaussians
 from assets.up_axis import robust_bounds
+from commands.prepare import cached_body, wanted_vertices
 from core.errors import BadInput
 from prepare.pipeline import Options
-from prepare.prepared_files import prepare_file
+from prepare.prepared_files import DEVICE_VERTICES, device_vertices, prepare_file
 from tests.prepare.test_pipeline import BAD, PLANE, some
+from tests.support.cage_cases import case
 from tests.support.sample_scenes import table_and_jug
 from tests.support.shells import ball
 
@@ -84,6 +87,32 @@ def test_a_splat_of_impossible_size(prepared, tmp_path, factor):
     body = replace(body, means=(body.means * factor).astype(np.float32))
     write_gaussians(tmp_path / "ball.ply", body)
     assert_refused(prepared("ball.ply"), "extent is")
+
+
+def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared, tmp_path, monkeypatch):
+    monkeypatch.setattr("prepare.prepared_files.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))
+    write_gaussians(tmp_path / "ball.ply", ball())
+    status, said, _ = prepared("ball.ply", "--no-report")
+    least = DEVICE_VERTICES["cpu"][0]
+    assert status == 0 and f"a cage of {least} vertices, as suits a CPU (--vertices N)" in said.out
+    found = Asset.load(tmp_path / "out.h5")
+    assert abs(len(found.cage.vertices) / least - 1) < 0.15
+    args = argparse.Namespace(vertices=None, scale=None, up=None, cells="adaptive", pieces=False, arch="cpu", seed=0)
+    kept = cached_body(tmp_path / "ball.ply", args)
+    assert args.vertices == least and len(Asset.load(kept).cage.vertices) == len(found.cage.vertices)
+    args.vertices = None
+    assert cached_body(tmp_path / "ball.ply", args) == kept and args.vertices == least
+    assert device_vertices(animated=True)[0] > least
+
+
+def test_a_shape_that_has_no_cage_of_so_few_vertices_gets_one_of_more(ti_cpu, tmp_path):
+    write_gaussians(tmp_path / "ring.ply", case("ring"))
+    said = []
+    out = prepare_file(tmp_path / "ring.ply", tmp_path / "ring.h5", vertices=(50, 150), report=said.append)
+    assert any("about 50 vertices" in line and "; trying 150 vertices" in line for line in said)
+    assert wanted_vertices(out) == 150 and abs(len(Asset.load(out).cage.vertices) / 150 - 1) < 0.15
+    with pytest.raises(BadInput, match=r"ring\.ply: no cage of about 60"):
+        prepare_file(tmp_path / "ring.ply", tmp_path / "ring.h5", vertices=(50, 60), report=said.append)
 
 
 @pytest.mark.parametrize("fraction", [1 / 3, 1.0])

@@ -48,14 +48,14 @@ class ContactConstraints:
     corrections i64[V,1+passes,3], in steps: what the impulses of the last substep move a vertex by, and their changes
     in each pass over the constraints, of which there is one without rigid bodies
     body_count i32[R], body i32[R,2], lever_arm vec3[R,2] [m], sign f32[R,2]: its rigid bodies and their coefficients
-    Of the last `finger_rows`, whose pushes are soft and bounded (sim/hands/finger_contact.py): finger_motion vec3 [m]
-    of this substep; max_force f32 [N].
+    Of the rows of fingers, from `first_finger` on, which push softly (sim/hands/finger_contact.py): finger_motion vec3
+    [m] of this substep; max_force f32 [N].
     """
 
-    def __init__(self, state: "State", capacity: int, rigid_bodies=None, finger_rows: int = 0):
+    def __init__(self, state: "State", capacity: int, rigid_bodies=None, first_finger: int | None = None):
         self.state, self.capacity = state, capacity
         self.rigid_bodies, self.coupled = rigid_bodies, rigid_bodies is not None
-        self.fingers, self.first_finger = finger_rows > 0, capacity - finger_rows
+        self.fingers, self.first_finger = first_finger is not None, first_finger
         self.passes = rigid_bodies.passes if self.coupled else 1
         # unrolled, the loads of all vertices overlap; a CPU gains nothing
         self.unrolled = ti.cfg.arch == ti.cuda
@@ -75,7 +75,7 @@ class ContactConstraints:
             with group.interleaved(capacity, 2):
                 self.body, self.sign, self.lever_arm = group.scalar(dtype=ti.i32), group.scalar(), group.vector()
         if self.fingers:
-            with group.interleaved(finger_rows):
+            with group.interleaved(capacity - first_finger):
                 self.finger_motion, self.max_force = group.vector(), group.scalar()
         self.candidate_count = group.scalar(dtype=ti.i32)
         group.build()

@@ -27,7 +27,8 @@ from sim.contact.self_collision import SelfCollision, can_fold
 from sim.contact.static_contact import StaticContact
 from sim.contact.static_shapes import StaticShapes
 from sim.contact.swept_bounds import SweptBounds
-from sim.hands.finger_contact import FingerContact, finger_rows
+from sim.hands.finger_capsules import FingerCapsules
+from sim.hands.finger_contact import FingerContact
 from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
 from sim.rigid.rigid_contact import RigidContacts
 from sim.rigid.rigid_shapes import RigidShapes
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
 class Contacts(Constraint):
     """All contacts of the bodies, and the hands.
 
-    Of the constraints, 0..P-1 belong to the samples, the next to points in tets of other bodies, then, from
-    `begin_rigid` on, to contact with rigid bodies, and from `begin_fingers` on to fingers, if there are any.
+    Of the constraints, 0..P-1 belong to the samples against static shapes, the next, from `begin_rigid` on, to contact
+    with rigid bodies, then to points in tets of other bodies, and from `begin_fingers` on to fingers on rigid bodies.
     """
 
     has_vertex = True
@@ -74,17 +75,19 @@ class Contacts(Constraint):
         foldable = [can_fold(p.shape) for p in first.bodies if p.body.rigid or p.body.self_contact]
         self_collides = self_contact and (capacity.grows or any(foldable))
         self.self_collision = SelfCollision(state, blocks, self.bounds) if self_collides else None
+        capsules = FingerCapsules(state, self.bounds, grasps.count) if fingers else None
+        self.begin_rigid = self.samples.capacity
+        begin = self.begin_rigid + (slot_count(self.samples) if self.coupled else 0)
         self.deformable = DeformableContact(
-            state, first, self.samples, shapes, self.bounds, self.self_collision, capacity, fingers
+            state, first, self.samples, shapes, self.bounds, self.self_collision, begin, capacity, capsules
         )
         on_triangles = capacity.grows or self.samples.triangle_points(first) > 0
         self.anything = bool(shapes) or self.deformable.needed or self.coupled or fingers
         self.has_pairs = self.deformable.needed or self.coupled or fingers or (bool(shapes) and on_triangles)
-        self.begin_rigid = self.samples.capacity + self.deformable.size
-        self.begin_fingers = self.begin_rigid + (slot_count(self.samples) if self.coupled else 0)
-        finger_size = finger_rows(grasps.count, self.coupled) if fingers else 0
-        size = self.begin_fingers + finger_size
-        self.constraints = ContactConstraints(state, size, rigid_bodies, finger_size)
+        self.begin_fingers = begin + self.deformable.size
+        size = self.begin_fingers + (capsules.count if fingers and self.coupled else 0)
+        first_finger = self.deformable.first_finger if fingers else None
+        self.constraints = ContactConstraints(state, size, rigid_bodies, first_finger)
         self.rigid_shapes = self.rigid_search = self.rigid = self.fingers = None
         if self.coupled:
             self.rigid_shapes = RigidShapes(rigid_bodies, self.samples, self.deformable.grids)
@@ -96,8 +99,8 @@ class Contacts(Constraint):
         self.has_fingers = fingers
         if fingers:
             self.fingers = FingerContact(
-                state, self.deformable, self.bounds, self.constraints, self.begin_fingers,
-                hands=grasps.count, rigid_bodies=rigid_bodies, shapes=self.rigid_shapes,
+                capsules, self.bounds, self.constraints, self.begin_fingers,
+                rigid_bodies=rigid_bodies, shapes=self.rigid_shapes,
             )  # fmt: skip
         self.forces = ContactForces(state, self.constraints)
         self.static = StaticContact(state, self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
@@ -172,7 +175,7 @@ class Contacts(Constraint):
             self.bounds.update()
             self.swept_bounds.update()
             if self.fingers is not None and self.fingers.due:
-                self.fingers.capsules.sweep()
+                self.fingers.prepare()
             if self.self_collision is not None:
                 self.self_collision.update()
             self._find_static()
@@ -236,18 +239,25 @@ class Contacts(Constraint):
             elif ti.static(self.soft or self.has_fingers):
                 skipped = False
                 if ti.static(self.coupled):
-                    grouped = self.constraints.vertex_count[r] == 0 and r < self.begin_fingers
-                    skipped = grouped or (phase > 1 and self.constraints.body_count[r] == 0)
+                    skipped = self._grouped(r) or (phase > 1 and self.constraints.body_count[r] == 0)
                 if not skipped:
                     self.constraints.solve(r, phase, integrator)
 
     @ti.func
     def _activate(self, r, usable, first: ti.template(), integrator: ti.template()):
-        if self.begin_rigid <= r < self.begin_fingers and self.constraints.vertex_count[r] == 0:
+        if self._grouped(r):
             if ti.static(self.coupled):
                 self.rigid.activate(r, usable, first, integrator)
         elif ti.static(self.soft or self.has_fingers):
             self.constraints.activate(r, usable, first, integrator)
+
+    @ti.func
+    def _grouped(self, r):
+        """True if constraint r is between rigid bodies alone, which are solved in groups."""
+        result = False
+        if ti.static(self.coupled):
+            result = self.begin_rigid <= r < self.deformable.begin and self.constraints.vertex_count[r] == 0
+        return result
 
     @ti.func
     def evaluate(self, k):
@@ -258,16 +268,16 @@ class Contacts(Constraint):
             if self.state.substep_index[None] >= self.constraints.next_check[r]:
                 usable = False
                 if r >= self.begin_fingers:
-                    if ti.static(self.has_fingers):
+                    if ti.static(self.has_fingers and self.coupled):
                         usable = self.fingers.evaluate(r)
+                elif r >= self.deformable.begin:
+                    if ti.static(self.deformable.needed):
+                        usable = self.deformable.evaluate(r, self.constraints)
                 elif r >= self.begin_rigid:
                     if ti.static(self.coupled):
                         usable = self.rigid.evaluate(r)
                 elif ti.static(self.soft):
-                    if r < self.samples.capacity:
-                        usable = self.static.evaluate(r)
-                    elif ti.static(self.deformable.needed):
-                        usable = self.deformable.evaluate(r, self.constraints)
+                    usable = self.static.evaluate(r)
                 status = VALID if usable else NO_DISTANCE
             self.constraints.status[r] = status
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sim.contact.contact_samples import ContactSamples
     from sim.contact.self_collision import SelfCollision
     from sim.contact.static_shapes import Shape
+    from sim.hands.finger_capsules import FingerCapsules
     from sim.model import Model
     from sim.state import State
 
@@ -49,18 +50,20 @@ class DeformableContact:
         shapes: "list[Shape]",
         bounds: "BodyBounds",
         self_collision: "SelfCollision | None",
+        begin: int,
         capacity: Capacity = Capacity(),
-        fingers: bool = False,
+        fingers: "FingerCapsules | None" = None,
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
-        self.state, self.samples, self.bounds, self.begin = state, samples, bounds, samples.capacity
+        self.state, self.samples, self.bounds, self.begin = state, samples, bounds, begin
+        self.fingers, self.has_fingers = fingers, fingers is not None
         self.capsules = CapsuleSamples([s for s in shapes if isinstance(s, Capsule)], samples.spacing)
         self.rigid = first.rigid or capacity.rigid
         several = capacity.sized("bodies", first.sizes.bodies) > 1
-        partners = several or self.capsules.size > 0 or self.self_collides or fingers
+        partners = several or self.capsules.size > 0 or self.self_collides or self.has_fingers
         self.needed = partners and (first.soft or capacity.grows)  # rigid bodies alone have no tets to be in
         self.grids = DistanceGrids(self._grids(first), capacity)
-        self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision)
+        self.hosts = NearestTets(state, samples, self.capsules, bounds, self_collision, fingers)
         self.normals = VertexNormals(state)
 
     def _grids(self, model: "Model") -> list[DistanceGrid]:
@@ -79,6 +82,11 @@ class DeformableContact:
             self.grids.load(self._grids(model))
         if self.needed:
             self.hosts.load(model)
+
+    @property
+    def first_finger(self) -> int:
+        """The first constraint of a finger."""
+        return self.begin + (self.hosts.first_finger if self.needed else 0)
 
     @property
     def size(self) -> int:
@@ -115,7 +123,7 @@ class DeformableContact:
         p = r - self.begin
         sampled = p < self.samples.count[None]
         t = self.hosts.host[p]
-        thick, phi, normal, b, X, beyond = self.distance(t, self.hosts.position(p))
+        thick, phi, normal, b, X, beyond = self.distance(t, self.hosts.position(p, False))
         usable = constraints.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
         if thick:
             host = s.body_of_tet[t]
@@ -137,6 +145,9 @@ class DeformableContact:
                         if distance < min_distance:  # it is just where it belongs
                             usable = False
                             constraints.postpone(r, min_distance - distance, closing_speed)
+            if ti.static(self.has_fingers):  # noqa: SIM102
+                if self.hosts.is_finger(p):
+                    closing_speed += self.fingers.speed_of(p - self.hosts.first_finger)
             self.hosts.host[p] = self.hosts.next_host(t, b)
             if usable:
                 self._fill(r, p, t, b, phi, normal, closing_speed, constraints)
@@ -174,9 +185,17 @@ class DeformableContact:
                 if constraints.rigid_bodies.kind[body] != 0:
                     constraints.set_body(r, 0, body, self.samples.blend(p, s.x), 1.0)
                     constraints.body_count[r], first = 1, 0
+        elif self.hosts.is_finger(p):
+            if ti.static(self.has_fingers):
+                q = p - self.hosts.first_finger
+                phi -= self.fingers.radius[q]  # skin has a coefficient of friction of 1
+                self.fingers.set_push(r, q, self.fingers.max_force_on(q, s.mu[host]), constraints)
+            if ti.static(constraints.coupled):
+                constraints.body_count[r] = 0
         else:
-            phi -= self.hosts.radius(p)
-            friction *= self.capsules.friction[p - self.samples.count[None]]
+            k = p - self.samples.count[None]
+            phi -= self.capsules.radius[k]
+            friction *= self.capsules.friction[k]
         phi -= self.set_host(r, first, t, b, normal, constraints)
         constraints.set_contact(r, phi, normal, ti.sqrt(friction), closing_speed)
 

@@ -1,8 +1,8 @@
 """Nearest-tetrahedron query: the tet of another body that holds each contact sample or may come to it.
 
-The query points are the bodies' surface samples and, so that nothing thin slips between those, samples on the axes of
-static capsules. Bodies and capsules are *groups*; a point looks for tets of other groups, and of its own body where
-that may touch itself (sim/contact/self_collision.py).
+The query points are the bodies' surface samples and samples on the axes of capsules: of static ones, so that nothing
+thin slips between the others, and of the hands' fingers. Bodies and capsules are *groups*; a point looks for tets of
+other groups, and of its own body where that may touch itself (sim/contact/self_collision.py).
 """
 
 from typing import TYPE_CHECKING
@@ -32,16 +32,19 @@ if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
     from sim.contact.contact_samples import CapsuleSamples, ContactSamples
     from sim.contact.self_collision import SelfCollision
+    from sim.hands.finger_capsules import FingerCapsules
     from sim.model import Model
     from sim.state import State
 
-GROUPS = MAX_BODIES + MAX_CAPSULES
+STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
 SEEDS = 64  # tets of a body at which the search from far away begins
 
 
 @ti.data_oriented
 class NearestTets:
     """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face.
+
+    Points: the samples of bodies, then of static capsules, and from `first_finger` on those of fingers.
 
     Within a cell's size that is exact. For what may come from farther away until the next search, the search begins at
     the nearest of a body's SEEDS tets, and goes from neighbor to neighbor while that is nearer: a fast body comes near
@@ -57,13 +60,17 @@ class NearestTets:
         capsules: "CapsuleSamples",
         bounds: "BodyBounds",
         self_collision: "SelfCollision | None",
+        fingers: "FingerCapsules | None" = None,
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
         self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
-        self.hash = PointHash(samples.capacity + capsules.size)
-        group, N = FieldGroup(), self.hash.points
+        self.fingers, self.has_fingers = fingers, fingers is not None
+        self.first_finger = samples.capacity + capsules.size
+        self.finger_groups = fingers.capsules if self.has_fingers else 0
+        self.hash = PointHash(self.first_finger + (fingers.count if self.has_fingers else 0))
+        group, N, G = FieldGroup(), self.hash.points, STATIC_GROUPS + self.finger_groups
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
-        self.max_approach, self.wanted = group.scalar(MAX_BODIES, GROUPS), group.scalar(GROUPS, dtype=ti.i32)
+        self.max_approach, self.wanted = group.scalar(MAX_BODIES, G), group.scalar(G, dtype=ti.i32)
         self.neighbor = group.vector(state.T, n=4, dtype=ti.i32)
         self.any_near = group.scalar(dtype=ti.i32)
         self._group = group
@@ -79,17 +86,44 @@ class NearestTets:
         self._upload([near, max(edge, self.samples.spacing)])
 
     @ti.func
-    def group(self, p):
-        """Body of point p, or MAX_BODIES + its capsule."""
-        n = self.samples.count[None]
-        return self.samples.body[p] if p < n else self.capsules.group[p - n]
+    def is_finger(self, p):
+        """True if point p is a sample of a finger."""
+        result = False
+        if ti.static(self.has_fingers):
+            result = p >= self.first_finger
+        return result
 
     @ti.func
-    def position(self, p):
-        """Position of point p [m]."""
-        n = self.samples.count[None]
-        x = vec3(0.0)
-        if p < n:
+    def group(self, p):
+        """Body of point p, or MAX_BODIES + its static capsule, or STATIC_GROUPS + that of a finger."""
+        n, g = self.samples.count[None], 0
+        if self.is_finger(p):
+            if ti.static(self.has_fingers):
+                g = STATIC_GROUPS + self.fingers.capsule_of(p - self.first_finger)
+        elif p < n:
+            g = self.samples.body[p]
+        else:
+            g = self.capsules.group[p - n]
+        return g
+
+    @ti.func
+    def group_at(self, k):
+        """The k-th group that there is."""
+        n, m, g = self.state.body_count[None], self.capsules.capsule_count[None], k
+        if k >= n + m:
+            g = STATIC_GROUPS + k - n - m
+        elif k >= n:
+            g = MAX_BODIES + k - n
+        return g
+
+    @ti.func
+    def position(self, p, searching: ti.template()):
+        """Position of point p [m], when the substep in progress begins; or when the next one does, in a search."""
+        n, x = self.samples.count[None], vec3(0.0)
+        if self.is_finger(p):
+            if ti.static(self.has_fingers):
+                x = self.fingers.position(p - self.first_finger, searching)
+        elif p < n:
             x = self.samples.blend(p, self.state.x)
         else:
             x = self.capsules.position[p - n]
@@ -105,12 +139,6 @@ class NearestTets:
         return result
 
     @ti.func
-    def radius(self, p):
-        """Radius [m] of point p: of a capsule's axis, 0 of a body's sample."""
-        n = self.samples.count[None]
-        return 0.0 if p < n else self.capsules.radius[p - n]
-
-    @ti.func
     def sweep(self, low, high, v_min, v_max, g):
         """Swept overlap of group g and a box that moves with velocities v_min..v_max, until the next search.
 
@@ -122,6 +150,11 @@ class NearestTets:
         if g < MAX_BODIES:
             other_low, other_high = self.bounds.low[g], self.bounds.high[g]
             other_min, other_max = self.bounds.v_min[g], self.bounds.v_max[g]
+        elif g >= STATIC_GROUPS:
+            if ti.static(self.has_fingers):
+                c = g - STATIC_GROUPS  # its box is that of all it can touch until the next search
+                other_low, other_high = self.fingers.low[c], self.fingers.high[c]
+                margin += self.fingers.reach[c]
         else:
             other_low, other_high = self.capsules.low[g - MAX_BODIES], self.capsules.high[g - MAX_BODIES]
             margin += self.capsules.capsule_radius[g - MAX_BODIES]
@@ -134,9 +167,9 @@ class NearestTets:
         """Find the host of each point; that of point p makes constraint begin + p a candidate."""
         s = self.state
         h = self.hash
-        groups = MAX_BODIES + self.capsules.capsule_count[None]
+        capsules = MAX_BODIES + self.capsules.capsule_count[None]
         self.any_near[None], h.total[None] = 0, 0
-        for g in range(GROUPS):
+        for g in self.wanted:
             self.wanted[g] = 0
         for b, g in self.max_approach:  # which bodies come near which groups
             n = s.body_count[None]
@@ -146,7 +179,7 @@ class NearestTets:
                 alone = b == g and self.self_collision.self_colliding[b] == 0
             else:
                 alone = b == g
-            if b < n and not alone and (g < n or MAX_BODIES <= g < groups):
+            if b < n and not alone and (g < n or MAX_BODIES <= g < capsules or g >= STATIC_GROUPS):
                 box = self.bounds
                 _low, _high, meets, approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
             self.max_approach[b, g] = approach if meets else 0.0
@@ -158,12 +191,12 @@ class NearestTets:
         for p in range(h.points):
             self.key[p] = ti.i64(NO_TET)
             if self._searches(p):
-                h.count(p, self.position(p))
+                h.count(p, self.position(p, True))
         for bucket in range(h.buckets):
             h.allocate(bucket)
         for p in range(h.points):
             if self._searches(p):
-                h.insert(p, self.position(p))
+                h.insert(p, self.position(p, True))
         for t in range(s.T):
             if self.any_near[None] and t < s.tet_count[None]:
                 self._visit(t)
@@ -171,17 +204,21 @@ class NearestTets:
             host = tet_of_key(self.key[p])
             if host < 0 and self._searches(p):
                 host = self._approaching(p)
+            if host < 0 or s.body_of_tet[host] != s.body_of_tet[self.host[p]]:
+                constraints.clear_impulse(begin + p)
             if host >= 0:
                 self.host[p] = host
                 constraints.add_candidate(begin + p)
-            else:
-                constraints.clear_impulse(begin + p)
 
     @ti.func
     def _searches(self, p):
         """True if some body comes near point p's group."""
+        exists = p < self.samples.count[None] + self.capsules.count[None]
+        if ti.static(self.has_fingers):  # noqa: SIM102
+            if self.is_finger(p):
+                exists = self.fingers.radius[p - self.first_finger] > 0.0
         result = False
-        if self.any_near[None] and p < self.samples.count[None] + self.capsules.count[None]:
+        if exists and self.any_near[None]:
             result = self.wanted[self.group(p)] != 0
         return result
 
@@ -194,8 +231,8 @@ class NearestTets:
         low, high, v_min, v_max = self._box(t)
         box_low, box_high, max_distance = vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0
         n = s.body_count[None]
-        for k in range(n + self.capsules.capsule_count[None]):
-            g = k if k < n else MAX_BODIES + k - n
+        for k in range(n + self.capsules.capsule_count[None] + self.finger_groups):
+            g = self.group_at(k)
             if self.max_approach[body, g] > 0.0:
                 part_low, part_high, meets, approach = self.sweep(low, high, v_min, v_max, g)
                 near = self._near(g)
@@ -222,25 +259,28 @@ class NearestTets:
                             if outside_box(box_low, box_high, x) <= 0.0:
                                 outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
                                 p = h.entry[e]
-                                if outside < max_distance and self._may_collide(p, t, body):
+                                if outside < max_distance and self._may_collide(p, t, body, outside):
                                     ti.atomic_min(self.key[p], tet_key(outside, t))
 
     @ti.func
     def _near(self, g):
         """Distance [m] from a point of group g within which all tets are searched."""
         near = self.hash.cell[None]
-        if g >= MAX_BODIES:
+        if g >= STATIC_GROUPS:
+            if ti.static(self.has_fingers):
+                near += self.fingers.reach[g - STATIC_GROUPS]
+        elif g >= MAX_BODIES:
             near += self.capsules.capsule_radius[g - MAX_BODIES]
         return near
 
     @ti.func
     def _approaching(self, p):
         """Tet that may come to point p, which has none near: by descent from a seed to nearer neighbors; or -1."""
-        s, x, g = self.state, self.position(p), self.group(p)
+        s, x, g = self.state, self.position(p, True), self.group(p)
         box = self.bounds
         best, now = UNKNOWN_DISTANCE, -1
         for b in range(s.body_count[None]):
-            if b != g and self.max_approach[b, g] > self._near(g):
+            if b != g and not self._spared(p, b) and self.max_approach[b, g] > self._near(g):
                 low, high, _meets, _approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
                 if outside_box(low, high, x) <= 0.0:
                     first, n = s.tet_begin[b], s.tet_begin[b + 1] - s.tet_begin[b]
@@ -290,9 +330,22 @@ class NearestTets:
         return result
 
     @ti.func
-    def _may_collide(self, p, t, body):
+    def _spared(self, p, body):
+        """True if point p is of a hand that passes through a body."""
+        result = False
+        if ti.static(self.has_fingers):  # noqa: SIM102
+            if self.is_finger(p):
+                result = self.fingers.spares(p - self.first_finger, body)
+        return result
+
+    @ti.func
+    def _may_collide(self, p, t, body, outside):
         """True if tet t of a body may meet point p: of another body that comes near, or far away at rest."""
         result = self.max_approach[body, self.group(p)] > 0.0
+        if ti.static(self.has_fingers):  # noqa: SIM102
+            if self._spared(p, body):
+                result = False
+                self.fingers.note_overlap(p - self.first_finger, outside)
         if ti.static(self.self_collides):
             s = self.state
             a = s.tets[t]

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import taichi as ti
+from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from scenes.scene import Hand
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
-from sim.contact.response import FINGERTIP_DAMPING_TIME, FINGERTIP_MAX_DEPTH
+from sim.contact.response import MAX_RECOVERY_SPEED
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
@@ -21,7 +22,11 @@ if TYPE_CHECKING:
 CAPSULES_PER_HAND = 20  # its 19 bones, and one to spare
 SAMPLES_PER_CAPSULE = 8
 SAMPLES_PER_HAND = CAPSULES_PER_HAND * SAMPLES_PER_CAPSULE
+NOWHERE = 1e9  # [m], bounds of an empty box
 MIN_RADIUS, MAX_RADIUS = 0.002, 0.05  # [m]; others are clamped
+MAX_SAMPLE_FORCE = 10.0  # [N]: 30 to 40 of a fingertip
+# A soft body yields to less: E r^2 presses a ball of radius r about half of r deep (Hertz); more would crush its cells.
+YOUNG_PER_MU = 2.6  # E = 2 (1 + nu) mu
 MAX_FINGER_SPEED = 10.0  # [m/s]; faster capsules were lost by the tracking and are placed instead of swept
 
 
@@ -32,16 +37,21 @@ class FingerCapsules:
     start vec3[N], displacement vec3[N] [m]: of a sample at the frame's begin, and in the frame
     radius f32[N] [m]: 0 is no sample;   held i32[H]: the body that a hand holds, -1 none
     low, high vec3[H C] [m]: box of what a capsule may touch until the next search;   speed f32[H] [m/s]: of a hand
+    reach f32[H C] [m]: largest sum of a sample's radius and its motion until then
+    spared i32[H]: a body that a hand passes through, -1 none;   overlaps i32[H]: whether it does so at a search
+    limit f32[H]: fraction of each sample's greatest force that keeps the hand below MAX_HAND_FORCE
     """
 
     def __init__(self, state: "State", bounds: "BodyBounds", hands: int):
         self.state, self.bounds = state, bounds
         self.hands, self.count = max(hands, 1), max(hands, 1) * SAMPLES_PER_HAND
-        H, N, group = self.hands, self.count, FieldGroup()
+        self.capsules = self.hands * CAPSULES_PER_HAND
+        H, N, C, group = self.hands, self.count, self.capsules, FieldGroup()
         with group.interleaved(N):
             self.start, self.displacement, self.radius = group.vector(), group.vector(), group.scalar()
-        self.low, self.high = group.vector(H * CAPSULES_PER_HAND), group.vector(H * CAPSULES_PER_HAND)
-        self.speed, self.held = group.scalar(H), group.scalar(H, dtype=ti.i32)
+        self.low, self.high, self.reach = group.vector(C), group.vector(C), group.scalar(C)
+        self.speed, self.limit = group.scalar(H), group.scalar(H)
+        self.held, self.spared, self.overlaps = (group.scalar(H, dtype=ti.i32) for _ in range(3))
         self._group = group
         group.build()
         self._upload = Upload([self.start, self.displacement, self.radius, self.held])
@@ -52,6 +62,10 @@ class FingerCapsules:
         """Forget all capsules."""
         self.last, self.present = np.zeros((self.hands, CAPSULES_PER_HAND, 7)), False
         self.radius.fill(0.0)
+        self.low.fill(NOWHERE)
+        self.high.fill(-NOWHERE)
+        self.spared.fill(-1)
+        self.limit.fill(1.0)
 
     def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
         """Move the capsules to their new poses over dt [s].
@@ -74,22 +88,48 @@ class FingerCapsules:
         self._upload([starts.reshape(-1, 3), (ends - starts).reshape(-1, 3), radii.reshape(-1), held])
 
     @ti.func
-    def elapsed(self):
-        """Fraction of the frame that has passed when the next substep begins."""
-        s = self.state
-        return ti.cast(s.substep_index[None] + 1, ti.f32) / ti.cast(s.substeps[None], ti.f32)
+    def capsule_of(self, p):
+        """Capsule of sample p."""
+        return p // SAMPLES_PER_CAPSULE
 
     @ti.func
-    def next_position(self, p):
-        """Position [m] of sample p when the next substep begins: at a search."""
-        return self.start[p] + self.elapsed() * self.displacement[p]
+    def speed_of(self, p):
+        """Speed [m/s] of the hand of sample p."""
+        return self.speed[p // SAMPLES_PER_HAND]
 
     @ti.func
-    def position(self, p):
-        """Position [m] of sample p when the substep in progress begins."""
+    def elapsed(self, searching: ti.template()):
+        """Fraction of the frame that has passed when the substep in progress begins, or, in a search, the next one."""
         s = self.state
-        f = ti.cast(s.substep_index[None], ti.f32) / ti.cast(s.substeps[None], ti.f32)
-        return self.start[p] + f * self.displacement[p]
+        return ti.cast(s.substep_index[None] + ti.static(int(searching)), ti.f32) / ti.cast(s.substeps[None], ti.f32)
+
+    @ti.func
+    def position(self, p, searching: ti.template()):
+        """Position [m] of sample p then."""
+        return self.start[p] + self.elapsed(searching) * self.displacement[p]
+
+    @ti.func
+    def spares(self, p, b):
+        """True if the hand of sample p passes through body b."""
+        return self.spared[p // SAMPLES_PER_HAND] == b
+
+    @ti.func
+    def note_overlap(self, p, distance):
+        """Sample p is at a distance [m] from a body that its hand passes through, at a search."""
+        if distance < self.radius[p]:
+            self.overlaps[p // SAMPLES_PER_HAND] = 1
+
+    @ti.func
+    def max_force_on(self, p, mu):
+        """Greatest force [N] of sample p on a soft body of shear modulus mu [Pa]."""
+        return ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * mu * self.radius[p] ** 2)
+
+    @ti.func
+    def set_push(self, r, p, max_force, constraints: ti.template()):
+        """Let sample p push in constraint r with at most a force [N]."""
+        k, n = r - constraints.first_finger, ti.cast(self.state.substeps[None], ti.f32)
+        constraints.finger_motion[k] = self.displacement[p] / n
+        constraints.max_force[k] = max_force * self.limit[p // SAMPLES_PER_HAND]
 
     @ti.func
     def may_meet(self, c, low, high):
@@ -100,11 +140,11 @@ class FingerCapsules:
     def sweep(self):
         """Boxes of the capsules until the next search; the bounds, up to date, of bodies that they may push widen."""
         s = self.state
-        f, part = self.elapsed(), s.detect_dt[None] / (s.dt[None] * ti.cast(s.substeps[None], ti.f32))
+        f, part = self.elapsed(True), s.detect_dt[None] / (s.dt[None] * ti.cast(s.substeps[None], ti.f32))
         for h in range(self.hands):
             self.speed[h] = 0.0
-        for c in range(self.hands * CAPSULES_PER_HAND):
-            low, high, speed = ti.Vector([1e9, 1e9, 1e9]), ti.Vector([-1e9, -1e9, -1e9]), 0.0
+        for c in range(self.capsules):
+            low, high, speed, reach = vec3(NOWHERE), vec3(-NOWHERE), 0.0, 0.0
             for k in range(SAMPLES_PER_CAPSULE):
                 p = c * SAMPLES_PER_CAPSULE + k
                 if self.radius[p] > 0.0:
@@ -112,17 +152,18 @@ class FingerCapsules:
                     b = a + part * self.displacement[p]
                     low = ti.min(low, a - self.radius[p], b - self.radius[p])
                     high = ti.max(high, a + self.radius[p], b + self.radius[p])
-                    speed = ti.max(speed, self.displacement[p].norm() * part / s.detect_dt[None])
-            self.low[c], self.high[c] = low, high
+                    motion = self.displacement[p].norm() * part
+                    speed, reach = ti.max(speed, motion / s.detect_dt[None]), ti.max(reach, self.radius[p] + motion)
+            self.low[c], self.high[c], self.reach[c] = low, high, reach
             ti.atomic_max(self.speed[c // CAPSULES_PER_HAND], speed)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
                 box = self.bounds
                 margin, gain = box.max_speed[b] * s.detect_dt[None] + CONTACT_MARGIN, 0.0
-                for c in range(self.hands * CAPSULES_PER_HAND):
+                for c in range(self.capsules):
                     if self.may_meet(c, box.low[b] - margin, box.high[b] + margin):
                         speed = self.speed[c // CAPSULES_PER_HAND]
-                        gain = ti.max(gain, speed + FINGERTIP_MAX_DEPTH / FINGERTIP_DAMPING_TIME)
+                        gain = ti.max(gain, speed + MAX_RECOVERY_SPEED)
                 box.v_min[b] -= gain
                 box.v_max[b] += gain
                 box.speed_gain[b] += gain

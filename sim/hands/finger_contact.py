@@ -1,8 +1,8 @@
-"""Contact of finger capsules with soft and rigid bodies: search, narrow phase and forces.
+"""Contact of finger capsules with soft and rigid bodies: forces, what a hand passes through, and rigid bodies.
 
-Each sample (sim/hands/finger_capsules.py) has a contact constraint with the tet that is nearest to it, along that
-body's distance grid as in sim/contact/deformable_contact.py, and another one with the nearest rigid body. With u =
-displacement / substeps the motion of a sample at c in this substep and r its radius, its constraint asks for
+Each sample (sim/hands/finger_capsules.py) has a contact constraint with the tet that is nearest to it, which
+sim/contact/nearest_tet.py finds and sim/contact/deformable_contact.py evaluates, and another one with the nearest rigid
+body. With u = displacement / substeps the motion of a sample at c in this substep and r its radius, it asks for
 
     phi(c) - r + n . (u - y) >= 0,   y the motion of the body there,
 
@@ -20,62 +20,44 @@ from core.fields import FieldGroup
 from scenes.scene import Hand
 from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
-from sim.contact.tet_geometry import NO_TET, distance_outside, face_normals, tet_edges, tet_key, tet_of_key
-from sim.hands.finger_capsules import CAPSULES_PER_HAND, SAMPLES_PER_CAPSULE, SAMPLES_PER_HAND, FingerCapsules
+from sim.hands.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.rigid.rigid_motion import FREE
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
     from sim.contact.constraints import ContactConstraints
-    from sim.contact.deformable_contact import DeformableContact
-    from sim.state import State
 
-SKIN_FRICTION = 1.0  # coefficient; with a body, as always, the geometric mean
-MAX_SAMPLE_FORCE = 10.0  # [N]: 30 to 40 of a fingertip
-# A soft body yields to less: E r^2 presses a ball of radius r about half of r deep (Hertz); more would crush its cells.
-YOUNG_PER_MU = 2.6  # E = 2 (1 + nu) mu
 LIMIT_GROWTH = 1.1  # by which a hand that pressed too hard may press more again from search to search
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces
 
 
-def finger_rows(hands: int, rigid: bool) -> int:
-    """Number of constraints of the fingers of this many hands."""
-    return max(hands, 1) * SAMPLES_PER_HAND * (2 if rigid else 1)
-
-
 @ti.data_oriented
 class FingerContact:
-    """Sample p has the constraints begin + p (soft bodies) and begin + N + p (rigid bodies).
+    """Sample p has the constraints first_finger + p (soft bodies) and begin + p (rigid bodies).
 
-    tet i32[N], rigid_body i32[N]: what a sample may touch, -1 none;   spared i32[H]: a body that a hand passes through
-    limit f32[H]: fraction of each sample's greatest force that keeps the hand below MAX_HAND_FORCE
+    rigid_body i32[N]: the rigid body that a sample may touch, -1 none
     pressed i64[H], total i64[H,3]: sum of force magnitudes, and force, of a hand in FORCE_STEP
     """
 
     def __init__(
         self,
-        state: "State",
-        deformable: "DeformableContact",
+        capsules: FingerCapsules,
         bounds: "BodyBounds",
         constraints: "ContactConstraints",
         begin: int,
         *,
-        hands: int,
         rigid_bodies=None,
         shapes=None,
     ):
         """Rigid_bodies and their shapes: None without any."""
-        self.state, self.bounds, self.constraints, self.begin = state, bounds, constraints, begin
+        self.state, self.capsules, self.bounds = capsules.state, capsules, bounds
+        self.constraints, self.begin = constraints, begin
         self.rigid_bodies, self.shapes, self.coupled = rigid_bodies, shapes, rigid_bodies is not None
-        self.deformable = deformable
-        self.capsules = FingerCapsules(state, bounds, hands)
-        self.hands, self.count = self.capsules.hands, self.capsules.count
-        self.size = finger_rows(hands, self.coupled)
-        H, N, group = self.hands, self.count, FieldGroup()
-        self.tet, self.rigid_body = group.scalar(N, dtype=ti.i32), group.scalar(N, dtype=ti.i32)
-        self.key, self.limit = group.scalar(N, dtype=ti.i64), group.scalar(H)
-        self.spared, self.overlaps = group.scalar(H, dtype=ti.i32), group.scalar(H, dtype=ti.i32)
+        self.hands, self.count = capsules.hands, capsules.count
+        self.on_soft = begin > constraints.first_finger
+        H, group = self.hands, FieldGroup()
+        self.rigid_body = group.scalar(self.count, dtype=ti.i32)
         self.pressed, self.total = group.scalar(H, dtype=ti.i64), group.scalar(H, 3, dtype=ti.i64)
         self._group = group
         group.build()
@@ -85,9 +67,7 @@ class FingerContact:
     def reset(self) -> None:
         """Forget all contacts."""
         self.capsules.reset()
-        for field in (self.tet, self.rigid_body, self.spared):
-            field.fill(-1)
-        self.limit.fill(1.0)
+        self.rigid_body.fill(-1)
 
     def begin_frame(self, hands: list[Hand | None], held: list[int], dt: float) -> None:
         """Move the capsules to their new poses over dt [s]; held[h] is the body in hand h, -1 for none."""
@@ -101,89 +81,60 @@ class FingerContact:
         """True if there is anything to search for; always at first, so that kernels are compiled before a touch."""
         return self.capsules.present or not self._compiled
 
+    def prepare(self) -> None:
+        """Begin a search: the capsules' boxes, and how hard they may press. The bodies' bounds must be up to date."""
+        self.capsules.sweep()
+        self._begin_search()
+
     def detect(self) -> None:
-        """Make the constraints of samples that may touch something before the next search candidates; after `sweep`."""
-        self._find()
+        """End a search, after that for tets, with the one for rigid bodies."""
+        self._find_rigid_bodies()
         if not self._compiled:
             self._sum()
             self._compiled = True
 
     @ti.kernel
-    def _find(self):
-        s = self.state
+    def _begin_search(self):
+        f = self.capsules
         for h in range(self.hands):
             self.pressed[h] = 0
-        for q in range(self.size):
-            strength = self._force(q).norm()
+        for p in range(self.count):
+            _, strength = self._force(p)
             if strength > 0.0:
-                ti.atomic_add(self.pressed[q % self.count // SAMPLES_PER_HAND], ti.cast(strength * 1e6, ti.i64))
+                ti.atomic_add(self.pressed[p // SAMPLES_PER_HAND], ti.cast(strength / FORCE_STEP, ti.i64))
         for h in range(self.hands):
             self._limit(h)
-            self.overlaps[h] = 0
-            if self.capsules.held[h] >= 0:
-                self.spared[h] = self.capsules.held[h]
-        for p in range(self.count):
-            self.key[p] = ti.i64(NO_TET)
-        for t in range(s.T):
-            if t < s.tet_count[None]:
-                self._visit(t)
-        for p in range(self.count):
-            host, before = tet_of_key(self.key[p]), self.tet[p]
-            self.tet[p] = host
-            same_body = host >= 0 and before >= 0
-            if same_body:
-                same_body = s.body_of_tet[host] == s.body_of_tet[before]
-            if not same_body:
-                self.constraints.clear_impulse(self.begin + p)
-            if host >= 0:
-                self.constraints.add_candidate(self.begin + p)
+            f.overlaps[h] = 0
+            if f.held[h] >= 0:
+                f.spared[h] = f.held[h]
+
+    @ti.kernel
+    def _find_rigid_bodies(self):
+        f = self.capsules
         for p in range(self.count if ti.static(self.coupled) else 0):
             if ti.static(self.coupled):
                 self._find_rigid_body(p)
         for h in range(self.hands):
-            if self.capsules.held[h] < 0 and self.overlaps[h] == 0:
-                self.spared[h] = -1
+            if f.held[h] < 0 and f.overlaps[h] == 0:
+                f.spared[h] = -1
 
     @ti.func
     def _limit(self, h):
         """Reduce the limit of a hand that pressed with more than MAX_HAND_FORCE."""
         pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
         if pressed > MAX_HAND_FORCE:
-            self.limit[h] *= MAX_HAND_FORCE / pressed
+            self.capsules.limit[h] *= MAX_HAND_FORCE / pressed
         else:
-            self.limit[h] = ti.min(1.0, LIMIT_GROWTH * self.limit[h])
-
-    @ti.func
-    def _visit(self, t):
-        """Offer tet t to the samples that it may meet until the next search; the lowest (distance, t) wins."""
-        s = self.state
-        f = self.capsules
-        b = s.body_of_tet[t]
-        x0, e1, e2, e3 = tet_edges(s, t)
-        margin = self.bounds.max_speed[b] * s.detect_dt[None]
-        low, high = x0 + ti.min(e1, e2, e3, 0.0) - margin, x0 + ti.max(e1, e2, e3, 0.0) + margin
-        if e1.dot(e2.cross(e3)) > 0.0:
-            n0, n1, n2, n3 = face_normals(e1, e2, e3)
-            for c in range(self.hands * CAPSULES_PER_HAND):
-                if f.may_meet(c, low, high):
-                    for p in range(c * SAMPLES_PER_CAPSULE, (c + 1) * SAMPLES_PER_CAPSULE):
-                        r = f.radius[p]
-                        if r > 0.0:
-                            outside = distance_outside(f.next_position(p) - x0, e1, n0, n1, n2, n3)
-                            if b == self.spared[p // SAMPLES_PER_HAND]:
-                                if outside < r:
-                                    self.overlaps[p // SAMPLES_PER_HAND] = 1
-                            elif outside < r + margin + f.displacement[p].norm():
-                                ti.atomic_min(self.key[p], tet_key(outside, t))
+            self.capsules.limit[h] = ti.min(1.0, LIMIT_GROWTH * self.capsules.limit[h])
 
     @ti.func
     def _find_rigid_body(self, p):
         """Make sample p's second constraint a candidate if a free rigid body is near: with the nearest."""
         s = self.state
         f = self.capsules
-        r, body, least = self.begin + self.count + p, -1, UNKNOWN_DISTANCE
+        r, body, least = self.begin + p, -1, UNKNOWN_DISTANCE
         if f.radius[p] > 0.0:
-            x, h = f.next_position(p), p // SAMPLES_PER_HAND
+            x = f.position(p, True)
             for b in range(s.body_count[None]):
                 max_distance = f.radius[p] + self.bounds.max_speed[b] * s.detect_dt[None] + f.displacement[p].norm()
                 outside = outside_box(self.bounds.low[b], self.bounds.high[b], x)
@@ -191,9 +142,8 @@ class FingerContact:
                     phi, _ = self.shapes.distance(b, x, vec3(0.0))
                     if not known(phi):
                         phi = outside
-                    if b == self.spared[h]:
-                        if phi < f.radius[p]:
-                            self.overlaps[h] = 1
+                    if f.spares(p, b):
+                        f.note_overlap(p, phi)
                     elif phi < ti.min(max_distance, least):
                         body, least = b, phi
         if body != self.rigid_body[p]:
@@ -204,61 +154,34 @@ class FingerContact:
 
     @ti.func
     def evaluate(self, r):
-        """Update constraint r's distance, normal and vertices; whether the body's shape has a distance there."""
-        q = r - self.begin
-        usable = False
-        if q < self.count:
-            usable = self._evaluate_tet(q, r)
-        else:
-            if ti.static(self.coupled):
-                usable = self._evaluate_rigid_body(q - self.count, r)
-        return usable
-
-    @ti.func
-    def _evaluate_tet(self, p, r):
-        s = self.state
+        """Update constraint r with a rigid body: whether its shape has a distance there."""
+        p, f = r - self.begin, self.capsules
         table = self.constraints
-        t = self.tet[p]
-        thick, phi, normal, b, _X, _beyond = self.deformable.distance(t, self.capsules.position(p))
-        usable = table.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
-        if thick:
-            usable = known(phi)
-            self.tet[p] = self.deformable.hosts.next_host(t, b)
-            if usable:
-                body, radius = s.body_of_tet[t], self.capsules.radius[p]
-                phi -= radius + self.deformable.set_host(r, 0, t, b, normal, table)
-                if ti.static(table.coupled):
-                    table.body_count[r] = 0
-                self._fill(p, r, body, phi, normal, ti.min(MAX_SAMPLE_FORCE, YOUNG_PER_MU * s.mu[body] * radius**2))
-        return usable
-
-    @ti.func
-    def _evaluate_rigid_body(self, p, r):
-        b, x = self.rigid_body[p], self.capsules.position(p)
+        b, x = self.rigid_body[p], f.position(p, False)
         phi, n = self.shapes.distance(b, x, vec3(0.0))
         usable = known(phi)
         if usable:
-            self.constraints.set_vertex_count(r, 0)
-            self.constraints.body_count[r] = 1
-            self.constraints.set_body(r, 0, b, x - phi * n, -1.0)
-            self._fill(p, r, b, phi - self.capsules.radius[p], n, MAX_SAMPLE_FORCE)
+            table.set_vertex_count(r, 0)
+            table.body_count[r] = 1
+            table.set_body(r, 0, b, x - phi * n, -1.0)
+            f.set_push(r, p, MAX_SAMPLE_FORCE, table)
+            closing_speed = self.bounds.max_speed[b] + f.speed_of(p)
+            table.set_contact(r, phi - f.radius[p], n, ti.sqrt(self.state.frictions(b)), closing_speed)
         return usable
 
     @ti.func
-    def _fill(self, p, r, body, phi, normal, max_force):
-        """Write constraint r of sample p with a body at distance phi [m]."""
-        k, h, n = r - self.begin, p // SAMPLES_PER_HAND, ti.cast(self.state.substeps[None], ti.f32)
-        self.constraints.finger_motion[k] = self.capsules.displacement[p] / n
-        self.constraints.max_force[k] = max_force * self.limit[h]
-        friction = ti.sqrt(self.state.frictions(body) * SKIN_FRICTION)
-        closing_speed = self.bounds.max_speed[body] + self.capsules.speed[h]
-        self.constraints.set_contact(r, phi, normal, friction, closing_speed)
-
-    @ti.func
-    def _force(self, q):
-        """Force [N] of constraint q on the finger in the last substep."""
-        dt = ti.max(self.state.dt[None], 1e-9)
-        return self.constraints.impulse[self.begin + q] / (dt * dt)
+    def _force(self, p):
+        """Force [N] of sample p on the bodies in the last substep, and the sum of the magnitudes on each."""
+        table = self.constraints
+        per_force = ti.max(self.state.dt[None], 1e-9) ** 2
+        force, strength = vec3(0.0), 0.0
+        if ti.static(self.on_soft):
+            impulse = table.impulse[table.first_finger + p]
+            force, strength = impulse / per_force, impulse.norm() / per_force
+        if ti.static(self.coupled):
+            impulse = table.impulse[self.begin + p]
+            force, strength = force + impulse / per_force, strength + impulse.norm() / per_force
+        return force, strength
 
     def forces(self) -> list[np.ndarray]:
         """Contact force of each hand's finger capsules on bodies that it does not grasp [N], (3,)."""
@@ -271,10 +194,10 @@ class FingerContact:
     def _sum(self):
         for h, axis in self.total:
             self.total[h, axis] = 0
-        for q in range(self.size):
-            force = -self._force(q)
+        for p in range(self.count):
+            force, _ = self._force(p)
             for axis in ti.static(range(3)):
-                ti.atomic_add(self.total[q % self.count // SAMPLES_PER_HAND, axis], ti.cast(force[axis] * 1e6, ti.i64))
+                ti.atomic_add(self.total[p // SAMPLES_PER_HAND, axis], ti.cast(-force[axis] / FORCE_STEP, ti.i64))
 
     def warm_up(self) -> None:
         """See Solver.warm_up; the search does it for itself."""

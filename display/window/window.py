@@ -8,7 +8,8 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera
-from display.adaptive_resolution import AdaptiveResolution
+from display.adaptive_resolution import WindowResolution
+from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, strokes
 from display.picture import PictureTexture, fit
 from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
@@ -19,7 +20,7 @@ from display.window.orbit_camera import OrbitCamera
 from display.window.panel import ACCENT, QUIET, TITLE_SIZE, Panel
 from scenes.scene import BodyState, Scene
 
-MAX_DT = 1 / 20  # [s]; below 20 frames a second the world slows down rather than jumps
+MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 MIN_SIDE = 16  # [px] of a picture
 
@@ -35,11 +36,12 @@ class Window:
         self._surface = GLWindow(title, width, height, vsync=vsync)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(scene, title, self._surface.scale)
-        self._resolution = AdaptiveResolution()
+        self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
+        self._dropped = 0.0  # [s] that have passed and were never simulated
         self._commands: list[Command] = []  # from the panel, for the next frame
         self._resized: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)  # the window's size, since when
         self.loading(f"Loading {title}")
@@ -57,8 +59,12 @@ class Window:
     @property
     def size(self) -> tuple[int, int]:
         """(width, height) [px] of the picture that fits the window now."""
-        scale = self._resolution.scale if self._panel.resolution is None else self._panel.resolution
-        return tuple(max(MIN_SIDE, round(side * scale)) for side in self._surface.frame_size)
+        full = self._surface.frame_size
+        if self._panel.resolution is None:
+            wanted = self._resolution.size(full)
+        else:
+            wanted = (round(side * self._panel.resolution) for side in full)
+        return tuple(max(MIN_SIDE, side) for side in wanted)
 
     def loading(self, text: str) -> None:
         """Show a line of text in an otherwise empty window during a long operation."""
@@ -76,7 +82,7 @@ class Window:
         self._surface.swap()
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
-        """Frames in real time until the user quits."""
+        """Frames in real time until the user quits; slower where that cannot be kept up (display/clock.py)."""
         time, last = 0.0, perf_counter()
         orbit = self._controls.orbit
         while not (self._controls.quit or self._surface.closing):
@@ -87,8 +93,11 @@ class Window:
             events = self._surface.begin()
             now = perf_counter()
             seconds, last = now - last, now
-            dt = min(seconds, MAX_DT)
-            self._resolution.note(now, seconds, moving=self._camera_moved() or world.moving)
+            cost = world.simulation_cost
+            dt = min(seconds, catch_up_limit(cost))
+            self._dropped += 0.0 if cost is None else seconds - dt
+            drawing = world.timings.latest("shadow", "render", "present")
+            self._resolution.note(now, seconds, drawing, moving=self._camera_moved() or world.moving)
             self._resize(now, world)
             commands = self._handle(events, world)
             pause = last_of(Pause, commands)
@@ -97,7 +106,7 @@ class Window:
             hands = self._controls.advance(self._camera, dt, running=running)
             time += dt
             self._camera = orbit.camera(self._camera.width, self._camera.height)
-            yield Frame(dt, time, [orbit.camera(*world.picture_size)], hands, commands)
+            yield Frame(dt, time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)
 
     def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""
@@ -112,7 +121,7 @@ class Window:
             self._surface.end()
         self._surface.swap()
         world.timings.measure_exactly(self._panel.details)
-        world.timings.frame()
+        world.timings.frame(dropped=self._dropped)
 
     def _camera_moved(self) -> bool:
         """True if the last frame's camera differed from the one before it."""

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from display.adaptive_resolution import AdaptiveResolution
 from display.adaptive_resolution import DynamicResolution as R
+from display.adaptive_resolution import WindowResolution
 
 BUDGET = 1 / 90
 FULL = (1800, 1920)
@@ -14,48 +14,49 @@ FULL = (1800, 1920)
 
 # in a window
 
+WINDOW = (960, 540)
+
 
 def run(resolution, begin, seconds, *, cost, moving):
-    """Frames of which each takes cost(scale) [s]; returns the end and the scales."""
+    """Frames that take cost(scale) [s], all for pixels; returns the end and the scales of a side."""
     now, scales = begin, []
     while now < begin + seconds:
-        scales.append(resolution.scale)
-        took = cost(resolution.scale)
+        scales.append(resolution.size(WINDOW)[0] / WINDOW[0])
+        took = cost(scales[-1])
         now += took
         resolution.note(now, took, moving=moving)
     return now, scales
 
 
 def test_a_slow_machine_draws_coarser_while_things_move_and_all_once_they_are_still():
-    resolution = AdaptiveResolution()
-    now, scales = run(resolution, 0.0, 3.0, cost=lambda scale: 0.09 * scale**2, moving=True)
-    assert scales[0] == 1.0 and scales[-1] == 0.5  # 0.75 would take 50 ms
-    now, scales = run(resolution, now, 1.0, cost=lambda scale: 0.09 * scale**2, moving=False)
-    assert scales[0] == 0.5 and scales[-1] == 1.0
-    assert sum(0.09 * s**2 for s in scales if s < 1.0) <= AdaptiveResolution.STILL_AFTER + 0.09
-    _, scales = run(resolution, now, 1.0, cost=lambda scale: 0.09 * scale**2, moving=True)
-    assert set(scales[1:]) == {0.5}  # it is remembered
+    resolution, slow = WindowResolution(), lambda scale: 0.09 * scale**2
+    now, scales = run(resolution, 0.0, 3.0, cost=slow, moving=True)
+    assert scales[0] == 1.0 and scales[-1] < 0.75 and slow(scales[-1]) < WindowResolution.FRAME_TIME
+    assert sum(itertools.takewhile(lambda t: t > WindowResolution.FRAME_TIME, map(slow, scales))) < 1.0
+    now, still = run(resolution, now, 1.0, cost=slow, moving=False)
+    assert still[0] == scales[-1] and still[-1] == 1.0
+    assert sum(slow(s) for s in still if s < 1.0) <= WindowResolution.STILL_AFTER + 0.09
+    _, again = run(resolution, now, 0.5, cost=slow, moving=True)
+    assert set(again[1:]) == {scales[-1]}  # it is remembered
 
 
 def test_a_fast_machine_draws_everything():
-    assert set(
-        run(AdaptiveResolution(), 0.0, 2.0, cost=lambda scale: 0.7 * AdaptiveResolution.MAX_FRAME_TIME, moving=True)[1]
-    ) == {1.0}
+    _, scales = run(WindowResolution(), 0.0, 2.0, cost=lambda scale: 0.8 * WindowResolution.FRAME_TIME, moving=True)
+    assert set(scales) == {1.0}
 
 
-def test_it_gets_finer_again_when_there_is_time_and_does_not_swing():
-    resolution = AdaptiveResolution()
-    now, _ = run(resolution, 0.0, 2.0, cost=lambda scale: 0.2 * scale**2, moving=True)
-    now, scales = run(resolution, now, 2.0, cost=lambda scale: 0.01 * scale**2, moving=True)
+def test_it_gets_finer_again_when_there_is_time():
+    resolution = WindowResolution()
+    now, scales = run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
+    assert scales[-1] == R.MIN_SCALE
+    now, scales = run(resolution, now, 12.0, cost=lambda scale: 0.01 * scale**2, moving=True)
     assert scales[-1] == 1.0
-    _, scales = run(resolution, now, 5.0, cost=lambda scale: 0.01 + 0.05 * scale**2, moving=True)
-    changes = sum(a != b for a, b in itertools.pairwise(scales))
-    assert changes <= 1 and scales[-1] in AdaptiveResolution.LEVELS
 
 
-def test_what_pixels_do_not_change_ends_at_the_coarsest():
-    _, scales = run(AdaptiveResolution(), 0.0, 3.0, cost=lambda scale: 0.2, moving=True)
-    assert scales[-1] == AdaptiveResolution.LEVELS[-1]
+def test_a_window_of_another_size_keeps_the_scale():
+    resolution = WindowResolution()
+    run(resolution, 0.0, 3.0, cost=lambda scale: 0.2 * scale**2, moving=True)
+    assert resolution.size((1920, 1080)) == (960, 544) and resolution.size((17, 16)) == (8, 8)
 
 
 # in a headset

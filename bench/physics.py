@@ -338,7 +338,7 @@ def agreement_positions(contacts: bool) -> np.ndarray:
         SoftBody("upper", *cube, jelly, position=(1.03, 0.1005, 0.02), velocity=(0, -0.2, 0)),
     ]
     floor, frame = Plane((0, 0, 0), (0, 1, 0), friction=0.3), AGREEMENT_SUBSTEPS * 1e-4
-    solver = Solver(bodies, [floor], substep=1e-4, frame_dt=frame, contacts=contacts)
+    solver = Solver(bodies, [floor], substep=1e-4, frame_dt=frame, contacts=contacts, sleep=False)
     start = solver.snapshot()
     x, v = start["x"].astype(np.float64), start["v"].astype(np.float64)
     n = len(bar[0])

@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from inspect import signature
 from pathlib import Path
 from time import perf_counter
 
@@ -144,8 +143,7 @@ def options(casts: list[Cast]) -> dict:
     most = {name: max(getattr(s, name) for s in sizes) for name in ("vertices", "tets", "triangles", "bodies")}
     nodes = max(c.shape.sdf.values.size for c in casts)
     capacity = Capacity(**most, samples=max(c.samples for c in casts), nodes=nodes)
-    awake = {"sleep": False} if "sleep" in signature(Solver).parameters else {}
-    return {"frame_dt": FRAME, "capacity": capacity, "hands": 2, **awake}
+    return {"frame_dt": FRAME, "capacity": capacity, "hands": 2, "sleep": False}
 
 
 def measure(solver: Solver, cast: Cast, play: Play, frames: int, seconds: float) -> dict:

@@ -34,7 +34,7 @@ def playground() -> tuple[Solver, dict[str, slice]]:
         new = group()
         where[group.__name__] = slice(len(bodies), len(bodies) + len(new))
         bodies += new
-    return Solver(bodies, [FLOOR], hands=1), where
+    return Solver(bodies, [FLOOR], hands=1, sleep=False), where
 
 
 def cube(name: str, x: float, y: float, z: float, **options) -> RigidBody:
@@ -91,7 +91,7 @@ PILE_SIDE = 0.08  # [m] of its cubes
 PILE_RUBBER = Material(young=5e4, poisson=0.4, density=1100.0, friction=0.6, damping=4.0)
 
 
-def pile() -> Solver:
+def pile(*, sleep: bool) -> Solver:
     """Two stacks of two cubes, a ring on top of the first, and two rings lying beside the second."""
     x, tets, surface = box((PILE_SIDE,) * 3, (2, 2, 2))
     ring = torus(0.08, 0.016, 16, 2)
@@ -103,7 +103,7 @@ def pile() -> Solver:
         for k, p in enumerate(cubes)
     ]
     bodies += [SoftBody(f"ring{k}", *ring, PILE_RUBBER, position=p) for k, p in enumerate(rings)]
-    return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], hands=0)
+    return Solver(bodies, [Plane((0, 0, 0), (0, 1, 0))], hands=0, sleep=sleep)
 
 
 def resting_pile(seconds: float = 60.0, skipped: float = 1.0) -> dict:
@@ -112,7 +112,7 @@ def resting_pile(seconds: float = 60.0, skipped: float = 1.0) -> dict:
     gained [J]: the largest growth of the total energy over its minimum so far; kinetic_start, kinetic_end [J]: the
     largest kinetic energy in the first and in the last second; drift [m]: of any vertex in the last second.
     """
-    solver = pile()
+    solver = pile(sleep=False)
     frames, first = round(seconds / FRAME), round(skipped / FRAME)
     least, gained, kinetic, before = np.inf, 0.0, [], None
     for k in range(frames):
@@ -183,7 +183,7 @@ def linked_throws(
     bodies = [SoftBody(f"ring{k}", x, tets, surface, RING_MATERIAL, position=foot) for k, foot in enumerate(feet)]
     pegs = [Capsule(foot, (foot[0], PEG_HEIGHT, foot[2]), PEG_RADIUS) for foot in feet]
     lids = [Plane((0, 0, 0), (0, 1, 0)), Plane((0, PEG_HEIGHT, 0), (0, -1, 0))]
-    solver = Solver(bodies, [*pegs, *lids], hands=0)
+    solver = Solver(bodies, [*pegs, *lids], hands=0, sleep=False)
     for first in range(0, count, rings):
         starts = [thrown(rng, x, foot, speed) for foot in feet]
         solver.restore({name: np.concatenate([s[k] for s in starts]) for k, name in enumerate(("x", "v"))})

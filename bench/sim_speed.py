@@ -97,7 +97,8 @@ def ground() -> StaticGrid:
 def measure(name: str, bodies: list[SoftBody], shapes: list, contacts: bool, *, frames: int) -> dict:
     """One row: medians over frames, after warm-up frames that compile and come to rest."""
     frame = SUBSTEP * SUBSTEPS
-    solver = Solver(bodies, shapes, substep=SUBSTEP, frame_dt=frame, collision_passes=PASSES, contacts=contacts)
+    options = {"substep": SUBSTEP, "frame_dt": frame, "collision_passes": PASSES, "contacts": contacts, "sleep": False}
+    solver = Solver(bodies, shapes, **options)
     long = times(solver, frame, frames)
     touching = 0 if solver.contacts is None else int(solver.contacts.constraints.active.to_numpy().sum())
     solver.collision_passes = 1

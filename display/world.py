@@ -279,5 +279,6 @@ class World(WorldView):
     def stats(self) -> dict:
         """Counts and state for panels and `--stats`."""
         s = self.device.solver.stats
-        names = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes", "finite")
+        names = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes")
+        names = (*names, "finite", "asleep")
         return {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}

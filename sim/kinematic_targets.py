@@ -59,6 +59,11 @@ class KinematicTargets:
         self._mark(self.vertex_begin[body], self.vertex_begin[body + 1])
         self.bodies.add(body)
 
+    @property
+    def driven_bodies(self) -> set[int]:
+        """Bodies that are driven in the next frame, kinematic ones included."""
+        return self.bodies if self.rigid is None else self.bodies | set(self.rigid.targets)
+
     def begin_frame(self, dt: float) -> None:
         """Set the vertices off for a frame of dt [s]."""
         if self.bodies:

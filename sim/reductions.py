@@ -15,9 +15,10 @@ from sim.state import State
 BLOCK_SIZE = 64  # vertices
 FLOAT_MAX = 3.0e38  # larger than any distance, finite in float32
 MIN_MOTION = 1e-5  # [m] smaller motions are invisible
-ANY_MOVED, INVERTED = 22, 23  # by `observe`: of the first body, 1 if any vertex moved; of each, state.inverted
+# By `observe`: of the first body, 1 if any vertex moved; of each, state.inverted, asleep and rest_time
+ANY_MOVED, INVERTED, ASLEEP, REST_TIME = 22, 23, 24, 25
 # Of one body: sum m x (3), sum m v (3), sum m x (rest - its centre)^T (9), low (3), high (3), 1 if all finite, these
-VALUES = 24
+VALUES = 26
 
 
 @ti.func
@@ -78,6 +79,7 @@ class Reductions:
         self.distance, self.hit = g.scalar(), g.scalar(dtype=ti.i32)  # of the last `pick`
         g.build()
         self._upload = Upload([self.rest_center])
+        self.forget()
 
     def load(self, model: Model) -> None:
         """Take other bodies."""
@@ -85,6 +87,7 @@ class Reductions:
         self.driven = [p.body.pinned is not None for p in model.bodies]
         self.flattest = [s.flattest for s in model.shapes]
         self._upload([stacked([s.center[None] for s in model.shapes], 3)])
+        self.forget()
 
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
@@ -98,11 +101,32 @@ class Reductions:
             states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
         return states
 
-    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState], np.ndarray]:
-        """`moved`, `bodies`, and `state.inverted` of each, with one look at the device."""
+    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState]]:
+        """`moved` and `bodies`, with one look at the device, or with none if nothing has changed since the last."""
+        if self._observed is not None:
+            return False, list(self._observed)
         self._observe()
         total = self.total.to_numpy()
-        return bool(total[0, ANY_MOVED]), self._states(total, held), total[: len(self.names), INVERTED].astype(np.int32)
+        self._flags, self._observed = total[:, INVERTED:].T, self._states(total, held)
+        return bool(total[0, ANY_MOVED]), list(self._observed)
+
+    def flags(self) -> np.ndarray:
+        """`inverted`, `asleep` and `rest_time` of the state, (3, MAX_BODIES); `observe` has looked at them already."""
+        if self._flags is None:
+            self._flags = np.zeros((3, MAX_BODIES), np.float32)
+            self._read_flags(self._flags)
+        return self._flags
+
+    def boxes(self) -> np.ndarray:
+        """Lowest and highest coordinates of each body [m], (B, 2, 3)."""
+        if self._boxes is None:
+            self.sum_up()
+            self._boxes = self.total.to_numpy()[: len(self.names), 15:21].reshape(-1, 2, 3)
+        return self._boxes
+
+    def forget(self) -> None:
+        """The bodies or their flags have changed: look at the device when they are wanted next."""
+        self._flags = self._observed = self._boxes = None
 
     def finite(self) -> bool:
         """Return whether every position and velocity is finite."""
@@ -124,6 +148,13 @@ class Reductions:
         for b in range(MAX_BODIES):
             self.total[b, ANY_MOVED] = self.any_moved[None]
             self.total[b, INVERTED] = self.state.inverted[b]
+            self.total[b, ASLEEP], self.total[b, REST_TIME] = self.state.asleep[b], self.state.rest_time[b]
+
+    @ti.kernel
+    def _read_flags(self, out: ti.types.ndarray(ti.f32, 2)):
+        s = self.state
+        for b in range(MAX_BODIES):
+            out[0, b], out[1, b], out[2, b] = s.inverted[b], s.asleep[b], s.rest_time[b]
 
     @ti.func
     def _sum_up(self):

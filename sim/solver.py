@@ -34,6 +34,7 @@ from sim.recovery import NonFiniteRecovery
 from sim.reductions import ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import MAX_PASSES, MAX_RIGID_SUBSTEP, SUBSTEP_PER_PASS, RigidBodies
 from sim.rigid.rigid_body import RigidBody
+from sim.sleeping import Sleeping
 from sim.soft_body import SoftBody
 from sim.state import State
 
@@ -50,7 +51,8 @@ class Solver:
     frame; hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies
     follow the hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/capacity.py).
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
-    a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies.
+    a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies. With `sleep`,
+    bodies that rest are not simulated until something reaches them (sim/sleeping.py); without contacts none sleeps.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class Solver:
         integrator: str = "auto",
         capacity: Capacity | float | None = None,
         fingers: bool = False,
+        sleep: bool = True,
     ):
         capacity = Capacity.of(capacity)
         if not bodies and not capacity.grows:
@@ -97,6 +100,7 @@ class Solver:
                 s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options
             )
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
+        self._sleeping = Sleeping(s, self._reductions, self.contacts, self.rigid_bodies) if sleep and contacts else None
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks)
         self.untangling = Untangling(s, self._reductions, self.damping)
         self._targets = KinematicTargets(s, self.rigid_bodies)
@@ -122,30 +126,47 @@ class Solver:
         if dt == 0.0 or not self._model.bodies:
             return
         schedule = Schedule.of(dt / self._integration.substep, self.collision_passes, self.integrator.max_substeps)
+        if self._all_sleep(dt, hands, schedule.total_substeps):
+            self._last_schedule = (0, 0.0)
+            return
         self._begin_frame(dt, hands, schedule.total_substeps)
         launch_dt = dt / sum(schedule.launches)
         for launches in schedule.launches:
-            self._find_contacts()
+            self._find_contacts(dt)
             for _ in range(launches):
                 self.untangling.run(launch_dt)
                 self.damping.run(launch_dt)
                 self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
         self._recovery.recover()
         self._targets.end_frame()
+        if self._sleeping is not None:
+            self._sleeping.end_frame(dt)
         self._compiled.add(self._integration.integrator)
+
+    def _all_sleep(self, dt: float, hands: Sequence[Hand], substeps: int) -> bool:
+        """Take the hands of this frame, and wake what they or targets move; return whether nothing is awake."""
+        if self.contacts is not None:
+            self.contacts.begin_frame(hands, dt, substeps)
+        if self._sleeping is None:
+            return False
+        moved = self._grasped_bodies() | self._targets.driven_bodies | self.untangling.occupied
+        return self._sleeping.begin_frame(moved, tuple(self.gravity))
 
     def _begin_frame(self, dt: float, hands: Sequence[Hand], substeps: int) -> None:
         self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, ti.Vector(self.gravity))
         self._last_schedule = (substeps, dt / substeps)
         self._targets.begin_frame(dt)
-        for c in self._constraints:
-            c.begin_frame(hands, dt, substeps)
+        if self.rigid_bodies is not None:
+            self.rigid_bodies.begin_frame(hands, dt, substeps)
         if self.untangling.begin_frame(self._grasped_bodies(), self._targets.bodies, dt):
             self._restart_contacts(self._grasps())
+        self._reductions.forget()
 
-    def _find_contacts(self) -> None:
+    def _find_contacts(self, dt: float) -> None:
         for c in self._constraints:
             c.detect()
+        if self._sleeping is not None:
+            self._sleeping.search(dt)
 
     def _step_transform(self, dt: float, hands: Sequence[Hand]) -> None:
         """Let gripped bodies follow the hands, while time stands still."""
@@ -154,6 +175,8 @@ class Solver:
             self.contacts.begin_frame(hands, dt, 0)
             grasped, tracked = self.contacts.grasped_bodies(), self.contacts.tracked_hands()
         self._rigid_editing.step(tracked, grasped)
+        if any(b >= 0 for b in grasped):
+            self.wake()
         if any(b >= 0 and self._model.bodies[b].body.rigid for b in grasped):
             self._fit_rigid_bodies()
         self._last_schedule = (0, 0.0)
@@ -200,9 +223,7 @@ class Solver:
 
     def observe(self) -> tuple[bool, list[BodyState]]:
         """`moved` and `bodies`, with one wait for the device instead of two."""
-        moved, bodies, inverted = self._reductions.observe(self._held())
-        self.untangling.note_inverted(inverted)
-        return moved, bodies
+        return self._reductions.observe(self._held())
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest surface triangle and its body's index, or None."""
@@ -224,6 +245,12 @@ class Solver:
         if self.contacts is None:
             return np.zeros((len(self._model.bodies), 3))
         return self.contacts.forces.per_body()
+
+    def wake(self) -> None:
+        """Wake all bodies: after a change that the solver cannot see, such as of `x` or `v`."""
+        self._reductions.forget()
+        if self._sleeping is not None:
+            self._sleeping.wake()
 
     def take_scaling(self) -> tuple[int, float] | None:
         """Body and factor for `rescale`, if two hands have just scaled a body in "transform"; each only once."""
@@ -248,7 +275,8 @@ class Solver:
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back.
 
-        `recovered` counts the bodies that were not finite and were restored (sim/recovery.py).
+        `asleep` counts the bodies that sleep (sim/sleeping.py), `recovered` those that were not finite and were
+        restored (sim/recovery.py).
         """
         substeps, dt = self._last_schedule
         dt = float(dt or self._integration.substep)
@@ -263,6 +291,7 @@ class Solver:
             "iterations": self._integration.iterations,
             "collision_passes": self.collision_passes,
             "finite": self._reductions.finite(),
+            "asleep": int(self._asleep().sum()),
             "recovered": int(self._recovery.count[None]),
         }
 
@@ -309,7 +338,7 @@ class Solver:
         self.untangling.reset()
 
     def snapshot(self) -> dict:
-        """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling.
+        """Return all that `restore` needs: x, x_lo, v, v_lo (V, 3), bodies, grasps, untangling, asleep (B,).
 
         Impulses of contacts are not kept: a restored state evolves identically each time, but contacts converge
         to their loads again in the first substeps.
@@ -320,13 +349,14 @@ class Solver:
             "bodies": self._model.bodies,
             "grasps": self._grasps(),
             "untangling": self.untangling.snapshot(),
+            "asleep": self._asleep(),
         }
 
     def restore(self, snapshot: dict) -> None:
         """Go on from a snapshot.
 
-        Only "x" and "v" are needed. Without "bodies" these are as now, without "grasps" hands are open, and what fp32
-        cannot hold of float64 values goes to x_lo and v_lo.
+        Only "x" and "v" are needed. Without "bodies" these are as now, without "grasps" hands are open, without
+        "asleep" all are awake, and what fp32 cannot hold of float64 values goes to x_lo and v_lo.
         """
         models = tuple(snapshot.get("bodies", self._model.bodies))
         n, motion = sum(len(m.shape.vertices) for m in models), []
@@ -338,6 +368,8 @@ class Solver:
             motion += [high, snapshot.get(low, value - high)]
         self._set_bodies(models, motion, snapshot.get("grasps"))
         self.untangling.restore(snapshot.get("untangling"))
+        if self._sleeping is not None and "asleep" in snapshot:
+            self._sleeping.restore(snapshot["asleep"])
         self._rigid_editing.reset()
 
     def warm_up(self) -> None:
@@ -396,9 +428,12 @@ class Solver:
         if self._model.bodies != models:
             self._load(Model(models))
         self._write_motion(list(motion))
+        self._reductions.forget()
         self._recovery.begin()
         self._targets.end_frame()
         self._restart_contacts(grasps)
+        if self._sleeping is not None:
+            self._sleeping.restore(np.zeros(len(models)))
 
     def _change(self, bodies: MovingBodies) -> int:
         """Take edited bodies; return the index of the last one."""
@@ -430,8 +465,11 @@ class Solver:
     def _grasps(self) -> GraspState | None:
         return None if self.contacts is None else self.contacts.grasps()
 
+    def _asleep(self) -> np.ndarray:
+        return self._reductions.flags()[1, : len(self._model.bodies)] > 0
+
     def _grasped_bodies(self) -> set[int]:
-        return set() if self.contacts is None else set(self.contacts.grasped_bodies())
+        return set() if self.contacts is None else {*self.contacts.grasped_bodies()} - {-1}
 
     def _held(self) -> list[bool]:
         grasped = self._grasped_bodies()

@@ -85,6 +85,8 @@ class State:
         self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is led to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
         self.stress_lag = g.scalar(B)  # time [s] of this frame's substeps whose motion the stress does not see
+        self.asleep = g.scalar(B, dtype=ti.i32)  # 1 while it is not simulated (sim/sleeping.py)
+        self.rest_time = g.scalar(B)  # since when it has been at rest [s]
         # The frame
         self.dt = g.scalar()  # length of a substep [s]
         self.detect_dt = g.scalar()  # time between two searches for contacts [s]
@@ -124,33 +126,54 @@ class State:
         return self.dx[i] - lag * self.v[i]
 
     @ti.func
+    def awake_vertex(self, i):
+        """True if there is a vertex i and its body is awake."""
+        return i < self.vertex_count[None] and not self.asleep[self.body_of_vertex[i]]
+
+    @ti.func
+    def awake_tet(self, t):
+        """True if there is a tet t and its body is awake."""
+        return t < self.tet_count[None] and not self.asleep[self.body_of_tet[t]]
+
+    @ti.func
+    def awake_body(self, b):
+        """True if there is a body b and it is awake."""
+        return b < self.body_count[None] and not self.asleep[b]
+
+    @ti.func
     def frictions(self, b):
         """(mu_s, mu_k) of body b; between two bodies the geometric mean counts."""
         return ti.Vector([self.friction[b], self.sliding_friction[b]])
 
     @ti.func
     def predict(self, i):
-        """dx = dt (v + dt g) + x_lo of a free vertex, dt v + x_lo of a prescribed one."""
+        """dx = dt (v + dt g) + x_lo of a free vertex, dt v + x_lo of a prescribed one, 0 of one that sleeps."""
         dt = self.dt[None]
         d = dt * self.v[i] + self.x_lo[i]
         if self.inv_mass[i] > 0.0:
             d = dt * (self.v[i] + (self.v_lo[i] + dt * self.gravity[None])) + self.x_lo[i]
+        if self.asleep[self.body_of_vertex[i]]:
+            d = ti.Vector([0.0, 0.0, 0.0])
         self.dx_predicted[i] = d
         self.dx[i] = d
 
     @ti.func
     def commit(self, i, d):
-        """Turn the final increment d of vertex i into its new velocity and position, and predict the next increment."""
+        """Turn the final increment d of vertex i into its new velocity and position, and predict the next increment.
+
+        A vertex that sleeps stays where it is.
+        """
         dt = self.dt[None]
         v, v_lo = self.v[i], self.v_lo[i]
-        if self.inv_mass[i] > 0.0:
-            gain = dt * self.gravity[None] + (d - self.dx_predicted[i]) / dt
-            v, v_lo = two_sum(v, v_lo + gain)
-            speed, limit = v.norm(), self.max_step[self.body_of_vertex[i]] / dt
-            if speed > limit:
-                v, v_lo = v * (limit / speed), 0.0 * v
-            self.v[i], self.v_lo[i] = v, v_lo
-        self.x[i], self.x_lo[i] = two_sum(self.x[i], dt * (v + v_lo) + self.x_lo[i])
+        if not self.asleep[self.body_of_vertex[i]]:
+            if self.inv_mass[i] > 0.0:
+                gain = dt * self.gravity[None] + (d - self.dx_predicted[i]) / dt
+                v, v_lo = two_sum(v, v_lo + gain)
+                speed, limit = v.norm(), self.max_step[self.body_of_vertex[i]] / dt
+                if speed > limit:
+                    v, v_lo = v * (limit / speed), 0.0 * v
+                self.v[i], self.v_lo[i] = v, v_lo
+            self.x[i], self.x_lo[i] = two_sum(self.x[i], dt * (v + v_lo) + self.x_lo[i])
         self.predict(i)
 
     @ti.kernel

@@ -43,7 +43,7 @@ class ContactConstraints:
     next_check i32[R]: the substep until which a constraint is too far from contact to be evaluated
     status i32[R]: of this substep, see above;   active i32[R]: takes part in this sweep
     vertex_count i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a constraint
-    candidate i32[R], candidate_count: the rows in use until the next search
+    candidate i32[R], candidate_count: the rows in use until the next search;   listed_count: with those that sleep
     split_count i32[V] = B, in steps;   last_correction vec3[V] [m]: of the last sweep
     corrections i64[V,1+passes,3], in steps: what the impulses of the last substep move a vertex by, and their changes
     in each pass over the constraints, of which there is one without rigid bodies
@@ -77,7 +77,7 @@ class ContactConstraints:
         if self.fingers:
             with group.interleaved(capacity - first_finger):
                 self.finger_motion, self.max_force = group.vector(), group.scalar()
-        self.candidate_count = group.scalar(dtype=ti.i32)
+        self.candidate_count, self.listed_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
         group.build()
 
     @ti.func
@@ -262,7 +262,7 @@ class ContactConstraints:
     @ti.kernel
     def clear(self):
         """Forget all contacts."""
-        self.candidate_count[None] = 0
+        self.candidate_count[None], self.listed_count[None] = 0, 0
         for r in self.impulse:
             self.clear_impulse(r)
         for i in self.split_count:
@@ -316,7 +316,7 @@ class ContactForces:
             if i < s.vertex_count[None] and s.dt[None] > 0.0:
                 self._add(s.body_of_vertex[i], s.mass[i] * self.correction[i])
         for k in range(table.capacity):
-            if k < table.candidate_count[None] and s.dt[None] > 0.0:
+            if k < ti.max(table.candidate_count[None], table.listed_count[None]) and s.dt[None] > 0.0:
                 r = table.candidate[k]
                 for e in range(table.vertex_count[r]):
                     self._add(s.body_of_vertex[table.vertex[r, e]], table.coefficient[r, e] * table.impulse[r])

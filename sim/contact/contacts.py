@@ -17,7 +17,7 @@ import numpy as np
 import taichi as ti
 
 from scenes.scene import Hand
-from sim.capacity import Capacity, fit
+from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.constraint import Constraint
 from sim.contact.broad_phase import BodyBounds
 from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactConstraints, ContactForces
@@ -25,7 +25,7 @@ from sim.contact.contact_samples import ContactSamples, spacing_for
 from sim.contact.deformable_contact import DeformableContact
 from sim.contact.self_collision import SelfCollision, can_fold
 from sim.contact.static_contact import StaticContact
-from sim.contact.static_shapes import StaticShapes
+from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
 from sim.contact.swept_bounds import SweptBounds
 from sim.hands.finger_capsules import FingerCapsules
 from sim.hands.finger_contact import FingerContact
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from sim.model import Model
     from sim.rigid.rigid_bodies import RigidBodies
     from sim.state import State
+
+FINGER = -2  # in place of a body
 
 
 @ti.data_oriented
@@ -187,7 +189,7 @@ class Contacts(Constraint):
 
     @ti.kernel
     def _find_static(self):
-        self.constraints.candidate_count[None] = 0
+        self.constraints.candidate_count[None], self.constraints.listed_count[None] = 0, 0
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
                 count = self.static_shapes.count[None]
@@ -195,7 +197,7 @@ class Contacts(Constraint):
                     rigid = self.rigid_bodies.kind[self.samples.body[p]] != 0
                     count = 0 if rigid else count  # sim/rigid/rigid_broad_phase.py looks for these
                 n = self.static.find(p, count)
-                if self.samples.on_vertex[p]:
+                if self.samples.on_vertex[p] and not self.state.asleep[self.samples.body[p]]:
                     self.forces.clear(self.samples.ids[p][0])
                 self.constraints.next_check[p] = 0
                 if n > 0 and not self.samples.on_vertex[p]:
@@ -280,6 +282,30 @@ class Contacts(Constraint):
                     usable = self.static.evaluate(r)
                 status = VALID if usable else NO_DISTANCE
             self.constraints.status[r] = status
+
+    @ti.func
+    def bodies_of(self, r):
+        """The two bodies of candidate constraint r; -1 for a static shape or none, FINGER for a finger."""
+        a, b = -1, -1
+        if r < self.begin_rigid:
+            a = self.samples.body[r]
+        elif r < self.deformable.begin:
+            if ti.static(self.coupled):
+                q = r - self.begin_rigid
+                a = self.samples.body[q % self.samples.capacity]
+                if self.rigid_search.shape[q] >= MAX_SHAPES:
+                    b = self.rigid_search.shape[q] - MAX_SHAPES
+        elif r < self.begin_fingers:
+            if ti.static(self.deformable.needed):
+                p, hosts = r - self.deformable.begin, self.deformable.hosts
+                a = self.state.body_of_tet[hosts.host[p]]
+                if hosts.is_finger(p):
+                    b = FINGER
+                elif hosts.group(p) < MAX_BODIES:
+                    b = hosts.group(p)
+        elif ti.static(self.has_fingers and self.coupled):
+            a, b = self.fingers.rigid_body[r - self.begin_fingers], FINGER
+        return a, b
 
     @ti.func
     def any_active(self):

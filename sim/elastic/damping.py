@@ -41,7 +41,7 @@ class Damping:
             about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
             p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-            for i in range(span[0], span[1]):
+            for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
                 m, r, v = s.mass[i], s.x[i] - about, s.v[i]
                 if s.inv_mass[i] > 0.0 and s.prescribed_mass[span[2]] > 0.0:
                     m = 0.0
@@ -79,7 +79,7 @@ class Damping:
                 self.omega[b] = (inertia / M).inverse() @ (L / M)
         ti.loop_config(serialize=s.serial)
         for i in range(s.V):
-            if i < s.vertex_count[None]:
+            if s.awake_vertex(i):
                 b = s.body_of_vertex[i]
                 if s.damping[b] > 0.0 and s.inv_mass[i] > 0.0:
                     rigid = self.velocity[b] + self.omega[b].cross(s.x[i] - self.center[b])

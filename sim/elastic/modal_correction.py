@@ -98,7 +98,7 @@ class ModalCorrection:
                 total = ti.Matrix.zero(ti.f32, 3, 3)
                 p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
                 first = s.vertex_begin[span[2]]
-                for i in range(span[0], span[1]):
+                for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
                     m, x, X = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first]
                     total += m * x.outer_product(X)
                     p += m * x
@@ -110,7 +110,7 @@ class ModalCorrection:
                     self.moments[j, 12 + k] = q[k]
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
+                if s.awake_body(b):
                     total = ti.Matrix.zero(ti.f32, 3, 3)
                     p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
                     for j in range(c.begin[b], c.begin[b + 1]):
@@ -138,11 +138,11 @@ class ModalCorrection:
         def residual():
             ti.loop_config(serialize=s.serial)
             for t in range(s.T):
-                if t < s.tet_count[None]:
+                if s.awake_tet(t):
                     self.elasticity.write_forces(t)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     f = ti.Vector([0.0, 0.0, 0.0])
                     if s.inv_mass[i] > 0.0:
                         f = self.rotation[s.body_of_vertex[i]].transpose() @ self._total(i)
@@ -160,13 +160,13 @@ class ModalCorrection:
             for jk in range(c.size * MODES):
                 j, k = jk // MODES, jk % MODES
                 span, total = c.span[j], 0.0
-                for i in range(span[0], span[1]):
+                for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
                     total += self.mode[i * MODES + k].dot(self.force[i])
                 self.mode_sums[j, k] = total
             ti.loop_config(serialize=s.serial)
             for bk in range(MAX_BODIES * MODES):
                 b, k = bk // MODES, bk % MODES
-                if b < s.body_count[None]:
+                if s.awake_body(b):
                     total = c.sum(self.mode_sums, b, k)
                     self.amplitude[bk] = total / (1.0 / s.dt[None] ** 2 + self.frequency_sqr[bk])
 
@@ -175,8 +175,8 @@ class ModalCorrection:
     @ti.func
     def _sum_products(self, j, k):
         """Sum column k of `product` over block j."""
-        span, total = self.blocks.span[j], 0.0
-        for i in range(span[0], span[1]):
+        s, span, total = self.state, self.blocks.span[j], 0.0
+        for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
             total += self.product[i, k]
         self.product_sums[j, k] = total
 
@@ -188,7 +188,7 @@ class ModalCorrection:
         def move():
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
                     for k in range(MODES):
                         d += self.amplitude[b * MODES + k] * self.mode[i * MODES + k]
@@ -200,13 +200,13 @@ class ModalCorrection:
                 self._sum_products(jk // 2, jk % 2)
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
+                if s.awake_body(b):
                     gain = c.sum(self.product_sums, b, 0)
                     total = gain + c.sum(self.product_sums, b, 1)
                     self.trial[b] = gain / ti.max(total, 1e-30) if gain > 0.0 else 0.0
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     d = self.trial[s.body_of_vertex[i]] * self.step[i]
                     self.step[i] = d
                     s.dx[i] += d
@@ -221,11 +221,11 @@ class ModalCorrection:
         def measure():
             ti.loop_config(serialize=s.serial)
             for t in range(s.T):
-                if t < s.tet_count[None]:
+                if s.awake_tet(t):
                     self.elasticity.write_forces(t)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     d, b = self.step[i], self.trial[s.body_of_vertex[i]]
                     self.product[i, 0] *= b
                     contact = self.contact_stiffness[i] * d.norm_sqr()
@@ -244,14 +244,14 @@ class ModalCorrection:
         def shorten():
             ti.loop_config(serialize=s.serial)
             for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
+                if s.awake_body(b):
                     gain, curvature, a = c.sum(self.product_sums, b, 0), c.sum(self.product_sums, b, 1), 1.0
                     if curvature > gain:
                         a = ti.max(gain / curvature, 0.0)
                     self.step_scale[b] = a
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     s.dx[i] += (self.step_scale[s.body_of_vertex[i]] - 1.0) * self.step[i]
 
         return shorten

@@ -48,7 +48,6 @@ class Untangling:
         self.farthest = g.scalar(MAX_BODIES)
         g.build()
         self._upload = Upload([state.untangling, state.inverted, state.mu, state.lam])
-        self._inverted: np.ndarray | None = None  # state.inverted after the last frame, if the host knows it already
         self.bodies = ()
         self._status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; tangled while a hand holds it
 
@@ -56,6 +55,11 @@ class Untangling:
     def active(self) -> np.ndarray:
         """Bodies that are being untangled, (B,) bool."""
         return self._status[0] > 0.0
+
+    @property
+    def occupied(self) -> set[int]:
+        """Bodies that are being untangled, or have inverted tets."""
+        return set(np.flatnonzero(self.active | (self._inverted() != 0)).tolist())
 
     def load(self, model: Model) -> None:
         """Take other bodies; the untangling of those that stay continues."""
@@ -69,7 +73,7 @@ class Untangling:
 
     def snapshot(self) -> np.ndarray:
         """Return what `restore` needs to go on from here, (4, B)."""
-        return np.vstack([self._status, self._read_inverted()])
+        return np.vstack([self._status, self._inverted()])
 
     def restore(self, snapshot: np.ndarray | None) -> None:
         """Go on from a snapshot of these bodies; None: no body is tangled."""
@@ -78,17 +82,12 @@ class Untangling:
         self.damping.omega.fill(0.0)  # of another time; bodies may be others now
         self._set_stiffness(values[3])
 
-    def note_inverted(self, inverted: np.ndarray) -> None:
-        """Take state.inverted after the last frame, (B,), to save a look at the device."""
-        self._inverted = inverted
-
     def begin_frame(self, held: set[int], driven: set[int], dt: float) -> bool:
         """Learn which bodies are tangled, before a frame of dt [s]; return whether any was recovered (sim/recovery.py).
 
         `held` by hands, `driven` by prescribed vertices: such a body has no other shape to go to than where these lead.
         """
-        flags = self._read_inverted() if self._inverted is None else self._inverted
-        self._inverted = None
+        flags = self._inverted()
         if not flags.any() and not self._status.any():
             return False
         index = np.arange(len(self.bodies))
@@ -114,15 +113,16 @@ class Untangling:
         """Compile, see Solver.warm_up."""
         self._lead(0.0)
 
-    def _read_inverted(self) -> np.ndarray:
-        return self.state.inverted.to_numpy()[: len(self.bodies)]
+    def _inverted(self) -> np.ndarray:
+        """State.inverted after the last frame, (B,)."""
+        return self.reductions.flags()[0, : len(self.bodies)].astype(np.int32)
 
     def _set_stiffness(self, inverted: np.ndarray) -> None:
         """Set state.untangling, state.inverted and the Lame constants of the bodies as they are now."""
         materials = [p.material for p in self.bodies]
         softest = np.array([min(1.0, SOFT_YOUNG / m.young) for m in materials])
         scale = np.where(self.active, softest ** np.clip(self._status[0] / STIFFENING, 0.0, 1.0), 1.0)
-        self._inverted = None
+        self.reductions.forget()
         constants = np.array([lame(m) for m in materials]).reshape(-1, 2) * scale[:, None]
         self._upload([self.active, inverted, constants[:, 0], constants[:, 1]])
 

@@ -174,7 +174,7 @@ class VBDSubsteps:
             for i in range(s.V):
                 if i == 0:
                     s.substep_index[None] += 1
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     target = s.dx_predicted[i]
                     if s.inv_mass[i] > 0.0:
                         d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
@@ -200,7 +200,9 @@ class VBDSubsteps:
             for k in range(width):
                 j = self.color_begin[color] + k
                 while j < self.color_begin[color + 1]:
-                    self._descend(self.order[j])
+                    i = self.order[j]
+                    if not s.asleep[s.body_of_vertex[i]]:
+                        self._descend(i)
                     j += width
 
         return sweep
@@ -217,7 +219,7 @@ class VBDSubsteps:
                         c.solve_phase(self, phase, k, True)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None] and s.inv_mass[i] > 0.0:
+                if s.awake_vertex(i) and s.inv_mass[i] > 0.0:
                     push = ti.Vector([0.0, 0.0, 0.0])
                     for c in ti.static(in_pairs):
                         push = c.apply_impulses(i, push)
@@ -237,7 +239,7 @@ class VBDSubsteps:
         def end():
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     dt, g = s.dt[None], s.gravity[None]
                     a = g + (s.dx[i] - s.dx_predicted[i]) / dt**2
                     self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)

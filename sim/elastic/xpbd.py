@@ -60,13 +60,13 @@ class XPBDSubsteps:
         def correct():
             ti.loop_config(serialize=s.serial, block_dim=tet_block)
             for t in range(s.T):
-                if t < s.tet_count[None]:
+                if s.awake_tet(t):
                     self.elasticity.project_tet(t, first, single)
                 if ti.static(first) and t == 0:
                     s.substep_index[None] += 1
             ti.loop_config(serialize=s.serial, block_dim=vertex_block)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     d = s.dx[i]
                     if s.inv_mass[i] > 0.0:
                         d += self.elasticity.correction(i)
@@ -81,7 +81,7 @@ class XPBDSubsteps:
         def apply():
             ti.loop_config(serialize=s.serial, block_dim=vertex_block)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     d = s.dx[i]
                     if s.inv_mass[i] > 0.0:
                         for c in ti.static(in_pairs):
@@ -124,7 +124,7 @@ class XPBDSubsteps:
         def close():
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i < s.vertex_count[None]:
+                if s.awake_vertex(i):
                     commit(self, i, s.dx[i])
 
         return close

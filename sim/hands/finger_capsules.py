@@ -60,7 +60,8 @@ class FingerCapsules:
 
     def reset(self) -> None:
         """Forget all capsules."""
-        self.last, self.present = np.zeros((self.hands, CAPSULES_PER_HAND, 7)), False
+        self.before = self.last = np.zeros((self.hands, CAPSULES_PER_HAND, 7))  # at begin and end of the frame
+        self.present = False
         self.radius.fill(0.0)
         self.low.fill(NOWHERE)
         self.high.fill(-NOWHERE)
@@ -79,13 +80,21 @@ class FingerCapsules:
             return
         motion = np.linalg.norm((now - before)[..., :6].reshape(*now.shape[:2], 2, 3), axis=-1).max(-1)
         new = (motion > MAX_FINGER_SPEED * dt) | (before[..., 6] == 0.0)
-        before = np.where(new[..., None], now, before)
+        self.before = before = np.where(new[..., None], now, before)
         length = np.linalg.norm(now[..., 3:6] - now[..., :3], axis=-1)
         counts = np.clip(np.ceil(length / np.maximum(now[..., 6], MIN_RADIUS)) + 1, 1, SAMPLES_PER_CAPSULE)
         radii = np.where(np.arange(SAMPLES_PER_CAPSULE) < counts[..., None], now[..., 6:], 0.0)
         starts, ends = (sample_positions(capsule_ends(c), counts) for c in (before, now))
         held = [*held, *[-1] * self.hands][: self.hands]
         self._upload([starts.reshape(-1, 3), (ends - starts).reshape(-1, 3), radii.reshape(-1), held])
+
+    def may_touch(self, low: np.ndarray, high: np.ndarray) -> bool:
+        """Return whether a capsule may touch one of these boxes (B, 3) [m] in the frame that has begun."""
+        there = self.last[..., 6] > 0.0
+        ends = np.concatenate([capsule_ends(self.before), capsule_ends(self.last)], axis=2)[there]
+        margin = self.last[there][:, None, 6:] + CONTACT_MARGIN
+        apart = np.maximum(low - ends.max(1, keepdims=True), ends.min(1, keepdims=True) - high) - margin
+        return bool((apart.max(-1) <= 0.0).any())
 
     @ti.func
     def capsule_of(self, p):

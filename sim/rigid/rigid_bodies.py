@@ -183,7 +183,7 @@ class RigidBodies(Constraint):
                 predict_body(self, b)
                 self.sweep_substep[b] = -2
         for i in range(s.V):
-            if i < s.vertex_count[None] and self.kind[s.body_of_vertex[i]] != SOFT:
+            if s.awake_vertex(i) and self.kind[s.body_of_vertex[i]] != SOFT:
                 place_vertex(self, i)
 
     @ti.func
@@ -224,7 +224,7 @@ class RigidBodies(Constraint):
     @ti.func
     def solve_phase(self, integrator: ti.template(), phase: ti.template(), b, first: ti.template()):
         """Add the corrections of all constraints; after the last sweep, move."""
-        if self.kind[b] != SOFT:
+        if self.kind[b] != SOFT and not self.state.asleep[b]:
             if self.sweep_substep[b] != self.state.substep_index[None]:
                 self.sweep_substep[b], self.sweep[b] = self.state.substep_index[None], 0
             self.sweep[b] += 1

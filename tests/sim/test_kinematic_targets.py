@@ -1,8 +1,8 @@
-"""Soft bodies with rigid ones in one solver, kinematic baskets and plates, and driven vertices."""
+"""Soft bodies with rigid ones in one solver, also asleep, kinematic baskets and plates, and driven vertices."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.sample_meshes import box, torus
 from core.errors import BadInput
@@ -164,6 +164,39 @@ def test_a_plate_carries_a_soft_cube_by_friction(place):
     rider = solver.bodies()[plate + 1]
     assert_allclose(rider.velocity[0], 0.4, atol=0.04)
     assert_allclose(rider.centroid[0] - start, x, atol=0.01)
+
+
+def test_rigid_bodies_sleep_to_the_bit_and_wake_for_a_drive_and_for_a_hit(place):
+    solver, where = started(place)
+    run(solver, 2.5)
+    bricks, plate = list(range(*where["tower"].indices(99)))[:4], where["plate"].start
+    resting = [*bricks, plate, plate + 1]
+    before = solver.snapshot()
+    assert before["asleep"][resting].all() and not before["asleep"].all()
+    run(solver, 0.3)
+    after = solver.snapshot()
+    for b in resting:
+        mine = slice(solver.vertex_offset[b], solver.vertex_offset[b + 1])
+        for name in ("x", "x_lo", "v", "v_lo"):
+            assert_array_equal(before[name][mine], after[name][mine])
+
+    solver.drive(plate, (16.001, 0.5, 0))
+    solver.step(FRAME)
+    asleep = solver.snapshot()["asleep"]
+    assert asleep[bricks].all() and not asleep[[plate, plate + 1]].any()
+
+    low = min(bricks, key=lambda b: solver.bodies()[b].low[1])
+    ball, target = where["tower"].stop - 1, solver.bodies()[low].centroid
+    start, velocities = solver.snapshot(), []
+    mine = slice(solver.vertex_offset[ball], solver.vertex_offset[ball + 1])
+    start["x"][mine] += (target + [0, 0.03, 0.3]).astype(np.float32) - start["x"][mine].mean(0)
+    start["v"][mine] = [0, 0, -4.0]
+    for sleeping in (True, False):
+        solver.restore({**start, "asleep": start["asleep"] & sleeping})
+        run(solver, 6 * FRAME)
+        velocities.append(solver.bodies()[low].velocity)
+    assert velocities[0][2] < -0.3
+    assert_allclose(*velocities, atol=0.05)
 
 
 def test_driven_vertices_move_evenly_and_shake_the_rest(place):

@@ -196,7 +196,7 @@ def test_what_hits_a_sleeping_body_wakes_it_in_time_and_loses_nothing(world):
             steps += 1
         if sleeping:
             assert asleep(world) == [False, False, True, False]
-        run(world, 0.1)
+        run(world, 0.05)
         mass = [m.mass.sum() for m in world.body_models]
         momenta[sleeping] = (steps, mass @ np.array([s.velocity for s in world.bodies()]), world.bodies())
         if sleeping:
@@ -206,7 +206,7 @@ def test_what_hits_a_sleeping_body_wakes_it_in_time_and_loses_nothing(world):
     assert first == other_first
     assert_allclose(p, q, atol=0.01 * np.linalg.norm(q))
     for b, c in zip(bodies, others, strict=True):
-        assert_allclose(b.centroid, c.centroid, atol=2e-3)
+        assert_allclose(b.centroid, c.centroid, atol=4e-3)  # of 0.2 m
 
 
 @pytest.mark.parametrize("speed", [3.0, 15.0])

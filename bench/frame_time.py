@@ -73,7 +73,7 @@ def controllers(k: int) -> list[Controller]:
 def measure(exact: bool) -> dict:
     """Times [ms] of FRAMES frames and their stages; with `exact` each stage waits for the device."""
     scene = ring_toss.build()
-    how = {"fingers": True, "grown": True, "props": avatar.skins()}
+    how = {"fingers": True, "props": avatar.skins()}
     world = World(scene, width=EYE_SIZE[0], height=EYE_SIZE[1], views=2, **how)
     world.warm_up()
     opengl = NoMirror(2)

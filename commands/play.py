@@ -128,18 +128,19 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         open_recording(args) as recording,
     ):
         start_taichi(args.arch, args.seed)
+        from display.start_progress import start_progress
         from display.world import World
 
         width, height = display.size
         options = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
-        # In a headset there is capacity for copies from the start: compiling kernels would interrupt the play.
-        options |= {"depth": bool(args.xr and display.depth), "fingers": bool(args.xr), "grown": bool(args.xr)}
+        options |= {"depth": bool(args.xr and display.depth), "fingers": bool(args.xr)}
         if replay:
             options = replay.world_options(options)
         views, props = 2 if args.stereo or args.xr else 1, display.props() if args.xr else []
-        world = World(scene, width=width, height=height, views=views, props=props, **options)
-        if not args.headless:
-            world.warm_up()
+        with start_progress(display.loading):
+            world = World(scene, width=width, height=height, views=views, props=props, **options)
+            if not args.headless:
+                world.warm_up()
         if recording:
             recording.begin(args, options)
         yield Session(args, world, display, film, recording, replay)

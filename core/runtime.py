@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import textwrap
+from collections.abc import Callable, Iterator
+from functools import cache
+from types import SimpleNamespace
 
 from core.errors import BadInput
 
@@ -38,15 +42,41 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
         ti.init(arch=wanted, default_fp=ti.f32, random_seed=seed, log_level=ti.ERROR, **compiler_options(cuda=cuda))
     if cuda and ti.cfg.arch != ti.cuda:
         raise BadInput("the CUDA GPU could not be started; --arch cpu runs without it")
+    hasten_front_end()
+
+
+def hasten_front_end() -> None:
+    """Halve the time in which Taichi's front end turns kernels into syntax trees: with a warm cache, most of a start.
+
+    Functions are inlined, and their source text is searched and unwrapped at each call: here once. And locations in
+    the source are described for each expression, in case an error message should need them: here in one line.
+    """
+    from taichi.lang import kernel_impl
+
+    if hasattr(kernel_impl.getsourcelines, "known"):
+        return
+    kernel_impl.getsourcefile = cached_by_code(kernel_impl.getsourcefile)
+    kernel_impl.getsourcelines = cached_by_code(kernel_impl.getsourcelines)
+    kernel_impl.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
     shorten_source_locations()
 
 
-def shorten_source_locations() -> None:
-    """Make Taichi's front end describe source locations in one line, which halves the time to the first picture.
+def cached_by_code(look_up: Callable) -> Callable:
+    """The function of a Python function, kept by its code: closures of one source would keep all that they hold."""
+    known: dict = {}
 
-    With a warm cache the start is spent in building kernels' syntax trees. Half of that is the wrapping and
-    underlining of the source text of every expression, in case an error message should need it.
-    """
+    def cached(function):
+        code = function.__code__
+        if code not in known:
+            known[code] = look_up(function)
+        return known[code]
+
+    cached.known = known
+    return cached
+
+
+def shorten_source_locations() -> None:
+    """Make Taichi's front end describe locations in one line, without wrapping and underlining the source text."""
     from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
 
     def position(self, node) -> str:
@@ -54,6 +84,27 @@ def shorten_source_locations() -> None:
         return f'File "{self.file}", line {line}, in {self.func.func.__name__}:\n{self.src[node.lineno - 1]}\n'
 
     ASTTransformerContext.get_pos_info = position
+
+
+@contextlib.contextmanager
+def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
+    """While active, call `note` with the number of the kernel that is about to be compiled, or read from the cache."""
+    from taichi.lang.kernel_impl import Kernel
+
+    materialize, count = Kernel.materialize, 0
+
+    def noted(self, key=None, *args, **kwargs):
+        nonlocal count
+        if key not in self.compiled_kernels:
+            count += 1
+            note(count)
+        return materialize(self, key, *args, **kwargs)
+
+    Kernel.materialize = noted
+    try:
+        yield
+    finally:
+        Kernel.materialize = materialize
 
 
 def is_out_of_memory(error: Exception) -> bool:

@@ -258,6 +258,10 @@ class Display(Protocol):
         """(width, height) of one view's picture [px] that suits the display now."""
         ...
 
+    def loading(self, text: str) -> None:
+        """Show a line of text while the world is made."""
+        ...
+
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames until the user quits or the planned number is reached."""
         ...

@@ -9,6 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
+from core.camera import look_at, perspective
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
@@ -46,7 +47,7 @@ class World(WorldView):
     """A running scene. `step` it with each frame; then `picture` is the view of the frame's cameras.
 
     width, height  of one view's picture [px]
-    options        of the DeviceScene: views, interaction, embedding, sort, depth, fingers, grown, props
+    options        of the DeviceScene: views, interaction, embedding, sort, depth, fingers, props
     """
 
     editable = True
@@ -67,9 +68,14 @@ class World(WorldView):
         self.refresh()
 
     def warm_up(self) -> None:
-        """Compile now what would interrupt the play when it is first needed; nothing is changed."""
+        """Compile all that play may need, so that nothing interrupts it; the scene is at its start afterwards."""
         self.device.solver.warm_up()
         self.registry.warm_up()
+        self.registry.step(SCRIPT_DT, [Hand()])
+        self.reset()
+        width, height = self.picture_size
+        view = look_at(self.scene.eye, self.scene.target)
+        self._draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
         self.stats()
 
     def step(self, frame: Frame) -> None:
@@ -81,7 +87,7 @@ class World(WorldView):
             with self.timings.stage("hands"):
                 shadow_outdated = self.device.place_props(frame.prop_poses)
         runs = not self.paused or last_of(SingleStep, frame.commands) is not None
-        if runs and not self.editor.holding:
+        if runs:
             if self._advance(frame):
                 self._deform()
                 shadow_outdated = False

@@ -82,18 +82,6 @@ class Splats:
         """Use the first `count` entries, up to `capacity`."""
         self.count = count
 
-    def enlarged(self, capacity: int) -> "Splats":
-        """A copy of greater capacity; the colour of any Gaussian added later may depend on the view."""
-        none = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0), np.zeros((0, self.coefficients, 3)))
-        other = Splats(none, capacity=max(capacity, self.count))
-        other.count, other._initial_means = self.count, self._initial_means
-        if self.sh_range[1]:
-            other.sh_range = (self.sh_range[0], other.capacity)
-        other._copy(
-            self.count, self.mean, self.cov, self.opacity, self.sh, self.rotation, self.visibility,
-        )  # fmt: skip
-        return other
-
     @ti.kernel
     def _read(
         self, first: ti.i32, count: ti.i32, opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3)
@@ -111,17 +99,6 @@ class Splats:
             for k in range(self.coefficients):
                 for c in ti.static(range(3)):
                     self.sh[first + i, k][c] = sh[i, k, c]
-
-    @ti.kernel
-    def _copy(
-        self, count: ti.i32, mean: ti.template(), cov: ti.template(), opacity: ti.template(), sh: ti.template(),
-        rotation: ti.template(), visibility: ti.template(),
-    ):  # fmt: skip
-        for i in range(count):
-            self.mean[i], self.cov[i], self.rotation[i] = mean[i], cov[i], rotation[i]
-            self.opacity[i], self.visibility[i] = opacity[i], visibility[i]
-            for k in range(self.coefficients):
-                self.sh[i, k] = sh[i, k]
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -204,12 +204,6 @@ class Embedding:
             self._write_slots(0, 0, 1.0, p.vertex, p.factor)
             self._clear(self.target.shape[0])
 
-    def enlarged(self, packed: list[PackedBody], headroom: float) -> "Embedding":
-        """An empty embedding of `headroom` times the capacity that `packed` needs."""
-        other = Embedding([], with_rotation=self.with_rotation)
-        other._allocate(packed, headroom)
-        return other
-
     def fits(self, spans: list[BodySpan], packed: list[PackedBody]) -> bool:
         """True if `load` has the capacity for these."""
         slices, slots = sum(packed[s.body].slices for s in spans), sum(packed[s.body].slots for s in spans)

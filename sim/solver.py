@@ -41,6 +41,7 @@ from sim.state import State
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
 MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
+WARM_UP_SUBSTEP = 1e-6  # [s] of the substeps that only compile; stable for any body
 
 
 class Solver:
@@ -107,7 +108,6 @@ class Solver:
         self._recovery = NonFiniteRecovery(s)
         self._rigid_editing = RigidEditing(s)
         self._integrators: dict = {}
-        self._compiled: set[str] = set()  # integrators that have made a substep
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
         motion = [getattr(s, name) for name in MOTION]
         self._read_motion, self._write_motion = Download(motion), Upload(motion)
@@ -141,7 +141,6 @@ class Solver:
         self._targets.end_frame()
         if self._sleeping is not None:
             self._sleeping.end_frame(dt)
-        self._compiled.add(self._integration.integrator)
 
     def _all_sleep(self, dt: float, hands: Sequence[Hand], substeps: int) -> bool:
         """Take the hands of this frame, and wake what they or targets move; return whether nothing is awake."""
@@ -267,11 +266,6 @@ class Solver:
         return self._model.vertex_begin.tolist()
 
     @property
-    def needs_compilation(self) -> bool:
-        """True if the next step uses an integrator for the first time, and compiles it for seconds."""
-        return self._integration.integrator not in self._compiled
-
-    @property
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back.
 
@@ -373,17 +367,38 @@ class Solver:
         self._rigid_editing.reset()
 
     def warm_up(self) -> None:
-        """Compile what a first grasp, throw, pick or edit needs, so that the user need not wait during play."""
-        self._read_motion(0)
+        """Compile all that may be needed later: steps with either integrator, grasps, throws, picks, edits; `reset`.
+
+        So the user waits before the first picture, and never during play.
+        """
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+        self.observe()
+        if self._model.bodies:
+            self._warm_up_integrators()
+        self.reset()
 
     def destroy(self) -> None:
         """Give the device memory back; the solver must not be used after."""
         destroy_fields(self)
 
     # Internals
+
+    def _warm_up_integrators(self) -> None:
+        """Take a substep with each integrator that these bodies can come to need if they are edited."""
+        names = ("xpbd", "vbd") if self._wanted["integrator"] == "auto" else (self._integration.integrator,)
+        for name in names:
+            any_stiffness = {**self._wanted, "integrator": name, "substep": None}
+            integrator = self._integrator(name, choose_integration(0.0, **any_stiffness).iterations)
+            integrator.load(self._model)
+            self._begin_frame(WARM_UP_SUBSTEP, (), 1)
+            self._find_contacts()
+            self.damping.run(WARM_UP_SUBSTEP)
+            integrator.run(1)
+            self._recovery.recover()
+            integrator.reset()
+        self._targets.end_frame()
 
     def _make_rigid_bodies(self, first: Model, grasps: Grasps | None) -> RigidBodies:
         passes = min(max(math.ceil(self._choose(first).substep / SUBSTEP_PER_PASS), 1), MAX_PASSES)
@@ -396,6 +411,12 @@ class Solver:
         options = {"stiffest": stiffest, "crossing": model.crossing, **self._wanted}
         chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
         return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if self._with_rigid else chosen
+
+    def _integrator(self, name: str, iterations: int):
+        """The integrator of this name, made at its first use."""
+        if name not in self._integrators:
+            self._integrators[name] = self._make_integrator(name, iterations)
+        return self._integrators[name]
 
     def _make_integrator(self, name: str, iterations: int):
         parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
@@ -414,10 +435,7 @@ class Solver:
         for c in self._constraints:
             c.check_capacity(model)
         self._model, self._integration = model, integration
-        name = integration.integrator
-        if name not in self._integrators:
-            self._integrators[name] = self._make_integrator(name, integration.iterations)
-        self.integrator = self._integrators[name]
+        self.integrator = self._integrator(integration.integrator, integration.iterations)
         parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
         for part in (*parts, self._targets, *self._constraints):
             part.load(model)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # dt sqrt(max kappa) up to which the stress may lag, three times what XPBD bears. Beyond, the sweeps of VBD leave too
 # much undone: of an undamped bar of 12 x 4 x 4 cells, energy stayed within 1% at 1.1, and grew a thousandfold at 4.5.
 MAX_LAGGING_STABILITY = 1.0
-SERIAL_BELOW = 3000  # tets: under this, waking the CPU's worker threads costs more than they save
+SERIAL_BELOW = 3000  # tets of the first bodies: under this, waking the CPU's worker threads costs more than they save
 
 
 @ti.data_oriented
@@ -45,7 +45,7 @@ class State:
     def __init__(self, first: Sizes, capacity: Capacity = Capacity()):
         """Allocate the capacity that `first` and `capacity` ask for; `load` fills it."""
         vertices, tets, triangles = (capacity.sized(n, getattr(first, n)) for n in ("vertices", "tets", "triangles"))
-        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and tets < SERIAL_BELOW
+        self.serial = ti.lang.impl.current_cfg().arch != ti.cuda and first.tets < SERIAL_BELOW
         self.V, self.T, self.S = (round_up_capacity(n) for n in (vertices, tets, triangles))
         self.sizes = Sizes(0, 0, 0, 0)
         V, T, S, B = self.V, self.T, self.S, MAX_BODIES

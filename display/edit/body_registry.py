@@ -6,7 +6,6 @@ each of the scene's bodies is read back; without edits nothing of this costs any
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -17,11 +16,10 @@ from core.material import Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from scenes.scene import BodyState, Hand
-from sim.capacity import MAX_BODIES, CapacityError
+from sim.capacity import CapacityError
 from sim.embedding import BodySpan
 
 FULL_NOTICE = "There is no capacity for that: remove something first."
-GROWTH_NOTICE = "Making room for more bodies: this takes a few seconds, once."
 REMOVED_X = 1e3  # [m] where the game sees a body that was removed
 T = TypeVar("T")
 
@@ -43,15 +41,10 @@ class BodiesSnapshot:
     animations: tuple[AnimationTargets, ...]
 
 
-class GrowthPending(Exception):
-    """The edit needs more capacity, which takes seconds: the user should read so before it is tried again."""
-
-
 class BodyRegistry:
     """The members, in the order of the solver's bodies, and their animations.
 
-    Edits raise BadInput, and change nothing, if they cannot be carried out; the first one that needs more capacity
-    raises GrowthPending, and grows the device's scene when it is tried again.
+    Edits raise BadInput, and change nothing, if they cannot be carried out.
     """
 
     def __init__(self, device: DeviceScene):
@@ -59,7 +52,6 @@ class BodyRegistry:
         self.animations = [a.at(0.0) for a in device.animations]
         self._scene_models = device.solver.body_models
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self._scene_models)))
-        self._growth_announced = device.grown
         self._packed: list[dict] | None = None
         self._looks: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -167,20 +159,7 @@ class BodyRegistry:
     # capacity, and what is shown
 
     def _with_capacity(self, edit: Callable[[], T]) -> T:
-        """The result of an edit, for which the device's scene grows if it must."""
-        try:
-            return edit()
-        except CapacityError as e:
-            if self.device.grown or len(self.members) >= MAX_BODIES:
-                raise CapacityError(FULL_NOTICE) from e
-        if not self._growth_announced:
-            self._growth_announced = True
-            raise GrowthPending
-        self._read()
-        print(GROWTH_NOTICE, file=sys.stderr, flush=True)
-        self.device.grow([model.body for model in self._scene_models], self._packed)
-        self._show(self.members)
-        self.warm_up()
+        """The result of an edit; CapacityError with a notice for the user if there is no capacity for it."""
         try:
             return edit()
         except CapacityError as e:

@@ -11,7 +11,7 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from display.edit.body_registry import GROWTH_NOTICE, BodyRegistry, GrowthPending
+from display.edit.body_registry import BodyRegistry
 from display.edit.selection_marker import MARKED_SECONDS
 from display.edit.undo_stack import Step, UndoStack
 from display.protocol import (
@@ -30,10 +30,8 @@ from scenes.scene import BodyState, Hand
 
 DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
 NOTICE_SECONDS = 6.0  # [s] that a notice is shown
-COMPILING_NOTICE = "This takes another solver, which is made once: some seconds."
 EDITS = (Select, Remove, Duplicate, Rescale, Rotate, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, SetMaterial)  # after these the selected body is marked
-SIMULATED = (Rescale, SetMaterial, Undo, Redo)  # may change how bodies are simulated
 COPY_GAP = 0.01  # [m] between a body and its copy
 SCALE_MIN, SCALE_MAX = 0.2, 5.0  # size of a body in multiples of its first one
 SCALE_ROUNDING = 1e-6  # a factor this near to 1 changes nothing
@@ -52,11 +50,9 @@ class Editor:
         self.selected: int | None = None
         self._last_action: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
-        self._pending: list[Command] = []  # for the next frame
         self._gripped: list[bool] = []  # by each hand in the frame before
         self._notice: tuple[str, float] = ("", 0.0)  # and until when [s] it is shown
         self._selected_until = 0.0  # [s], of `recently_selected`
-        self._holding = False
 
     @property
     def recently_selected(self) -> bool:
@@ -72,15 +68,9 @@ class Editor:
     def _tell(self, text: str) -> None:
         self._notice = text, monotonic() + NOTICE_SECONDS
 
-    @property
-    def holding(self) -> bool:
-        """Must time stand still in this frame, so that its picture says why the next one takes long?"""
-        return self._holding
-
     def begin_frame(self) -> None:
         """Note that a frame begins."""
         self._frame += 1
-        self._holding = False
 
     def deselect(self) -> None:
         """Select no body."""
@@ -88,8 +78,7 @@ class Editor:
 
     def apply(self, commands: Sequence[Command]) -> None:
         """Carry out the commands that change bodies."""
-        commands, self._pending = in_order([*self._pending, *commands]), []
-        for command in commands:
+        for command in in_order(commands):
             if isinstance(command, EDITS):
                 try:
                     self._notice = ("", 0.0)
@@ -98,16 +87,6 @@ class Editor:
                         self._selected_until = monotonic() + MARKED_SECONDS
                 except BadInput as e:
                     self._tell(str(e))
-                except GrowthPending:
-                    self._tell(GROWTH_NOTICE)
-                    self._pending.append(command)
-        if (
-            any(isinstance(c, SIMULATED) for c in commands)
-            and self._bodies.device.solver.needs_compilation
-            and self._frame > 1
-        ):
-            self._holding = True
-            self._tell(COMPILING_NOTICE)
 
     def _carry_out(self, command: Command) -> None:
         match command:

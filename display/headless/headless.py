@@ -71,6 +71,9 @@ class Headless:
         if self._video is not None:
             self._video.discard()
 
+    def loading(self, text: str) -> None:
+        """Show nothing: the terminal does."""
+
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames, then finish the video. A loop that breaks off leaves none."""
         progress = Progress(self.count)

@@ -17,7 +17,7 @@ from display.protocol import Frame, Pause, last_of
 from display.record.recording import FORMAT, OPTIONS, VERSION
 from display.record.recording_reader import checked_about, read_frames, read_states
 
-WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers", "grown")  # recorded before as "room"
+WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers")
 
 
 class Replay:
@@ -59,8 +59,6 @@ class Replay:
     def world_options(self, options: dict) -> dict:
         """Options of a World: the recorded ones, and `how` for the rest. Depth is for headsets."""
         recorded = self.about.get("world", {})
-        if "room" in recorded:
-            recorded = recorded | {"grown": recorded["room"]}
         return options | {key: recorded[key] for key in WORLD_OPTIONS if key in recorded}
 
     def implied_material(self, scene: str, body: str | None) -> str | None:

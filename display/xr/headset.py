@@ -113,6 +113,9 @@ class Headset:
         except runtime.xr.exception.ResultException as e:
             raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {WINDOW_INSTEAD}") from e
 
+    def loading(self, text: str) -> None:
+        """Show nothing: the runtime has its own waiting room until the first frame."""
+
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames at the headset's rate until the user quits here or there."""
         while not self._mirror.closing:

@@ -71,7 +71,6 @@ class Play:
         """Only these commands; no time passes."""
         self.world.editor.begin_frame()
         self.world.apply(commands)
-        self.world.apply([])  # what had to wait for room
         self.world.paused = True
         self.world.step(Frame(0.0, self.time, [self.camera], []))
         self.world.paused = False
@@ -136,22 +135,6 @@ def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
 def test_a_hand_that_takes_nothing_is_no_action(play):
     play.step(2, Hand((0.0, 1.0, 0.0), grip=True))
     assert play.world.editor.history.done == []
-
-
-def test_growing_is_said_before_it_begins_and_gives_the_old_memory_back(play, monkeypatch):
-    play = Play() if play.world.device.grown else play
-    world = play.world
-    solver, splats, freed = world.device.solver, world.device.splats, []
-    for kind in (type(solver), type(splats)):
-        destroy = kind.destroy
-        monkeypatch.setattr(kind, "destroy", lambda self, destroy=destroy: (destroy(self), freed.append(self)))
-    motion = play.motion()
-    world.apply([Duplicate(RED)])
-    assert world.notice.startswith("Making room") and world.device.solver is solver and len(world.bodies()) == 2
-    world.apply([])
-    assert len(world.bodies()) == 3 and world.device.solver is not solver
-    assert freed == [solver, splats]
-    equal([a[: len(b)] for a, b in zip(play.motion(), motion, strict=True)], motion)
 
 
 def test_a_copy_looks_like_its_original_and_stands_above_it(play):
@@ -271,7 +254,6 @@ def test_reset_gives_the_scene_and_can_be_taken_back(play):
 
 def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
     hand = Hand((0.15, 0.02, 0.08), grip=True)
-    play.do(Duplicate(RED))  # room is made
     play.do(Reset(), SetInteraction("transform"))
     play.step(1, hand)
     play.step(1, Hand((0.15, 0.3, 0.08), grip=True))
@@ -291,7 +273,6 @@ def test_a_held_body_can_be_scaled_and_copied_in_transform_mode(play):
 
 def test_a_held_body_follows_the_hand_through_changes_of_its_size(play):
     """A change in each frame of a drag: none of the hand's way is lost, and all of it is one action."""
-    play.do(Duplicate(RED))  # room is made
     play.do(Reset(), SetInteraction("transform"))
     play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
     motion, count = play.motion(), len(play.world.editor.history.done)

@@ -1,14 +1,13 @@
 """Nothing is compiled in the midst of play: not by the first grip, throw, touch, look, change or size of picture."""
 
 from dataclasses import replace
-from types import SimpleNamespace as N
+from io import StringIO
 
 import numpy as np
 import pytest
 
 from core.camera import look_at, perspective
-from core.material import Material
-from display.edit.editor import COMPILING_NOTICE, Editor
+from core.runtime import watch_compilation
 from display.protocol import (
     Duplicate,
     Frame,
@@ -25,6 +24,7 @@ from display.protocol import (
     SetMaterial,
     Undo,
 )
+from display.start_progress import KERNELS, start_progress
 from scenes import ring_toss
 from scenes.scene import Hand, Touch
 from tests.support.compiling import compiled
@@ -43,7 +43,7 @@ class Play:
         self.frames, self.size, self.views = 0, (96, 64), 1 + headset
         scene = ring_toss.build()
         self.scene = replace(scene, bodies=scene.bodies[1:])  # without the room, for speed
-        how = {"fingers": True, "grown": True, "props": avatar.skins()} if headset else {}
+        how = {"fingers": True, "props": avatar.skins()} if headset else {}
         self.world = World(self.scene, width=self.size[0], height=self.size[1], views=self.views, **how)
         self.parts = avatar.hidden() if headset else None
 
@@ -93,38 +93,47 @@ class Play:
         self.frame()
 
 
-def unchanged(world, before: dict, means: np.ndarray) -> None:
-    """Bodies and what is seen of them are as they were."""
+def warm_up(world) -> None:
+    """Warm up, which leaves the scene as it was at its start."""
+    before, means = world.device.solver.snapshot(), world.device.splats.mean.to_numpy()
+    world.warm_up()
     after = world.device.solver.snapshot()
     for name in ("x", "x_lo", "v", "v_lo", "untangling"):
         np.testing.assert_array_equal(before[name], after[name])
+    assert world.time == 0.0 and world.score == 0
     world.refresh()
     np.testing.assert_array_equal(world.device.splats.mean.to_numpy(), means)
 
 
-@pytest.mark.parametrize("headset", [pytest.param(False, marks=pytest.mark.long), True])
-def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
-    play = Play(headset=headset)
-    before, means = play.world.device.solver.snapshot(), play.world.device.splats.mean.to_numpy()
-    play.world.warm_up()
-    unchanged(play.world, before, means)
-    play.frame()
+@pytest.fixture(scope="module", params=[pytest.param(False, marks=pytest.mark.long), True])
+def play(request, ti_cpu) -> Play:
+    """In a window, and in a headset; warmed up."""
+    counts = [0]
+    with watch_compilation(counts.append):
+        play = Play(headset=request.param)
+        warm_up(play.world)
+    assert counts[-1] == pytest.approx(KERNELS, rel=0.25)  # what the progress line says
+    return play
+
+
+def test_nothing_is_compiled_in_the_midst_of_play(play):
     with compiled() as names:
+        play.frame()
         play.throw()
         play.touch()
         for commands in ([Undo()], [Redo()], [Select(YELLOW)], [Rotate(None, TURN)]):
             play.frame(*commands)
-        if headset:  # in a window the first copy, or a body of another size, makes room, which is said
-            play.frame(Duplicate(None))
-            assert len(play.world.bodies()) == 4
-            play.frame(Rescale(None, 0.8))
-        for commands in ([SetMaterial(0, "plush")], [Undo()], [Remove(0)]):
+        play.frame(Duplicate(None))
+        assert len(play.world.bodies()) == 4
+        for commands in ([Rescale(None, 0.8)], [SetMaterial(0, "plush")], [Undo()], [Remove(0)]):
             play.frame(*commands)
+        play.frame(SetMaterial(0, "wood"))
+        assert play.world.stats()["integrator"] == "vbd"
         play.frame(SetLight(play.scene.light))
         play.frame(Pause(True))
         play.frame(Pause(False), Reset())
-        if headset:
-            play.stretch()
+        assert play.world.stats()["integrator"] == "xpbd"
+        play.stretch()
         play.world.pick(play.scene.eye, np.subtract(play.scene.target, play.scene.eye))
         play.resize(48, 32)
         play.resize(96, 64)
@@ -133,23 +142,30 @@ def test_nothing_is_compiled_in_the_midst_of_play(ti_cpu, headset):
     assert names == []
 
 
-def test_a_stiffer_solver_is_announced_in_a_picture_before_it_is_made():
-    """One frame stands still, with a notice, after the edit that needs other kernels."""
-    solver = N(needs_compilation=False)
-    registry = N(device=N(solver=solver), members=(None,))
-    registry.set_material = lambda k, material: setattr(solver, "needs_compilation", material == Material.named("wood"))
-    world = N(refresh=lambda: None, restore=lambda snapshot: None, light=None)
-    world.snapshot = lambda: N(bodies=N(solver={"bodies": ()}))
-    editor = Editor(world, registry)
+def test_play_after_a_warm_up_is_the_play_without(play):
+    """Recordings do not say whether kernels were warm."""
+    states = []
+    for warm in (False, True):
+        play.world.warm_up() if warm else play.world.reset()
+        for _ in range(4):
+            play.frame()
+        states.append(play.world.device.solver.snapshot())
+    for name in ("x", "x_lo", "v", "v_lo"):
+        np.testing.assert_array_equal(states[0][name], states[1][name])
 
-    def frame(*commands):
-        editor.begin_frame()
-        editor.apply(commands)
-        return editor.holding, editor.notice == COMPILING_NOTICE
 
-    assert frame() == (False, False)
-    assert frame(SetMaterial(0, "plush")) == (False, False)
-    assert frame(SetMaterial(0, "wood")) == (True, True)
-    assert frame() == (False, True)
-    solver.needs_compilation = False
-    assert frame(Undo()) == (False, False)
+def test_a_start_says_which_kernel_it_prepares(ti_cpu, monkeypatch):
+    """On the display, and in a log a line now and then; after the start kernels are nobody's concern."""
+    ti, clock, log, shown = ti_cpu, iter(np.arange(100.0)), StringIO(), []
+    monkeypatch.setattr("display.start_progress.perf_counter", lambda: next(clock))
+
+    def compile_some(count: int):
+        for k in range(count):
+            field = ti.field(ti.f32, 3)
+            field.fill(float(k))
+
+    with start_progress(shown.append, log):
+        compile_some(7)
+    compile_some(1)
+    assert shown == [f"Preparing kernel {k} of about {KERNELS}, {k} s" for k in range(1, 8)]
+    assert log.getvalue() == shown[4] + "\n"

@@ -50,7 +50,7 @@ def test_the_headset_shows_the_same_strokes():
 def test_commands_choose_for_a_moment(monkeypatch):
     now = [10.0]
     monkeypatch.setattr("display.edit.editor.monotonic", lambda: now[0])
-    editor = Editor(None, N(device=N(solver=N(needs_compilation=False)), members=(None, None)))
+    editor = Editor(None, N(members=(None, None)))
     editor.apply([Undo()])
     assert not editor.recently_selected
     editor.apply([Select(1)])

@@ -13,13 +13,13 @@ def runtime(arch: str = "cpu", **options):
     """
     import taichi as ti
 
-    from core.runtime import compiler_options, shorten_source_locations
+    from core.runtime import compiler_options, hasten_front_end
 
     _end(ti)
     backend = {"cpu": ti.cpu, "cuda": ti.cuda}[arch]
     options = compiler_options(cuda=arch == "cuda") | options
     ti.init(arch=backend, default_fp=ti.f32, random_seed=0, log_level=ti.WARN, **options)
-    shorten_source_locations()
+    hasten_front_end()
     yield ti
     _end(ti)
 

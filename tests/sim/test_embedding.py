@@ -170,7 +170,7 @@ def test_parts_come_go_move_and_grow(ti_cpu):
     parts = [replace(parts[0], gaussian_offset=10), replace(parts[1], vertex_offset=n, gaussian_offset=47)]
     embedding = Embedding(parts, with_rotation=False, headroom=4.0)
     packed = embedding.read()
-    assert not embedding.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 3, packed)
+    assert not embedding.fits([BodySpan(0, 0, 10), BodySpan(1, n, 47), BodySpan(1, 2 * n, 97)] * 30, packed)
     bodies = [BAR[0], BAR[0] + [0, 2, 0], 5 * BAR[0] - [3, 0, 0]]
     x = ti.Vector.field(3, ti.f32, 3 * n)
     mean, cov = ti.Vector.field(3, ti.f32, 150), ti.Vector.field(6, ti.f32, 150)

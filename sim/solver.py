@@ -392,11 +392,14 @@ class Solver:
             any_stiffness = {**self._wanted, "integrator": name, "substep": None}
             integrator = self._integrator(name, choose_integration(0.0, **any_stiffness).iterations)
             integrator.load(self._model)
+            self._all_sleep(WARM_UP_SUBSTEP, (), 1)
             self._begin_frame(WARM_UP_SUBSTEP, (), 1)
-            self._find_contacts()
+            self._find_contacts(WARM_UP_SUBSTEP)
             self.damping.run(WARM_UP_SUBSTEP)
             integrator.run(1)
             self._recovery.recover()
+            if self._sleeping is not None:
+                self._sleeping.end_frame(WARM_UP_SUBSTEP)
             integrator.reset()
         self._targets.end_frame()
 

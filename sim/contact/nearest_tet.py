@@ -13,7 +13,7 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
-from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
+from sim.contact.broad_phase import CONTACT_MARGIN, SPEED_GROWTH, PointHash, outside_box
 from sim.contact.contact_samples import MAX_CAPSULES
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import (
@@ -42,7 +42,8 @@ SEEDS = 64  # tets of a body at which the search from far away begins
 
 @ti.data_oriented
 class NearestTets:
-    """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face.
+    """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face;
+    rest vec3[N] [m]: where a body's sample is at rest.
 
     Points: the samples of bodies, then of static capsules, and from `first_finger` on those of fingers.
 
@@ -72,10 +73,11 @@ class NearestTets:
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
         self.max_approach, self.wanted = group.scalar(MAX_BODIES, G), group.scalar(G, dtype=ti.i32)
         self.neighbor = group.vector(state.T, n=4, dtype=ti.i32)
+        self.rest = group.vector(N)
         self.any_near = group.scalar(dtype=ti.i32)
         self._group = group
         group.build()
-        self._upload = Upload([self.neighbor, self.hash.cell])
+        self._upload = Upload([self.neighbor, self.rest, self.hash.cell])
 
     def load(self, model: "Model") -> None:
         """Take the tets of these bodies."""
@@ -83,7 +85,9 @@ class NearestTets:
         near = [s.root.once(neighbors_of) for s in shapes]
         near = stacked([np.where(n < 0, n, n + o) for n, o in zip(near, begin, strict=False)], 4)
         edge = float(np.median([s.edge for s in shapes])) if shapes else 0.0
-        self._upload([near, max(edge, self.samples.spacing)])
+        ids, weights = self.samples.host_ids, self.samples.host_weights
+        rest = (stacked([s.vertices for s in shapes], 3)[ids] * weights[..., None]).sum(1)
+        self._upload([near, rest, max(edge, self.samples.spacing)])
 
     @ti.func
     def is_finger(self, p):
@@ -240,7 +244,7 @@ class NearestTets:
                 approach = ti.min(approach, near)
                 if ti.static(self.self_collides):  # noqa: SIM102
                     if g == body:  # the part of its own box that the tet can meet
-                        approach = self.self_collision.search_distance[body]
+                        approach = self.self_collision.reach(t)
                         part_low = ti.max(low - approach, self.bounds.low[body])
                         part_high = ti.min(high + approach, self.bounds.high[body])
                 if meets:
@@ -250,6 +254,9 @@ class NearestTets:
         if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
             first, last = h.cell_range(box_low, box_high)
+            middle, a = vec3(0.0), s.tets[t]  # at rest
+            for j in ti.static(range(4)):
+                middle += 0.25 * s.rest[a[j]]
             for i in range(first[0], last[0]):
                 for j in range(first[1], last[1]):
                     for k in range(first[2], last[2]):
@@ -259,7 +266,9 @@ class NearestTets:
                             if outside_box(box_low, box_high, x) <= 0.0:
                                 outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
                                 p = h.entry[e]
-                                if outside < max_distance and self._may_collide(p, t, body, outside):
+                                if outside < max_distance and self._may_collide(
+                                    p, t, body, outside, middle, v_min, v_max
+                                ):
                                     ti.atomic_min(self.key[p], tet_key(outside, t))
 
     @ti.func
@@ -339,23 +348,30 @@ class NearestTets:
         return result
 
     @ti.func
-    def _may_collide(self, p, t, body, outside):
-        """True if tet t of a body may meet point p: of another body that comes near, or far away at rest."""
+    def _may_collide(self, p, t, body, outside, middle, v_min, v_max):
+        """True if tet t of a body may meet point p: of another body that comes near, or far away at rest.
+
+        outside       distance [m] of the point from the tet
+        middle        of the tet at rest [m]
+        v_min, v_max  velocities [m/s] of the tet, with their gain
+        """
         result = self.max_approach[body, self.group(p)] > 0.0
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self._spared(p, body):
                 result = False
                 self.fingers.note_overlap(p - self.first_finger, outside)
-        if ti.static(self.self_collides):
-            s = self.state
-            a = s.tets[t]
+        if ti.static(self.self_collides):  # noqa: SIM102
             if self.group(p) == body:
-                X = self.samples.blend(p, s.rest)
-                away = 0.25 * (s.rest[a[0]] + s.rest[a[1]] + s.rest[a[2]] + s.rest[a[3]]) - X
-                result = result and away.norm() > self.self_collision.min_rest_distance(body)
+                s = self.state
+                a = s.tets[t]
+                result = result and (middle - self.rest[p]).norm() > self.self_collision.min_rest_distance(body)
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]
+                if result:  # and if their own velocities bring them together, not only those of the body's fastest
+                    v, gain = self.samples.blend(p, s.v), self.bounds.speed_gain[body]
+                    speed = ti.max(v - v_min - gain, v_max - gain - v).norm()
+                    result = outside < CONTACT_MARGIN + SPEED_GROWTH * speed * s.detect_dt[None]
         return result
 
 

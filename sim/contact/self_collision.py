@@ -67,6 +67,22 @@ class SelfCollision:
         """Speed [m/s] at which points of body b may come towards each other."""
         return 2.0 * self.speed_residual[b] + self.bounds.speed_gain[b] + CONTACT_MARGIN / self.state.detect_dt[None]
 
+    @ti.func
+    def reach(self, t):
+        """How far [m] tet t and another point of its body may approach, apart from the affine motion."""
+        s = self.state
+        b, speed = s.body_of_tet[t], 0.0
+        for j in ti.static(range(4)):
+            speed = ti.max(speed, self._residual_velocity(s.tets[t][j], b).norm())
+        distance = (speed + self.speed_residual[b]) * s.detect_dt[None] + CONTACT_MARGIN
+        return ti.min(distance, self.search_distance[b])
+
+    @ti.func
+    def _residual_velocity(self, i, b):
+        """Velocity [m/s] of vertex i of body b apart from the affine motion."""
+        s = self.state
+        return s.v[i] - self.velocity[b] - self.gradient[b] @ (s.rest[i] - self.rest_center[b])
+
     @ti.kernel
     def update(self):
         """Find the bodies that may touch themselves; the bounds must be up to date."""
@@ -90,7 +106,7 @@ class SelfCollision:
                 b = s.body_of_vertex[i]
                 X = s.rest[i] - self.rest_center[b]
                 r = (s.x[i] - self.center[b] - self.fit[b] @ X).norm()
-                r_v = (s.v[i] - self.velocity[b] - self.gradient[b] @ X).norm()
+                r_v = self._residual_velocity(i, b).norm()
                 if r > self.residual[b]:
                     ti.atomic_max(self.residual[b], r)
                 if r_v > self.speed_residual[b]:

@@ -105,7 +105,8 @@ class World(WorldView):
         with self.timings.stage("simulate"):
             self._simulate(frame)
             self.moving, bodies = self.device.solver.observe()  # waits for the device
-        self._cost.note(perf_counter() - begin, frame.dt)
+        if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
+            self._cost.note(perf_counter() - begin, frame.dt)
         if not self.demo:
             self.editor.after_step(before, self._bodies, bodies)
         self._bodies = bodies

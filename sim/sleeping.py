@@ -114,7 +114,7 @@ class Sleeping:
         self.awake[None], self.touched[None], self.kept[None] = ti.i64(0), ti.i64(0), 0
         for b in range(MAX_BODIES):
             self.linked[b] = ti.i64(0)
-            if b < s.body_count[None] and not s.asleep[b]:
+            if s.awake_body(b):
                 ti.atomic_or(self.awake[None], ti.i64(1) << b)
         for k in range(self.table.capacity):
             if k < self.table.candidate_count[None]:
@@ -175,20 +175,18 @@ class Sleeping:
     @ti.kernel
     def _settle(self, dt: ti.f32, restless: ti.i64, linked: ti.i32):
         s = self.state
-        for b in range(MAX_BODIES):
-            self.displaced[b], self.falls[b] = 0, 0
         for i in range(s.V):
-            if i < s.vertex_count[None]:
+            if s.awake_vertex(i):
                 b = s.body_of_vertex[i]
                 if (s.x[i] - self.anchor[i]).norm_sqr() > REST_DISTANCE * REST_DISTANCE:
                     self.displaced[b] = 1  # all writers write the same
         for b in range(MAX_BODIES):
-            if b < s.body_count[None] and not s.asleep[b]:
+            if s.awake_body(b):
                 s.rest_time[b] += dt
                 if self.displaced[b] or has(restless, b):
                     s.rest_time[b] = 0.0
         for b in range(MAX_BODIES):
-            if b < s.body_count[None] and linked and not s.asleep[b]:
+            if linked and s.awake_body(b):
                 island = self._island(b)
                 calm = (island & self.touched[None]) == 0
                 for c in range(s.body_count[None]):
@@ -196,7 +194,7 @@ class Sleeping:
                         calm = False
                 self.falls[b] = calm
         for i in range(s.V):
-            if i < s.vertex_count[None]:
+            if s.awake_vertex(i):
                 b = s.body_of_vertex[i]
                 if self.displaced[b]:
                     self.anchor[i] = s.x[i]
@@ -209,6 +207,7 @@ class Sleeping:
                     if self.rigid.kind[b] == FREE:
                         m = self.rigid
                         m.v[b], m.v_lo[b], m.angular_momentum[b], m.angular_velocity[b] = 0.0, 0.0, 0.0, 0.0
+            self.displaced[b], self.falls[b] = 0, 0
 
 
 def bits(bodies: Iterable[int]) -> int:

@@ -266,6 +266,11 @@ class Solver:
         return self._model.vertex_begin.tolist()
 
     @property
+    def simulated(self) -> bool:
+        """True if the last step simulated anything: if time passed, and not all bodies slept."""
+        return self._last_schedule[0] > 0
+
+    @property
     def stats(self) -> dict:
         """Sizes, substeps of the last frame, dt sqrt(max kappa) with its limit; `finite` reads the device back.
 

@@ -109,6 +109,28 @@ def equal(before, after):
         assert_array_equal(a, b)
 
 
+def test_a_world_at_rest_draws_nothing_and_undo_finds_it_asleep(play, monkeypatch):
+    play.step(150)
+    world, motion = play.world, play.motion()
+    assert world.stats()["asleep"] == 2 and not world.moving and world.stats()["substeps"] == 0
+    cost = world.simulation_cost
+    for part, name in ((world.device, "deform"), (world.device, "cast_shadow"), (world.device, "render")):
+        monkeypatch.setattr(part, name, None)
+    play.step(10, Hand((0.0, 0.5, 0.0)))
+    equal(motion, play.motion())
+    assert cost == world.simulation_cost > 0.0  # it is what the next throw will cost
+    monkeypatch.undo()
+    play.step(1, Hand((0.15, 0.02, 0.08), grip=True))
+    for k in range(10):
+        play.step(1, Hand((0.15, 0.02 + 0.003 * k, 0.08), grip=True))
+    assert world.moving and world.stats()["asleep"] == 1
+    play.do(Undo())
+    equal(motion, play.motion())
+    play.step()
+    assert world.stats()["asleep"] == 2
+    equal(motion, play.motion())
+
+
 def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
     play.step(3)
     motion, picture, score, time = play.motion(), play.picture(), play.world.score, play.world.time

@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from sim.rigid.rigid_bodies import RigidBodies
     from sim.state import State
 
-REST_DISTANCE = 5e-4  # [m]: a pixel at arm's length; twice of what bodies that are pushed together creep in REST_TIME
-REST_TIME = 1.0  # [s]: a swing of 5 mm that takes 4 s stays within REST_DISTANCE for 0.8 s where it turns
-ALL = -1  # a set of bodies as the bits of an int64
+REST_DISTANCE = 5e-4  # [m]: a pixel at arm's length; four times what bodies that press on one another creep in a second
+REST_TIME = 1.0  # [s]: a swing of 7 mm that takes 5 s stays within REST_DISTANCE for 0.7 s where it turns
 assert MAX_BODIES <= 64
 
 
@@ -48,10 +47,16 @@ class Sleeping:
     falls i32[B]: it falls asleep after this frame;   order i32[R]: the candidates r, as -1 - r if both bodies sleep
     """
 
-    def __init__(self, state: "State", reductions: "Reductions", contacts: "Contacts", rigid: "RigidBodies | None"):
+    def __init__(
+        self, state: "State", reductions: "Reductions", contacts: "Contacts | None", rigid: "RigidBodies | None"
+    ):
+        """Without contacts no body ever sleeps: nothing would wake it."""
         self.state, self.reductions, self.contacts, self.rigid = state, reductions, contacts, rigid
-        self.table, self.coupled = contacts.constraints, rigid is not None
-        g = self._group = FieldGroup()
+        self.enabled, self.coupled = contacts is not None, rigid is not None
+        if not self.enabled:
+            return
+        self.table, g = contacts.constraints, FieldGroup()
+        self._group = g
         self.linked, self.awake, self.touched = (g.scalar(*n, dtype=ti.i64) for n in ((MAX_BODIES,), (), ()))
         self.anchor = g.vector(state.V)
         self.displaced, self.falls = (g.scalar(MAX_BODIES, dtype=ti.i32) for _ in range(2))
@@ -63,23 +68,23 @@ class Sleeping:
         self._any_asleep, self._longest_rest = False, 0.0  # [s] of any body, when the frame began
         self._linked = self._compiled = False  # whether links are known in this frame, and ever were
 
-    def restore(self, asleep: np.ndarray) -> None:
-        """Let these bodies sleep (B,), and no others."""
-        self._write(asleep, np.where(asleep, REST_TIME, 0.0))
+    def restore(self, asleep: np.ndarray | None) -> None:
+        """Let these bodies sleep (B,), and no others; None: wake all."""
+        if self.enabled:
+            asleep = np.zeros(MAX_BODIES, bool) if asleep is None else asleep
+            self._write(asleep, np.where(asleep, REST_TIME, 0.0))
 
     def _write(self, asleep: np.ndarray, rest_time: np.ndarray) -> None:
         self._set([asleep, rest_time])
         self.reductions.forget()
-
-    def wake(self) -> None:
-        """Wake all bodies."""
-        self.restore(np.zeros(MAX_BODIES, bool))
 
     def begin_frame(self, restless: set[int], gravity: tuple[float, ...]) -> bool:
         """Wake what is moved other than by contact; return whether all bodies sleep in this frame.
 
         `restless` bodies, which are held, driven or led to their rest shape, stay awake; other gravity wakes all.
         """
+        if not self.enabled:
+            return False
         last, self._gravity, self._restless = self._gravity, gravity, restless
         flags = self.reductions.flags()[1:, : len(self.reductions.names)]
         asleep, rest_time = flags[0] > 0, flags[1].copy()
@@ -87,7 +92,7 @@ class Sleeping:
         if asleep[woken].any():
             asleep[woken], rest_time[woken] = False, 0.0
             self._write(asleep, rest_time)
-        self._longest_rest = float(rest_time.max())
+        self._longest_rest = float(rest_time.max(initial=0.0))
         self._any_asleep = bool(asleep.any())
         if not asleep.all():
             return False
@@ -99,6 +104,8 @@ class Sleeping:
 
     def search(self, dt: float) -> None:
         """Wake what may be reached before the next search, in a frame of dt [s]: after the contacts' search."""
+        if not self.enabled:
+            return
         self._linked = self._any_asleep or self._longest_rest + dt >= REST_TIME
         if self._linked or not self._compiled:
             self._wake_islands()
@@ -106,7 +113,8 @@ class Sleeping:
 
     def end_frame(self, dt: float) -> None:
         """Let islands that rest fall asleep, after a frame of dt [s]."""
-        self._settle(dt, bits(self._restless), self._linked)
+        if self.enabled:
+            self._settle(dt, bits(self._restless), self._linked)
 
     @ti.kernel
     def _wake_islands(self):
@@ -166,7 +174,7 @@ class Sleeping:
         found, done = ti.i64(1) << b, ti.i64(0)
         while found != done:
             for c in range(self.state.body_count[None]):
-                if ((found & ~done) >> c) & 1 != 0:
+                if has(found & ~done, c):
                     done |= ti.i64(1) << c
                     if self._connects(c):
                         found |= self.linked[c]

@@ -101,7 +101,7 @@ class Solver:
                 s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options
             )
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
-        self._sleeping = Sleeping(s, self._reductions, self.contacts, self.rigid_bodies) if sleep and contacts else None
+        self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks)
         self.untangling = Untangling(s, self._reductions, self.damping)
         self._targets = KinematicTargets(s, self.rigid_bodies)
@@ -139,15 +139,12 @@ class Solver:
                 self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
         self._recovery.recover()
         self._targets.end_frame()
-        if self._sleeping is not None:
-            self._sleeping.end_frame(dt)
+        self._sleeping.end_frame(dt)
 
     def _all_sleep(self, dt: float, hands: Sequence[Hand], substeps: int) -> bool:
         """Take the hands of this frame, and wake what they or targets move; return whether nothing is awake."""
         if self.contacts is not None:
             self.contacts.begin_frame(hands, dt, substeps)
-        if self._sleeping is None:
-            return False
         moved = self._grasped_bodies() | self._targets.driven_bodies | self.untangling.occupied
         return self._sleeping.begin_frame(moved, tuple(self.gravity))
 
@@ -164,8 +161,7 @@ class Solver:
     def _find_contacts(self, dt: float) -> None:
         for c in self._constraints:
             c.detect()
-        if self._sleeping is not None:
-            self._sleeping.search(dt)
+        self._sleeping.search(dt)
 
     def _step_transform(self, dt: float, hands: Sequence[Hand]) -> None:
         """Let gripped bodies follow the hands, while time stands still."""
@@ -248,8 +244,7 @@ class Solver:
     def wake(self) -> None:
         """Wake all bodies: after a change that the solver cannot see, such as of `x` or `v`."""
         self._reductions.forget()
-        if self._sleeping is not None:
-            self._sleeping.wake()
+        self._sleeping.restore(None)
 
     def take_scaling(self) -> tuple[int, float] | None:
         """Body and factor for `rescale`, if two hands have just scaled a body in "transform"; each only once."""
@@ -367,8 +362,7 @@ class Solver:
             motion += [high, snapshot.get(low, value - high)]
         self._set_bodies(models, motion, snapshot.get("grasps"))
         self.untangling.restore(snapshot.get("untangling"))
-        if self._sleeping is not None and "asleep" in snapshot:
-            self._sleeping.restore(snapshot["asleep"])
+        self._sleeping.restore(snapshot.get("asleep"))
         self._rigid_editing.reset()
 
     def warm_up(self) -> None:
@@ -403,8 +397,7 @@ class Solver:
             self.damping.run(WARM_UP_SUBSTEP)
             integrator.run(1)
             self._recovery.recover()
-            if self._sleeping is not None:
-                self._sleeping.end_frame(WARM_UP_SUBSTEP)
+            self._sleeping.end_frame(WARM_UP_SUBSTEP)
             integrator.reset()
         self._targets.end_frame()
 
@@ -458,8 +451,7 @@ class Solver:
         self._recovery.begin()
         self._targets.end_frame()
         self._restart_contacts(grasps)
-        if self._sleeping is not None:
-            self._sleeping.restore(np.zeros(len(models)))
+        self._sleeping.restore(None)
 
     def _change(self, bodies: MovingBodies) -> int:
         """Take edited bodies; return the index of the last one."""

@@ -421,10 +421,15 @@ class Solver:
 
     def _make_integrator(self, name: str, iterations: int):
         parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
+        on_cuda = ti.cfg.arch == ti.cuda and self.rigid_bodies is None
+        if name == "vbd" and on_cuda:
+            from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
+
+            return PersistentVBD(self.state, self.elasticity, self._constraints, self._blocks, iterations=iterations)
         if name == "vbd":
             return VBDSubsteps(*parts, self._blocks, iterations=iterations)
-        if ti.cfg.arch == ti.cuda and iterations == 1 and self.rigid_bodies is None:
-            from sim.elastic.xpbd_persistent import PersistentXPBD  # needs the CUDA driver
+        if on_cuda and iterations == 1:
+            from sim.elastic.xpbd_persistent import PersistentXPBD
 
             return PersistentXPBD(self.state, self._constraints)
         return XPBDSubsteps(*parts, iterations=iterations)

@@ -148,33 +148,42 @@ class State:
     @ti.func
     def predict(self, i):
         """dx = dt (v + dt g) + x_lo of a free vertex, dt v + x_lo of a prescribed one, 0 of one that sleeps."""
-        dt = self.dt[None]
-        d = dt * self.v[i] + self.x_lo[i]
-        if self.inv_mass[i] > 0.0:
-            d = dt * (self.v[i] + (self.v_lo[i] + dt * self.gravity[None])) + self.x_lo[i]
+        d = self._prediction(self.v[i], self.v_lo[i], self.x_lo[i], self.inv_mass[i])
         if self.asleep[self.body_of_vertex[i]]:
             d = ti.Vector([0.0, 0.0, 0.0])
         self.dx_predicted[i] = d
         self.dx[i] = d
 
     @ti.func
-    def commit(self, i, d):
-        """Turn the final increment d of vertex i into its new velocity and position, and predict the next increment.
-
-        A vertex that sleeps stays where it is.
-        """
+    def _prediction(self, v, v_lo, x_lo, inv_mass):
         dt = self.dt[None]
-        v, v_lo = self.v[i], self.v_lo[i]
-        if not self.asleep[self.body_of_vertex[i]]:
-            if self.inv_mass[i] > 0.0:
-                gain = dt * self.gravity[None] + (d - self.dx_predicted[i]) / dt
-                v, v_lo = two_sum(v, v_lo + gain)
-                speed, limit = v.norm(), self.max_step[self.body_of_vertex[i]] / dt
-                if speed > limit:
-                    v, v_lo = v * (limit / speed), 0.0 * v
-                self.v[i], self.v_lo[i] = v, v_lo
-            self.x[i], self.x_lo[i] = two_sum(self.x[i], dt * (v + v_lo) + self.x_lo[i])
-        self.predict(i)
+        d = dt * v + x_lo
+        if inv_mass > 0.0:
+            d = dt * (v + (v_lo + dt * self.gravity[None])) + x_lo
+        return d
+
+    @ti.func
+    def commit(self, i, d):
+        """Turn the final increment d of vertex i, which is awake, into its new velocity and position; predict the next.
+
+        Returns the position, the velocity and the predicted increment. Everything is loaded before anything is stored:
+        a load that waits for a store costs a GPU more than all of the arithmetic.
+        """
+        dt, w = self.dt[None], self.inv_mass[i]
+        v, v_lo, x_lo, predicted = self.v[i], self.v_lo[i], self.x_lo[i], self.dx_predicted[i]
+        x, limit = self.x[i], self.max_step[self.body_of_vertex[i]] / dt
+        if w > 0.0:
+            v, v_lo = two_sum(v, v_lo + (dt * self.gravity[None] + (d - predicted) / dt))
+            speed = v.norm()
+            if speed > limit:
+                v, v_lo = v * (limit / speed), 0.0 * v
+        x, x_lo = two_sum(x, dt * (v + v_lo) + x_lo)
+        predicted = self._prediction(v, v_lo, x_lo, w)
+        if w > 0.0:
+            self.v[i], self.v_lo[i] = v, v_lo
+        self.x[i], self.x_lo[i] = x, x_lo
+        self.dx_predicted[i], self.dx[i] = predicted, predicted
+        return x, v, predicted
 
     @ti.kernel
     def begin_frame(self, dt: ti.f32, detect_dt: ti.f32, substeps: ti.i32, gravity: ti.types.vector(3, ti.f32)):

@@ -56,20 +56,31 @@ def stress(F, mu, lam):
 
 
 @ti.func
-def fine_stress(s: ti.template(), t, B):
-    """F of tet t in the substep in progress, and its P [Pa], computed in double precision and rounded to single.
+def fine_edge(x, dx, x0, dx0):
+    """Edge from x0 + dx0 to x + dx in double precision, in which their difference keeps every bit."""
+    return (ti.cast(x, ti.f64) - ti.cast(x0, ti.f64)) + (ti.cast(dx, ti.f64) - ti.cast(dx0, ti.f64))
+
+
+@ti.func
+def fine_stress(e1, e2, e3, B, mu, lam):
+    """F of a tet with these edges (f64), and its P [Pa], computed in double precision and rounded to single.
 
     In single precision, J - 1 is off by 1e-7: at 1e8 Pa that alone is a force like a vertex's weight, and it flickers.
     """
-    a, b = s.tets[t], s.body_of_tet[t]
-    lag = s.stress_lag[b]
-    x0, d0 = ti.cast(s.x[a[0]], ti.f64), ti.cast(s.strain_increment(a[0], lag), ti.f64)
-    e1 = (ti.cast(s.x[a[1]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[1], lag), ti.f64) - d0)
-    e2 = (ti.cast(s.x[a[2]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[2], lag), ti.f64) - d0)
-    e3 = (ti.cast(s.x[a[3]], ti.f64) - x0) + (ti.cast(s.strain_increment(a[3], lag), ti.f64) - d0)
     F = ti.Matrix.cols([e1, e2, e3]) @ B
-    P, _, _ = stress(F, s.mu[b], s.lam[b])
+    P, _, _ = stress(F, mu, lam)
     return ti.cast(F, ti.f32), ti.cast(P, ti.f32)
+
+
+@ti.func
+def tet_edges(s: ti.template(), t):
+    """Edges of tet t from its first corner in the substep in progress, where the stress is evaluated, f64."""
+    a = s.tets[t]
+    lag = s.stress_lag[s.body_of_tet[t]]
+    x0, d0 = s.x[a[0]], s.strain_increment(a[0], lag)
+    e1 = fine_edge(s.x[a[1]], s.strain_increment(a[1], lag), x0, d0)
+    e2 = fine_edge(s.x[a[2]], s.strain_increment(a[2], lag), x0, d0)
+    return e1, e2, fine_edge(s.x[a[3]], s.strain_increment(a[3], lag), x0, d0)
 
 
 @ti.func
@@ -204,10 +215,11 @@ class Elasticity:
     def write_forces(self, t):
         """Elastic forces of tet t [N], f_k = -V P B^T e_k, written to its corners' slots."""
         s = self.state
-        B = self.rest_inverse[t]
-        F, P = fine_stress(s, t, B)
+        B, b = self.rest_inverse[t], s.body_of_tet[t]
+        e1, e2, e3 = tet_edges(s, t)
+        F, P = fine_stress(e1, e2, e3, B, s.mu[b], s.lam[b])
         if F.determinant() < 0.0:
-            s.inverted[s.body_of_tet[t]] = 1
+            s.inverted[b] = 1
         self._write(t, -self.volume[t] * (P @ B.transpose()), 1.0)
 
     @ti.func

@@ -8,15 +8,19 @@ from sim.state import State
 
 @ti.func
 def commit(integrator: ti.template(), i, d):
-    """Commit the increment d of vertex i; a vertex of a rigid body follows its pose instead."""
+    """Commit the increment d of vertex i; a vertex of a rigid body follows its pose instead.
+
+    Returns the prediction of its next increment.
+    """
     s = integrator.state
-    follows = False
+    follows, predicted = False, d
     if ti.static(integrator.has_rigid):
         follows = integrator.rigid.kind[s.body_of_vertex[i]] != 0
         if follows:
             integrator.rigid.place_vertex(i)
     if not follows:
-        s.commit(i, d)
+        _, _, predicted = s.commit(i, d)
+    return predicted
 
 
 def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate: bool) -> list:

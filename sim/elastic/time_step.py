@@ -18,7 +18,7 @@ from core.material import Material
 STABILITY_LIMIT = 0.3  # of dt sqrt(max kappa), measured for unaveraged Jacobi with one sweep
 AUTO_XPBD_SUBSTEPS = 400  # a frame at most, the paper's number; with more, VBD is cheaper
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
-VBD_SUBSTEPS, VBD_SWEEPS = 64, 2  # a frame, a substep: for one cost, short steps err less than many sweeps
+VBD_SUBSTEP, VBD_SWEEPS = 1 / 1920, 2  # [s], a substep: for one cost, short steps err less than many sweeps
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it
 # crosses more: a tiny displacement by a contact stores many times the body's energy, and throws it. Of 144
 # cubes, bars, plates and rings thrown at 5 m/s, none came back faster than it went at 3, 6 and 8 lengths; at 39, most.
@@ -88,8 +88,8 @@ def choose_integration(
 
     `stiffest` names the body in errors; `crossing` [s] is the shortest time in which a pressure wave crosses a body.
     "auto" is XPBD where its rule allows the forced substep, or without one if it needs at most AUTO_XPBD_SUBSTEPS a
-    frame, else VBD. None: the longest substep of the rule and one sweep, or frame_dt / VBD_SUBSTEPS, or less after
-    WAVE_CROSSINGS, and VBD_SWEEPS.
+    frame, else VBD. None: the longest substep of the rule and one sweep, or VBD_SUBSTEP, or less after WAVE_CROSSINGS,
+    and VBD_SWEEPS.
     """
     longest = largest_substep(kappa)
     if integrator not in INTEGRATORS:
@@ -101,7 +101,7 @@ def choose_integration(
     stable = substep is None or substep <= 1.0001 * longest
     cheap = substep is not None or math.ceil(frame_dt / longest) <= AUTO_XPBD_SUBSTEPS
     if integrator == "vbd" or (integrator == "auto" and not (stable and cheap)):
-        usual = min(frame_dt / VBD_SUBSTEPS, WAVE_CROSSINGS * crossing)
+        usual = min(VBD_SUBSTEP, frame_dt, WAVE_CROSSINGS * crossing)
         return Integration("vbd", substep or usual, iterations or VBD_SWEEPS)
     if not stable:
         raise BadInput(f"{stiffest}: a substep of {substep:g} s is not stable with XPBD: at most {longest:.3g} s")

@@ -28,7 +28,7 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from sim.body_model import RestShape
 from sim.capacity import stacked
 from sim.constraint import Constraint
-from sim.elastic.energy import Elasticity, column, corners_of, fine_stress
+from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.substep import block_size, commit, phase_kernels
 from sim.model import Model
@@ -38,6 +38,139 @@ from sim.state import State
 MAX_COLORS = 64
 COLLAPSING_I1 = 1.5  # tr F^T F; below 1 the energy has a further term, mu/2 (1 - I1)^2 ...
 COLLAPSING_STIFFNESS = 5.0  # ... whose second derivative along b is at most 4 mu |b|^2: mu + 4 mu in H never overshoots
+
+
+@ti.func
+def shape_gradient(B, corner):
+    """Gradient [1/m] of the shape function of a tet's corner, from the rows of D_m^-1."""
+    g = -(row(B, 0) + row(B, 1) + row(B, 2))
+    if corner == 1:
+        g = row(B, 0)
+    elif corner == 2:
+        g = row(B, 1)
+    elif corner == 3:
+        g = row(B, 2)
+    return g
+
+
+@ti.func
+def tet_terms(e1, e2, e3, B, corner, V, mu, lam):
+    """What a tet with edges e (f64) from its first corner [m], B = D_m^-1 and volume V means to its `corner`.
+
+    Returns the force f on it [N], a and c of its part of H = a I + V lam c c^T [N/m], and J - 1. In double precision
+    as far as there is cancellation: in single precision J - 1 is off by 1e-7, which at 1e8 Pa is a force like a
+    vertex's weight, and flickers. P is never formed: P g = mu F g + (lam (J - 1) - mu) cof F g.
+    """
+    B64 = ti.cast(B, ti.f64)
+    g = shape_gradient(B64, corner)
+    F = ti.Matrix.cols([e1, e2, e3]) @ B64
+    f1, f2, f3 = column(F, 0), column(F, 1), column(F, 2)
+    c1 = f2.cross(f3)
+    c = c1 * g[0] + f3.cross(f1) * g[1] + f1.cross(f2) * g[2]
+    dJ, I1 = f1.dot(c1) - 1.0, f1.norm_sqr() + f2.norm_sqr() + f3.norm_sqr()
+    pull = mu * (1.0 - 2.0 * ti.max(1.0 - I1, 0.0)) * (F @ g) + (lam * dJ - mu) * c
+    mu_t = mu * (COLLAPSING_STIFFNESS if I1 < COLLAPSING_I1 else 1.0)
+    a = V * mu_t * shape_gradient(B, corner).norm_sqr()
+    return -V * ti.cast(pull, ti.f32), ti.cast(a, ti.f32), ti.cast(c, ti.f32), ti.cast(dJ, ti.f32)
+
+
+@ti.data_oriented
+class VertexDescent:
+    """State of the descent of the vertices, and its steps for one vertex, in the order of a substep."""
+
+    def __init__(self, state: State, constraints: list[Constraint], rigid):
+        self.state, self.rigid, self.has_rigid = state, rigid, rigid is not None
+        self.on_vertex = [c for c in constraints if c.has_vertex]
+        self.in_pairs = [c for c in constraints if c.has_pairs]
+        V = state.V
+        g = self._group = FieldGroup()
+        self.target = g.vector(V)  # dx that inertia and impulses want [m]
+        self.impulse_displacement = g.vector(V)  # part of the target that impulses push [m]
+        self.reaction = g.vector(V)  # force of static shapes [N]
+        self.fall = g.scalar(V)  # |a| / |g| of the last substep, in [0, 1]
+        self.contact_stiffness = g.scalar(V)  # of the vertex where something touches it, else 0 [N/m]
+        self.effective_inv_mass = g.scalar(V)  # displacement within the substep per impulse [1/kg]
+        g.build()
+        last = [self.fall, self.reaction, self.contact_stiffness, self.impulse_displacement, self.effective_inv_mass]
+        self._write_last = Upload(last)
+
+    def reset(self) -> None:
+        """Forget the last substep: its accelerations and contacts."""
+        self._write_last([np.zeros(0)] * 5)
+
+    @ti.func
+    def begin(self, i, predicted):
+        """Set the first increment of vertex i, and what inertia wants, from the prediction of the last commit."""
+        s = self.state
+        d, target, impulse = predicted, predicted, self.impulse_displacement[i]
+        if s.inv_mass[i] > 0.0:
+            d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
+            for c in ti.static(self.on_vertex):
+                target += c.external_displacement(i, d)
+        s.dx[i] = d
+        self.target[i] = target + impulse
+
+    @ti.func
+    def load(self, i):
+        """All that `descend` reads of vertex i but its contacts: dx and target [m], last reaction [N], mass [kg]."""
+        return self.state.dx[i], self.target[i], self.reaction[i], self.state.mass[i]
+
+    @ti.func
+    def descend(self, i, dx, target, prior, mass, f, H):
+        """Move vertex i to the least energy, its static contacts respected; returns its increment.
+
+        dx, target, prior, mass of `load`; f [N], H [N/m] of its tets.
+        """
+        s = self.state
+        dt = s.dt[None]
+        stiffness = mass / dt**2
+        A_inverse = H + ti.Matrix.identity(ti.f32, 3) * stiffness
+        A = inverse(A_inverse)
+        d = dx + A @ (f + stiffness * (target - dx))
+        reaction, contact_stiffness = ti.Vector([0.0, 0.0, 0.0]), 0.0
+        for c in ti.static(self.on_vertex):
+            d, p, k = c.project_vertex_implicit(i, d, A_inverse, A, prior)
+            reaction += p
+            contact_stiffness = ti.max(contact_stiffness, k)
+        s.dx[i] = d
+        self.reaction[i] = reaction
+        self.contact_stiffness[i] = contact_stiffness
+        self.effective_inv_mass[i] = A.trace() / (3.0 * dt**2)
+        return d
+
+    @ti.func
+    def push(self, i):
+        """Let the impulses of all pairs push vertex i and its target."""
+        s = self.state
+        if s.inv_mass[i] > 0.0:
+            push = ti.Vector([0.0, 0.0, 0.0])
+            for c in ti.static(self.in_pairs):
+                push = c.apply_impulses(i, push)
+            change, w = push - self.impulse_displacement[i], self.effective_inv_mass[i]
+            if w > 0.0 and push.norm_sqr() + change.norm_sqr() > 0.0:
+                self.target[i] += change
+                self.impulse_displacement[i] = push
+                s.dx[i] += w / s.inv_mass[i] * change
+                self.contact_stiffness[i] = ti.max(self.contact_stiffness[i], 1.0 / (w * s.dt[None] ** 2))
+
+    @ti.func
+    def release(self, i):
+        """Forget the impulses of pairs on vertex i."""
+        for c in ti.static(self.in_pairs):
+            c.apply_impulses(i, ti.Vector([0.0, 0.0, 0.0]))
+        self.impulse_displacement[i] = ti.Vector([0.0, 0.0, 0.0])
+
+    @ti.func
+    def end(self, i, d):
+        """Commit the increment d of vertex i; returns the predicted next one."""
+        s = self.state
+        dt, g = s.dt[None], s.gravity[None]
+        a = g + (d - s.dx_predicted[i]) / dt**2
+        self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
+        return commit(self, i, d)
+
+    def destroy(self) -> None:
+        self._group.destroy()
 
 
 @ti.data_oriented
@@ -57,26 +190,16 @@ class VBDSubsteps:
         *,
         iterations: int,
     ):
-        self.state, self.elasticity, self.rigid, self.iterations = state, elasticity, rigid, iterations
-        self.has_rigid = rigid is not None
-        self.on_vertex = [c for c in constraints if c.has_vertex]
-        self.in_pairs = [c for c in constraints if c.has_pairs]
-        V = state.V
+        self.state, self.elasticity, self.iterations = state, elasticity, iterations
+        self.descent = d = VertexDescent(state, constraints, rigid)
+        self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
         g = self._group = FieldGroup()
-        self.order = g.scalar(V, dtype=ti.i32)  # vertices by colour
+        self.order = g.scalar(state.V, dtype=ti.i32)  # vertices by colour
         self.color_begin = g.scalar(MAX_COLORS + 1, dtype=ti.i32)
         self.corner = g.scalar(4 * state.T, dtype=ti.i32)  # 4 t + k of each slot (sim/elastic/energy.py)
-        self.target = g.vector(V)  # dx that inertia and impulses want [m]
-        self.impulse_displacement = g.vector(V)  # part of the target that impulses push [m]
-        self.reaction = g.vector(V)  # force of static shapes [N]
-        self.fall = g.scalar(V)  # |a| / |g| of the last substep, in [0, 1]
-        self.contact_stiffness = g.scalar(V)  # of the vertex where something touches it, else 0 [N/m]
-        self.effective_inv_mass = g.scalar(V)  # displacement within the substep per impulse [1/kg]
         g.build()
-        self.modal = ModalCorrection(state, elasticity, blocks, self.target, self.reaction, self.contact_stiffness)
+        self.modal = ModalCorrection(state, elasticity, blocks, d.target, d.reaction, d.contact_stiffness)
         self._upload = Upload([self.order, self.corner, self.color_begin])
-        last = [self.fall, self.reaction, self.contact_stiffness, self.impulse_displacement, self.effective_inv_mass]
-        self._write_last = Upload(last)
         self.colors = 0
         self.kernels: tuple | None = None
         self.graphs: dict[int, ti.graph.Graph] = {}
@@ -104,7 +227,7 @@ class VBDSubsteps:
     def _record(self, substeps: int):
         if self.kernels is None:
             phases = [self._phases()] if self.in_pairs else []
-            if self.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
+            if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
                 rigid = (phase_kernels(self.state, self, c, first=True, evaluate=False) for c in self.in_pairs)
                 phases[:0] = [kernel for kernels in rigid for kernel in kernels]
             self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
@@ -124,49 +247,26 @@ class VBDSubsteps:
 
     def reset(self) -> None:
         """Forget the last substep: its accelerations and contacts."""
-        self._write_last([np.zeros(0)] * 5)
+        self.descent.reset()
 
     @ti.func
     def local(self, i):
-        """Force f [N] on vertex i at the present increments, and H [N/m]."""
-        s = self.state
-        e = self.elasticity
+        """Elastic force f [N] on vertex i at the present increments, and H [N/m]."""
+        s, e = self.state, self.elasticity
         b = s.body_of_vertex[i]
-        mu, lam, stiffness = s.mu[b], s.lam[b], s.mass[i] / s.dt[None] ** 2
-        f = stiffness * (self.target[i] - s.dx[i])
-        H = ti.Matrix.identity(ti.f32, 3) * stiffness
+        mu, lam = s.mu[b], s.lam[b]
+        f, H = ti.Vector([0.0, 0.0, 0.0]), ti.Matrix.zero(ti.f32, 3, 3)
         for slot in range(e.slot_begin[i], e.slot_begin[i + 1]):
-            t, k = self.corner[slot] // 4, self.corner[slot] % 4
+            t = self.corner[slot] // 4
             B, V = e.rest_inverse[t], e.volume[t]
-            g = -ti.Vector([B[0, 0] + B[1, 0] + B[2, 0], B[0, 1] + B[1, 1] + B[2, 1], B[0, 2] + B[1, 2] + B[2, 2]])
-            if k > 0:
-                g = ti.Vector([B[k - 1, 0], B[k - 1, 1], B[k - 1, 2]])
-            F, P = fine_stress(s, t, B)
-            f1, f2, f3 = column(F, 0), column(F, 1), column(F, 2)
-            c = f2.cross(f3) * g[0] + f3.cross(f1) * g[1] + f1.cross(f2) * g[2]
-            f -= V * (P @ g)
-            mu_t = mu * (COLLAPSING_STIFFNESS if F.norm_sqr() < COLLAPSING_I1 else 1.0)
-            H += V * (mu_t * g.norm_sqr() * ti.Matrix.identity(ti.f32, 3) + lam * c.outer_product(c))
+            e1, e2, e3 = tet_edges(s, t)
+            force, diagonal, c, _ = tet_terms(e1, e2, e3, B, self.corner[slot] % 4, V, mu, lam)
+            f += force
+            H += diagonal * ti.Matrix.identity(ti.f32, 3) + V * lam * c.outer_product(c)
         return f, H
 
-    @ti.func
-    def _descend(self, i):
-        """Move vertex i to the least energy, its static contacts respected."""
-        s = self.state
-        f, H = self.local(i)
-        A = inverse(H)
-        d, reaction, stiffness = s.dx[i] + A @ f, ti.Vector([0.0, 0.0, 0.0]), 0.0
-        for c in ti.static(self.on_vertex):
-            d, p, k = c.project_vertex_implicit(i, d, H, A, self.reaction[i])
-            reaction += p
-            stiffness = ti.max(stiffness, k)
-        s.dx[i] = d
-        self.reaction[i] = reaction
-        self.contact_stiffness[i] = stiffness
-        self.effective_inv_mass[i] = A.trace() / (3.0 * s.dt[None] ** 2)
-
     def _begin(self):
-        s, on_vertex, in_pairs = self.state, self.on_vertex, self.in_pairs
+        s, in_pairs = self.state, self.in_pairs
 
         @ti.kernel
         def begin():
@@ -175,13 +275,7 @@ class VBDSubsteps:
                 if i == 0:
                     s.substep_index[None] += 1
                 if s.awake_vertex(i):
-                    target = s.dx_predicted[i]
-                    if s.inv_mass[i] > 0.0:
-                        d = target - (1.0 - self.fall[i]) * s.dt[None] ** 2 * s.gravity[None]
-                        for c in ti.static(on_vertex):
-                            target += c.external_displacement(i, d)
-                        s.dx[i] = d
-                    self.target[i] = target + self.impulse_displacement[i]
+                    self.descent.begin(i, s.dx_predicted[i])
             for c in ti.static(in_pairs):
                 ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[0])))
                 for k in range(c.phase_sizes[0]):
@@ -202,7 +296,9 @@ class VBDSubsteps:
                 while j < self.color_begin[color + 1]:
                     i = self.order[j]
                     if not s.asleep[s.body_of_vertex[i]]:
-                        self._descend(i)
+                        f, H = self.local(i)
+                        dx, target, prior, mass = self.descent.load(i)
+                        self.descent.descend(i, dx, target, prior, mass, f, H)
                     j += width
 
         return sweep
@@ -212,23 +308,15 @@ class VBDSubsteps:
 
         @ti.kernel
         def phases():
-            for c in ti.static([] if self.has_rigid else in_pairs):
+            for c in ti.static([] if self.descent.has_rigid else in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_sizes[phase]):
                         c.solve_phase(self, phase, k, True)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if s.awake_vertex(i) and s.inv_mass[i] > 0.0:
-                    push = ti.Vector([0.0, 0.0, 0.0])
-                    for c in ti.static(in_pairs):
-                        push = c.apply_impulses(i, push)
-                    change, w = push - self.impulse_displacement[i], self.effective_inv_mass[i]
-                    if w > 0.0 and push.norm_sqr() + change.norm_sqr() > 0.0:
-                        self.target[i] += change
-                        self.impulse_displacement[i] = push
-                        s.dx[i] += w / s.inv_mass[i] * change
-                        self.contact_stiffness[i] = ti.max(self.contact_stiffness[i], 1.0 / (w * s.dt[None] ** 2))
+                if s.awake_vertex(i):
+                    self.descent.push(i)
 
         return phases
 
@@ -240,14 +328,12 @@ class VBDSubsteps:
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):
-                    dt, g = s.dt[None], s.gravity[None]
-                    a = g + (s.dx[i] - s.dx_predicted[i]) / dt**2
-                    self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
-                    commit(self, i, s.dx[i])
+                    self.descent.end(i, s.dx[i])
 
         return end
 
     def destroy(self) -> None:
+        self.descent.destroy()
         self.modal.destroy()
         self._group.destroy()
 
@@ -255,26 +341,56 @@ class VBDSubsteps:
 def color_vertices(tets: np.ndarray, movable: np.ndarray) -> np.ndarray:
     """Colours (V,) such that no two vertices of a tet share one; -1 where a vertex is not movable (V,) bool.
 
-    Greedy, from the vertex with most neighbours to that with fewest, each into the least used of the colours that its
-    neighbours leave: about as many vertices in each colour, 8 to 12 colours for meshes met in practice.
+    Greedy, in the smallest-last order of Matula and Beck (1983): 6 to 8 colours for meshes met in practice, 11 if the
+    vertices with most neighbours come first. Then vertices leave colours that have more than their part for those that
+    have less: a colour costs a GPU a barrier, and the time of its largest block.
     """
     n = len(movable)
     corners = np.asarray(tets, np.int64)
     pairs = corners[:, [0, 0, 0, 1, 1, 2]].ravel(), corners[:, [1, 2, 3, 2, 3, 3]].ravel()
     graph = sp.coo_matrix((np.ones(len(pairs[0]), bool), pairs), shape=(n, n))
     graph = (graph + graph.T).tocsr()
-    begin, neighbor = graph.indptr, graph.indices
-    color, used = np.full(n, -1), []
-    for i in np.argsort(-np.diff(begin), kind="stable"):
-        if movable[i]:
-            taken = {*color[neighbor[begin[i] : begin[i + 1]]].tolist()}
-            usable = [c for c in range(len(used)) if c not in taken]
-            if not usable:
-                usable = [len(used)]
-                used.append(0)
-            color[i] = min(usable, key=lambda c: (used[c], c))
-            used[color[i]] += 1
-    return color
+    begin, flat = graph.indptr.tolist(), graph.indices.tolist()
+    neighbors = [[j for j in flat[begin[i] : begin[i + 1]] if movable[j]] if movable[i] else [] for i in range(n)]
+    color, order = [-1] * n, smallest_last(neighbors, np.flatnonzero(movable).tolist())
+    used: list[int] = []
+    for i in order:
+        taken = {color[j] for j in neighbors[i]}
+        color[i] = next(c for c in range(len(used) + 1) if c not in taken)
+        if color[i] == len(used):
+            used.append(0)
+        used[color[i]] += 1
+    for i in order:
+        if used[color[i]] * len(used) > len(order):
+            taken = {color[j] for j in neighbors[i]}
+            least = min((c for c in range(len(used)) if c not in taken), key=lambda c: used[c])
+            if used[least] * len(used) < len(order):
+                used[color[i]] -= 1
+                used[least] += 1
+                color[i] = least
+    return np.array(color, np.int64)
+
+
+def smallest_last(neighbors: list[list[int]], vertices: list[int]) -> list[int]:
+    """Order of `vertices` in which each has the fewest neighbours among those before it, and itself, of those left."""
+    degree = {i: len(neighbors[i]) for i in vertices}
+    buckets: list[list[int]] = [[] for _ in range(max(degree.values(), default=0) + 1)]
+    for i in vertices:
+        buckets[degree[i]].append(i)
+    order, d = [], 0
+    while len(order) < len(vertices):
+        while not buckets[d]:
+            d += 1
+        i = buckets[d].pop()
+        if degree.get(i) == d:  # else it is here no more
+            del degree[i]
+            order.append(i)
+            for j in neighbors[i]:
+                if j in degree:
+                    degree[j] -= 1
+                    buckets[degree[j]].append(j)
+            d = max(d - 1, 0)
+    return order[::-1]
 
 
 def color_ranges(color: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -111,7 +111,7 @@ def disturb(lump, size):
     target = dx + 1e-4 * rng.normal(size=x.shape)
     s = solver.integrator
     put(solver.state.dx, dx)
-    put(s.target, target)
+    put(s.descent.target, target)
     assert_array_equal(solver.state.x.to_numpy()[: len(x)], start.astype(np.float32))
     x32 = start.astype(np.float32).astype(np.float64)
     return s, twin, x32, x32 + dx, x32 + target

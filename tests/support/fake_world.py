@@ -15,7 +15,7 @@ import taichi as ti
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from core.runtime import compiler_options
+from core.runtime import COMPILER_OPTIONS
 from display.protocol import Pause, Reset, SetInteraction, SetLight, SingleStep, WorldView, in_order, last_of
 from display.record.codec import NAMES
 from display.timing import Timings
@@ -182,7 +182,7 @@ def main() -> None:
     parser.add_argument("--xr", action="store_true")
     args = parser.parse_args()
 
-    ti.init(arch=ti.cpu, log_level=ti.WARN, **compiler_options(cuda=False))
+    ti.init(arch=ti.cpu, log_level=ti.WARN, **COMPILER_OPTIONS)
     scene = fake_scene()
     with open_display(scene, args) as display, open(args.log, "w", encoding="utf-8", buffering=1) as log:
         world = FakeWorld(scene, width=display.size[0], height=display.size[1], views=1 + args.xr)

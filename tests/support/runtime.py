@@ -13,11 +13,11 @@ def runtime(arch: str = "cpu", **options):
     """
     import taichi as ti
 
-    from core.runtime import compiler_options, hasten_front_end
+    from core.runtime import COMPILER_OPTIONS, hasten_front_end
 
     _end(ti)
     backend = {"cpu": ti.cpu, "cuda": ti.cuda}[arch]
-    options = compiler_options(cuda=arch == "cuda") | options
+    options = COMPILER_OPTIONS | options
     ti.init(arch=backend, default_fp=ti.f32, random_seed=0, log_level=ti.WARN, **options)
     hasten_front_end()
     yield ti

@@ -1,0 +1,253 @@
+"""VBD substeps on CUDA as one kernel that stays (sim/elastic/persistent_grid.py): the equations of sim/elastic/vbd.py.
+
+A colour is a barrier. Each block moves the vertices of its own patch (sim/elastic/color_patches.py), several threads
+each; then come the phases of the constraints, and the modal correction (sim/elastic/modal_warps.py).
+"""
+
+import taichi as ti
+
+from sim.capacity import MAX_BODIES
+from sim.constraint import Constraint
+from sim.elastic.color_patches import COLOR, LAG, LAM, MU, POINTS, WORDS, ColorPatches
+from sim.elastic.energy import Elasticity
+from sim.elastic.modal_correction import ModalCorrection
+from sim.elastic.modal_warps import ModalWarps
+from sim.elastic.persistent_grid import PersistentGrid
+from sim.elastic.vbd import MAX_COLORS, VertexDescent
+from sim.model import Model
+from sim.reductions import ReductionBlocks
+from sim.state import State
+
+BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
+LANES, FEWER_LANES = 16, 8  # threads that share the tets of a vertex, in small and in large meshes
+LARGE = 16384  # vertices: 9k take 132 us a substep with 16 lanes, 142 with 8; 24k take 211 and 185 (H200)
+
+
+@ti.data_oriented
+class PersistentVBD:
+    """`run(n)` makes n substeps of `iterations` sweeps each."""
+
+    max_substeps = 64  # behind one call
+    warm_started = True
+
+    def __init__(
+        self,
+        state: State,
+        elasticity: Elasticity,
+        constraints: list[Constraint],
+        blocks: ReductionBlocks,
+        *,
+        iterations: int,
+    ):
+        self.state, self.iterations, self.grid = state, iterations, PersistentGrid(BLOCK, WORDS, POINTS)
+        self.lanes = min(LANES if state.V < LARGE else FEWER_LANES, self.grid.block)
+        self.patches = ColorPatches(state, self.grid.blocks)
+        self.descent = d = VertexDescent(state, constraints, None)
+        self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
+        self.modal = ModalCorrection(state, elasticity, blocks, d.target, d.reaction, d.contact_stiffness)
+        self.warps = ModalWarps(self.modal, self.descent, self.grid)
+
+    def load(self, model: Model) -> None:
+        """Take other bodies."""
+        self.patches.load(model)
+        self.modal.load(model)
+
+    def run(self, substeps: int) -> None:
+        self._run(substeps, self.patches.colors)
+
+    def reset(self) -> None:
+        """Forget the last substep: its accelerations and contacts."""
+        self.descent.reset()
+
+    @ti.kernel
+    def _run(self, substeps: ti.i32, colors: ti.i32):
+        s = self.state
+        self.grid.begin()
+        s.substep_index[None] += 1
+        for i in range(s.V):
+            if s.awake_vertex(i) and not self._paired():  # the sums of the last constraints act no more
+                self.descent.release(i)
+        for b in range(MAX_BODIES):
+            self.warps.begin(b)
+        ti.loop_config(block_dim=self.grid.block)
+        for thread in range(self.grid.threads):
+            if ti.static(self.grid.on_cuda):
+                points = ti.simt.block.SharedArray((POINTS,), ti.f64)
+                words = ti.simt.block.SharedArray((WORDS,), ti.f32)
+                self._stay(thread, substeps, colors, points, words)
+            else:
+                self._stay(thread, substeps, colors, self.grid.points, self.grid.words)
+        s.substep_index[None] -= 1
+
+    @ti.func
+    def _stay(self, thread, substeps, colors, points: ti.template(), words: ti.template()):
+        """All substeps of one thread."""
+        s, p, w, block = self.state, self.patches, self.warps, ti.static(self.grid.block)
+        own, patch, rounds, paired = thread % block, thread // block, 0, self._paired()
+        first = p.local_begin[patch]
+        count, mine = p.local_begin[patch + 1] - first, p.own_end[patch] - first
+        at = own
+        while at < count:
+            p.stage_constants(first + at, first, words)
+            at += block
+        if own == 0:
+            last = p.slot_begin[first + mine]
+            p.set_slot(mine, last, words)
+        at = own
+        while at <= colors:
+            words[COLOR + at] = ti.bit_cast(p.color_begin[patch * (MAX_COLORS + 1) + at], ti.f32)
+            at += block
+        for n in range(substeps + 1):
+            w.turn(thread, n > 0, n < substeps)
+            rounds += 1
+            self.grid.meet(thread, rounds, s.substep_index, 0)
+            if n < substeps:
+                self._stage(own, count, points, words)
+                if paired:
+                    for c in ti.static(self.in_pairs):
+                        k = self.grid.scattered(thread)
+                        while k < c.phase_count(0):
+                            c.evaluate(k)
+                            k += self.grid.threads
+                w.fit_rotations(thread)
+                self.grid.sync()
+                for sweep in range(self.iterations):
+                    for turn in range(colors):
+                        color = turn if sweep % 2 == 0 else colors - 1 - turn
+                        self._sweep(own, color, points, words)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        at = mine + own
+                        while at < count:
+                            if p.color_of(at, words) == color:
+                                p.stage(at, points, words)
+                            at += block
+                        self.grid.sync()
+                    if paired:
+                        rounds = self._pairs(thread, rounds)
+                        self._stage(own, count, points, words)
+                        self.grid.sync()
+                for trial in range(2):  # the residual before the step along the modes, then after it
+                    self._residual(own, mine, trial, points, words)
+                    rounds += 1
+                    self.grid.meet(thread, rounds, s.substep_index, 0)
+                    if trial == 0:
+                        w.project(thread)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        w.find_amplitudes(thread)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        w.find_step(thread)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        w.move(thread)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        self._stage(own, count, points, words)
+                        self.grid.sync()
+                    else:
+                        w.measure(thread)
+                        rounds += 1
+                        self.grid.meet(thread, rounds, s.substep_index, 1)
+
+    @ti.func
+    def _stage(self, own, count, points: ti.template(), words: ti.template()):
+        """Fetch the positions of all vertices of the patch."""
+        at = own
+        while at < count:
+            self.patches.stage(at, points, words)
+            at += self.grid.block
+
+    @ti.func
+    def _sweep(self, own, color, points: ti.template(), words: ti.template()):
+        """Move the patch's own vertices of a colour."""
+        p = self.patches
+        begin = ti.bit_cast(words[COLOR + color], ti.i32)
+        end = ti.bit_cast(words[COLOR + color + 1], ti.i32)
+        together, lane = ti.static(self.grid.block // self.lanes), own % self.lanes
+        for turn in range((end - begin + together - 1) // together):  # as many for all threads of a warp
+            at = begin + turn * together + own // self.lanes
+            f, xx, yy = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+            i, mass = 0, 0.0
+            x, v, dx, target, prior = f, f, f, f, f
+            moves = at < end and words[MU + ti.min(at, end - 1)] >= 0.0
+            if moves:
+                i = p.vertex(at, words)
+                x, v = self.state.x[i], self.state.v[i]
+                dx, target, prior, mass = self.descent.load(i)  # before the tets: the loads take a while
+                mu, lam = words[MU + at], words[LAM + at]
+                slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
+                while slot < last:
+                    force, diagonal, c, _dJ, stiffness = p.terms(slot, mu, lam, points)
+                    f += force
+                    xx += diagonal + stiffness * c * c  # of H: xx, yy, zz, then xy, yz, zx
+                    yy += stiffness * ti.Vector([c.x * c.y, c.y * c.z, c.z * c.x])
+                    slot += self.lanes
+            for c in ti.static(range(3)):
+                f[c] = self.grid.sum_lanes(f[c], self.lanes)
+                xx[c], yy[c] = self.grid.sum_lanes(xx[c], self.lanes), self.grid.sum_lanes(yy[c], self.lanes)
+            if lane == 0 and moves:
+                H = ti.Matrix([[xx[0], yy[0], yy[2]], [yy[0], xx[1], yy[1]], [yy[2], yy[1], xx[2]]])
+                d = self.descent.descend(i, dx, target, prior, mass, f, H)
+                p.put(at, x, d - words[LAG + at] * v, points)
+
+    @ti.func
+    def _residual(self, own, mine, trial, points: ti.template(), words: ti.template()):
+        """Residual force of each of the patch's own vertices."""
+        s, p = self.state, self.patches
+        together, lane = ti.static(self.grid.block // self.lanes), own % self.lanes
+        for turn in range((mine + together - 1) // together):
+            at = turn * together + own // self.lanes
+            f = ti.Vector([0.0, 0.0, 0.0])
+            moves = at < mine and words[MU + ti.min(at, mine - 1)] >= 0.0
+            if moves:
+                mu, lam = words[MU + at], words[LAM + at]
+                slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
+                while slot < last:
+                    force, _diagonal, _c, dJ, _stiffness = p.terms(slot, mu, lam, points)
+                    if dJ < -1.0:
+                        s.inverted[s.body_of_vertex[p.vertex(at, words)]] = 1
+                    f += force
+                    slot += self.lanes
+            for c in ti.static(range(3)):
+                f[c] = self.grid.sum_lanes(f[c], self.lanes)
+            if lane == 0 and moves:
+                self.warps.set_residual(p.vertex(at, words), f, trial)
+
+    @ti.func
+    def _paired(self):
+        """Return whether any constraint is active; that changes only in a search."""
+        paired = False
+        for c in ti.static(self.in_pairs):
+            if c.any_active():
+                paired = True
+        return paired
+
+    @ti.func
+    def _pairs(self, thread, rounds):
+        """All phases of all pairs, then each vertex's push; returns the number of barriers passed."""
+        s = self.state
+        passed = rounds
+        for c in ti.static(self.in_pairs):
+            for phase in ti.static(range(len(c.phase_sizes))):
+                k, end = self.grid.scattered(thread), c.phase_count(phase)
+                while k < end:
+                    c.solve_phase(self, phase, k, True)
+                    k += self.grid.threads
+                passed += 1
+                self.grid.meet(thread, passed, s.substep_index, 0)
+        length = (s.vertex_count[None] + self.grid.blocks - 1) // self.grid.blocks
+        block, i = thread // self.grid.block, thread // self.grid.block * length + thread % self.grid.block
+        end = ti.min((block + 1) * length, s.vertex_count[None])
+        while i < end:
+            if s.awake_vertex(i):
+                self.descent.push(i)
+            i += self.grid.block
+        passed += 1
+        self.grid.meet(thread, passed, s.substep_index, 0)
+        return passed
+
+    def destroy(self) -> None:
+        for part in (self.grid, self.patches, self.descent, self.modal, self.warps):
+            part.destroy()

@@ -1,0 +1,139 @@
+"""Patches by colour: their tables, their sums against those of the plain loops; on CUDA, the persistent kernel."""
+
+import numpy as np
+import pytest
+import taichi as ti
+from numpy.testing import assert_allclose
+
+from bench.sample_meshes import box
+from core.errors import BadInput
+from core.material import Material
+from scenes.scene import Plane
+from sim.body_model import BodyModel, RestShape
+from sim.elastic.color_patches import MAX_LOCAL, POINTS, WORDS, ColorPatches, divide_by_color
+from sim.elastic.patches import compact_order
+from sim.elastic.vbd import VBDSubsteps, color_vertices
+from sim.elastic.vbd_persistent import PersistentVBD
+from sim.model import Model
+from sim.soft_body import SoftBody
+from sim.solver import Solver
+
+pytestmark = pytest.mark.usefixtures("ti_cpu")
+
+
+@pytest.mark.parametrize("blocks", [2, 5, 40])
+def test_each_vertex_has_its_tets_and_its_colour(blocks):
+    x, tets, surface = box((1.0, 1.0, 1.0), (6, 6, 6))
+    order = compact_order(RestShape(x, tets, surface, None))
+    color = color_vertices(tets, np.arange(len(x)) % 9 != 0)
+    t = divide_by_color(tets, order, color, blocks)
+    owned = []
+    for patch in range(blocks):
+        first, own_end, end = t["local_begin"][patch], t["own_end"][patch], t["local_begin"][patch + 1]
+        local = t["local"][first:end]
+        assert len(set(local)) == len(local) < MAX_LOCAL
+        for c in range(t["colors"]):
+            mine = local[t["color_begin"][patch, c] : t["color_begin"][patch, c + 1]]
+            assert (color[mine] == c).all() and len(mine) == (color[local[: own_end - first]] == c).sum()
+        assert (t["color"][first:end] == color[local]).all()
+        for k in range(first, own_end):
+            slots = slice(t["slot_begin"][k], t["slot_begin"][k + 1])
+            corners = tets[t["tet"][slots]]
+            assert (corners[np.arange(len(corners)), t["corner"][slots]] == t["local"][k]).all()
+            assert (local[t["corners"][slots]] == corners).all()
+            assert len(corners) == (tets == t["local"][k]).sum()
+        owned += local[: own_end - first].tolist()
+    assert sorted(owned) == list(range(len(x)))
+
+
+def test_a_mesh_that_is_too_large_is_refused():
+    x, tets, surface = box((1.0, 1.0, 1.0), (10, 10, 10))
+    order = compact_order(RestShape(x, tets, surface, None))
+    with pytest.raises(BadInput, match="too many vertices"):
+        divide_by_color(tets, order, color_vertices(tets, np.ones(len(x), bool)), 1)
+
+
+def test_the_sums_are_those_of_the_plain_loops():
+    """Slightly deformed, stretched, and inverted."""
+    x, tets, surface = box((0.3, 0.1, 0.1), (6, 2, 2))
+    left = np.flatnonzero(x[:, 0] < 1e-9)
+    given = [
+        SoftBody("soft", x, tets, surface, Material(2e6, 0.3, 1000.0), position=(0, 1, 0)),
+        SoftBody("hard", 0.7 * x, tets, surface, Material(5e7, 0.45, 500.0), position=(0, 1, 1), pinned=left),
+    ]
+    solver = Solver(given, contacts=False, integrator="vbd")
+    patches, plain = ColorPatches(solver.state, 3), solver.integrator
+    patches.load(Model([BodyModel.of(b, []) for b in given]))
+    start = np.concatenate([b.start() for b in given])
+    s, n, rng = solver.state, len(start), np.random.default_rng(1)
+    f, H = ([ti.field(ti.f32, (n, k)) for _ in range(2)] for k in (3, 9))
+    points, words = ti.field(ti.f64, POINTS), ti.field(ti.f32, WORDS)
+
+    @ti.func
+    def put(side: ti.template(), i, force, stiffness):
+        for c in ti.static(range(9)):
+            H[side][i, c] = stiffness[c // 3, c % 3]
+        for c in ti.static(range(3)):
+            f[side][i, c] = force[c]
+
+    @ti.kernel
+    def both():
+        for i in range(n):
+            force, stiffness = plain.local(i)
+            put(0, i, force, stiffness)
+        ti.loop_config(serialize=True)
+        for patch in range(3):
+            first = patches.local_begin[patch]
+            count, mine = patches.local_begin[patch + 1] - first, patches.own_end[patch] - first
+            for at in range(count):
+                patches.stage_constants(first + at, first, words)
+                patches.stage(at, points, words)
+            patches.set_slot(mine, patches.slot_begin[first + mine], words)
+            for at in range(mine):
+                i = patches.vertex(at, words)
+                b = s.body_of_vertex[i]
+                force, stiffness = ti.Vector([0.0, 0.0, 0.0]), ti.Matrix.zero(ti.f32, 3, 3)
+                for slot in range(patches.slot(at, words), patches.slot(at + 1, words)):
+                    own, diagonal, c, _dJ, along = patches.terms(slot, s.mu[b], s.lam[b], points)
+                    force += own
+                    stiffness += diagonal * ti.Matrix.identity(ti.f32, 3) + along * c.outer_product(c)
+                put(1, i, force, stiffness)
+
+    for strain in (0.01, 0.3, 3.0):
+        moved = start + strain * 0.05 * rng.normal(size=start.shape)
+        solver.restore({"x": moved, "v": 0.1 * rng.normal(size=start.shape)})
+        s.begin_frame(1e-3, 1e-2, 16, ti.Vector(solver.gravity))
+        solver.damping.run(0.0)
+        both()
+        for pair in (f, H):
+            expected, got = (a.to_numpy() for a in pair)
+            assert np.abs(expected).max() > 1.0
+            assert_allclose(got, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+
+
+def test_the_persistent_kernel_agrees_with_the_loops():
+    """Two stiff blocks on a floor, one on the other, sliding; rounding differs, and contact makes more of that.
+
+    On the CPU the kernel is one thread.
+    """
+    moved = []
+    x, tets, surface = box((0.2, 0.1, 0.1), (4, 2, 2))
+    material = Material(5e6, 0.3, 1000.0, friction=0.3)
+    lower = SoftBody("lower", x, tets, surface, material, velocity=(0.5, 0.0, 0.0))
+    upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
+    for plain in (False, True):
+        solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], integrator="vbd")
+        parts = solver.state, solver.elasticity, [solver.contacts]
+        form = VBDSubsteps(*parts, None, solver._blocks, iterations=2)
+        if not plain:
+            form = PersistentVBD(*parts, solver._blocks, iterations=2)
+        solver.integrator = form
+        form.max_substeps = 16
+        form.load(Model([BodyModel.of(b, []) for b in (lower, upper)]))
+        for _ in range(3):
+            solver.step(1 / 180)
+            moved.append(solver.snapshot()["x"])
+    start = np.concatenate([lower.start(), upper.start()])
+    assert np.abs(moved[2] - start).max() > 0.005
+    assert_allclose(moved[0], moved[3], rtol=0, atol=1e-5)
+    assert_allclose(moved[2], moved[5], rtol=0, atol=1e-4)

@@ -409,7 +409,8 @@ class Solver:
         """Choose integrator, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
         kappas = model.kappas
         stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
-        options = {"stiffest": stiffest, "crossing": model.crossing, **self._wanted}
+        device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+        options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **self._wanted}
         chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
         return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if self._with_rigid else chosen
 

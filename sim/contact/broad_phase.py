@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 CONTACT_MARGIN = 0.002  # [m] added to the motion that is expected: what that estimate may lack
 FLOAT_MAX = 3.0e38  # larger than any coordinate, finite in float32
-SPEED_GROWTH = 1.2  # by which vertices may exceed the fastest of now until the next search
 MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has exploded
 
 
@@ -78,7 +77,7 @@ class BodyBounds:
         self.v_min[b] -= gain
         self.v_max[b] += gain
         self.speed_gain[b] = gain
-        self.max_speed[b] = SPEED_GROWTH * self.speed[b] + gain + CONTACT_MARGIN / self.state.detect_dt[None]
+        self.max_speed[b] = self.speed[b] + gain + CONTACT_MARGIN / self.state.detect_dt[None]
 
 
 @ti.data_oriented

@@ -19,7 +19,7 @@ from scenes.scene import Capsule
 from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.contact.contact_samples import CapsuleSamples
 from sim.contact.nearest_tet import NearestTets
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known, usable_normal
+from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
 
 if TYPE_CHECKING:
@@ -111,8 +111,8 @@ class DeformableContact:
         if thick:
             rest_phi, N, beyond = self.grids.extrapolated(self.state.body_of_tet[t], X)
             gradient = deformed_gradient(N, g1, g2, g3, E1, E2, E3)
-            if usable_normal(rest_phi, N, gradient):
-                length = gradient.norm()
+            length = gradient.norm()
+            if known(rest_phi) and length > 0.0:
                 phi, normal = rest_phi * N.norm() / length, gradient / length
         return thick, phi, normal, b, X, beyond
 

@@ -25,7 +25,6 @@ MAX_RECOVERY_SPEED = 1.0  # [m/s]; faster, it would throw the body that it frees
 CONTACT_STIFFNESS = 0.5
 UNBOUNDED = 1e30  # [kg m], no limit of an impulse
 FINGERTIP_STIFFNESS = 1200.0  # [N/m] of one sample of a finger: the few of a fingertip yield 1 mm at 3 N
-FINGERTIP_DAMPING_TIME = 0.01  # [s]: critical for 50 g on two samples; lighter bodies are overdamped
 # [m/s] at which friction is fully kinetic. If it were so at any speed, a soft block would slip far below mu_s: the
 # edge that slips first would pass its load to its neighbours (Stribeck's curve has this shape too).
 KINETIC_FRICTION_SPEED = 0.02
@@ -94,13 +93,13 @@ def contact_impulse(holding, n, A_n, w_t, friction, dt):
 def fingertip_spring(phi, dt):
     """Least motion [m], compliance [1/kg] and damping of the soft pad that a fingertip is (see `holding_impulse`).
 
-        lambda = k dt^2 (-phi - (1 + T / dt) y),   k = FINGERTIP_STIFFNESS,   T = FINGERTIP_DAMPING_TIME
+        lambda = k dt^2 (-phi - (1 + T / dt) y),   k = FINGERTIP_STIFFNESS,   T = RECOVERY_TIME
 
     -phi counts up to MAX_RECOVERY_SPEED T, so that nothing leaves faster, however deep a finger appears. At a distance
     the approach is stopped, undamped.
     """
-    damping = 1.0 + (FINGERTIP_DAMPING_TIME / dt if phi <= 0.0 else 0.0)
-    return ti.min(-phi, MAX_RECOVERY_SPEED * FINGERTIP_DAMPING_TIME), 1.0 / (FINGERTIP_STIFFNESS * dt * dt), damping
+    damping = 1.0 + (RECOVERY_TIME / dt if phi <= 0.0 else 0.0)
+    return ti.min(-phi, MAX_RECOVERY_SPEED * RECOVERY_TIME), 1.0 / (FINGERTIP_STIFFNESS * dt * dt), damping
 
 
 @ti.func

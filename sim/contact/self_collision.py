@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from sim.state import State
 
 MIN_REST_DISTANCE = 5.0  # [max. displacement of a substep, half an edge]: points closer at rest do not collide
-MIN_LENGTH = 5.0  # [edges]; a shorter body has no two ends that far apart that could still meet
 SHAPE_SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 
 
@@ -170,5 +169,5 @@ class SelfCollision:
 
 
 def can_fold(shape: "RestShape") -> bool:
-    """True if a body is long enough for one end to touch the other."""
-    return float(np.ptp(shape.vertices, axis=0).max()) > MIN_LENGTH * shape.edge
+    """True if a body has two ends, each as long as the distance at rest below which points do not collide."""
+    return float(np.ptp(shape.vertices, axis=0).max()) > 2 * MIN_REST_DISTANCE * 0.5 * shape.edge

@@ -18,7 +18,6 @@ UNKNOWN_DISTANCE = 1e3  # [m], the distance where a grid says nothing
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache
 PADDING = 4  # [nodes] around the cage's box: contact begins outside
 EXACT_BAND = 3.5  # [nodes] around the surface with exact distances; further away only sign and trend matter
-MIN_NORMAL_RATIO, MIN_GRADIENT = 1e-3, 0.1  # least |F^-T N| / |N| and |N| of a usable normal
 UNREACHED = 1e9  # [nodes] where no triangle is near
 
 
@@ -26,12 +25,6 @@ UNREACHED = 1e9  # [nodes] where no triangle is near
 def known(phi):
     """True if phi [m] is a distance, not UNKNOWN_DISTANCE."""
     return phi < 0.5 * UNKNOWN_DISTANCE
-
-
-@ti.func
-def usable_normal(phi, N, normal):
-    """True if a distance phi [m] with gradient N at rest, carried to `normal` = F^-T N, gives a contact."""
-    return known(phi) and N.norm() > MIN_GRADIENT and normal.norm() > MIN_NORMAL_RATIO * N.norm()
 
 
 @ti.data_oriented

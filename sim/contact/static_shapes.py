@@ -124,7 +124,7 @@ class StaticShapes:
         phi, gradient = self.grids.sample(g, self._to_grid(k, p))
         length = gradient.norm()
         normal = vec3(0.0)
-        if phi > -MAX_DEPTH * self.grids.spacing[g] and length > 1e-6:
+        if phi > -MAX_DEPTH * self.grids.spacing[g] and length > 0.0:
             phi *= self.scale[k]
             normal = self.frame[k].transpose() @ gradient / length
         else:

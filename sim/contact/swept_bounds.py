@@ -7,7 +7,7 @@ body b, whose vertices move at speed_b, with t the time until the next search,
 
 because energy Psi [J/m^3] that springs back moves matter at sqrt(2 Psi / rho), and a hand's spring is damped
 critically: its vertices go to their target and not beyond, with the acceleration a at most. What a body c in its path
-may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on); so may what that hits.
+may hit moves on at 2 m_c / (m_b + m_c) times the speed of c, at most (elastic and head-on).
 """
 
 from typing import TYPE_CHECKING
@@ -23,18 +23,16 @@ if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
     from sim.state import State
 
-IMPACT_CHAIN = 3  # impacts in a row before the next search: a, b, c, d
-
 
 @ti.data_oriented
 class SweptBounds:
-    """spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[2,B] [m/s]: speeds passed on."""
+    """spring_speed, grasp_speed f32[B] [m/s]: the two maxima above;   impact_speed f32[B] [m/s]: which b brings."""
 
     def __init__(self, state: "State", grasps, bounds: "BodyBounds"):
         self.state, self.grasps, self.bounds = state, grasps, bounds
         group = self._group = FieldGroup()
         self.spring_speed, self.grasp_speed = group.scalar(MAX_BODIES), group.scalar(MAX_BODIES)
-        self.impact_speed = group.scalar(2, MAX_BODIES)
+        self.impact_speed = group.scalar(MAX_BODIES)
         group.build()
 
     @ti.kernel
@@ -55,14 +53,10 @@ class SweptBounds:
             if b < s.body_count[None]:
                 t = s.detect_dt[None]
                 gain = s.gravity[None].norm() * t + self.spring_speed[b] + self.grasp_speed[b]
-                self.impact_speed[0, b] = self.bounds.speed[b] + gain
-        for k in ti.static(range(IMPACT_CHAIN)):
-            for b in range(MAX_BODIES):
-                if b < s.body_count[None]:
-                    self.impact_speed[1 - k % 2, b] = self._passed_on(b, k % 2)
+                self.impact_speed[b] = self.bounds.speed[b] + gain
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
-                self.bounds.widen(b, self.impact_speed[IMPACT_CHAIN % 2, b] - self.bounds.speed[b])
+                self.bounds.widen(b, self._after_impact(b) - self.bounds.speed[b])
 
     @ti.func
     def _find_spring_speed(self, t):
@@ -80,16 +74,16 @@ class SweptBounds:
             ti.atomic_max(self.spring_speed[b], speed)
 
     @ti.func
-    def _passed_on(self, b, now):
+    def _after_impact(self, b):
         """Speed [m/s] of body b, or that to which a faster body that may hit it brings it."""
         s = self.state
         t = s.detect_dt[None]
         box = self.bounds
-        result = self.impact_speed[now, b]
+        result = self.impact_speed[b]
         for c in range(s.body_count[None]):
-            margin = (self.impact_speed[now, b] + self.impact_speed[now, c]) * t + CONTACT_MARGIN
+            margin = (self.impact_speed[b] + self.impact_speed[c]) * t + CONTACT_MARGIN
             apart = gap_of_boxes(box.low[b], box.high[b], box.low[c], box.high[c])
             if c != b and apart < margin:
                 transfer = 2.0 * s.body_mass[c] / (s.body_mass[b] + s.body_mass[c])
-                result = ti.max(result, transfer * self.impact_speed[now, c])
+                result = ti.max(result, transfer * self.impact_speed[c])
         return result

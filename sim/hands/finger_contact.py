@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
     from sim.contact.constraints import ContactConstraints
 
-LIMIT_GROWTH = 1.1  # by which a hand that pressed too hard may press more again from search to search
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces
 
 
@@ -120,12 +119,10 @@ class FingerContact:
 
     @ti.func
     def _limit(self, h):
-        """Reduce the limit of a hand that pressed with more than MAX_HAND_FORCE."""
+        """Let a hand that pressed in full press with MAX_HAND_FORCE in all."""
         pressed = ti.cast(self.pressed[h], ti.f32) * FORCE_STEP
-        if pressed > MAX_HAND_FORCE:
-            self.capsules.limit[h] *= MAX_HAND_FORCE / pressed
-        else:
-            self.capsules.limit[h] = ti.min(1.0, LIMIT_GROWTH * self.capsules.limit[h])
+        limit = self.capsules.limit[h] * MAX_HAND_FORCE / ti.max(pressed, 1e-3)
+        self.capsules.limit[h] = ti.min(limit, 1.0)
 
     @ti.func
     def _find_rigid_body(self, p):

@@ -9,9 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-THROW_WINDOW = 0.08  # [s] before the release that decide
-MAX_THROW_SPEED = 20.0  # [m/s] of an arm; faster poses are a fault of the tracking
-MAX_THROW_SPIN = 40.0  # [rad/s] likewise
+THROW_WINDOW = 0.08  # [s] before the release that decide: longer than fingers take to open
 
 
 def hand_motion(history: tuple[tuple[float, tuple[float, ...]], ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -25,7 +23,7 @@ def hand_motion(history: tuple[tuple[float, tuple[float, ...]], ...]) -> tuple[n
     rotations = (attitudes * attitudes[-1].inv()).as_rotvec()
     t = t - t.mean()
     slopes = t @ np.hstack([poses[:, :3], rotations]) / (t @ t)
-    return poses[-1, :3], capped(slopes[:3], MAX_THROW_SPEED), capped(slopes[3:], MAX_THROW_SPIN)
+    return poses[-1, :3], slopes[:3], slopes[3:]
 
 
 def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, max_impulse: float) -> np.ndarray:
@@ -44,8 +42,3 @@ def throw_velocities(history, x: np.ndarray, v: np.ndarray, mass: np.ndarray, ma
     change = velocity + np.cross(omega, c - position) - v_c + np.cross(omega - omega_body, r)
     size = np.sqrt(mass @ (change**2).sum(1) / M)
     return change * min(1.0, max_impulse / M / max(size, 1e-12))
-
-
-def capped(vector: np.ndarray, most: float) -> np.ndarray:
-    """The vector, shortened to the length `most` if it is longer."""
-    return vector * min(1.0, most / max(np.linalg.norm(vector), 1e-12))

@@ -12,6 +12,7 @@ import taichi as ti
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import outside_box
+from sim.contact.response import CONTACT_SLOP
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_motion import FREE, SOFT
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
 GROUPS = MAX_BODIES * (MAX_BODIES + 1)
-REDUNDANT_DISTANCE = 3e-4  # [m]; a sample between corners that are as near, up to this, adds nothing
 
 
 def slot_count(samples: "ContactSamples") -> int:
@@ -106,7 +106,7 @@ class RigidBroadPhase:
                 if c == 0:
                     d = distance
                     redundant = redundant and known(d)
-                elif distance > d + REDUNDANT_DISTANCE:
+                elif distance > d + CONTACT_SLOP:
                     redundant = False
         return UNKNOWN_DISTANCE if redundant else d
 

@@ -9,7 +9,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES
 from sim.contact.contact_samples import points_of
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
+from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.static_shapes import box_distance
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from sim.rigid.rigid_bodies import RigidBodies
 
 MAX_OVERHANG = 5e-4  # [m] of a corner beyond the edge of a box that bears it: bodies as wide as each other are stacked
-MAX_BEARING_COSINE = -0.05  # of the normals of a face and of the surface at a sample that it can bear
 
 
 @ti.data_oriented
@@ -65,8 +64,9 @@ class RigidShapes:
             phi, normal = bearing_distance(q, self.half[b], R.transpose() @ facing)
         else:
             value, gradient = self.grids.sample(b, q)
-            if known(value) and gradient.norm() > 0.1:
-                phi, normal = value / gradient.norm(), gradient.normalized()
+            length = gradient.norm()
+            if length > 0.0:
+                phi, normal = value, gradient / length
         return phi, R @ normal
 
 
@@ -83,7 +83,7 @@ def bearing_distance(p, half, facing):
         best = -UNKNOWN_DISTANCE
         for k in ti.static(range(3)):
             side = 1.0 if p[k] >= 0.0 else -1.0
-            if side * facing[k] < MAX_BEARING_COSINE and q[k] > best:
+            if side * facing[k] < 0.0 and q[k] > best:
                 best = q[k]
                 normal = vec3(0.0)
                 normal[k] = side

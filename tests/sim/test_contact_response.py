@@ -26,7 +26,7 @@ def random_contacts(seed: int = 3) -> dict[str, np.ndarray]:
 def device(ti_cpu):
     """The law on the device: impulse(n, holding, A, mu_s, mu_k), and held(n, y, old, w, least, spring)."""
     ti = ti_cpu
-    from sim.contact.response import contact_impulse, holding_impulse, min_normal_motion
+    from sim.contact.response import contact_impulse, fingertip_spring, holding_impulse, min_normal_motion
 
     n, vector, other, out = (ti.Vector.field(3, ti.f32, N) for _ in range(4))
     matrix, pair = ti.Matrix.field(3, 3, ti.f32, N), ti.Vector.field(2, ti.f32, N)
@@ -43,6 +43,20 @@ def device(ti_cpu):
         for k in range(N):
             c = spring[None]
             out[k] = holding_impulse(other[k], n[k], vector[k], least, pair[k][0], pair[k][1], c[0], c[1], c[2])
+
+    @ti.kernel
+    def press(frames: ti.i32):
+        """A finger at `scalar` from bodies at rest, of inverse mass pair[0], pushes them away."""
+        for k in range(N):
+            phi, y, old, up = scalar[k], 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 1.0, 0.0])
+            for _ in range(frames):
+                w = pair[k][0]
+                least, compliance, damping = fingertip_spring(phi, DT)
+                new = holding_impulse(old, up, (y + w * old[1]) * up, least, w, w, compliance, damping, 1e30)
+                new = contact_impulse(new, up, up, w, ti.Vector([0.0, 0.0]), DT)
+                y, old = y + w * new[1], new
+                phi += y
+                out[k] = ti.Vector([phi, ti.max(out[k][1], y / DT), new[1]])
 
     @ti.kernel
     def least_motion():
@@ -67,6 +81,13 @@ def device(ti_cpu):
             spring[None] = (compliance, damping, most)
             hold(least)
             return out.to_numpy().astype(np.float64)
+
+        @staticmethod
+        def pressed(phi, mass, steps):
+            take(scalar=phi, pair=np.stack([1 / mass, 1 / mass], 1), vector=np.zeros((N, 3)))
+            out.fill(0.0)
+            press(steps)
+            return out.to_numpy().astype(np.float64).T
 
         @staticmethod
         def least_motion(phi):
@@ -176,5 +197,29 @@ def test_the_least_motion_closes_gaps_rests_in_the_slop_and_recovers_slowly(devi
     assert_allclose(least[apart], -(phi + CONTACT_SLOP)[apart], rtol=1e-4)  # it may come to the slop, not further
     assert (least[~apart] >= 0).all() and least.max() <= MAX_RECOVERY_SPEED * DT * 1.0001
     assert (phi + least)[deep].max() < 1e-9 and (np.diff(least[deep]) < 1e-9).all()  # the deeper, the faster
+    assert least[phi < -5e-5].min() > 0  # [m]; deeper than that nothing rests
+    for depth in (1e-3, 5e-3):
+        left = np.full(N, -depth)
+        for _ in range(round(0.1 / DT)):
+            left = left + device.least_motion(left)
+        assert (left > -0.02 * depth - 2 * CONTACT_SLOP).all() and (left <= 0).all()
     at_rest = device.least_motion(np.linspace(-2 * CONTACT_SLOP, 0, N))
     assert_allclose(at_rest, 0, atol=1e-9)
+
+
+def test_a_finger_pushes_out_slowly_whatever_it_meets(device):
+    """From up to 5 cm deep, bodies of 1 g to 1 kg: out, but no faster than anything else recovers."""
+    from sim.contact.response import MAX_RECOVERY_SPEED
+
+    depth, mass = np.linspace(0.001, 0.05, N), 10.0 ** np.random.default_rng(1).uniform(-3, 0, N)
+    phi, fastest, impulse = device.pressed(-depth, mass, 400)
+    assert (fastest < 1.02 * MAX_RECOVERY_SPEED).all() and fastest.max() > 0.5 * MAX_RECOVERY_SPEED
+    assert (impulse >= 0).all()
+    assert (phi > -depth / 2).all()
+
+
+def test_a_fingertip_yields_a_millimetre_to_three_newtons(device):
+    """The two to four samples of one that touch."""
+    _, _, impulse = device.pressed(np.full(N, -1e-3), np.full(N, 1e9), 50)
+    force = impulse / DT**2
+    assert (force > 3 / 4).all() and (force < 3 / 2).all()

@@ -1,5 +1,7 @@
 """Fingers: capsules that push, carry, pinch and go through soft and rigid bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -15,6 +17,7 @@ from sim.hands.finger_capsules import (
     capsules_of,
     sample_positions,
 )
+from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -119,6 +122,22 @@ def test_a_finger_goes_right_through_and_harms_nothing(solver):
     play(solver, 60)
     assert solver.stats["finite"] and least_volume(solver) > 0.8
     assert all(b.low[1] > -1e-3 for b in solver.bodies())
+
+
+@pytest.mark.parametrize("young", [1e4, 5e4])
+def test_six_fingers_go_through_with_no_more_than_the_force_of_a_hand(solver, young):
+    """And crush no cell, however soft; the brick is pressed against the table meanwhile."""
+    worst, hardest = 1.0, 0.0
+    solver.set_material(0, replace(SOFT, young=young))
+    try:
+        for k in range(100):
+            y, aside = max(0.1 - 0.003 * k, -0.1), 0.0 if k < 70 else 0.003 * (k - 70)
+            touch = [upright(x + aside + d, y) for x in (0.0, BRICK) for d in (-0.02, 0.0, 0.02)]
+            play(solver, 1, lambda _, t=touch: t)
+            worst, hardest = min(worst, least_volume(solver)), max(hardest, np.linalg.norm(solver.touch_forces()[0]))
+    finally:
+        solver.set_material(0, SOFT)
+    assert worst > 0.4 and 30.0 < hardest < 1.25 * MAX_HAND_FORCE
 
 
 @pytest.mark.parametrize("jump", [2.0, 0.3])

@@ -8,7 +8,9 @@ from bench import physics_contact
 from bench.setups import SIDE, playground
 from core.errors import BadInput
 from scenes.scene import Hand
+from sim.capacity import MAX_BODIES
 from sim.rigid.rigid_body import RigidBody
+from sim.rigid.rigid_broad_phase import WORLD
 from sim.solver import Solver
 
 FRAME = 1 / 60
@@ -63,6 +65,20 @@ def test_a_free_fall_is_exact_in_fp32(free):
     box = free.bodies()[1]
     assert_allclose(box.velocity[1], -9.81 * 0.5, rtol=1e-4)
     assert_allclose(box.centroid[1] - 3, -0.5 * 9.81 * 0.5 * (0.5 + free.stats["dt"]), rtol=1e-4)
+
+
+def test_what_is_too_fast_for_a_substep_is_slowed(free):
+    """Half a radian, and half a body's smallest width: beyond, increments mean nothing and contacts are passed."""
+    free.reset()
+    x = free.snapshot()["x"]
+    v, n = np.zeros_like(x), free.vertex_offset[1]
+    v[:n], v[n:, 0] = np.cross([0, 1e5, 0], x[:n] - x[:n].mean(0)), 1e4
+    free.restore({"x": x, "v": v})
+    free.step(FRAME)
+    m, dt = free.rigid_bodies, free.stats["dt"]
+    assert free.stats["finite"]
+    assert 0.1 < np.linalg.norm(m.angular_velocity.to_numpy()[0]) * dt < 0.5001
+    assert 0.01 < np.linalg.norm(m.v.to_numpy()[1]) * dt < 0.05001
 
 
 @pytest.mark.long
@@ -122,6 +138,20 @@ def test_a_hand_lifts_and_turns_a_box(place):
     assert solver.bodies()[top].centroid[1] < start[1] + 0.2  # let go
 
 
+def test_a_hand_turns_a_heavy_box_slowly(place):
+    """100 kg: by what the torque of a hand gives in a twentieth of a second, and not at once by the radian it turns."""
+    solver, where = physics_contact.started(place)
+    b = where["heavy_on_light"].stop - 1
+    corner = solver.bodies()[b].centroid + SIDE / 2
+    for k in range(5):
+        a = 1.0 if k > 1 else 0.0
+        solver.step(FRAME, [Hand(corner, (np.cos(a / 2), 0, np.sin(a / 2), 0), True, 0.06)])
+    assert solver.bodies()[b].held
+    x = solver.x.to_numpy()[solver.vertex_offset[b] :]
+    edge = x[4] - x[0]  # along x at the start
+    assert np.abs(np.arctan2(-edge[2], edge[0])) < 0.2
+
+
 def test_transform_mode_moves_a_box(place):
     solver, where = physics_contact.started(place)
     top = where["stack"].start + 4
@@ -141,6 +171,8 @@ def test_contact_forces_carry_the_weights(place):
     physics_contact.run(solver, 1.0)
     forces = solver.contact_forces()[where["stack"]]
     assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.02)  # 1 kg each, whatever stands on it
+    group = where["sliding"].start * (MAX_BODIES + 1) + WORLD
+    assert 4 <= solver.contacts.rigid_search.size[group] <= 8  # between its corners a box needs no contacts
 
 
 def test_a_snapshot_is_gone_on_from(place):

@@ -10,9 +10,11 @@ from core.distance_grid import DistanceGrid
 from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
-from sim.contact.contact_samples import skin_depth, surface_points
+from sim.body_model import BodyModel
+from sim.contact.contact_samples import points_of, skin_depth, surface_points
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid
 from sim.contact.static_shapes import StaticGrid, StaticShapes
+from sim.rigid.rigid_body import RigidBody
 
 PLANE = Plane((0.1, 0.2, -0.3), (0.0, 3.0, 4.0), friction=0.25)
 CAPSULE = Capsule((0.1, 0.0, 0.2), (0.3, 0.4, 0.1), 0.05, friction=0.75)
@@ -188,6 +190,12 @@ def test_surface_points_cover_the_surface_evenly():
     anywhere = (x[surface[rng.integers(len(surface), size=3000)]] * rng.dirichlet([1, 1, 1], 3000)[..., None]).sum(1)
     assert np.linalg.norm(anywhere[:, None] - at[None], axis=-1).min(1).max() < 0.009
     assert len(surface_points(x, surface, 0.002, most=700).ids) <= 700
+
+
+def test_a_rigid_body_needs_few_points():
+    """What does not bend cannot be entered far between points a tenth of its size apart."""
+    shape = BodyModel.of(RigidBody.box("crate", (1.0, 1.0, 1.0), density=500.0), []).shape
+    assert 100 < len(points_of(shape, 0.004).ids) < 1500
 
 
 def test_skin_is_what_the_cage_adds_to_the_visible_surface():

@@ -119,6 +119,22 @@ def test_a_body_at_rest_that_a_hand_yanks_does_not_pass_a_plate(plates):
         assert not passed(plates)
 
 
+def test_what_is_struck_does_not_pass_a_plate(plates):
+    """A cube at rest, 4 cm above a plate, by another one at 20 m/s; and a ring under the first, too."""
+    rest = [np.asarray(b.vertices) for b in cages(plates)]
+    place = 2 * APART
+    for struck in ({3: (place, 0.08, 0.0)}, {3: (place, 0.1, 0.0), 0: (place + 0.07, 0.04, 0.0)}):
+        xs = [x + (10 * APART, APART * k, 0) for k, x in enumerate(rest)]
+        vs = [np.zeros_like(x) for x in rest]
+        for k, at in struck.items():
+            xs[k] = rest[k] + at
+        xs[2], vs[2][:, 1] = rest[2] + (place, struck[3][1] + 0.09, 0), -2 * SPEED
+        restart(plates, xs, vs)
+        for _ in range(8):
+            plates.step(1 / 60, [])
+            assert all(bodies_of(plates)[k][:, 1].mean() > -0.01 for k in struck)
+
+
 def test_bodies_thrown_at_each_other_do_not_pass(plates):
     """Cube and cube, ring and ring at 10 m/s, with no plate in the way; before they meet and after, one is above."""
     rest = [np.asarray(b.vertices) for b in cages(plates)]

@@ -168,6 +168,12 @@ def test_a_throw_is_the_mean_of_the_last_moments(solver):
     assert m @ (r[:, 1] * v[:, 2] - r[:, 2] * v[:, 1]) / (m @ (r[:, 1:] ** 2).sum(1)) == pytest.approx(2.0, rel=0.02)
 
 
+def test_fingers_that_slow_down_as_they_open_still_throw(solver):
+    """The hand stands still in its last frame."""
+    body = release(solver, carried(0.3, lambda t: np.array([0.0, 3.0 * min(t, 0.3 - DT), 0.0])))
+    assert 0.7 * 3.0 < body.velocity[1] < 3.0
+
+
 def test_a_hand_that_has_stopped_drops(solver):
     def position(t):
         return np.array([0.0, 3.0 * min(t, 0.3), 0.0])

@@ -350,32 +350,35 @@ def test_light_stiff_bodies_that_graze_a_wall_gain_no_energy(floor):
     assert max(now) < begin  # without gravity, friction and the wall only take
 
 
-def test_light_stiff_bodies_do_not_jump_from_the_floor(floor):
-    """Thrown at 5 m/s. Contacts stored 34 times the energy of a plate, and threw it."""
-    height, speed = 0.12, 5.0  # [m], [m/s]
+def test_stiff_bodies_thrown_at_the_floor_gain_no_energy(floor):
+    """At 3 to 10 m/s. Contacts once stored 33 times the energy of a plate for a while, and threw it."""
+    height = 0.12  # [m]
     shapes = [
         torus(0.03, 0.01, around=12, across=1),
         box((0.08, 0.02, 0.02), (4, 1, 1)),
         box((0.08, 0.024, 0.08), (3, 1, 3)),
-        box((0.08, 0.08, 0.08), (2, 2, 2)),
+        box((0.08, 0.005, 0.08), (4, 1, 4)),
     ]
-    materials = [Material(1e8, 0.49, 10.0, 1.0), Material(4e7, 0.29, 21.0, 0.225)]
-    rng = np.random.default_rng(2)
-    bodies = []
+    constants = [(1e8, 0.3, 1000.0, 0.5), (1e8, 0.49, 10.0, 1.0), (1e7, 0.45, 50.0, 0.8), (1e8, 0.4, 200.0, 0.3)]
+    materials = [Material(*c) for c in constants]
+    rng = np.random.default_rng(102)
+    speeds, bodies = rng.uniform(3, 10, 16), []
     for k in range(16):
         x, tets, surface = shapes[k % 4]
         q, v = rng.normal(size=4), rng.normal(size=3)
-        v *= speed / np.linalg.norm(v)
+        v *= speeds[k] / np.linalg.norm(v)
         place = {"position": (2.0 * (k % 4), height, 2.0 * (k // 4)), "rotation": tuple(q / np.linalg.norm(q))}
-        place["velocity"] = (v[0], -abs(v[1]), v[2])
-        bodies.append(SoftBody(f"body {k}", x - x.mean(0), tets, surface, materials[k // 8], **place))
+        place |= {"velocity": (v[0], -abs(v[1]), v[2]), "self_contact": False}
+        bodies.append(SoftBody(f"body {k}", x - x.mean(0), tets, surface, materials[k // 4], **place))
     solver = holding(floor, bodies)
     assert solver.stats["integrator"] == "vbd"
-    mass, owner = solver.state.mass.to_numpy(), np.repeat(range(16), [len(b.vertices) for b in bodies])
-    weight = np.bincount(owner, mass[: len(owner)])
-    for _ in range(20):
+    models, o = solver.body_models, solver.vertex_offset
+    begin = np.array([m.mass.sum() * (v**2 / 2 + G * 1.25 * height) for m, v in zip(models, speeds, strict=True)])
+    for _ in range(25):
         solver.step(DT)
-        assert solver.stats["dt"] < 1e-4
-        v = solver.snapshot()["v"].astype(np.float64)
-        kinetic = np.bincount(owner, 0.5 * mass[: len(v)] * (v**2).sum(1))
-        assert (kinetic < 1.1 * weight * (speed**2 / 2 + 9.81 * height)).all()
+        q = solver.snapshot()
+        x, v = q["x"].astype(np.float64), q["v"].astype(np.float64)
+        for k, m in enumerate(models):
+            mine = slice(o[k], o[k + 1])
+            energy = m.mass @ ((v[mine] ** 2).sum(1) / 2 + G * x[mine, 1]) + strain_energy(m, x[mine])
+            assert energy < 1.1 * begin[k], (k, energy / begin[k])

@@ -13,7 +13,7 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
-from sim.contact.broad_phase import CONTACT_MARGIN, SPEED_GROWTH, PointHash, outside_box
+from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.contact_samples import MAX_CAPSULES
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import (
@@ -371,7 +371,7 @@ class NearestTets:
                 if result:  # and if their own velocities bring them together, not only those of the body's fastest
                     v, gain = self.samples.blend(p, s.v), self.bounds.speed_gain[body]
                     speed = ti.max(v - v_min - gain, v_max - gain - v).norm()
-                    result = outside < CONTACT_MARGIN + SPEED_GROWTH * speed * s.detect_dt[None]
+                    result = outside < CONTACT_MARGIN + speed * s.detect_dt[None]
         return result
 
 

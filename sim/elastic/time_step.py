@@ -91,8 +91,8 @@ def choose_integration(
 
     `stiffest` names the body in errors; `crossing` [s] is the shortest time in which a pressure wave crosses a body.
     "auto" is XPBD where its rule allows the forced substep, or without one if its substeps cost at most as much as
-    VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule and one sweep, or VBD_SUBSTEP, or less after WAVE_CROSSINGS,
-    and VBD_SWEEPS.
+    VBD's on this device ("cuda" or "cpu"), else VBD. None: the longest substep of the rule and one sweep, or
+    VBD_SUBSTEP, or less after WAVE_CROSSINGS, and VBD_SWEEPS.
     """
     longest = largest_substep(kappa)
     if integrator not in INTEGRATORS:

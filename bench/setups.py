@@ -163,29 +163,37 @@ def strain_energy(body, x: np.ndarray) -> float:
 # ---- rings thrown on pegs
 
 RING_MATERIAL = Material.named("silicone")
-PEG_HEIGHT, PEG_RADIUS = 0.4, 0.01  # [m]; a floor and a ceiling close the pegs: only a ring that tunnels gets loose
+PEG_HEIGHT = 0.4  # [m]; a floor and a ceiling close the pegs: only a ring that tunnels gets loose
 PEG_SPACING = 1.0  # [m]
 RING, TUBE = 0.08, 0.016  # [m] as the rings of the ring toss
 MOST_RINGS = 16  # in one solver
 
 
 def linked_throws(
-    count: int = 100, speed: float = 5.0, *, around: int = 24, across: int = 2, seconds: float = 1.0, seed: int = 0
+    count: int = 100,
+    speed: float = 5.0,
+    *,
+    peg: float = 0.02,
+    stretch: float = 1.0,
+    around: int = 24,
+    across: int = 2,
+    seconds: float = 1.0,
+    seed: int = 0,
 ) -> int:
     """Number of `count` rings that stay on their pegs, thrown from there at up to `speed` [m/s] and spinning.
 
-    A ring's cage has `around` x `across`^2 cells.
+    Pegs are `peg` [m] thick; rings start at `stretch` times their size, and have cages of `around` x `across`^2 cells.
     """
     rng, kept = np.random.default_rng(seed), 0
     rings = min(MOST_RINGS, count)
     x, tets, surface = torus(RING, TUBE, around, across)
     feet = [(PEG_SPACING * (k % 4), 0.0, PEG_SPACING * (k // 4)) for k in range(rings)]
     bodies = [SoftBody(f"ring{k}", x, tets, surface, RING_MATERIAL, position=foot) for k, foot in enumerate(feet)]
-    pegs = [Capsule(foot, (foot[0], PEG_HEIGHT, foot[2]), PEG_RADIUS) for foot in feet]
+    pegs = [Capsule(foot, (foot[0], PEG_HEIGHT, foot[2]), peg / 2) for foot in feet]
     lids = [Plane((0, 0, 0), (0, 1, 0)), Plane((0, PEG_HEIGHT, 0), (0, -1, 0))]
     solver = Solver(bodies, [*pegs, *lids], hands=0, sleep=False)
     for first in range(0, count, rings):
-        starts = [thrown(rng, x, foot, speed) for foot in feet]
+        starts = [thrown(rng, stretch * x, foot, speed, peg) for foot in feet]
         solver.restore({name: np.concatenate([s[k] for s in starts]) for k, name in enumerate(("x", "v"))})
         linked = np.ones(rings, bool)
         for _ in range(round(seconds / FRAME)):
@@ -196,7 +204,7 @@ def linked_throws(
     return kept
 
 
-def thrown(rng, x, foot, speed) -> tuple[np.ndarray, np.ndarray]:
+def thrown(rng, x, foot, speed, peg) -> tuple[np.ndarray, np.ndarray]:
     """Random positions and velocities (V, 3) of a ring that encloses its peg without touching it."""
     while True:
         axis, angle = rng.normal(size=3), rng.uniform(0, 1.0)
@@ -204,7 +212,7 @@ def thrown(rng, x, foot, speed) -> tuple[np.ndarray, np.ndarray]:
         p = x @ turn.T + rng.uniform(-0.5, 0.5, 3) * RING * (1, 0, 1)
         p[:, 1] += PEG_HEIGHT / 2 + rng.uniform(-0.5, 0.5) * PEG_HEIGHT / 2
         distance = np.hypot(p[:, 0], p[:, 2]).min()
-        clear = distance > PEG_RADIUS + 0.3 * TUBE and p[:, 1].min() > 0 and p[:, 1].max() < PEG_HEIGHT
+        clear = distance > peg / 2 + 0.3 * TUBE and p[:, 1].min() > 0 and p[:, 1].max() < PEG_HEIGHT
         order = np.argsort(np.arctan2(x[:, 2], x[:, 0]))
         if clear and abs(winding_number(p[order])) == 1:
             break

@@ -1,9 +1,8 @@
 """Untangling: a body that was inverted is moved back to its rest shape by shape matching (Mueller et al. 2005).
 
 A body that is squeezed through itself can be left in a kink: all tets upright again, but wound around one another, in a
-true minimum of the energy that no force leaves. So when a hand lets go of a body of which it had inverted some tets, or
-tets stay inverted by themselves, then for DURATION the body is soft, and its vertices are led to its rest shape, where
-the rest shape fits best:
+true minimum of the energy that no force leaves. So a body of which tets were inverted, and which is slow again but has
+crushed tets still, is soft for DURATION, and its vertices are led to its rest shape, where the rest shape fits best:
 
     v_i += k (v_cm + omega x r_i + (x_cm + R (X_i - X_cm) - x_i) / TIME_CONSTANT - v_i),
     R the rotation that maximises tr(R^T sum m x (X - X_cm)^T)
@@ -30,8 +29,10 @@ DURATION = 0.6  # [s] from the last inverted tet on
 STIFFENING = 0.2  # [s] of them, at the end: each frame of 60 Hz three times as stiff, for 1e8 Pa
 TIME_CONSTANT = 0.04  # [s] in which the remaining distance shrinks to a third
 MAX_SPEED = 2.0  # [m/s] towards the rest shape: a hand may drop a body that it drew out by metres. 0.4 leaves kinks
-MAX_INVERTED_TIME = 0.02  # [s] that tets may be inverted by themselves: more than a frame of 60 Hz
-SOFT_YOUNG = 200.0  # [Pa] meanwhile: gravity and kinks must not hold out against 1/TIME_CONSTANT^2
+# [Pa] meanwhile: gravity and kinks must not hold out against 1/TIME_CONSTANT^2. A body so soft cannot resist its own
+# momentum, so it must be slow, rho v^2 / 2 at most as large: a ring made soft while it hit a peg let the peg through.
+SOFT_YOUNG = 200.0
+KINKED_VOLUME = 0.9  # of a tet, to its rest volume: of random starts that end in kinks, the least has 0.5 to 0.81
 
 
 @ti.data_oriented
@@ -39,6 +40,7 @@ class Untangling:
     """`begin_frame` finds the tangled bodies, `run` moves them; both cost nothing where there is none.
 
     soft i32[B]: 1 while the body is untangled;   quaternion vec4[B]: R;   farthest f32[B]: distance to rest [m]
+    calm i32[B]: slow enough to be made soft;   kinked i32[B]: a tet is crushed or inverted
     """
 
     def __init__(self, state: State, reductions: Reductions, damping: Damping):
@@ -46,10 +48,12 @@ class Untangling:
         g = self._group = FieldGroup()
         self.quaternion = g.vector(MAX_BODIES, n=4)
         self.farthest = g.scalar(MAX_BODIES)
+        self.calm = g.scalar(MAX_BODIES, dtype=ti.i32)
+        self.kinked = g.scalar(MAX_BODIES, dtype=ti.i32)
         g.build()
         self._upload = Upload([state.untangling, state.inverted, state.mu, state.lam])
         self.bodies = ()
-        self._status = np.zeros((3, 0))  # seconds left; seconds with inverted tets; tangled while a hand holds it
+        self._status = np.zeros((2, 0))  # seconds left; whether tets were inverted since it was last seen calm
 
     @property
     def active(self) -> np.ndarray:
@@ -58,29 +62,29 @@ class Untangling:
 
     @property
     def occupied(self) -> set[int]:
-        """Bodies that are being untangled, or have inverted tets."""
-        return set(np.flatnonzero(self.active | (self._inverted() != 0)).tolist())
+        """Bodies that are being untangled, or may have to be."""
+        return set(np.flatnonzero(self._status.any(axis=0) | (self._inverted() != 0)).tolist())
 
     def load(self, model: Model) -> None:
         """Take other bodies; the untangling of those that stay continues."""
         known = dict(zip(map(id, self.bodies), self.snapshot().T, strict=True))
         self.bodies = model.bodies
-        self.restore(np.array([known.get(id(p), np.zeros(4)) for p in self.bodies]).reshape(-1, 4).T)
+        self.restore(np.array([known.get(id(p), np.zeros(3)) for p in self.bodies]).reshape(-1, 3).T)
 
     def reset(self) -> None:
         """Lead no body."""
         self.restore(None)
 
     def snapshot(self) -> np.ndarray:
-        """Return what `restore` needs to go on from here, (4, B)."""
+        """Return what `restore` needs to go on from here, (3, B)."""
         return np.vstack([self._status, self._inverted()])
 
     def restore(self, snapshot: np.ndarray | None) -> None:
         """Go on from a snapshot of these bodies; None: no body is tangled."""
-        values = np.zeros((4, len(self.bodies))) if snapshot is None else np.array(snapshot)
-        self._status = values[:3]
+        values = np.zeros((3, len(self.bodies))) if snapshot is None else np.array(snapshot)
+        self._status = values[:2]
         self.damping.omega.fill(0.0)  # of another time; bodies may be others now
-        self._set_stiffness(values[3])
+        self._set_stiffness(values[2])
 
     def begin_frame(self, held: set[int], driven: set[int], dt: float) -> bool:
         """Learn which bodies are tangled, before a frame of dt [s]; return whether any was recovered (sim/recovery.py).
@@ -94,11 +98,12 @@ class Untangling:
         recovered = flags & RECOVERED != 0
         inverted = (flags & ~RECOVERED != 0) & ~np.isin(index, list(driven))
         held_now = np.isin(index, list(held))
-        left, since, tangled = self._status
-        since = np.where(inverted, since + dt, 0.0)
-        tangled = (tangled > 0) | (inverted & held_now) | (since > MAX_INVERTED_TIME) | recovered
-        left = np.where(tangled & ~held_now, DURATION, np.where(held_now, 0.0, np.maximum(left - dt, 0.0)))
-        self._status = np.stack([left, since, tangled & held_now])
+        left, suspect = self._status
+        suspect = (suspect > 0) | inverted
+        calm, kinked = self._examine() if (suspect & ~held_now).any() else np.zeros((2, len(index)), bool)
+        begin = recovered | (suspect & calm & kinked)
+        left = np.where(held_now, 0.0, np.where(begin, DURATION, np.maximum(left - dt, 0.0)))
+        self._status = np.stack([left, suspect & (held_now | ~calm)])
         self._set_stiffness(np.zeros(len(self.bodies)))
         return bool(recovered.any())
 
@@ -112,6 +117,31 @@ class Untangling:
     def warm_up(self) -> None:
         """Compile, see Solver.warm_up."""
         self._lead(0.0)
+        self._examine()
+
+    def _examine(self) -> np.ndarray:
+        """Which bodies are calm, and which have a kinked tet, as they are now, (2, B) bool."""
+        self._find_calm_and_kinked()
+        return np.array([f.to_numpy()[: len(self.bodies)] != 0 for f in (self.calm, self.kinked)])
+
+    @ti.kernel
+    def _find_calm_and_kinked(self):
+        s = self.state
+        for b in range(MAX_BODIES):
+            self.calm[b], self.kinked[b] = 1, 0
+        for i in range(s.V):
+            if i < s.vertex_count[None]:
+                b = s.body_of_vertex[i]
+                if 0.5 * s.density[b] * s.v[i].norm_sqr() > SOFT_YOUNG:
+                    self.calm[b] = 0
+        for t in range(s.T):
+            if t < s.tet_count[None]:
+                a = s.tets[t]
+                x, X = s.x[a[0]], s.rest[a[0]]
+                volume = (s.x[a[1]] - x).dot((s.x[a[2]] - x).cross(s.x[a[3]] - x))
+                rest = (s.rest[a[1]] - X).dot((s.rest[a[2]] - X).cross(s.rest[a[3]] - X))
+                if volume < KINKED_VOLUME * rest:
+                    self.kinked[s.body_of_tet[t]] = 1
 
     def _inverted(self) -> np.ndarray:
         """State.inverted after the last frame, (B,)."""

@@ -5,9 +5,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box, torus
-from bench.setups import resting_pile
+from bench.setups import resting_pile, winding_number
 from core.errors import BadInput
 from core.material import Material
+from core.tetmesh import tet_volumes
 from scenes.scene import Hand, Plane
 from sim.soft_body import SoftBody
 from tests.support.soft_world import (
@@ -281,6 +282,22 @@ def test_rings_thrown_at_a_peg_stay_linked(world):
         ring = state(world, "ring")
         assert linked(ring), (velocity, ring)
         assert ring.low[1] > -2e-3 and world.stats["finite"]
+
+
+def test_a_ring_of_twice_its_size_that_springs_back_stays_linked(world):
+    """Its tets invert, and it is not untangled, which means made limp, while it hits the peg."""
+    rng = np.random.default_rng(4)
+    for _ in range(4):
+        direction = rng.normal(size=3)
+        velocity = 5 * direction / np.linalg.norm(direction)
+        restart(world, {"ring": velocity}, {"ring": 2 * RING[0] + (PEG, 0.15, 0)})
+        for _ in range(12):
+            run(world, 0.05)
+            x = part(world, "ring").astype(np.float64).reshape(24, -1, 3).mean(1) - (PEG, 0, 0)
+            assert abs(winding_number(x)) == 1
+    run(world, 1.5)
+    volumes = tet_volumes(part(world, "ring").astype(np.float64), RING[1]) / tet_volumes(RING[0], RING[1])
+    assert volumes.min() > 0.9
 
 
 def test_a_repeated_fall_agrees_bit_for_bit(world):

@@ -161,5 +161,6 @@ def test_a_wire_thinner_than_the_samples_holds_a_ring(plates):
 
 
 @pytest.mark.long
-def test_rings_stay_on_their_pegs(ti_cpu):
-    assert linked_throws(8, 5.0, around=16, seconds=0.5) == 8
+@pytest.mark.parametrize(("peg", "stretch"), [(0.02, 1.0), (0.04, 1.0), (0.04, 2.0)])
+def test_rings_stay_on_their_pegs(ti_cpu, peg, stretch):
+    assert linked_throws(8, 5.0, peg=peg, stretch=stretch, around=16, seconds=0.5) == 8

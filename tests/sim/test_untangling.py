@@ -38,10 +38,7 @@ def test_crushed_to_a_tenth_and_to_a_hundredth(ti_cpu):
 
 @pytest.fixture(scope="module")
 def tangled(ti_cpu):
-    """Random starts, which leave kinks without inverted tets where nothing helps (at nu = 0.45 nearly always).
-
-    No hand does that within a frame, in which the stiffest of them turn all tets upright again, and may keep a kink.
-    """
+    """Random starts, which leave kinks without inverted tets where nothing helps (at nu = 0.45 nearly always)."""
     x, tets, surface = box((0.2, 0.1, 0.1), (4, 2, 2))
     kinds = [(young, nu) for young in (5e3, 2e5) for nu in (0.3, 0.45) for _ in range(3)]
     bodies = [
@@ -57,22 +54,24 @@ def tangled(ti_cpu):
 def test_random_starts_leave_no_kinks(tangled):
     solver, start = tangled
     solver.restore(start)
-    for _ in range(90):
-        solver.step(1 / 60)
+    for _ in range(2):
+        for _ in range(60):
+            solver.step(1 / 60)
+        end = solver.snapshot()
+        solver.restore({**end, "v": 0 * end["v"]})  # as a floor would: what spins is not made limp
     assert solver.stats["finite"] and not solver.untangling.active.any()
     x = np.split(solver.snapshot()["x"].astype(np.float64), solver.vertex_offset[1:-1])
     for body, at in zip([m.body for m in solver.body_models], x, strict=True):
         volumes, rest = tet_volumes(at, body.tets), tet_volumes(body.vertices, body.tets)
-        quick = body.material.young > 1e5 and body.material.poisson > 0.4  # upright after a frame, which is no tangle
-        assert (volumes / rest).min() > (0.5 if quick else 0.9), body.name
-        assert volumes.sum() == pytest.approx(rest.sum(), rel=0.1 if quick else 0.01), body.name
+        assert (volumes / rest).min() > 0.9, body.name
+        assert volumes.sum() == pytest.approx(rest.sum(), rel=0.01), body.name
 
 
 def test_a_snapshot_knows_what_is_mending(tangled):
     """Taken while bodies are limp, and again in another order; materials are themselves again at the end."""
     solver, start = tangled
     solver.restore(start)
-    for _ in range(12):
+    for _ in range(40):
         solver.step(1 / 60)
     assert solver.untangling.active.any()
     middle, ends = solver.snapshot(), []

@@ -30,7 +30,7 @@ OCTAHEDRON = 0.07 * np.concatenate([np.eye(3), -np.eye(3)])
 def playground() -> tuple[Solver, dict[str, slice]]:
     """The solver, and the range of body indices of each group."""
     bodies, where = [], {}
-    for group in (stack, bouncing, wall, heavy_on_light, conveyor, sliding):
+    for group in (stack, bouncing, wall, heavy_on_light, conveyor, sliding, aligned):
         new = group()
         where[group.__name__] = slice(len(bodies), len(bodies) + len(new))
         bodies += new
@@ -77,6 +77,11 @@ def heavy_on_light() -> list[RigidBody]:
 def sliding() -> list[RigidBody]:
     """A flat box."""
     return [RigidBody.box("slider", (0.1, 0.04, 0.1), density=1000.0, position=(0, 0.02, 18))]
+
+
+def aligned() -> list[RigidBody]:
+    """Three boxes on top of one another, edge on edge."""
+    return [cube(f"aligned {k}", 0, SIDE * k, 22) for k in range(3)]
 
 
 def conveyor() -> list[RigidBody]:

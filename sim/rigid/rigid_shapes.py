@@ -9,6 +9,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES
 from sim.contact.contact_samples import points_of
+from sim.contact.response import CONTACT_SLOP
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.static_shapes import box_distance
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from sim.contact.signed_distance import DistanceGrids
     from sim.model import Model
     from sim.rigid.rigid_bodies import RigidBodies
-
-MAX_OVERHANG = 5e-4  # [m] of a corner beyond the edge of a box that bears it: bodies as wide as each other are stacked
 
 
 @ti.data_oriented
@@ -74,12 +73,12 @@ class RigidShapes:
 def bearing_distance(p, half, facing):
     """Distance and normal of the box |p| <= half for a point of a surface that faces `facing` (0: unknown).
 
-    Inside the box, and up to MAX_OVERHANG beside it, the nearest of those faces counts that the surface can rest on.
+    Inside the box, and up to CONTACT_SLOP beside it, the nearest of those faces counts that the surface can rest on.
     Without this, the corners of a box that stands on an equal one would be pushed off sideways.
     """
     phi, normal = box_distance(p, half)
     q = abs(p) - half
-    if q.max() < MAX_OVERHANG:
+    if q.max() < CONTACT_SLOP:
         best = -UNKNOWN_DISTANCE
         for k in ti.static(range(3)):
             side = 1.0 if p[k] >= 0.0 else -1.0

@@ -102,6 +102,9 @@ def test_a_heavy_box_rests_on_a_light_one(place):
     assert_allclose(light.centroid[1], SIDE / 2, atol=2e-3)
     assert_allclose(heavy.centroid[1], 1.5 * SIDE, atol=4e-3)
     assert np.linalg.norm(heavy.velocity) < 0.2  # a hundred to one: it sways, but stays up
+    settled = solver.bodies()[where["bouncing"]][2]  # of restitution 0.5: it has bounced for a second
+    assert_allclose(settled.centroid[1], SIDE / 2, atol=1e-4)
+    assert np.linalg.norm(settled.velocity) < 1e-4
 
 
 def test_a_plate_carries_a_box_by_friction(place):
@@ -171,6 +174,8 @@ def test_contact_forces_carry_the_weights(place):
     physics_contact.run(solver, 1.0)
     forces = solver.contact_forces()[where["stack"]]
     assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.02)  # 1 kg each, whatever stands on it
+    for k, box in enumerate(solver.bodies()[where["aligned"]]):  # no corner is pushed off sideways at an edge
+        assert_allclose(box.centroid, (0, (k + 0.5) * SIDE, 22), atol=1e-4)
     group = where["sliding"].start * (MAX_BODIES + 1) + WORLD
     assert 4 <= solver.contacts.rigid_search.size[group] <= 8  # between its corners a box needs no contacts
 

@@ -1,10 +1,18 @@
-"""The search for the tets that points may come into, against all tets in turn (float64)."""
+"""The search for the tets that points may come into, against all tets in turn, and where they are in them (float64)."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import taichi as ti
+from numpy.testing import assert_allclose
+from taichi.math import vec3
 
 from bench.sample_meshes import torus
+from core.fields import destroy_fields
 from core.material import Material
+from sim.contact.broad_phase import PointHash
+from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
 from sim.soft_body import SoftBody
 from tests.support.soft_world import soft_solver
 
@@ -83,3 +91,58 @@ def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed)
 
 def test_what_is_slow_lists_nothing(rings):
     assert (found(rings, 0.3)[2] < 0).all()
+
+
+def test_a_box_that_has_exploded_is_searched_in_bounded_time(ti_cpu):
+    """A tet stretched to ten kilometres would visit 1e18 cells."""
+    points = PointHash(10)
+    points.cell[None] = 0.01
+    extent = ti.Vector.field(3, ti.i32, 2)
+
+    @ti.kernel
+    def run():
+        for k in range(2):
+            size = 1e4 if k == 1 else 0.02
+            first, last = points.cell_range(vec3(-size), vec3(size))
+            extent[k] = last - first
+
+    run()
+    small, large = extent.to_numpy()
+    assert (small >= 4).all() and (small <= 5).all() and large.prod() < 20_000
+    destroy_fields(points)
+
+
+def test_rest_coordinates_are_those_of_the_twin_and_crushed_tets_have_none(ti_cpu):
+    """Heights from a centimetre to nothing, and inside out: what is left is finite."""
+    rng = np.random.default_rng(5)
+    heights = np.r_[10.0 ** -np.arange(2, 38, 0.5), 0.0, -1e-9, -0.01]
+    N = len(heights)
+    X = np.array([[0, 0, 0], [0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]])
+    x = np.tile(X, (N, 1, 1))
+    x[:, 3, 2] = heights
+    weights = rng.dirichlet(np.ones(4), N)
+    state = SimpleNamespace(
+        tets=ti.Vector.field(4, ti.i32, N), x=ti.Vector.field(3, ti.f32, 4 * N), rest=ti.Vector.field(3, ti.f32, 4 * N)
+    )
+    state.tets.from_numpy(np.arange(4 * N, dtype=np.int32).reshape(N, 4))
+    state.x.from_numpy(x.reshape(-1, 3).astype(np.float32))
+    state.rest.from_numpy(np.tile(X, (N, 1, 1)).reshape(-1, 3).astype(np.float32))
+    point, place, normal = (ti.Vector.field(3, ti.f32, N) for _ in range(3))
+    b, thick = ti.Vector.field(4, ti.f32, N), ti.field(ti.i32, N)
+    point.from_numpy(np.einsum("kj,kji->ki", weights, x).astype(np.float32))
+
+    @ti.kernel
+    def run():
+        for t in range(N):
+            ok, b[t], place[t], g1, g2, g3, E1, E2, E3 = rest_coordinates(state, t, point[t])
+            thick[t] = ok
+            normal[t] = deformed_gradient(vec3(0.6, 0.0, 0.8), g1, g2, g3, E1, E2, E3)
+
+    run()
+    usable = thick.to_numpy() != 0
+    assert usable[:5].all() and not usable[heights < 1e-6].any()
+    assert_allclose(b.to_numpy()[usable], weights[usable], atol=1e-3)
+    assert_allclose(place.to_numpy()[usable], (weights @ X)[usable], atol=1e-5)
+    expected = np.stack([np.full(N, 0.6), np.zeros(N), 0.8 * 0.01 / np.where(usable, heights, 1.0)], axis=1)
+    assert_allclose(normal.to_numpy()[usable], expected[usable], rtol=1e-4, atol=1e-4)
+    assert np.isfinite(np.linalg.norm(normal.to_numpy(), axis=1)).all() and np.isfinite(b.to_numpy()).all()

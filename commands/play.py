@@ -140,6 +140,8 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         with start_progress(display.loading):
             world = World(scene, width=width, height=height, views=views, props=props, **options)
             if not args.headless:
+                world.draw_start()
+                display.loading("", world.picture)
                 world.warm_up()
         if recording:
             recording.begin(args, options)

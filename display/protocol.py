@@ -258,8 +258,8 @@ class Display(Protocol):
         """(width, height) of one view's picture [px] that suits the display now."""
         ...
 
-    def loading(self, text: str) -> None:
-        """Show a line of text while the world is made."""
+    def loading(self, text: str, picture=None) -> None:
+        """Show a line of text while the world is made, over a picture as `WorldView.picture` once there is one."""
         ...
 
     def frames(self, world: WorldView) -> Iterator[Frame]:

@@ -73,10 +73,14 @@ class World(WorldView):
         self.registry.warm_up()
         self.registry.step(SCRIPT_DT, [Hand()])
         self.reset()
+        self.draw_start()
+        self.stats()
+
+    def draw_start(self) -> None:
+        """Let `picture` be what the scene's eye sees."""
         width, height = self.picture_size
         view = look_at(self.scene.eye, self.scene.target)
         self._draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
-        self.stats()
 
     def step(self, frame: Frame) -> None:
         """One frame: carry out commands, simulate, deform, shade, draw."""

@@ -170,6 +170,10 @@ class TileBins:
                     first, last = tile_columns(row, left, right, mean2d, conic, box, self.projection.tile)
                     if (row - top) % self.emit_threads == member:
                         tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
-                        for column in range(first, last):
+                        column = first
+                        # The second bound is read again at each step, else the loop's vectorised forms take half a
+                        # second to compile.
+                        while column < ti.min(last, self.projection.grid[None][2]):
                             self.sorter.items[pair + column - first] = item_of(tile + column, g)
+                            column += 1
                     pair += last - first

@@ -71,7 +71,7 @@ class Headless:
         if self._video is not None:
             self._video.discard()
 
-    def loading(self, text: str) -> None:
+    def loading(self, text: str, picture=None) -> None:
         """Show nothing: the terminal does."""
 
     def frames(self, world: WorldView) -> Iterator[Frame]:

@@ -66,16 +66,23 @@ class Window:
             wanted = (round(side * self._panel.resolution) for side in full)
         return tuple(max(MIN_SIDE, side) for side in wanted)
 
-    def loading(self, text: str) -> None:
-        """Show a line of text in an otherwise empty window during a long operation."""
+    def loading(self, text: str, picture=None) -> None:
+        """Show a line of text during a long operation, over a picture or the last one; the window is empty before."""
         from imgui_bundle import imgui
 
+        if picture is not None:
+            self._texture.upload(picture)
         self._surface.begin()
         area = imgui.get_io().display_size
         imgui.push_font(None, TITLE_SIZE)
         extent = imgui.calc_text_size(text)
         at = (0.5 * (area.x - extent.x), 0.5 * (area.y - extent.y))
-        imgui.get_foreground_draw_list().add_text(at, imgui.get_color_u32(QUIET), text)
+        if text:
+            shade, margin = imgui.get_color_u32((0.0, 0.0, 0.0, 0.6)), 0.5 * extent.y
+            low, high = (at[0] - margin, at[1] - margin), (at[0] + extent.x + margin, at[1] + extent.y + margin)
+            draw_list = imgui.get_foreground_draw_list()
+            draw_list.add_rect_filled(low, high, shade)
+            draw_list.add_text(at, imgui.get_color_u32(QUIET), text)
         imgui.pop_font()
         self._texture.draw(self._surface.frame_size)
         self._surface.end()

@@ -113,7 +113,7 @@ class Headset:
         except runtime.xr.exception.ResultException as e:
             raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {WINDOW_INSTEAD}") from e
 
-    def loading(self, text: str) -> None:
+    def loading(self, text: str, picture=None) -> None:
         """Show nothing: the runtime has its own waiting room until the first frame."""
 
     def frames(self, world: WorldView) -> Iterator[Frame]:

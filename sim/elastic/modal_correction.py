@@ -18,6 +18,8 @@ what pushes one vertex of a light stiff body hard enough asks for rotations by m
 says nothing of the energy here: the step would become nothing, and what the push left in the body would stay and grow.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.linalg as sl
 import scipy.sparse as sp
@@ -278,16 +280,22 @@ def lattice_weights(x: np.ndarray) -> sp.csr_matrix:
     return sp.csr_matrix((weight.ravel(), (rows, node.ravel())), shape=(len(x), int(np.prod(cells + 1))))
 
 
-def softest_modes(x, tets, masses, movable, mu: float, lame_1: float) -> tuple[np.ndarray, np.ndarray]:
-    """Shapes U (V, MODES, 3) [kg^-1/2] with sum_i m_i U_ki . U_li = delta_kl, and squared frequencies (MODES,) [1/s^2].
+@dataclass(frozen=True)
+class LatticeMotions:
+    """Motions (W q) of a lattice around a mesh, orthonormal in the vertices' masses, and their stiffness.
 
-    x rest positions (V, 3) [m]; movable (V,) bool: the others stay at rest; mu, lame_1: Lame constants [Pa].
-    Missing modes of the smallest meshes are zero.
+    weights (V, nodes), W (nodes, r), K = lame_1 dilation + mu shear with both (3 r, 3 r), q by axis.
     """
+
+    weights: sp.csr_matrix
+    W: np.ndarray
+    dilation: np.ndarray
+    shear: np.ndarray
+
+
+def lattice_motions(x, tets, masses, movable) -> LatticeMotions:
+    """Motions of rest positions x (V, 3) [m] of these masses (V,) [kg]; movable (V,) bool: the others stay at rest."""
     x, tets = np.asarray(x, np.float64), np.asarray(tets, np.int64)
-    U, all_squares = np.zeros((len(x), MODES, 3)), np.zeros(MODES)
-    if not np.any(movable):
-        return U, all_squares
     P = sp.diags(np.asarray(movable, np.float64)) @ lattice_weights(x)
     D = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)
     inner = np.linalg.inv(D)
@@ -295,29 +303,41 @@ def softest_modes(x, tets, masses, movable, mu: float, lame_1: float) -> tuple[n
     rows, volume = np.repeat(np.arange(len(tets)), 4), sp.diags(np.linalg.det(D) / 6)
     shape = (len(tets), len(x))
     G = [sp.csr_matrix((gradient[..., k].ravel(), (rows, tets.ravel())), shape=shape) @ P for k in range(3)]
-    products = [[(G[k].T @ volume @ G[l]).toarray() for l in range(3)] for k in range(3)]
-    laplace = products[0][0] + products[1][1] + products[2][2]
-    n = P.shape[1]
-    K = np.empty((3, n, 3, n))
-    for k in range(3):
-        for l in range(3):
-            K[k, :, l] = lame_1 * products[k][l] + mu * products[l][k] + (mu * laplace if k == l else 0.0)
     # The lattice of a coarse mesh has motions that move no vertex. Without mass or stiffness they would come first, and
     # be all the modes of a body of some thirty vertices: so only what moves the body is looked at, at unit mass.
     weight, W = np.linalg.eigh((P.T @ sp.diags(np.asarray(masses)) @ P).toarray())
     kept = weight > MIN_RELATIVE_MASS * weight[-1]
     W = W[:, kept] / np.sqrt(weight[kept])
-    r = W.shape[1]
-    K = np.einsum("na,knlm,mb->kalb", W, K, W, optimize=True).reshape(3 * r, 3 * r)
-    squares, Q = sl.eigh(K, subset_by_index=(0, min(MODES, 3 * r) - 1))
-    for k in range(3):
-        U[:, : len(squares), k] = P @ (W @ Q[k * r : (k + 1) * r])
-    all_squares[: len(squares)] = np.maximum(squares, 0.0)
+    products = [[W.T @ (G[k].T @ volume @ G[l]).toarray() @ W for l in range(3)] for k in range(3)]
+    shear = np.block([[products[l][k] for l in range(3)] for k in range(3)])
+    shear += np.kron(np.eye(3), products[0][0] + products[1][1] + products[2][2])
+    return LatticeMotions(P, W, np.block(products), shear)
+
+
+def softest_modes(motions: LatticeMotions, mu: float, lame_1: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shapes U (V, MODES, 3) [kg^-1/2] with sum_i m_i U_ki . U_li = delta_kl, and squared frequencies (MODES,) [1/s^2].
+
+    mu, lame_1: Lame constants [Pa]. Missing modes of the smallest meshes are zero.
+    """
+    U, all_squares = np.zeros((motions.weights.shape[0], MODES, 3)), np.zeros(MODES)
+    r = motions.W.shape[1]
+    if r > 0:
+        stiffness = lame_1 * motions.dilation + mu * motions.shear
+        squares, Q = sl.eigh(stiffness, subset_by_index=(0, min(MODES, 3 * r) - 1))
+        for k in range(3):
+            U[:, : len(squares), k] = motions.weights @ (motions.W @ Q[k * r : (k + 1) * r])
+        all_squares[: len(squares)] = np.maximum(squares, 0.0)
     return U, all_squares
 
 
+def motions_of(shape: RestShape, pinned: tuple) -> LatticeMotions:
+    """lattice_motions of a shape at 1 kg/m^3: these take long. `pinned`: bools of the vertices that stay."""
+    return lattice_motions(shape.vertices, shape.tets, shape.vertex_volumes, ~np.array(pinned))
+
+
 def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
-    """softest_modes of a body of this shape and material; `pinned`: bools of the vertices that stay."""
+    """softest_modes of a body of this shape and material: of a scaled shape, masses go with f^3, stiffness with f."""
     mu, lam = lame(material)
-    masses = material.density * shape.vertex_volumes
-    return softest_modes(shape.vertices, shape.tets, masses, ~np.array(pinned), mu, lam - mu)
+    U, squares = softest_modes(shape.root.once(motions_of, pinned), mu, lam - mu)
+    mass = material.density * shape.factor**3
+    return U / np.sqrt(mass), squares * shape.factor / mass

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 from bench.physics import BAR, LEFT, SURFACE, TETS, fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
-from sim.elastic.modal_correction import MODES, softest_modes
+from sim.body_model import RestShape
+from sim.elastic.modal_correction import MODES, lattice_motions, modes_of, softest_modes
 from sim.elastic.time_step import lame
 from sim.soft_body import SoftBody
 
@@ -21,7 +22,7 @@ def test_the_modes_are_the_rigid_ones_and_the_softest():
     mass = SoftBody("bar", BAR, TETS, SURFACE, material).masses()
     mu, lam = lame(material)
     for movable in (np.ones(len(BAR), bool), ~np.isin(np.arange(len(BAR)), LEFT)):
-        U, squares = softest_modes(BAR, TETS, mass, movable, mu, lam - mu)
+        U, squares = softest_modes(lattice_motions(BAR, TETS, mass, movable), mu, lam - mu)
         assert U.shape == (len(BAR), MODES, 3) and (U[~movable] == 0).all()
         flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
         assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-5)
@@ -34,6 +35,19 @@ def test_the_modes_are_the_rigid_ones_and_the_softest():
             assert np.sqrt(squares[:6]).max() < 1e-3 * np.sqrt(squares[6])
 
 
+def test_modes_of_another_size_and_material_are_derived_from_those_of_the_shape():
+    """The same as those of the larger, denser mesh itself, without its integrals over the tets."""
+    material, factor = Material(2e6, 0.45, 930.0), 1.7
+    shape = RestShape(BAR, TETS, SURFACE, None).scaled(factor)
+    U, squares = modes_of(shape, (False,) * len(BAR), material)
+    mass = material.density * shape.vertex_volumes
+    mu, lam = lame(material)
+    _, wanted = softest_modes(lattice_motions(factor * BAR, TETS, mass, np.ones(len(BAR), bool)), mu, lam - mu)
+    assert_allclose(squares, wanted, rtol=1e-6, atol=1e-6 * wanted[6])
+    flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
+    assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-9)
+
+
 @pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 1, 3), (6, 1, 1), (9, 9, 1)])
 def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
     """The lattice then moves in ways that no vertex follows; once those were all the modes of such a body."""
@@ -42,7 +56,7 @@ def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
     material = Material(1e7, 0.3, 1000.0)
     mass = SoftBody("box", x, tets, surface, material).masses()
     mu, lam = lame(material)
-    U, squares = softest_modes(x, tets, mass, np.ones(len(x), bool), mu, lam - mu)
+    U, squares = softest_modes(lattice_motions(x, tets, mass, np.ones(len(x), bool)), mu, lam - mu)
     flat = (np.sqrt(mass)[:, None, None] * U).transpose(0, 2, 1).reshape(-1, MODES)
     count = min(MODES, 3 * len(x))
     assert_allclose(flat.T @ flat, np.diag(np.arange(MODES) < count), atol=1e-9)

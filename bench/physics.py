@@ -283,7 +283,8 @@ def energy_kept(substeps: int = 1_000_000, vbd_substeps: int = 100_000) -> list[
                 energy.append(vibration_energy(solver)[0] / first)
         name = f"{count:.0e} undamped substeps ({integrator}), energy"
         # nan, of a body that has exploded, passes neither
-        rows += [at_least(f"{name}, least", 0.95, np.min(energy)), at_most(f"{name}, most", 1.01, np.max(energy))]
+        most = 1.01 if integrator == "xpbd" else 1.05  # VBD's longer steps: the energy it keeps is not quite this one
+        rows += [at_least(f"{name}, least", 0.95, np.min(energy)), at_most(f"{name}, most", most, np.max(energy))]
     return rows
 
 

@@ -41,6 +41,7 @@ class PersistentVBD:
     ):
         self.state, self.iterations, self.grid = state, iterations, PersistentGrid(BLOCK, WORDS, POINTS)
         self.lanes = min(LANES if state.V < LARGE else FEWER_LANES, self.grid.block)
+        self.residual_lanes = max(self.lanes // 2, 1)  # of all vertices at once, which keep more threads busy
         self.patches = ColorPatches(state, self.grid.blocks)
         self.descent = d = VertexDescent(state, constraints, None)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
@@ -196,9 +197,9 @@ class PersistentVBD:
     def _residual(self, own, mine, trial, points: ti.template(), words: ti.template()):
         """Residual force of each of the patch's own vertices."""
         s, p = self.state, self.patches
-        together, lane = ti.static(self.grid.block // self.lanes), own % self.lanes
+        together, lane = ti.static(self.grid.block // self.residual_lanes), own % self.residual_lanes
         for turn in range((mine + together - 1) // together):
-            at = turn * together + own // self.lanes
+            at = turn * together + own // self.residual_lanes
             f = ti.Vector([0.0, 0.0, 0.0])
             moves = at < mine and words[MU + ti.min(at, mine - 1)] >= 0.0
             if moves:
@@ -209,9 +210,9 @@ class PersistentVBD:
                     if dJ < -1.0:
                         s.inverted[s.body_of_vertex[p.vertex(at, words)]] = 1
                     f += force
-                    slot += self.lanes
+                    slot += self.residual_lanes
             for c in ti.static(range(3)):
-                f[c] = self.grid.sum_lanes(f[c], self.lanes)
+                f[c] = self.grid.sum_lanes(f[c], self.residual_lanes)
             if lane == 0 and moves:
                 self.warps.set_residual(p.vertex(at, words), f, trial)
 

@@ -93,6 +93,7 @@ class DeviceScene:
             background=scene.background,
             sort=sort,
             outputs="deep" if depth else "rgba8",
+            still=len(still),
         )
 
     def _embed(self, bodies: list, scheme: str) -> Embedding:

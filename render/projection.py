@@ -37,6 +37,8 @@ class Projection:
     camera     vec4 (views, 4): three rows of world_to_camera, then (fx, fy, cx, cy)
     near       least camera z [m] that is drawn, (views,)
     grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
+    still      number of Gaussians at the beginning of which nothing but the visibility ever changes: a view that has
+               been projected is kept, their sort keys in `kept_key`, their colours without visibility in `kept_color`
 
     Out, of shape (views, capacity):
     mean2d     (x, y [px], log2 opacity, camera z [m])
@@ -59,11 +61,13 @@ class Projection:
         antialias: bool,
         color: bool,
         sort: str = "z",
+        still: int = 0,
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
+        self.still, self.keeps = still, still > 0
         self.fields = f = FieldGroup()
         # 64 bytes: a splat is one cache line
         with f.interleaved(views, splats.capacity):
@@ -74,6 +78,7 @@ class Projection:
         self.tile_mask = f.vector(
             views, splats.capacity, n=2, dtype=ti.i32, column_major=True
         )  # both eyes' side by side
+        self.kept_key, self.kept_color = f.scalar(max(still, 1), dtype=ti.u32), f.vector(max(still, 1))
         f.build()
         self.near.fill(NEAR_PLANE)
         self.set_size(width, height)
@@ -106,38 +111,55 @@ class Projection:
         self.camera[v, 3] = vec4(fx, fy, cx, cy)
 
     @ti.func
-    def project(self, begin: ti.i32, end: ti.i32, sorter: ti.template()):
+    def project(self, begin: ti.i32, end: ti.i32, kept: ti.i32, sorter: ti.template()):
         """Project Gaussians [begin, end) and give `sorter` their depths; outermost level of a kernel.
+
+        Of those below `kept` only the colours are renewed: the last call projected them for the same cameras.
 
         Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
         with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
         """
         for g in range(begin, end):
-            mean, opacity = self.splats.mean[g], self.splats.opacity[g]
-            depth = ti.f64(0.0)
-            seen = 0
-            for v in range(self.views):
-                p = self._to_camera(v, mean)
-                depth += p.norm() if ti.static(self.radial) else p.z
-                mask = ti.Vector([0, 0])
-                if p.z >= self.near[v] and opacity >= 1 / 255:
-                    mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
-                self.tile_mask[v, g] = mask
-                seen |= mask[1]
-            key = ti.u32(DROPPED)
-            if ti.static(self.with_color):  # noqa: SIM102, the outer one is resolved at compile time
-                if seen != 0:
-                    c = color_of(self.splats, g, mean - self._eye())
-                    if not (ti.abs(c).sum() < MAX_COLOR):  # also if it is not a number
-                        seen = 0
-                    c = ti.max(0.0, c) * self.splats.visibility[g]
+            key, c = ti.u32(DROPPED), vec3(0.0)
+            if ti.static(self.keeps) and g < kept:
+                key, c = self.kept_key[g], self.kept_color[g]
+            else:
+                key, c = self._project(g)
+                if ti.static(self.keeps):  # noqa: SIM102, the outer one is resolved at compile time
+                    if g < self.still:
+                        self.kept_key[g], self.kept_color[g] = key, c
+            if ti.static(self.with_color):  # noqa: SIM102
+                if key != ti.u32(DROPPED):
+                    c *= self.splats.visibility[g]
                     for v in range(self.views):
                         for k in ti.static(range(3)):
                             self.color[v, g][k] = c[k]
-            if seen != 0:
-                key = ordered_bits(ti.cast(depth / self.views, ti.f32))
             sorter.items[g - begin] = item_of(key, g)
         sorter.count[None] = ti.max(end - begin, 0)
+
+    @ti.func
+    def _project(self, g: ti.i32):
+        """Write the splats of Gaussian g but for their colour; its sort key, and its colour in full light."""
+        mean, opacity = self.splats.mean[g], self.splats.opacity[g]
+        depth, seen, c = ti.f64(0.0), 0, vec3(0.0)
+        for v in range(self.views):
+            p = self._to_camera(v, mean)
+            depth += p.norm() if ti.static(self.radial) else p.z
+            mask = ti.Vector([0, 0])
+            if p.z >= self.near[v] and opacity >= 1 / 255:
+                mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
+            self.tile_mask[v, g] = mask
+            seen |= mask[1]
+        key = ti.u32(DROPPED)
+        if ti.static(self.with_color):  # noqa: SIM102, the outer one is resolved at compile time
+            if seen != 0:
+                c = color_of(self.splats, g, mean - self._eye())
+                if not (ti.abs(c).sum() < MAX_COLOR):  # also if it is not a number
+                    seen = 0
+                c = ti.max(0.0, c)
+        if seen != 0:
+            key = ordered_bits(ti.cast(depth / self.views, ti.f32))
+        return key, c
 
     @ti.func
     def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:

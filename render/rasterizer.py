@@ -24,6 +24,9 @@ class Rasterizer:
     A frame is three kernels: `_order` (project, sort by depth, count pairs), `TilePass._bin` (emit pairs, sort them by
     tile, find each tile's range) and the blending of all tiles. Only the last two depend on the capacity for pairs of
     tile and Gaussian: more pairs need a new `TilePass`, not a new rasterizer.
+
+    still  number of Gaussians at the beginning of which only the visibility changes: they are projected again only if
+           the cameras or the size have changed, and all draws must begin with them
     """
 
     def __init__(
@@ -39,12 +42,13 @@ class Rasterizer:
         depth=True,
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
+        still: int = 0,
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
-        self.projection = Projection(
-            splats, width, height, views, tile=tile, antialias=antialias, color=color, sort=sort
-        )
+        how = {"antialias": antialias, "color": color, "sort": sort}
+        self.projection = Projection(splats, width, height, views, tile=tile, still=still, **how)
+        self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
         self._sums = {"with_color": color, "with_depth": depth}
         self._buffer_size = buffer_size if sort == "pixel" else None
@@ -56,14 +60,15 @@ class Rasterizer:
 
         Without `wait` the result is final only after `finish`.
         """
-        self._order(begin, self.splats.count if end is None else end)
+        self._order(begin, self.splats.count if end is None else end, self._kept)
+        self._kept = self.projection.still
         self.tile_pass.draw(out)
         if wait:
             self.finish(out)
 
     @ti.kernel
-    def _order(self, begin: ti.i32, end: ti.i32):
-        self.projection.project(begin, end, self.order.sorter)
+    def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32):
+        self.projection.project(begin, end, kept, self.order.sorter)
         self.order.sort()
         self.order.count_pairs()
 
@@ -104,6 +109,7 @@ class Rasterizer:
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
         self.projection.set_size(width, height)
+        self._kept = 0
         bins = self.tile_pass.bins
         if bins.tiles > bins.tile_capacity:
             self.reserve(bins.capacity * 4 // 5)
@@ -113,7 +119,7 @@ class Rasterizer:
         values = camera_values(camera)
         if self._cameras.get(view) != values:
             self.projection.set_camera(view, values)
-            self._cameras[view] = values
+            self._cameras[view], self._kept = values, 0
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -80,6 +80,9 @@ class Renderer:
     Two views are the two eyes: they share one depth sort, by the mean of their depths, and one
     colour per Gaussian, seen from between them. Unrelated views are rendered one by one.
 
+    still: number of Gaussians at the beginning of which only the visibility ever changes; while the cameras stay where
+    they are too, they are not projected again.
+
     outputs="rgba8": `picture`, ti.ndarray u32 (views * height, width), row 0 on top, over `background`.
     outputs="deep": the same with depth in place of alpha, see `Picture`.
     outputs="float": fields `rgb` vec3, `alpha`, `depth` [m] of shape (views, height, width), no background.
@@ -97,6 +100,7 @@ class Renderer:
         outputs: str = "rgba8",
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
+        still: int = 0,
     ):
         if outputs not in ("rgba8", "deep", "float"):
             raise ValueError(f"outputs must be 'rgba8', 'deep' or 'float', not {outputs!r}")
@@ -109,6 +113,7 @@ class Renderer:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
         options = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "buffer_size": buffer_size}
+        options["still"] = still
         self.rasterizer = Rasterizer(splats, width, height, views=views, sink=self.sink, **options)
 
     def resize(self, width: int, height: int) -> None:

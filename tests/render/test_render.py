@@ -85,6 +85,40 @@ def test_a_resized_picture_equals_one_of_that_size_and_costs_no_kernels_but_its_
     assert set(names) == {"TilePass._blend_to_ndarray", "TilePass._bin"}
 
 
+def test_what_stands_still_is_projected_once_a_view_and_shaded_in_each_picture(ti_cpu):
+    """Pictures equal those of a renderer that keeps nothing: in new light, with others moved, of other views."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    rng, still = np.random.default_rng(3), 40
+    splats = Splats(cloud(rng, 60))
+    keeping, plain = (Renderer(splats, 96, 64, sort="radial", still=n) for n in (still, 0))
+
+    def compare(eye=(0, 0, -2)):
+        camera = perspective(keeping.width, keeping.height, 1.0, look_at(eye, (0, 0, 0)))
+        for renderer in (keeping, plain):
+            renderer.render([camera])
+        assert keeping.pixels().std() > 5
+        np.testing.assert_array_equal(keeping.pixels(), plain.pixels())
+        return keeping.pixels()
+
+    first = compare()
+    splats.visibility.from_numpy(rng.uniform(0.2, 1.0, splats.capacity).astype(np.float32))
+    assert (compare() != first).any()
+    means = splats.mean.to_numpy()
+    means[still:] += 0.1
+    splats.mean.from_numpy(means)
+    moved = compare()
+    means[0] += 5.0  # it is promised that this one never moves: it is still drawn where it was
+    splats.mean.from_numpy(means)
+    keeping.render([perspective(96, 64, 1.0, look_at((0, 0, -2), (0, 0, 0)))])
+    np.testing.assert_array_equal(keeping.pixels(), moved)
+    compare((0.3, 0.2, -2))
+    for renderer in (keeping, plain):
+        renderer.resize(80, 50)
+    compare((0.3, 0.2, -2))
+
+
 def test_the_picture_has_the_background_and_the_byte_order_it_promises(ti_cpu):
     from render.renderer import Renderer
     from render.splats import Splats

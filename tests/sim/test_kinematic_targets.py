@@ -198,6 +198,14 @@ def test_rigid_bodies_sleep_to_the_bit_and_wake_for_a_drive_and_for_a_hit(place)
     assert velocities[0][2] < -0.3
     assert_allclose(*velocities, atol=0.05)
 
+    start["x"][mine] += (np.array([16.35, 0.6, 0]) - start["x"][mine].mean(0)).astype(np.float32)
+    start["v"][mine] = 0.0
+    solver.restore({**start, "asleep": before["asleep"]})  # the ball falls on the plate, which connects no bodies
+    run(solver, 0.4)
+    asleep = solver.snapshot()["asleep"]
+    assert asleep[[plate, plate + 1]].all() and not asleep[ball]
+    assert 0.56 < solver.bodies()[ball].centroid[1] < 0.58
+
 
 def test_driven_vertices_move_evenly_and_shake_the_rest(place):
     solver, where = started(place, (0.0, 0.0, 0.0))

@@ -1,6 +1,7 @@
-"""Seconds from the start of `vrgs.py view` until it has shown a room and ended, cold and warm.
+"""Seconds from the start of `vrgs.py view`, or of a demo, until it has shown its first frame and ended, cold and warm.
 
     xvfb-run -s "-screen 0 960x540x24" python -m bench.first_picture [--gaussians 100000] [--degree 3] [--rounds 5]
+    xvfb-run -s "-screen 0 960x540x24" python -m bench.first_picture --scene sandbox --rounds 1
 
 Needs a display. Cold: with an empty cache of compiled kernels. Warm: with the kernels that the cold start left, the
 median of the rounds. The window shows one frame and closes; Taichi writes its cache when the program ends.
@@ -38,15 +39,18 @@ def start_time(command: list[str], cache: Path) -> tuple[float, float]:
 def main() -> None:
     """Print the cold start, every warm start, and their median."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--scene", metavar="NAME", help="play this demo instead of looking at a room")
     p.add_argument("--gaussians", type=int, default=100_000)
     p.add_argument("--degree", type=int, choices=range(4), default=3)
     p.add_argument("--rounds", type=int, default=5)
     p.add_argument("--arch", choices=("cuda", "cpu"), default="cpu")
     args = p.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "room.ply")
-        write_gaussians(file, room(args.gaussians, args.degree))
-        command = [sys.executable, str(PROGRAM), "view", str(file), "--arch", args.arch, "--frames", "1"]
+        what = ["--scene", args.scene]
+        if args.scene is None:
+            what = ["view", str(Path(folder, "room.ply"))]
+            write_gaussians(Path(what[1]), room(args.gaussians, args.degree))
+        command = [sys.executable, str(PROGRAM), *what, "--arch", args.arch, "--frames", "1"]
         walls = []
         for k in range(1 + args.rounds):
             wall, cpu = start_time(command, Path(folder, "cache"))

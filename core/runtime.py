@@ -84,17 +84,25 @@ def shorten_source_locations() -> None:
 
 @contextlib.contextmanager
 def watch_compilation(note: Callable[[int], None]) -> Iterator[None]:
-    """While active, call `note` with the number of the kernel that is about to be compiled, or read from the cache."""
+    """While active, call `note` with the number of the kernel that is about to be compiled, or read from the cache.
+
+    Each is compiled at once. Else the kernels of a graph would all be compiled at its first run, and `note` not called.
+    """
+    from taichi.lang import impl
     from taichi.lang.kernel_impl import Kernel
 
     materialize, count = Kernel.materialize, 0
 
     def noted(self, key=None, *args, **kwargs):
         nonlocal count
-        if key not in self.compiled_kernels:
-            count += 1
-            note(count)
-        return materialize(self, key, *args, **kwargs)
+        key = (self.func, 0, self.autodiff_mode) if key is None else key
+        if key in self.compiled_kernels:
+            return
+        count += 1
+        note(count)
+        materialize(self, key, *args, **kwargs)
+        prog = impl.get_runtime().prog
+        prog.compile_kernel(prog.config(), prog.get_device_caps(), self.compiled_kernels[key])
 
     Kernel.materialize = noted
     try:

@@ -133,7 +133,13 @@ def test_the_persistent_kernel_agrees_with_the_loops():
         for _ in range(3):
             solver.step(1 / 180)
             moved.append(solver.snapshot()["x"])
+        solver.state.asleep[1] = 1
+        form.run(4)
+        moved.append(solver.snapshot()["x"])
     start = np.concatenate([lower.start(), upper.start()])
     assert np.abs(moved[2] - start).max() > 0.005
-    assert_allclose(moved[0], moved[3], rtol=0, atol=1e-5)
-    assert_allclose(moved[2], moved[5], rtol=0, atol=1e-4)
+    assert_allclose(moved[0], moved[4], rtol=0, atol=1e-5)
+    assert_allclose(moved[3], moved[7], rtol=0, atol=1e-4)
+    n = len(x)
+    for k in (3, 7):  # the upper one sleeps, the lower one does not
+        assert (moved[k][n:] == moved[k - 1][n:]).all() and (moved[k][:n] != moved[k - 1][:n]).any()

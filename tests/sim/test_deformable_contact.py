@@ -144,6 +144,28 @@ def test_distance_and_normal_in_a_deformed_host(cubes):
     assert_allclose(normal[above], np.tile(g / np.linalg.norm(g), (above.sum(), 1)), atol=2e-3)
 
 
+def test_what_passes_over_a_body_meets_the_tets_that_it_comes_to(cubes):
+    """4 cm in a frame, a millimetre above: the tets at its end hold the points, and not those at its beginning."""
+    n = cubes.vertex_offset[1]
+    rest = cubes.state.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
+    x = rest + (0, 1, 0)
+    x[n:] = rest[n:] + (-0.05, 1 + SIDE + 1e-3, 0.01)
+    v = np.zeros_like(x)
+    v[n:, 0] = 2.4
+    cubes.gravity = (0.0, 0.0, 0.0)
+    cubes.restore({"x": x, "v": v})
+    cubes.step(1 / 60, [])
+    p, samples, x = rows(cubes)[0], cubes.contacts.samples, np.concatenate(positions(cubes))
+    p = p[samples.body.to_numpy()[p] == 1]
+    at = (x[samples.host_ids[p]] * samples.host_weights[p][..., None]).sum(1)
+    corners = x[cubes.state.tets.to_numpy()[cubes.contacts.deformable.hosts.host.to_numpy()[p]]]
+    b = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2), (at - corners[:, 0])[..., None])[..., 0]
+    beside = np.abs(at[:, 0] - x[:n, 0].mean()) > SIDE / 2 - 2e-3
+    inside = ~beside & (at[:, 1] < x[:n, 1].max() + 2e-3)
+    assert inside.sum() >= 4
+    assert np.c_[1 - b.sum(1), b][inside].min() > -0.4
+
+
 @pytest.mark.long
 def test_rings_stack_on_a_peg_and_rest(ti_cpu):
     """Three rings dropped over a peg, each onto the last, repeatably."""

@@ -104,6 +104,18 @@ def test_pulled_apart(held):
     comes_back(held)
 
 
+def test_a_light_body_is_pulled_as_firmly(solver):
+    """13 g: on springs that only carry its weight it would follow the hands instead of stretching."""
+    solver.set_material(0, replace(MATERIALS[0], density=10.0))
+    try:
+        play(solver, 0.1, lambda t: at(-0.18), lambda t: at(0.18))
+        play(solver, 0.2, lambda t: at(-0.18 - 0.5 * t), lambda t: at(0.18 + 0.5 * t))
+        play(solver, 0.4, lambda t: at(-0.28), lambda t: at(0.28))
+        assert np.ptp(bars(solver)[0][:, 0]) > 0.36 + 0.17
+    finally:
+        solver.set_material(0, MATERIALS[0])
+
+
 def test_squeezed_flat(held):
     play(held, 0.5, lambda t: at(-0.18 + 0.356 * t), lambda t: at(0.18 - 0.356 * t))
     play(held, 0.5, lambda t: at(-0.002), lambda t: at(0.002))

@@ -1,17 +1,21 @@
 """The real window under Xvfb, driven by a mouse and keys from outside (xdotool)."""
 
+import itertools
 import json
 import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from display.adaptive_resolution import WindowResolution
 from display.window.gl_window import has_display
+from display.window.orbit_camera import OrbitCamera
 from display.window.window import Window, project
 from tests.support.fake_world import RADIUS, fake_scene
 from tests.support.watched import Watched
@@ -236,3 +240,23 @@ def test_a_display_that_does_not_answer_is_no_display(tmp_path):
     out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True, text=True)
     assert out.stdout.strip() == "False", out.stderr
     assert out.stderr == ""
+
+
+@pytest.mark.parametrize(("cost", "step", "dropped"), [(None, 0.05, 0.0), (0.3, 0.1, 0.0), (2.0, 0.05, 0.05)])
+def test_time_is_caught_up_with_where_simulation_is_faster_than_it(monkeypatch, cost, step, dropped):
+    """Ten pictures a second: all time is simulated, in short steps, or the world slows down and says how much."""
+    clock = itertools.count(0.0, 0.1)
+    monkeypatch.setattr("display.window.window.perf_counter", lambda: next(clock))
+    window = Window.__new__(Window)
+    orbit = OrbitCamera((0, 0, 2), (0, 0, 0), 1.0)
+    window._surface = MagicMock(frame_size=(96, 54), closing=False, asleep=lambda: False, begin=list)
+    window._controls = MagicMock(orbit=orbit, quit=False)
+    window._panel, window._resolution = MagicMock(resolution=None), WindowResolution()
+    window._camera, window._last_view, window._dropped = orbit.camera(96, 54), None, 0.0
+    window._commands, window._resized, window._cursor = [], ((96, 54), 0.0), (0.0, 0.0)
+    window._handle = lambda events, world: []
+    timings = MagicMock(latest=lambda *_: 0.0)
+    world = MagicMock(simulation_cost=cost, picture_size=(96, 54), paused=False, moving=False, timings=timings)
+    frame = next(window.frames(world))
+    assert frame.dt == pytest.approx(step) and frame.max_step == pytest.approx(1 / 20)
+    assert window._dropped == pytest.approx(dropped)

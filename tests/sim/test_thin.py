@@ -161,6 +161,6 @@ def test_a_wire_thinner_than_the_samples_holds_a_ring(plates):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("peg", "stretch"), [(0.02, 1.0), (0.04, 1.0), (0.04, 2.0)])
+@pytest.mark.parametrize(("peg", "stretch"), [(0.02, 1.0), (0.04, 2.0), (0.08, 2.0)])
 def test_rings_stay_on_their_pegs(ti_cpu, peg, stretch):
-    assert linked_throws(8, 5.0, peg=peg, stretch=stretch, around=16, seconds=0.5) == 8
+    assert linked_throws(15, 5.0, peg=peg, stretch=stretch, seconds=0.5) == 15

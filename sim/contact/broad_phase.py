@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 CONTACT_MARGIN = 0.002  # [m] added to the motion that is expected: what that estimate may lack
 FLOAT_MAX = 3.0e38  # larger than any coordinate, finite in float32
-MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has exploded
+MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has exploded, and would take hours
 
 
 @ti.func

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m]: a smaller one costs more than it gains; a larger one misses a finger
 MIN_SEPARATION = 0.75  # [spacings] between points after thinning: one spacing at most on average
-MIN_RIGID_SPACING = 0.1  # of the size of a rigid body
+MIN_RIGID_SPACING = 0.1  # of the size of a rigid body: it does not bend, and its contacts are solved one by one
 MAX_SAMPLES = 6000  # of a body; a longer list is thinned by a larger spacing
 MAX_CAPSULES = 32  # static capsules with samples
 # [spacings] of a thin capsule. Between a body's samples, two a radius, it slips where the body is stretched fourfold:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from sim.state import State
 
 STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
-SEEDS = 64  # tets of a body at which the search from far away begins
+SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
 
 @ti.data_oriented

@@ -3,8 +3,8 @@
 import numpy as np
 import taichi as ti
 
-MIN_VOLUME_RATIO = 1e-3  # of the rest volume; a tet crushed flatter has no usable normal
-MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet
+MIN_VOLUME_RATIO = 1e-3  # of the rest volume; of a tet crushed flatter, normals are rounding, and soon overflow
+MIN_WEIGHT = -0.01  # barycentric; below it a point moves on to the neighbouring tet, but not to and fro on a face
 NO_TET = 2**62  # a key above those of all tets
 
 

@@ -27,9 +27,9 @@ from sim.rigid.rigid_motion import SOFT
 if TYPE_CHECKING:
     from sim.rigid.rigid_broad_phase import RigidBroadPhase
 
-GROUP_SWEEPS = 3  # over a group's constraints in each pass
-MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce
-IMPACT_SUBSTEPS = 16  # that an impact may take to reach its speed
+GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
+MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest
+IMPACT_SUBSTEPS = 16  # that an impact may take to reach its speed: what is wedged in cannot, and must not push on
 
 
 @ti.data_oriented

@@ -6,7 +6,7 @@ from core import quaternion
 from core.fields import two_sum
 
 SOFT, FREE, DRIVEN = range(3)  # kinds of bodies
-MAX_ROTATION = 0.5  # [rad] a substep; beyond, the attitude's increments mean nothing
+MAX_ROTATION = 0.5  # [rad] a substep; beyond, the attitude's increments, of first order, mean nothing
 
 
 @ti.func

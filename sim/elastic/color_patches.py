@@ -27,7 +27,7 @@ assert MAX_LOCAL <= 1 << INDEX_BITS and 8 * POINTS + 4 * WORDS <= 48 << 10 and M
 
 @ti.data_oriented
 class ColorPatches:
-    """Tables of the patches, one for each block. Fields over slots are one scalar each.
+    """Tables of the patches, one for each block, or several. Fields over slots are one scalar each.
 
     local i32[]: vertices of each patch, its own ones by colour first, local_begin i32[P+1], own_end i32[P] in it
     color_begin i32[P,MAX_COLORS+1]: first own vertex of each colour, from the patch's first one on
@@ -38,36 +38,47 @@ class ColorPatches:
 
     def __init__(self, state: State, blocks: int):
         self.state, self.blocks = state, blocks
-        N, L = 4 * state.T, blocks * MAX_LOCAL
+        N = 4 * state.T
+        self.max_count = blocks * (1 + 4 * state.V // (blocks * MAX_LOCAL))
+        L = self.max_count * MAX_LOCAL
         g = self._group = FieldGroup()
         self.local, self.slot_begin, self.color = (g.scalar(L + 1, dtype=ti.i32) for _ in range(3))
-        self.local_begin, self.own_end = g.scalar(blocks + 1, dtype=ti.i32), g.scalar(blocks, dtype=ti.i32)
-        self.color_begin = g.scalar(blocks * (MAX_COLORS + 1), dtype=ti.i32)
+        self.local_begin, self.own_end = (g.scalar(self.max_count + 1, dtype=ti.i32) for _ in range(2))
+        self.color_begin = g.scalar(self.max_count * (MAX_COLORS + 1), dtype=ti.i32)
+        self.count = g.scalar(dtype=ti.i32)
         self.words = [g.scalar(N, dtype=ti.i32) for _ in range(2)]
         self.gradient = [g.scalar(N) for _ in range(9)]
         g.build()
         self._upload = Upload(
             [
-                *(self.local, self.slot_begin, self.color, self.local_begin, self.own_end, self.color_begin),
+                *(
+                    self.local,
+                    self.slot_begin,
+                    self.color,
+                    self.local_begin,
+                    self.own_end,
+                    self.color_begin,
+                    self.count,
+                ),
                 *(*self.words, *self.gradient),
             ]
         )
         self.colors = 0
 
     def load(self, model: Model) -> None:
-        """Take the rest shapes of these bodies; BadInput if a patch does not fit."""
+        """Take the rest shapes of these bodies."""
         order = [s.root.once(compact_order) for s in model.shapes]
         order = stacked([o + b for o, b in zip(order, model.vertex_begin, strict=False)])
         color = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
         color = stacked(color)
         if color.max(initial=-1) >= MAX_COLORS:
             raise BadInput(f"a vertex has too many neighbours: {color.max() + 1} colours, the limit is {MAX_COLORS}")
-        t = divide_by_color(model.tets, order, color, self.blocks)
+        t = divide_by_color(model.tets, order, color, self.blocks, self.max_count)
         gradients = stacked([s.inverse.reshape(-1, 9) for s in model.shapes], 9)[t["tet"]]
         c = t["corners"]
         words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS
         local = t["local"], t["slot_begin"], t["color"], t["local_begin"], t["own_end"], t["color_begin"].ravel()
-        self._upload([*local, *words, *gradients.T])
+        self._upload([*local, [len(t["own_end"])], *words, *gradients.T])
         self.colors = t["colors"]
 
     @ti.func
@@ -133,14 +144,24 @@ class ColorPatches:
         self._group.destroy()
 
 
-def divide_by_color(tets: np.ndarray, order: np.ndarray, color: np.ndarray, blocks: int) -> dict:
-    """Divide vertices in this order (V,) into `blocks` equal patches, and those of each by colour (V,), -1 first.
+def divide_by_color(tets: np.ndarray, order: np.ndarray, color: np.ndarray, blocks: int, most: int) -> dict:
+    """Divide vertices in this order (V,) into the fewest equal patches that fit, and those of each by colour, -1 first.
 
-    BadInput if a patch has MAX_LOCAL vertices or more. Returns colors, their number; local: vertices of the patches,
+    The number of patches is a multiple of `blocks`, `most` at most (else BadInput); color (V,).
+    Returns colors, their number; local: vertices of the patches,
     own ones first; local_begin (P+1,), own_end (P,) in it; color: of each of `local`; color_begin (P, MAX_COLORS+1):
     from a patch's first vertex on; slot_begin: of each own vertex, at its place in `local`, and one more;
     of each slot: tet, corner: which of its corners is the vertex; corners (4T, 4): their indices in the patch.
     """
+    for patches in range(blocks, most + 1, blocks):
+        tables = _divided(tets, order, color, patches)
+        if tables is not None:
+            return tables
+    raise BadInput(f"{len(order)} vertices, whose neighbours are too far apart, make patches too large for this GPU")
+
+
+def _divided(tets, order, color, blocks) -> dict | None:
+    """The tables of `divide_by_color` for this number of patches; None if one has MAX_LOCAL vertices or more."""
     n = len(order)
     begin = np.linspace(0, n, blocks + 1).astype(np.int64)
     patch_at = np.repeat(np.arange(blocks), np.diff(begin))
@@ -157,7 +178,7 @@ def divide_by_color(tets: np.ndarray, order: np.ndarray, color: np.ndarray, bloc
     outside_begin = np.searchsorted(outside, np.arange(blocks + 1) * n)
     sizes = np.diff(begin) + np.diff(outside_begin)
     if sizes.max(initial=0) >= MAX_LOCAL:
-        raise BadInput(f"too many vertices for this GPU: {n}, or some {blocks * MAX_LOCAL // 2} at most")
+        return None
     local_begin = np.r_[0, np.cumsum(sizes)]
     own_end = local_begin[:-1] + np.diff(begin)
     local, slot_begin = np.zeros(local_begin[-1], np.int64), np.zeros(local_begin[-1] + 1, np.int64)

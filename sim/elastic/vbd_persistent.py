@@ -84,26 +84,15 @@ class PersistentVBD:
     def _stay(self, thread, substeps, colors, points: ti.template(), words: ti.template()):
         """All substeps of one thread."""
         s, p, w, block = self.state, self.patches, self.warps, ti.static(self.grid.block)
-        own, patch, rounds, paired = thread % block, thread // block, 0, self._paired()
-        first = p.local_begin[patch]
-        count, mine = p.local_begin[patch + 1] - first, p.own_end[patch] - first
-        at = own
-        while at < count:
-            p.stage_constants(first + at, first, words)
-            at += block
-        if own == 0:
-            last = p.slot_begin[first + mine]
-            p.set_slot(mine, last, words)
-        at = own
-        while at <= colors:
-            words[COLOR + at] = ti.bit_cast(p.color_begin[patch * (MAX_COLORS + 1) + at], ti.f32)
-            at += block
+        own, first, rounds, paired = thread % block, thread // block, 0, self._paired()
+        several = p.count[None] > self.grid.blocks  # patches a block, which then have to be fetched again and again
+        self._enter(first, own, colors, points, words)
         for n in range(substeps + 1):
             w.turn(thread, n > 0, n < substeps)
             rounds += 1
             self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
-                self._stage(own, count, points, words)
+                self._stage(first, own, points, words)
                 if paired:
                     for c in ti.static(self.in_pairs):
                         k = self.grid.scattered(thread)
@@ -115,21 +104,31 @@ class PersistentVBD:
                 for sweep in range(self.iterations):
                     for turn in range(colors):
                         color = turn if sweep % 2 == 0 else colors - 1 - turn
-                        self._sweep(own, color, points, words)
+                        patch = first
+                        while patch < p.count[None]:
+                            if several:
+                                self._enter(patch, own, colors, points, words)
+                            self._sweep(own, color, points, words)
+                            patch += self.grid.blocks
                         rounds += 1
                         self.grid.meet(thread, rounds, s.substep_index, 0)
-                        at = mine + own
-                        while at < count:
+                        at = p.own_end[first] - p.local_begin[first] + own
+                        while at < p.local_begin[first + 1] - p.local_begin[first] and not several:
                             if p.color_of(at, words) == color:
                                 p.stage(at, points, words)
                             at += block
                         self.grid.sync()
                     if paired:
                         rounds = self._pairs(thread, rounds)
-                        self._stage(own, count, points, words)
+                        self._stage(first, own, points, words)
                         self.grid.sync()
                 for trial in range(2):  # the residual before the step along the modes, then after it
-                    self._residual(own, mine, trial, points, words)
+                    patch = first
+                    while patch < p.count[None]:
+                        if several:
+                            self._enter(patch, own, colors, points, words)
+                        self._residual(own, p.own_end[patch] - p.local_begin[patch], trial, points, words)
+                        patch += self.grid.blocks
                     rounds += 1
                     self.grid.meet(thread, rounds, s.substep_index, 0)
                     if trial == 0:
@@ -145,7 +144,7 @@ class PersistentVBD:
                         w.move(thread)
                         rounds += 1
                         self.grid.meet(thread, rounds, s.substep_index, 0)
-                        self._stage(own, count, points, words)
+                        self._stage(first, own, points, words)
                         self.grid.sync()
                     else:
                         w.measure(thread)
@@ -153,11 +152,33 @@ class PersistentVBD:
                         self.grid.meet(thread, rounds, s.substep_index, 1)
 
     @ti.func
-    def _stage(self, own, count, points: ti.template(), words: ti.template()):
-        """Fetch the positions of all vertices of the patch."""
+    def _enter(self, patch, own, colors, points: ti.template(), words: ti.template()):
+        """Fetch all of a patch to shared memory."""
+        p = self.patches
+        first = p.local_begin[patch]
+        count, mine = p.local_begin[patch + 1] - first, p.own_end[patch] - first
+        self.grid.sync()
         at = own
         while at < count:
-            self.patches.stage(at, points, words)
+            p.stage_constants(first + at, first, words)
+            p.stage(at, points, words)
+            at += self.grid.block
+        if own == 0:
+            last = p.slot_begin[first + mine]
+            p.set_slot(mine, last, words)
+        at = own
+        while at <= colors:
+            words[COLOR + at] = ti.bit_cast(p.color_begin[patch * (MAX_COLORS + 1) + at], ti.f32)
+            at += self.grid.block
+        self.grid.sync()
+
+    @ti.func
+    def _stage(self, patch, own, points: ti.template(), words: ti.template()):
+        """Fetch the positions of all vertices of the patch that was entered last, if it is the only one."""
+        p = self.patches
+        at, count = own, p.local_begin[patch + 1] - p.local_begin[patch]
+        while at < count and p.count[None] <= self.grid.blocks:
+            p.stage(at, points, words)
             at += self.grid.block
 
     @ti.func

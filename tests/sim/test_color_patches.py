@@ -26,7 +26,7 @@ def test_each_vertex_has_its_tets_and_its_colour(blocks):
     x, tets, surface = box((1.0, 1.0, 1.0), (6, 6, 6))
     order = compact_order(RestShape(x, tets, surface, None))
     color = color_vertices(tets, np.arange(len(x)) % 9 != 0)
-    t = divide_by_color(tets, order, color, blocks)
+    t = divide_by_color(tets, order, color, blocks, blocks)
     owned = []
     for patch in range(blocks):
         first, own_end, end = t["local_begin"][patch], t["own_end"][patch], t["local_begin"][patch + 1]
@@ -46,11 +46,14 @@ def test_each_vertex_has_its_tets_and_its_colour(blocks):
     assert sorted(owned) == list(range(len(x)))
 
 
-def test_a_mesh_that_is_too_large_is_refused():
+def test_a_large_mesh_gets_several_patches_a_block():
     x, tets, surface = box((1.0, 1.0, 1.0), (10, 10, 10))
     order = compact_order(RestShape(x, tets, surface, None))
-    with pytest.raises(BadInput, match="too many vertices"):
-        divide_by_color(tets, order, color_vertices(tets, np.ones(len(x), bool)), 1)
+    color = color_vertices(tets, np.ones(len(x), bool))
+    t = divide_by_color(tets, order, color, 1, 8)
+    assert len(t["own_end"]) > 1 and np.diff(t["local_begin"]).max() < MAX_LOCAL
+    with pytest.raises(BadInput, match="1331 vertices"):
+        divide_by_color(tets, order, color, 1, 1)
 
 
 def test_the_sums_are_those_of_the_plain_loops():
@@ -143,3 +146,25 @@ def test_the_persistent_kernel_agrees_with_the_loops():
     n = len(x)
     for k in (3, 7):  # the upper one sleeps, the lower one does not
         assert (moved[k][n:] == moved[k - 1][n:]).all() and (moved[k][:n] != moved[k - 1][:n]).any()
+
+
+def test_several_patches_a_block_move_as_one(ti_cpu):
+    """More vertices than one block's shared memory holds, strained, without contact."""
+    x, tets, surface = box((0.1, 0.1, 0.1), (10, 10, 10))
+    body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
+    start = x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)
+    moved = []
+    for plain in (False, True):
+        solver = Solver([body], contacts=False, integrator="vbd")
+        form = solver.integrator
+        if not plain:
+            form = PersistentVBD(solver.state, solver.elasticity, [], solver._blocks, iterations=2)
+            form.load(Model([BodyModel.of(body, [])]))
+            assert len(x) > MAX_LOCAL and (form.patches.count[None] > 1 or form.grid.on_cuda)
+        solver.restore({"x": start, "v": np.zeros_like(x)})
+        solver.state.begin_frame(1e-3, 1e-2, 3, ti.Vector((0.0, -9.81, 0.0)))
+        solver.damping.run(0.0)
+        form.run(3)
+        moved.append(solver.snapshot()["x"])
+    assert np.abs(moved[0] - start).max() > 1e-3
+    assert_allclose(moved[0], moved[1], rtol=0, atol=1e-5)

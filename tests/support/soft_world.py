@@ -33,5 +33,6 @@ def shapes() -> list:
 
 
 def soft_solver(bodies, *, floor: bool = True, more_shapes=(), **options) -> Solver:
-    """A solver of these soft bodies in the shared world, with or without its floor, and 8 hands."""
+    """A solver of these soft bodies in the shared world, with or without its floor, and 8 hands; none sleeps."""
+    options = {"sleep": False, **options}
     return Solver(bodies, [*shapes()[0 if floor else 1 :], *more_shapes], hands=8, capacity=CAPACITY, **options)

@@ -370,6 +370,7 @@ class Solver:
 
         So the user waits before the first picture, and never during play.
         """
+        self._read_motion(0)
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import taichi as ti
@@ -21,10 +20,9 @@ from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
-from sim.elastic.time_step import STABILITY_LIMIT, Integration, Schedule, choose_integration
+from sim.elastic.integrators import Integrators, choose_for
+from sim.elastic.time_step import STABILITY_LIMIT, Schedule, choose_integration
 from sim.elastic.untangling import Untangling
-from sim.elastic.vbd import VBDSubsteps
-from sim.elastic.xpbd import XPBDSubsteps
 from sim.hands.grasp import Grasps
 from sim.hands.grasp_state import GraspState
 from sim.hands.rigid_editing import RigidEditing
@@ -32,7 +30,7 @@ from sim.kinematic_targets import KinematicTargets
 from sim.model import Model
 from sim.recovery import NonFiniteRecovery
 from sim.reductions import ReductionBlocks, Reductions
-from sim.rigid.rigid_bodies import MAX_PASSES, MAX_RIGID_SUBSTEP, SUBSTEP_PER_PASS, RigidBodies
+from sim.rigid.rigid_bodies import MAX_PASSES, SUBSTEP_PER_PASS, RigidBodies
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
 from sim.soft_body import SoftBody
@@ -107,7 +105,7 @@ class Solver:
         self._targets = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)
         self._rigid_editing = RigidEditing(s)
-        self._integrators: dict = {}
+        self._integrators = Integrators(s, self.elasticity, self._constraints, self.rigid_bodies, blocks)
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
         motion = [getattr(s, name) for name in MOTION]
         self._read_motion, self._write_motion = Download(motion), Upload(motion)
@@ -390,7 +388,7 @@ class Solver:
         names = ("xpbd", "vbd") if self._wanted["integrator"] == "auto" else (self._integration.integrator,)
         for name in names:
             any_stiffness = {**self._wanted, "integrator": name, "substep": None}
-            integrator = self._integrator(name, choose_integration(0.0, **any_stiffness).iterations)
+            integrator = self._integrators.get(name, choose_integration(0.0, **any_stiffness).iterations)
             integrator.load(self._model)
             self._all_sleep(WARM_UP_SUBSTEP, (), 1)
             self._begin_frame(WARM_UP_SUBSTEP, (), 1)
@@ -403,47 +401,19 @@ class Solver:
         self._targets.end_frame()
 
     def _make_rigid_bodies(self, first: Model, grasps: Grasps | None) -> RigidBodies:
-        passes = min(max(math.ceil(self._choose(first).substep / SUBSTEP_PER_PASS), 1), MAX_PASSES)
+        passes = min(
+            max(math.ceil(choose_for(first, self._wanted, rigid=True).substep / SUBSTEP_PER_PASS), 1), MAX_PASSES
+        )
         return RigidBodies(self.state, grasps, passes=passes)
-
-    def _choose(self, model: Model) -> Integration:
-        """Choose integrator, substep and sweeps for these bodies; BadInput if what was asked for does not suit them."""
-        kappas = model.kappas
-        stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
-        device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-        options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **self._wanted}
-        chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
-        return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if self._with_rigid else chosen
-
-    def _integrator(self, name: str, iterations: int):
-        """The integrator of this name, made at its first use."""
-        if name not in self._integrators:
-            self._integrators[name] = self._make_integrator(name, iterations)
-        return self._integrators[name]
-
-    def _make_integrator(self, name: str, iterations: int):
-        parts = self.state, self.elasticity, self._constraints, self.rigid_bodies
-        on_cuda = ti.cfg.arch == ti.cuda and self.rigid_bodies is None
-        if name == "vbd" and on_cuda:
-            from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
-
-            return PersistentVBD(self.state, self.elasticity, self._constraints, self._blocks, iterations=iterations)
-        if name == "vbd":
-            return VBDSubsteps(*parts, self._blocks, iterations=iterations)
-        if on_cuda and iterations == 1:
-            from sim.elastic.xpbd_persistent import PersistentXPBD
-
-            return PersistentXPBD(self.state, self._constraints)
-        return XPBDSubsteps(*parts, iterations=iterations)
 
     def _load(self, model: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
-        integration = self._choose(model)
+        integration = choose_for(model, self._wanted, rigid=self._with_rigid)
         self.state.check_capacity(model.sizes)
         for c in self._constraints:
             c.check_capacity(model)
         self._model, self._integration = model, integration
-        self.integrator = self._integrator(integration.integrator, integration.iterations)
+        self.integrator = self._integrators.get(integration.integrator, integration.iterations)
         parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
         for part in (*parts, self._targets, *self._constraints):
             part.load(model)

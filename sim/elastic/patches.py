@@ -128,7 +128,7 @@ class Patches:
         h1, h2, h3 = P @ g1, P @ g2, P @ g3
         h0 = -(h1 + h2 + h3)
         if I1 > STRETCHED_I1 or dJ < CRUSHED_DJ:
-            if dJ < -1.0:
+            if dJ < -1.0 and not s.asleep[body]:
                 s.inverted[body] = 1
             t = self.tet[k]
             v = s.tets[t]

@@ -97,7 +97,7 @@ class XPBDSubsteps:
             for c in ti.static(in_pairs):
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
-                    for k in range(c.phase_sizes[phase]):
+                    for k in range(c.phase_count(phase) if ti.static(s.serial) else c.phase_sizes[phase]):
                         if ti.static(first and phase == 0):
                             c.evaluate(k)
                         c.solve_phase(self, phase, k, first)

@@ -1,0 +1,73 @@
+"""Choice of the integrator for the bodies of a scene, and the integrators of a solver, each made at its first use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import taichi as ti
+
+from sim.elastic.time_step import Integration, choose_integration
+from sim.elastic.vbd import VBDSubsteps
+from sim.elastic.xpbd import XPBDSubsteps
+from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP
+
+if TYPE_CHECKING:
+    from sim.constraint import Constraint
+    from sim.elastic.energy import Elasticity
+    from sim.model import Model
+    from sim.reductions import ReductionBlocks
+    from sim.rigid.rigid_bodies import RigidBodies
+    from sim.state import State
+
+
+def choose_for(model: Model, wanted: dict, *, rigid: bool) -> Integration:
+    """Choose integrator, substep and sweeps for these bodies, or BadInput if what is `wanted` does not suit them.
+
+    wanted: options of `choose_integration`; rigid: rigid bodies limit the substep.
+    """
+    kappas = model.kappas
+    stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
+    device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **wanted}
+    chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
+    return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if rigid else chosen
+
+
+class Integrators:
+    """The integrators "xpbd" and "vbd" of one solver; on CUDA without rigid bodies, as persistent kernels."""
+
+    def __init__(
+        self,
+        state: State,
+        elasticity: Elasticity,
+        constraints: Sequence[Constraint],
+        rigid_bodies: RigidBodies | None,
+        blocks: ReductionBlocks,
+    ):
+        self.state, self.elasticity, self.constraints = state, elasticity, list(constraints)
+        self.rigid_bodies, self.blocks = rigid_bodies, blocks
+        self.made: dict = {}
+
+    def get(self, name: str, iterations: int):
+        """The integrator of this name, with so many sweeps a substep."""
+        if name not in self.made:
+            self.made[name] = self._make(name, iterations)
+        return self.made[name]
+
+    def _make(self, name: str, iterations: int):
+        parts = self.state, self.elasticity, self.constraints
+        on_cuda = ti.cfg.arch == ti.cuda and self.rigid_bodies is None
+        if name == "vbd" and on_cuda:
+            from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
+
+            return PersistentVBD(*parts, self.blocks, iterations=iterations)
+        if name == "vbd":
+            return VBDSubsteps(*parts, self.rigid_bodies, self.blocks, iterations=iterations)
+        if on_cuda and iterations == 1:
+            from sim.elastic.xpbd_persistent import PersistentXPBD
+
+            return PersistentXPBD(self.state, self.constraints)
+        return XPBDSubsteps(*parts, self.rigid_bodies, iterations=iterations)

@@ -56,23 +56,27 @@ class PersistentGrid:
             ti.simt.block.sync()
 
     @ti.func
-    def meet(self, thread, round_, counter: ti.template(), add: ti.template()):
-        """Wait for all threads of all blocks, for the round_-th time; the last to come adds `add` to counter[None]."""
+    def meet(self, thread, rounds, counter: ti.template(), add: ti.template()):
+        """Wait for all threads of all blocks, after `rounds` such barriers; the last to come adds to counter[None].
+
+        Returns the number of barriers passed.
+        """
         if ti.static(self.on_cuda):
             ti.simt.block.sync()
             if thread % self.block == 0:
                 ti.simt.grid.memfence()
-                if ti.atomic_add(self.arrived[0], 1) == round_ * self.blocks - 1:
+                if ti.atomic_add(self.arrived[0], 1) == (rounds + 1) * self.blocks - 1:
                     if ti.static(add != 0):
                         counter[None] += add
                         ti.simt.grid.memfence()
                     ti.atomic_add(self.released[0], 1)
-                while ti.atomic_add(self.released[0], 0) < round_:
+                while ti.atomic_add(self.released[0], 0) <= rounds:
                     pass
                 ti.simt.grid.memfence()
             ti.simt.block.sync()
         else:
             counter[None] += add
+        return rounds + 1
 
     @ti.func
     def scattered(self, thread):

@@ -89,8 +89,7 @@ class PersistentVBD:
         self._enter(first, own, colors, points, words)
         for n in range(substeps + 1):
             w.turn(thread, n > 0, n < substeps)
-            rounds += 1
-            self.grid.meet(thread, rounds, s.substep_index, 0)
+            rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
                 self._stage(first, own, points, words)
                 if paired:
@@ -110,8 +109,7 @@ class PersistentVBD:
                                 self._enter(patch, own, colors, points, words)
                             self._sweep(own, color, points, words)
                             patch += self.grid.blocks
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         at = p.own_end[first] - p.local_begin[first] + own
                         while at < p.local_begin[first + 1] - p.local_begin[first] and not several:
                             if p.color_of(at, words) == color:
@@ -129,27 +127,21 @@ class PersistentVBD:
                             self._enter(patch, own, colors, points, words)
                         self._residual(own, p.own_end[patch] - p.local_begin[patch], trial, points, words)
                         patch += self.grid.blocks
-                    rounds += 1
-                    self.grid.meet(thread, rounds, s.substep_index, 0)
+                    rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                     if trial == 0:
                         w.project(thread)
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         w.find_amplitudes(thread)
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         w.find_step(thread)
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         w.move(thread)
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 0)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         self._stage(first, own, points, words)
                         self.grid.sync()
                     else:
                         w.measure(thread)
-                        rounds += 1
-                        self.grid.meet(thread, rounds, s.substep_index, 1)
+                        rounds = self.grid.meet(thread, rounds, s.substep_index, 1)
 
     @ti.func
     def _enter(self, patch, own, colors, points: ti.template(), words: ti.template()):
@@ -257,8 +249,7 @@ class PersistentVBD:
                 while k < end:
                     c.solve_phase(self, phase, k, True)
                     k += self.grid.threads
-                passed += 1
-                self.grid.meet(thread, passed, s.substep_index, 0)
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
         length = (s.vertex_count[None] + self.grid.blocks - 1) // self.grid.blocks
         block, i = thread // self.grid.block, thread // self.grid.block * length + thread % self.grid.block
         end = ti.min((block + 1) * length, s.vertex_count[None])
@@ -266,8 +257,7 @@ class PersistentVBD:
             if s.awake_vertex(i):
                 self.descent.push(i)
             i += self.grid.block
-        passed += 1
-        self.grid.meet(thread, passed, s.substep_index, 0)
+        passed = self.grid.meet(thread, passed, s.substep_index, 0)
         return passed
 
     def destroy(self) -> None:

@@ -89,8 +89,7 @@ class PersistentXPBD:
                         k += self.grid.threads
                 rounds = self._pairs(thread, rounds, parity)
             parity = 1 - parity
-            rounds += 1
-            self.grid.meet(thread, rounds, s.substep_index, 1)
+            rounds = self.grid.meet(thread, rounds, s.substep_index, 1)
 
     @ti.func
     def _move(self, k, parity, paired, shared: ti.template()):
@@ -127,14 +126,12 @@ class PersistentXPBD:
         passed = rounds
         for c in ti.static(self.in_pairs):
             for phase in ti.static(range(len(c.phase_sizes))):
-                passed += 1
-                self.grid.meet(thread, passed, s.substep_index, 0)
+                passed = self.grid.meet(thread, passed, s.substep_index, 0)
                 k, end = self.grid.scattered(thread), c.phase_count(phase)
                 while k < end:
                     c.solve_phase(self, phase, k, True)
                     k += self.grid.threads
-        passed += 1
-        self.grid.meet(thread, passed, s.substep_index, 0)
+        passed = self.grid.meet(thread, passed, s.substep_index, 0)
         length = (s.vertex_count[None] + self.grid.blocks - 1) // self.grid.blocks
         block, i = thread // self.grid.block, thread // self.grid.block * length + thread % self.grid.block
         end = ti.min((block + 1) * length, s.vertex_count[None])

@@ -270,10 +270,9 @@ class VBDSubsteps:
 
         @ti.kernel
         def begin():
+            s.substep_index[None] += 1  # before the loop: its threads read it
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
-                if i == 0:
-                    s.substep_index[None] += 1
                 if s.awake_vertex(i):
                     self.descent.begin(i, s.dx_predicted[i])
             for c in ti.static(in_pairs):

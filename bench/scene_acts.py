@@ -1,4 +1,4 @@
-"""What `bench scene` plays: bodies dropped, thrown, squeezed by two hands, and piled on one another in a scanned room.
+"""Acts of `bench scene`: bodies dropped, thrown, squeezed by two hands, and piled on one another in a scanned room.
 
 An act is played from its beginning, `frames` long, and then again: something moves in all of them.
 """

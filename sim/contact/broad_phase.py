@@ -19,7 +19,7 @@ MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has explod
 
 @ti.func
 def outside_box(low, high, x):
-    """How far [m] x is outside of a box along the axis where that is most; negative inside."""
+    """Distance [m] of x outside of a box along the axis where that is most; negative inside."""
     return ti.max(low - x, x - high).max()
 
 

@@ -135,7 +135,7 @@ class NearestTets:
 
     @ti.func
     def next_host(self, t, b):
-        """Where to look in the next substep for a point of weights b in tet t: across the worst face that leads on."""
+        """Return the tet of the next substep for a point of weights b in tet t: across the worst face that leads on."""
         result, worst = t, MIN_WEIGHT
         for j in ti.static(range(4)):
             if b[j] < worst and self.neighbor[t][j] >= 0:

@@ -68,7 +68,7 @@ class SelfCollision:
 
     @ti.func
     def reach(self, t):
-        """How far [m] tet t and another point of its body may approach, apart from the affine motion."""
+        """Distance [m] by which tet t and another point of its body may approach, apart from the affine motion."""
         s = self.state
         b, speed = s.body_of_tet[t], 0.0
         for j in ti.static(range(4)):

@@ -23,6 +23,35 @@ def commit(integrator: ti.template(), i, d):
     return predicted
 
 
+@ti.func
+def any_active(integrator: ti.template()):
+    """Return whether any constraint of a persistent kernel has an element; that changes only in a search."""
+    active = False
+    for c in ti.static(integrator.in_pairs):
+        if c.any_active():
+            active = True
+    return active
+
+
+@ti.func
+def evaluate_candidates(integrator: ti.template(), thread):
+    """Evaluate all constraints of a persistent kernel, spread over the threads of its grid."""
+    for c in ti.static(integrator.in_pairs):
+        k = integrator.grid.scattered(thread)
+        while k < c.phase_count(0):
+            c.evaluate(k)
+            k += integrator.grid.threads
+
+
+@ti.func
+def own_vertices(integrator: ti.template(), thread):
+    """First vertex and end of the equal part of all vertices that a thread of a persistent kernel steps through."""
+    blocks, size, count = integrator.grid.blocks, integrator.grid.block, integrator.state.vertex_count[None]
+    length = (count + blocks - 1) // blocks
+    begin = thread // size * length
+    return begin + thread % size, ti.min(begin + length, count)
+
+
 def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate: bool) -> list:
     """The phases of constraint c as kernels of their own, after that of `evaluate` if it is wanted.
 

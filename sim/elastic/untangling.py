@@ -120,7 +120,7 @@ class Untangling:
         self._examine()
 
     def _examine(self) -> np.ndarray:
-        """Which bodies are calm, and which have a kinked tet, as they are now, (2, B) bool."""
+        """Find the bodies that are calm, and those that have a kinked tet, as they are now, (2, B) bool."""
         self._find_calm_and_kinked()
         return np.array([f.to_numpy()[: len(self.bodies)] != 0 for f in (self.calm, self.kinked)])
 

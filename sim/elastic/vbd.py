@@ -55,7 +55,7 @@ def shape_gradient(B, corner):
 
 @ti.func
 def tet_terms(e1, e2, e3, B, corner, V, mu, lam):
-    """What a tet with edges e (f64) from its first corner [m], B = D_m^-1 and volume V means to its `corner`.
+    """Force and stiffness at its `corner` of a tet of edges e (f64) from its first corner [m], D_m^-1 = B, volume V.
 
     Returns the force f on it [N], a and c of its part of H = a I + V lam c c^T [N/m], and J - 1. In double precision
     as far as there is cancellation: in single precision J - 1 is off by 1e-7, which at 1e8 Pa is a force like a

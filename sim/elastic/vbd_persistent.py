@@ -13,6 +13,7 @@ from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.modal_warps import ModalWarps
 from sim.elastic.persistent_grid import PersistentGrid
+from sim.elastic.substep import any_active, evaluate_candidates, own_vertices
 from sim.elastic.vbd import MAX_COLORS, VertexDescent
 from sim.model import Model
 from sim.reductions import ReductionBlocks
@@ -66,7 +67,7 @@ class PersistentVBD:
         self.grid.begin()
         s.substep_index[None] += 1
         for i in range(s.V):
-            if s.awake_vertex(i) and not self._paired():  # the sums of the last constraints act no more
+            if s.awake_vertex(i) and not any_active(self):  # the sums of the last constraints act no more
                 self.descent.release(i)
         for b in range(MAX_BODIES):
             self.warps.begin(b)
@@ -84,7 +85,7 @@ class PersistentVBD:
     def _stay(self, thread, substeps, colors, points: ti.template(), words: ti.template()):
         """All substeps of one thread."""
         s, p, w, block = self.state, self.patches, self.warps, ti.static(self.grid.block)
-        own, first, rounds, paired = thread % block, thread // block, 0, self._paired()
+        own, first, rounds, paired = thread % block, thread // block, 0, any_active(self)
         several = p.count[None] > self.grid.blocks  # patches a block, which then have to be fetched again and again
         self._enter(first, own, colors, points, words)
         for n in range(substeps + 1):
@@ -93,11 +94,7 @@ class PersistentVBD:
             if n < substeps:
                 self._stage(first, own, points, words)
                 if paired:
-                    for c in ti.static(self.in_pairs):
-                        k = self.grid.scattered(thread)
-                        while k < c.phase_count(0):
-                            c.evaluate(k)
-                            k += self.grid.threads
+                    evaluate_candidates(self, thread)
                 w.fit_rotations(thread)
                 self.grid.sync()
                 for sweep in range(self.iterations):
@@ -230,15 +227,6 @@ class PersistentVBD:
                 self.warps.set_residual(p.vertex(at, words), f, trial)
 
     @ti.func
-    def _paired(self):
-        """Return whether any constraint is active; that changes only in a search."""
-        paired = False
-        for c in ti.static(self.in_pairs):
-            if c.any_active():
-                paired = True
-        return paired
-
-    @ti.func
     def _pairs(self, thread, rounds):
         """All phases of all pairs, then each vertex's push; returns the number of barriers passed."""
         s = self.state
@@ -250,9 +238,7 @@ class PersistentVBD:
                     c.solve_phase(self, phase, k, True)
                     k += self.grid.threads
                 passed = self.grid.meet(thread, passed, s.substep_index, 0)
-        length = (s.vertex_count[None] + self.grid.blocks - 1) // self.grid.blocks
-        block, i = thread // self.grid.block, thread // self.grid.block * length + thread % self.grid.block
-        end = ti.min((block + 1) * length, s.vertex_count[None])
+        i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):
                 self.descent.push(i)

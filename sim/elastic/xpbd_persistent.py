@@ -9,6 +9,7 @@ import taichi as ti
 from sim.constraint import Constraint
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.persistent_grid import PersistentGrid
+from sim.elastic.substep import any_active, evaluate_candidates, own_vertices
 from sim.model import Model
 from sim.state import State
 
@@ -59,7 +60,7 @@ class PersistentXPBD:
     def _stay(self, thread, substeps, shared: ti.template()):
         """All substeps of one thread."""
         s, p, block = self.state, self.patches, ti.static(self.grid.block)
-        own, parity, rounds, paired = thread % block, 0, 0, self._paired()
+        own, parity, rounds, paired = thread % block, 0, 0, any_active(self)
         for _ in range(substeps):
             patch = thread // block
             while patch < p.count[None]:
@@ -82,11 +83,7 @@ class PersistentXPBD:
                 if patch < p.count[None]:
                     self.grid.sync()
             if paired:
-                for c in ti.static(self.in_pairs):
-                    k = self.grid.scattered(thread)
-                    while k < c.phase_count(0):
-                        c.evaluate(k)
-                        k += self.grid.threads
+                evaluate_candidates(self, thread)
                 rounds = self._pairs(thread, rounds, parity)
             parity = 1 - parity
             rounds = self.grid.meet(thread, rounds, s.substep_index, 1)
@@ -111,15 +108,6 @@ class PersistentXPBD:
                 p.publish(i, x, v, dx, 1 - parity)
 
     @ti.func
-    def _paired(self):
-        """Return whether any constraint is active; that changes only in a search."""
-        paired = False
-        for c in ti.static(self.in_pairs):
-            if c.any_active():
-                paired = True
-        return paired
-
-    @ti.func
     def _pairs(self, thread, rounds, parity):
         """All phases of all pairs, then each vertex's commit; returns the number of barriers passed."""
         s = self.state
@@ -132,9 +120,7 @@ class PersistentXPBD:
                     c.solve_phase(self, phase, k, True)
                     k += self.grid.threads
         passed = self.grid.meet(thread, passed, s.substep_index, 0)
-        length = (s.vertex_count[None] + self.grid.blocks - 1) // self.grid.blocks
-        block, i = thread // self.grid.block, thread // self.grid.block * length + thread % self.grid.block
-        end = ti.min((block + 1) * length, s.vertex_count[None])
+        i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):
                 d = s.dx[i]

@@ -304,7 +304,7 @@ def test_driven_vertices_wake(world):
 
 
 def test_a_body_with_inverted_tets_does_not_sleep(world):
-    """Whether they are inverted by force or in a kink: it is led to its rest shape first."""
+    """Inverted by force, or in a kink: it is led to its rest shape first."""
     lull(world, cube())
     world.state.inverted[0] = 1
     world.wake()

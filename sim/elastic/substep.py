@@ -44,6 +44,20 @@ def evaluate_candidates(integrator: ti.template(), thread):
 
 
 @ti.func
+def solve_phases(integrator: ti.template(), thread, rounds):
+    """Solve all phases of a persistent kernel's constraints, each followed by a barrier; `rounds` and those passed."""
+    s, passed = integrator.state, rounds
+    for c in ti.static(integrator.in_pairs):
+        for phase in ti.static(range(len(c.phase_sizes))):
+            k, end = integrator.grid.scattered(thread), c.phase_count(phase)
+            while k < end:
+                c.solve_phase(integrator, phase, k, True)
+                k += integrator.grid.threads
+            passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
+    return passed
+
+
+@ti.func
 def own_vertices(integrator: ti.template(), thread):
     """First vertex and end of the equal part of all vertices that a thread of a persistent kernel steps through."""
     blocks, size, count = integrator.grid.blocks, integrator.grid.block, integrator.state.vertex_count[None]

@@ -13,7 +13,7 @@ from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.modal_warps import ModalWarps
 from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import any_active, evaluate_candidates, own_vertices
+from sim.elastic.substep import any_active, evaluate_candidates, own_vertices, solve_phases
 from sim.elastic.vbd import MAX_COLORS, VertexDescent
 from sim.model import Model
 from sim.reductions import ReductionBlocks
@@ -230,14 +230,7 @@ class PersistentVBD:
     def _pairs(self, thread, rounds):
         """All phases of all pairs, then each vertex's push; returns the number of barriers passed."""
         s = self.state
-        passed = rounds
-        for c in ti.static(self.in_pairs):
-            for phase in ti.static(range(len(c.phase_sizes))):
-                k, end = self.grid.scattered(thread), c.phase_count(phase)
-                while k < end:
-                    c.solve_phase(self, phase, k, True)
-                    k += self.grid.threads
-                passed = self.grid.meet(thread, passed, s.substep_index, 0)
+        passed = solve_phases(self, thread, rounds)
         i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):

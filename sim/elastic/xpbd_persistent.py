@@ -9,7 +9,7 @@ import taichi as ti
 from sim.constraint import Constraint
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import any_active, evaluate_candidates, own_vertices
+from sim.elastic.substep import any_active, evaluate_candidates, own_vertices, solve_phases
 from sim.model import Model
 from sim.state import State
 
@@ -111,15 +111,7 @@ class PersistentXPBD:
     def _pairs(self, thread, rounds, parity):
         """All phases of all pairs, then each vertex's commit; returns the number of barriers passed."""
         s = self.state
-        passed = rounds
-        for c in ti.static(self.in_pairs):
-            for phase in ti.static(range(len(c.phase_sizes))):
-                passed = self.grid.meet(thread, passed, s.substep_index, 0)
-                k, end = self.grid.scattered(thread), c.phase_count(phase)
-                while k < end:
-                    c.solve_phase(self, phase, k, True)
-                    k += self.grid.threads
-        passed = self.grid.meet(thread, passed, s.substep_index, 0)
+        passed = solve_phases(self, thread, self.grid.meet(thread, rounds, s.substep_index, 0))
         i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):

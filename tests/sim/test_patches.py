@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
-from scenes.scene import Plane
 from sim.body_model import BodyModel, RestShape
 from sim.elastic.patches import MAX_LOCAL, MAX_SLOTS, SHARED_WORDS, Patches, compact_order, divide
 from sim.elastic.xpbd import XPBDSubsteps
@@ -15,6 +14,7 @@ from sim.elastic.xpbd_persistent import PersistentXPBD
 from sim.model import Model
 from sim.soft_body import SoftBody
 from sim.solver import Solver
+from tests.support.persistent_kernels import assert_blocks_slide_alike
 
 pytestmark = pytest.mark.usefixtures("ti_cpu")
 
@@ -114,34 +114,12 @@ def test_the_sums_are_those_of_the_two_loops():
 
 
 def test_the_persistent_kernel_agrees_with_the_loops():
-    """Two blocks on a floor, one on the other, sliding. Rounding differs, and contact makes more of that in time.
+    """Rounding differs, and contact makes more of that in time. On the CPU the kernel is one thread."""
 
-    On the CPU the kernel is one thread.
-    """
-    moved = []
-    x, tets, surface = box((0.2, 0.1, 0.1), (6, 3, 3))
-    material = Material(5e4, 0.3, 1000.0, friction=0.3)
-    lower = SoftBody("lower", x, tets, surface, material, velocity=(0.5, 0.0, 0.0))
-    upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
-    for plain in (False, True):
-        solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], substep=1e-4)
-        if plain:
-            form = XPBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, iterations=1)
-        else:
-            form = PersistentXPBD(solver.state, [solver.contacts])
-        solver.integrator = form
-        form.max_substeps = 16  # damping acts between launches
-        form.load(Model([BodyModel.of(b, []) for b in (lower, upper)]))
-        for _ in range(3):
-            solver.step(1 / 180)
-            moved.append(solver.snapshot()["x"])
-        solver.state.asleep[1] = 1
-        form.run(4)
-        moved.append(solver.snapshot()["x"])
-    start = np.concatenate([lower.start(), upper.start()])
-    assert np.abs(moved[2] - start).max() > 0.005
-    assert_allclose(moved[0], moved[4], rtol=0, atol=2e-6)
-    assert_allclose(moved[3], moved[7], rtol=0, atol=5e-5)
-    n = len(x)
-    for k in (3, 7):  # the upper one sleeps, the lower one does not
-        assert (moved[k][n:] == moved[k - 1][n:]).all() and (moved[k][:n] != moved[k - 1][:n]).any()
+    def persistent(solver):
+        return PersistentXPBD(solver.state, [solver.contacts])
+
+    def plain(solver):
+        return XPBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, iterations=1)
+
+    assert_blocks_slide_alike([persistent, plain], 5e4, (6, 3, 3), (2e-6, 5e-5), substep=1e-4)

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from studio.baked_light import Opening
-from studio.shapes import Mesh, Surface, box, grid_mesh, join, quad
+from studio.shapes import Mesh, Surface, box, join, quad
 from studio.textures import OAK, fbm, hash_uniform, mix, noise, plain, smoothstep, srgb, wood
+from studio.walls import reveal, wall_sheet
 
 ROOM_LOW, ROOM_HIGH = (-2.0, 0.0, -2.2), (2.0, 2.6, 2.3)  # [m] scenes repeat them for their analytic colliders
 # Openings: (low, high) across the wall [m]. The garden door is in the far wall, the window in the left one.
@@ -88,8 +89,8 @@ def walls() -> list[Surface]:
     fineness = {"far": 0.012, "left": 0.016, "right": 0.016, "near": 0.030}
     surfaces = []
     for name, (span, holes, to_room) in sides.items():  # left out behind the rails
-        lower = _sheet(span, (0.118, DADO_HEIGHT - 0.042), holes, to_room)
-        upper = _sheet(span, (DADO_HEIGHT + 0.012, Y1 - 0.07), holes, to_room)
+        lower = wall_sheet(span, (0.118, DADO_HEIGHT - 0.042), holes, to_room)
+        upper = wall_sheet(span, (DADO_HEIGHT + 0.012, Y1 - 0.07), holes, to_room)
         surfaces.append(Surface(f"{name} panelling", lower, paint, fineness[name], width=1.1))
         surfaces.append(
             Surface(f"{name} wall", upper, paint, {"far": 0.020, "near": 0.045}.get(name, 0.030), width=1.2)
@@ -141,7 +142,7 @@ def door() -> list[Surface]:
         box((x0, y1, Z0), (x1, y1 + w, Z0 + 0.022)),
         box((x0, 0, Z0 - REVEAL), (x1, y0, Z0 + 0.01)),
     ]
-    inner = _reveal((x0, y0), (x1, y1), lambda u, v, w: (u, v, Z0 - w))
+    inner = reveal((x0, y0), (x1, y1), REVEAL, lambda u, v, w: (u, v, Z0 - w))
     white = plain("f1eee6", 0.01)
     handle = join(
         box((middle - 0.040, 0.98, z + 0.045), (middle - 0.022, 1.12, z + 0.050)),
@@ -165,7 +166,7 @@ def window() -> list[Surface]:
         for low, high in ((y0, y0 + 0.06), (y0 + 0.80, y0 + 0.825), (y1 - 0.06, y1)):
             bars.append(box((x + 0.004, low, a + 0.05), (x + 0.041, high, b - 0.05)))
     sill = box((X0 - REVEAL, y0 - 0.03, z0 - 0.05), (X0 + 0.07, y0, z1 + 0.05))
-    inner = _reveal((z0, y0), (z1, y1), lambda u, v, w: (X0 - w, v, u), flip=True)
+    inner = reveal((z0, y0), (z1, y1), REVEAL, lambda u, v, w: (X0 - w, v, u), flip=True)
     white = plain("f1eee6", 0.01)
     return [
         Surface("window", join(*bars), white, 0.018, emission=FILL_LIGHT),
@@ -206,22 +207,6 @@ def _board_ends(column: int) -> np.ndarray:
     return np.array([Z0, first, first + 1.1 + 0.6 * hash_uniform(np.array(column), 2), Z1])
 
 
-def _sheet(span, heights, holes, to_room) -> Mesh:
-    """Wall mesh over `span` along it and `heights`, without `holes` (along from, to, up from, to)."""
-    low, high = min(span), max(span)
-    bottom, top = heights
-    holes = [(*np.clip((a, b), low, high), *np.clip((c, d), bottom, top)) for a, b, c, d in holes]
-    u = np.unique([low, high, *(h for hole in holes for h in hole[:2])])[:: 1 if span[0] < span[1] else -1]
-    v = np.unique([bottom, top, *(h for hole in holes for h in hole[2:])])
-    mesh = grid_mesh(np.array([[to_room(a, b) for b in v] for a in u]))
-    centre = mesh.vertices[mesh.faces].mean(1)
-    along = centre @ np.abs(np.sign(np.array(to_room(1.0, 0.0)) - to_room(0.0, 0.0)))
-    inside = np.zeros(len(centre), bool)
-    for a, b, c, d in holes:
-        inside |= (along > a) & (along < b) & (centre[:, 1] > c) & (centre[:, 1] < d)
-    return Mesh(mesh.vertices, mesh.faces[~inside])
-
-
 def _bars(panels) -> list[tuple[float, float, float, float]]:
     """The four bars (along from, to, up from, to) of each panel frame."""
     v0, v1 = PANEL_Y
@@ -251,14 +236,3 @@ def _in_room(mesh: Mesh) -> Mesh:
     v = mesh.vertices[mesh.faces]
     out = ((v <= low + 1e-9).all(1) | (v >= high - 1e-9).all(1)).any(1)
     return Mesh(mesh.vertices.clip(low, high), mesh.faces[~out])
-
-
-def _reveal(low, high, to_wall, flip: bool = False) -> Mesh:
-    """The four inner faces of an opening, `REVEAL` deep."""
-    (u0, v0), (u1, v1) = low, high
-    loop = [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
-    meshes = []
-    for (a, b), (c, d) in zip(loop, loop[1:] + loop[:1], strict=True):
-        p, q, r = (np.array(to_wall(*t)) for t in ((a, b, 0), (c, d, 0), (a, b, REVEAL)))
-        meshes.append(quad(p, q - p, r - p) if not flip else quad(p, r - p, q - p))
-    return join(*meshes)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import sys
 
-from commands.parser import build_parser
+from commands.parser import build_parser, check_options
 from commands.play import open_session
 from core.errors import BadInput
 from core.runtime import is_out_of_memory
@@ -19,8 +19,10 @@ def main(argv: list[str] | None = None) -> int:
     for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
             argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
-    args = build_parser(__doc__, play).parse_args(argv)
     try:
+        parser = build_parser(__doc__, play)
+        check_options(parser, argv)
+        args = parser.parse_args(argv)
         return args.run(args) or 0
     except BadInput as e:
         print(f"vrgs: {' '.join(str(e).split())}", file=sys.stderr)

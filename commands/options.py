@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 
 from render import SORTS
+from scenes.scene_options import SceneOption
 
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
@@ -78,3 +80,28 @@ def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
     parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, **(suppress or {"default": "adaptive"}))
     text = f"{prefix}separate pieces each get a cage and become bodies of their own (default: the largest alone)"
     parser.add_argument("--pieces", action="store_true", help=text, **suppress)
+
+
+def add_scene_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of all scenes, each once; their values become `options`, a dict by the parameter's name."""
+    from scenes import registry
+
+    takers: dict[str, list[tuple[str, SceneOption]]] = {}
+    for demo in registry.demos():
+        for option in demo.options:
+            takers.setdefault(option.name, []).append((demo.name, option))
+    group = parser.add_argument_group("options of scenes")
+    for name, uses in takers.items():
+        says = "; ".join(f"{scene}: {option.choice_text}" for scene, option in uses)
+        try:
+            group.add_argument(uses[0][1].flag, dest=name, action=SetSceneOption, metavar="X", help=says)
+        except argparse.ArgumentError:
+            scenes = ", ".join(scene for scene, _ in uses)
+            print(f"vrgs: {scenes}: {uses[0][1].flag} means something else already: rename it", file=sys.stderr)
+
+
+class SetSceneOption(argparse.Action):
+    """Keep the text of a scene's option in the dict `options`."""
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        namespace.options = {**(namespace.options or {}), self.dest: values}

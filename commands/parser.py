@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 from collections.abc import Callable
 
 from commands import bench, build, convert, materials, physics_check, play, prepare, render, scenes, tune, view
+from core.errors import BadInput
 
 COMMANDS = {
     "scenes": scenes,
@@ -42,3 +44,15 @@ def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -
         sub.set_defaults(run=module.run)
         module.add_arguments(sub)
     return parser
+
+
+def check_options(parser: argparse.ArgumentParser, argv: list[str]) -> None:
+    """Raise BadInput for an option of playing that there is not: argparse would take what follows for a command."""
+    known = parser._option_string_actions
+    for text in argv:
+        if text in COMMANDS:
+            return
+        flag = text.partition("=")[0]
+        if flag.startswith("--") and not any(name.startswith(flag) for name in known):
+            near = difflib.get_close_matches(flag, known, 1)
+            raise BadInput(f"there is no option {flag}" + (f"; {near[0]}?" if near else "; see vrgs.py --help"))

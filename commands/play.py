@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from commands.options import add_arch, add_preparation, add_sort, positive, render_scale, size
+from commands.options import add_arch, add_preparation, add_scene_options, add_sort, positive, render_scale, size
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
@@ -70,12 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     again.add_argument("--replay", type=Path, metavar="FILE.h5", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     text = "sandbox, just_dance: splat file or prepared asset to play with"
-    parser.add_argument("--body", metavar="FILE", help=text)
+    parser.add_argument("--body", metavar="FILE", action="append", help=text)
     text = "sandbox: a room to play in, a splat or prepared with --static"
     parser.add_argument("--stage", metavar="ROOM", help=text)
     text = "material of --body (default: the asset's own; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
     add_preparation(parser, "--body: ")
+    parser.set_defaults(options=None)
+    add_scene_options(parser)
 
 
 class Session:
@@ -152,11 +154,11 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
     """The scene with the options' body, material and room, prepared if they are splat files. Raises BadInput."""
     from scenes import registry
 
-    body, stage = prepared_body(args), prepared_stage(args)
+    bodies, stage = prepared_bodies(args), prepared_stage(args)
     material = args.material
     if replay and material is None:
-        material = replay.implied_material(args.scene, body)
-    return registry.load(args.scene, body=body, material=material, stage=stage)
+        material = replay.implied_material(args.scene, bodies[0] if bodies else None)
+    return registry.load(args.scene, body=bodies, material=material, stage=stage, **(args.options or {}))
 
 
 def open_replay(args: argparse.Namespace) -> Replay | None:
@@ -224,26 +226,47 @@ def open_film(args: argparse.Namespace, display: Display):
     return contextlib.closing(FilmWriter(args.record, *display.size))
 
 
-def prepared_body(args: argparse.Namespace) -> str | None:
-    """The asset of --body: an asset as it is, a splat prepared and cached."""
-    if args.body is None:
+def prepared_bodies(args: argparse.Namespace) -> list[str]:
+    """The asset of each --body: an asset as it is, a splat prepared and cached.
+
+    Where no number of vertices is asked for, args.vertices becomes that of the only splat, or theirs in a list.
+    """
+    if not args.body:
         if args.up is not None or args.scale is not None or args.pieces:
             raise BadInput("--up, --scale and --pieces belong to --body FILE")
-        return None
+        return []
+    splats = [name for name in args.body if not is_asset(name)]
+    asked = args.vertices if isinstance(args.vertices, list) else [args.vertices] * len(splats)
+    if len(asked) != len(splats):
+        raise BadInput(f"there are numbers of vertices for {len(asked)} bodies, not for {len(splats)}")
+    made = {}
+    for k, name in enumerate(splats):
+        made[name], asked[k] = prepared_body(Path(name), args, asked[k])
+    if splats:
+        args.vertices = asked[0] if len(asked) == 1 else asked
+    return [made.get(name, name) for name in args.body]
+
+
+def is_asset(name: str) -> bool:
+    """Tell whether a body or room is an asset already: a shipped one, or an .h5 file."""
     from assets.library import SHIPPED_FOLDER
+
+    return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
+
+
+def prepared_body(path: Path, args: argparse.Namespace, vertices: int | None) -> tuple[str, int]:
+    """The asset of a splat file, and its number of vertices."""
     from commands.prepare import cached_body
 
-    path = Path(args.body)
-    if (SHIPPED_FOLDER / f"{args.body}.h5").is_file() or path.suffix.lower() == ".h5":
-        return args.body
     if not path.is_file():
         raise BadInput(f"{path}: no such file")
-    return str(cached_body(path, args))
+    own = argparse.Namespace(**{**vars(args), "vertices": vertices})
+    return str(cached_body(path, own)), own.vertices
 
 
 def prepared_stage(args: argparse.Namespace) -> str | None:
     """The asset of --stage: an asset as it is, a splat prepared and cached."""
-    if args.stage is None or Path(args.stage).suffix.lower() == ".h5":
+    if args.stage is None or is_asset(args.stage):
         return args.stage
     from commands.prepare import cached_environment
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-HELP = "list the demos"
+HELP = "list the demos and their options"
 EXAMPLES = ("scenes",)
 
 
@@ -13,8 +13,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> None:
-    """Print each scene's name and what it is, or why it cannot be played."""
+    """Print each scene's name, what it is and its options, or why it cannot be played."""
     from scenes import registry
 
     for demo in registry.demos():
-        print(f"{demo.name:14} {demo.summary if demo.build else f'cannot be played: {demo.fault}'}")
+        print(f"{demo.name:16} {demo.summary if demo.build else f'cannot be played: {demo.fault}'}")
+        for option in demo.options:
+            print(f"{'':16} {option.flag}: {option.choice_text}")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import scenes
 from core.errors import BadInput
+from scenes.scene_options import SceneOption, options_of
 
 if TYPE_CHECKING:
     from scenes.scene import Scene
@@ -18,12 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Demo:
-    """A scene file: its name, the first line of its docstring, and its `build`; or the `fault` that it has."""
+    """A scene file: its name, the first line of its docstring, `build` and its options; or the `fault` that it has."""
 
     name: str
     summary: str = ""
     build: Callable[..., Scene] | None = None
     fault: str = ""
+    options: list[SceneOption] = field(default_factory=list)
 
 
 def demo(name: str) -> Demo | None:
@@ -37,7 +39,11 @@ def demo(name: str) -> Demo | None:
         return None
     if not callable(build):
         return Demo(name, fault="it has no function build")
-    return Demo(name, (module.__doc__ or "(no description)").strip().splitlines()[0], build)
+    try:
+        options = options_of(build)
+    except Exception as e:  # type hints are evaluated
+        return Demo(name, fault=" ".join(f"{e}".split()))
+    return Demo(name, (module.__doc__ or "(no description)").strip().splitlines()[0], build, options=options)
 
 
 def demos() -> list[Demo]:
@@ -51,15 +57,25 @@ def names() -> list[str]:
     return [d.name for d in demos() if d.build is not None]
 
 
-def load(name: str, **options) -> Scene:
-    """Build the scene; options that are None count as not given. Raises BadInput, also for options it does not take."""
+def load(name: str, /, *, body: str | Sequence[str] | None = None, **options) -> Scene:
+    """Build the scene with the user's bodies and options; those that are None count as not given. Raises BadInput."""
     found = demo(name) if name in {m.name for m in pkgutil.iter_modules(scenes.__path__)} else None
     if found is None:
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:
         raise BadInput(f"the scene {name} cannot be played: {found.fault}")
-    options = {key: value for key, value in options.items() if value is not None}
-    unknown = set(options) - set(inspect.signature(found.build).parameters)
-    if unknown:
-        raise BadInput(f"the scene {name} takes no --{sorted(unknown)[0]}")
-    return found.build(**options)
+    bodies = [body] if isinstance(body, str) else list(body or ())
+    taken = inspect.signature(found.build).parameters
+    known = {option.name: option for option in found.options}
+    values = {}
+    for key, given in options.items():
+        if given is None:
+            continue
+        if key not in taken:
+            raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}")
+        values[key] = known[key].value(given, name) if key in known else given
+    if bodies and "body" not in taken:
+        raise BadInput(f"the scene {name} takes no --body")
+    if len(bodies) > 1:
+        raise BadInput(f"the scene {name} takes one --body")
+    return found.build(**values, **({"body": bodies[0]} if bodies else {}))

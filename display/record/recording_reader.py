@@ -24,7 +24,9 @@ CHOICES = {
     "cells": ("adaptive", "uniform"),
     "up": ("+x", "-x", "+y", "-y", "+z", "-z"),
 }
-KINDS = {"seed": (int,), "vertices": (int,), "scale": (int, float), "pieces": (bool,)}  # the others are texts
+KINDS = {"seed": (int,), "vertices": (int, list), "scale": (int, float), "pieces": (bool,)}  # the others are texts
+KINDS |= {"body": (str, list), "options": (dict,)}
+BODIES_MAX = 64
 
 
 def checked_about(text: str) -> dict:
@@ -45,7 +47,15 @@ def checked_about(text: str) -> dict:
     for key, choices in CHOICES.items():
         if any(value not in (None, *choices) for value in (about.get(key), world.get(key))):
             raise BadInput(f"its {key} is none that there is")
-    numbers = [value for key in ("vertices", "scale") if (value := about.get(key)) is not None]
+    vertices, bodies, own = about.get("vertices"), about.get("body"), about.get("options") or {}
+    if isinstance(bodies, list) and not (len(bodies) <= BODIES_MAX and all(type(b) is str for b in bodies)):
+        raise BadInput(f"its body cannot be {str(bodies)[:60]!r}")
+    each = vertices if isinstance(vertices, list) else []
+    if not all(type(v) is int for v in each):
+        raise BadInput(f"its vertices cannot be {str(vertices)[:60]!r}")
+    if not all(isinstance(key, str) and isinstance(value, (bool, int, float, str)) for key, value in own.items()):
+        raise BadInput("the options of its scene make no sense")
+    numbers = [v for v in (*(each or [vertices]), about.get("scale")) if v is not None]
     if not all(0 < value < 1e9 for value in numbers):
         raise BadInput("its vertices or its scale cannot be")
     return about

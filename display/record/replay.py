@@ -54,6 +54,8 @@ class Replay:
         for key in OPTIONS:
             if key in self.about:
                 setattr(args, key, self.about[key])
+        if isinstance(args.body, str):  # until version 2
+            args.body = [args.body]
         args.arch = args.arch or self.about.get("arch")
 
     def world_options(self, options: dict) -> dict:

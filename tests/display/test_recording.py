@@ -30,7 +30,7 @@ from display.protocol import (
     Undo,
 )
 from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
-from display.record.recording import Recording
+from display.record.recording import VERSION, Recording
 from display.record.replay import Replay, fitted
 from scenes.scene import BodyState, Hand, Light, Touch
 
@@ -275,7 +275,7 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, caps
     assert said == ["", "replayed 24 frames, largest difference 0 m\n"] and film.exists()
     assert all(np.array_equal(a, b) for a, b in zip(*ends, strict=True))
     replay = Replay.load(file)
-    assert replay.about["interaction"] == "physics" and replay.version == 2
+    assert replay.about["interaction"] == "physics" and replay.version == VERSION
     assert any(f.hands[0].grip for f in replay.recorded)
     first, *_, last = (centroids[0, 1] for _, centroids in sorted(replay.states.items()))
     assert last > first + 0.02

@@ -123,7 +123,7 @@ SPOILED = {
     "no JSON": attribute("about", "{"),
     "which scene": attribute("about", "[]"),
     "its seed cannot": about(seed="x"),
-    "its body cannot": about(body=["a"]),
+    "its body cannot": about(body=["a", 2]),
     "its arch is none": about(arch="tpu"),
     "its sort is none": about(world={"sort": "quick"}),
     "options of its world": about(world={"sort": [1]}),

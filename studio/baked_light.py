@@ -6,66 +6,35 @@ looked up in a coarse set of surfels whose radiosity has been solved before (Gor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from studio.light_sources import LightSources
 from studio.shapes import Surface
-from studio.surface_sampling import EYE, Surfels
-from studio.textures import smoothstep
+from studio.surface_sampling import Surfels, Viewer
 
 RAY_OFFSET = 1.5e-3  # [m] of ray origins above the surface
 LOOKUP_OFFSET = 0.02  # [m] of look-up points off the surface, which separates the two sides of a board
 RAY_BATCH = 1_000_000  # rays at a time
 COVERED_RAY_FRACTION = 0.92  # of short rays at a covered point; the rest may pass between faces that touch
 BOUNCES = 5
+SUN_RAYS = 8
 SHORT_RAY = 0.012  # [m] rays that end sooner (or within a Gaussian's width) count as short
-
-
-@dataclass(frozen=True)
-class Opening:
-    """Parallelogram through which daylight enters: corner and two edges [m]."""
-
-    corner: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """Luminous sphere: centre [m], radius [m] and radiant intensity per steradian, linear RGB."""
-
-    centre: np.ndarray
-    radius: float
-    intensity: np.ndarray
-
-
-SUN = np.array([0.50, -0.66, 0.62]) / np.linalg.norm([0.50, -0.66, 0.62])  # direction of travel
-SUN_IRRADIANCE = np.array([1.0, 0.86, 0.66]) * 22
-SUN_SPREAD = 0.018  # [rad] wider than the real sun, as through thin cloud
-
-
-def sky_radiance(direction: np.ndarray) -> np.ndarray:
-    """Radiance (N, 3) seen through an opening in directions (N, 3): bright sky over a garden."""
-    up = direction[:, 1:2]
-    sky = np.array([3.6, 4.2, 5.0]) * (1 + 0.35 * np.clip(up, 0, 1))
-    garden = np.array([1.5, 1.7, 1.1])
-    return garden + (sky - garden) * smoothstep(-0.02, 0.12, up)
 
 
 class BakedLight:
     """Ray casting against `surfaces`, their light sources, and the solved interreflection between them.
 
+    `viewer` says which side of a thin sheet is seen.
     The radiosity is solved on `coarse` surfels with albedos `albedo` (N, 3); `rng` draws the rays for that.
     """
 
     def __init__(
         self,
         surfaces: list[Surface],
-        openings: list[Opening],
-        lamps: list[Lamp],
+        sources: LightSources,
+        viewer: Viewer,
         coarse: Surfels,
         albedo: np.ndarray,
         rng: np.random.Generator,
@@ -74,7 +43,7 @@ class BakedLight:
 
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
-        self._openings, self._lamps = openings, lamps
+        self._sources, self._viewer = sources, viewer
         emission, sheet = [], []
         for surface in surfaces:
             if not surface.blocks_light:
@@ -105,7 +74,9 @@ class BakedLight:
                 surfels.points[sheet], -surfels.normals[sheet], rays, near[sheet], rng
             )
             t = translucency[sheet, None]
-            facing = (((np.asarray(EYE) - surfels.points[sheet]) * surfels.normals[sheet]).sum(1) > 0)[:, None]
+            facing = (((np.asarray(self._viewer.eye) - surfels.points[sheet]) * surfels.normals[sheet]).sum(1) > 0)[
+                :, None
+            ]
             here, there = np.where(facing, front[sheet], back), np.where(facing, back, front[sheet])
             front[sheet] = (1 - t) * here + t * there
             hidden[sheet] = False
@@ -143,7 +114,7 @@ class BakedLight:
             t, geometry, normal = self._cast_rays(o, d)
             hit = np.isfinite(t)
             incident = np.zeros((len(o), 3))
-            incident[~hit] = sky_radiance(d[~hit])
+            incident[~hit] = self._sources.sky(d[~hit])
             incident[hit] = self._emission[geometry[hit]]
             valid = hit & ((normal * d).sum(1) < 0)
             near = self._tree.query((o + t[:, None] * d + LOOKUP_OFFSET * normal)[valid], workers=2)[1]
@@ -205,7 +176,10 @@ class BakedLight:
         t, geometry, normal = self._cast_rays(o, d)
         hit = np.isfinite(t)
         behind = hit & ((normal * d).sum(1) >= 0)
-        emitted = np.where(hit[:, None], self._emission[geometry], 0).reshape(n, rays, 3).sum(1) * (np.pi / rays)
+        emitted = np.where(hit[:, None], self._emission[geometry], 0)
+        if self._sources.openings is None:
+            emitted[~hit] = self._sources.sky(d[~hit])
+        emitted = emitted.reshape(n, rays, 3).sum(1) * (np.pi / rays)
         valid = np.flatnonzero(hit & ~behind)
         source = tree.query(o[valid] + t[valid, None] * d[valid] + LOOKUP_OFFSET * normal[valid], workers=2)[1]
         matrix = csr_matrix((np.full(len(valid), np.pi / rays), (valid // rays, source)), (n, tree.n))
@@ -215,7 +189,7 @@ class BakedLight:
         """Irradiance (N, 3) from openings (`samples` squared points each), sun and lamps."""
         total = np.zeros((len(points), 3))
         origins = points + RAY_OFFSET * normals
-        for opening in self._openings:
+        for opening in self._sources.openings or ():
             face = np.cross(opening.a, opening.b)
             for i in range(samples**2):
                 u = (i % samples + rng.random((len(points), 1))) / samples
@@ -224,18 +198,20 @@ class BakedLight:
                 square = (d * d).sum(1, keepdims=True)
                 d /= np.sqrt(square)
                 weight = (normals * d).sum(1).clip(0) * np.abs(d @ face) / np.maximum(square[:, 0], 0.01)
-                self._add_unoccluded(total, origins, d, np.inf, weight[:, None] * sky_radiance(d) / samples**2)
-        for _ in range(8):
-            d = -SUN + SUN_SPREAD * rng.normal(size=points.shape)
+                self._add_unoccluded(total, origins, d, np.inf, weight[:, None] * self._sources.sky(d) / samples**2)
+        sun = self._sources.sun
+        for _ in range(SUN_RAYS if sun is not None else 0):
+            d = sun.spread * rng.normal(size=points.shape) - sun.direction
             d /= np.linalg.norm(d, axis=1, keepdims=True)
-            self._add_unoccluded(total, origins, d, np.inf, (normals * d).sum(1).clip(0)[:, None] * SUN_IRRADIANCE / 8)
-        for lamp in self._lamps:
+            light = (normals * d).sum(1).clip(0)[:, None] * sun.irradiance / SUN_RAYS
+            self._add_unoccluded(total, origins, d, np.inf, light)
+        for lamp in self._sources.lamps:
             for _ in range(10):
                 d = lamp.centre + lamp.radius * _random_directions(rng, len(points)) - origins
                 far = np.linalg.norm(d, axis=1)
                 d /= far[:, None]
                 weight = (normals * d).sum(1).clip(0) / np.maximum(far, 0.05) ** 2
-                self._add_unoccluded(total, origins, d, far, weight[:, None] * lamp.intensity / 10)
+                self._add_unoccluded(total, origins, d, far, weight[:, None] * lamp.towards(-d) / 10)
         return total
 
     def _add_unoccluded(self, total, origins, directions, far, light) -> None:

@@ -10,9 +10,10 @@ from assets.formats.gltf_skin import Rig
 from prepare.rig.joint_names import SIDES
 from prepare.rig.landmarks import NAMES, Landmarks
 from prepare.rig.retargeting import BONES, PARENTS
+from studio.detail import Detail
 from studio.finish import flat_sh, sample_albedo, sharpened, to_gaussians, tone_map
 from studio.shapes import Mesh, Surface, superellipsoid, tube
-from studio.surface_sampling import join_surfels, sample_surface
+from studio.surface_sampling import sample_surfaces
 from studio.textures import plain
 
 HEIGHT = 0.34  # [m]
@@ -123,18 +124,18 @@ def dance_rig(at: dict[str, np.ndarray]) -> Rig:
     return Rig(list(BONES), PARENTS, np.arange(len(BONES)), inverse, rest, frames, FPS, "from side to side")
 
 
-def dancer(rng: np.random.Generator) -> Asset:
+def dancer(rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset `dancer`. Taichi must be running."""
     from prepare.pipeline import Options, prepare
     from prepare.rig.rigging import animate_person
 
     at = joint_positions()
     surfaces = body_surfaces(at)
-    c = join_surfels([sample_surface(surface, i, rng) for i, surface in enumerate(surfaces)])
+    c = sample_surfaces(surfaces, rng, detail)
     lit = 0.72 + 0.3 * c.normals[:, 1] + 0.12 * c.normals[:, 2]
     colour = sharpened(c, tone_map(1.1 * sample_albedo(c, surfaces, rng) * lit.clip(0.35)[:, None]))
     solids = []
-    options = Options(vertices=VERTICES, up="+y", material="flesh")
+    options = Options(vertices=detail.cage_vertices(VERTICES), up="+y", material="flesh")
     asset = prepare(to_gaussians(c, flat_sh(colour), np.ones(len(c))), options, look=solids.append)
     normalised = asset.provenance  # scale and offset that `prepare` applied
     points = {n: normalised["metres_per_unit"] * at[n] + normalised["moved"] for n in NAMES}

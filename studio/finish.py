@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from assets.gaussians import SH_COUNTS, Gaussians
 from core.spherical_harmonics import C0, sh_basis
 from studio.shapes import Surface
-from studio.surface_sampling import EYES, Surfels
+from studio.surface_sampling import Surfels, Viewer
 
 TEXTURE_SAMPLES = 6  # under each Gaussian
 EXPOSURE, WHITE_POINT = 1.5, 3.2  # radiance times exposure that maps to 1
@@ -26,9 +26,9 @@ SPHERE_VIEWS, PLAYER_VIEWS = 96, 64  # directions that colours are fitted to: al
 SOLVE_BATCH = 4096  # Gaussians at a time
 
 
-def tone_map(radiance: np.ndarray) -> np.ndarray:
+def tone_map(radiance: np.ndarray, exposure: float = EXPOSURE) -> np.ndarray:
     """Display colour in 0..1 of linear radiance: a soft shoulder towards white (Reinhard 2002, eq. 4), then sRGB."""
-    x = EXPOSURE * np.maximum(radiance, 0) * WARMTH
+    x = exposure * np.maximum(radiance, 0) * WARMTH
     x = np.clip(x * (1 + x / WHITE_POINT**2) / (1 + x), 0, 1)
     x = np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
     return np.clip(x + CONTRAST * x * (1 - x) * (2 * x - 0.9), 0, 1)
@@ -80,12 +80,17 @@ def flat_sh(colours: np.ndarray) -> np.ndarray:
     return ((colours - 0.5) / C0)[:, None]
 
 
-def view_directions(at) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (M, 3) from cameras to the point `at`, and their weights (M,)."""
+def all_directions() -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (M, 3) all around, and equal weights (M,): for things that turn, of which no view counts more."""
     i = np.arange(SPHERE_VIEWS) + 0.5  # Fibonacci sphere
     z, a = 1 - 2 * i / SPHERE_VIEWS, np.pi * (1 + 5**0.5) * i
-    sphere = np.stack([np.sqrt(1 - z * z) * np.cos(a), np.sqrt(1 - z * z) * np.sin(a), z], 1)
-    low, high = np.min(EYES, axis=0), np.max(EYES, axis=0)
+    return np.stack([np.sqrt(1 - z * z) * np.cos(a), np.sqrt(1 - z * z) * np.sin(a), z], 1), np.ones(SPHERE_VIEWS)
+
+
+def view_directions(at, viewer: Viewer) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (M, 3) from cameras to the point `at`, and their weights (M,): all around, and the viewer's."""
+    sphere, _ = all_directions()
+    low, high = np.min(viewer.corners, axis=0), np.max(viewer.corners, axis=0)
     fraction = (np.arange(1, PLAYER_VIEWS + 1)[:, None] * [0.8191725, 0.6710436, 0.5497005]) % 1  # R3 sequence
     from_player = np.asarray(at) - (low + fraction * (high - low))
     from_player /= np.linalg.norm(from_player, axis=1, keepdims=True)

@@ -6,18 +6,18 @@ import numpy as np
 
 from assets.asset import Asset, Cage, CageEmbedding
 from core.material import Material
+from studio.detail import Detail
 from studio.finish import (
-    SPHERE_VIEWS,
+    all_directions,
     fit_view_dependence,
     sample_albedo,
     sharpened,
     to_gaussians,
     tone_map,
-    view_directions,
 )
 from studio.shapes import Surface, grid_mesh
 from studio.solids import sample_distance_grid, torus
-from studio.surface_sampling import Surfels, join_surfels, sample_surface
+from studio.surface_sampling import Surfels, sample_surfaces
 from studio.textures import plain
 
 RING_MAJOR, RING_TUBE = 0.08, 0.015  # [m] radii of the torus
@@ -32,12 +32,12 @@ STRIPES = 6  # light bands around the tube
 STRIPE_WIDTH = 0.009  # [m] along the ring
 
 
-def ring(name: str, rng: np.random.Generator) -> Asset:
+def ring(name: str, rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset `ring_red`, `ring_blue` or `ring_yellow`. Taichi must be running."""
     from prepare.cage.embedding_hosts import embed
 
     surfaces = torus_surfaces(name)
-    c = join_surfels([sample_surface(surface, i, rng) for i, surface in enumerate(surfaces)])
+    c = sample_surfaces(surfaces, rng, detail)
     sh = _rubber_sheen(c, surfaces, rng)
     g = to_gaussians(c, sh, np.ones(len(c)))
     cage = torus_cage()
@@ -120,9 +120,6 @@ def _rubber_sheen(c: Surfels, surfaces: list[Surface], rng: np.random.Generator)
     lit = 0.58 + 0.45 * np.abs(c.normals[:, 1]) + 0.17 * (c.normals * outward).sum(1)
     base = sharpened(c, tone_map(1.12 * base * lit[:, None]))
 
-    views, _ = view_directions((0.0, 0.0, 0.0))
-    all_around = views[:SPHERE_VIEWS], np.ones(SPHERE_VIEWS)  # the ring turns: no view counts more
-
     def colour(cosine):
         grazing = (1 - cosine) ** 3
         gleam = np.exp(-(((1 - cosine) / 0.10) ** 2))
@@ -131,7 +128,7 @@ def _rubber_sheen(c: Surfels, surfaces: list[Surface], rng: np.random.Generator)
             + (0.13 * grazing + 0.10 * gleam)[..., None]
         )
 
-    return fit_view_dependence(c.normals, colour, 2, all_around)
+    return fit_view_dependence(c.normals, colour, 2, all_directions())
 
 
 def _rounded_weights(weights: np.ndarray) -> np.ndarray:

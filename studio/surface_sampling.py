@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from studio.detail import SHIPPED, Detail
 from studio.edge_sampling import (
     CREASE_COSINE,
     clip_to_edges,
@@ -18,13 +19,26 @@ from studio.edge_sampling import (
 )
 from studio.shapes import Mesh, Surface, welded
 
-EYE = (0.0, 1.5, 1.3)  # [m] where the player stands; reflections are baked for this point
-# Corners of the space that the player's head moves in [m]; surfaces that face none of them are sampled coarsely.
-EYES = ((-1.1, 1.15, 1.0), (1.1, 1.15, 1.0), (-1.1, 1.9, 1.9), (1.1, 1.9, 1.9), (0.0, 1.6, 0.7))
 CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
 SIGMA_OVER_SPACING = 0.95  # closes the surface even where neighbours are farthest apart
 RADIUS_RATIO = 1.3  # sampling radii are rounded down to powers of this
 MIN_SPACING_RATIO = 0.55  # lower bound of the spacing on thin tubes, over the surface's own
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Where a room is seen from.
+
+    eye      where the player stands [m]; reflections are baked for this point, and surfels are densest near it
+    corners  of the space that the player's head moves in [m]; surfaces that face none of them are sampled coarsely
+    """
+
+    eye: tuple[float, float, float]
+    corners: tuple[tuple[float, float, float], ...]
+
+    def sees(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Mask (N,) of the points whose surface faces at least one of the corners."""
+        return np.max([((np.asarray(e) - points) * normals).sum(1) for e in self.corners], axis=0) > 0
 
 
 @dataclass(frozen=True)
@@ -56,7 +70,33 @@ def join_surfels(sets: list[Surfels]) -> Surfels:
     return Surfels(*(np.concatenate([getattr(c, f.name) for c in sets]) for f in fields(Surfels)))
 
 
-def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Surfels:
+def sample_surfaces(
+    surfaces: list[Surface], rng: np.random.Generator, detail: Detail = SHIPPED, viewer: Viewer | None = None
+) -> Surfels:
+    """Surfels of all surfaces. Without a viewer all surfaces must be `uniform`, as those of things that move."""
+    ratio = _spacing_ratio(surfaces, detail.gaussians, viewer)
+    scaled = [replace(s, spacing=ratio * s.spacing) for s in surfaces]
+    return join_surfels([sample_surface(s, i, rng, viewer) for i, s in enumerate(scaled)])
+
+
+def _spacing_ratio(surfaces: list[Surface], factor: float, viewer: Viewer | None) -> float:
+    """Factor on all spacings that multiplies the number of surfels by `factor`.
+
+    At x times the density along a line, faces hold a x^2 and edges b x surfels: two coarse samplings tell a and b.
+    """
+    if factor == 1:
+        return 1.0
+    densities = np.array([1.0, 0.5] if factor > 1 else [0.5, 0.25])
+    counts = []
+    for x in densities:
+        rng = np.random.default_rng(0)
+        counts.append(sum(len(sample_surface(replace(s, spacing=s.spacing / x), 0, rng, viewer)) for s in surfaces))
+    a, b = np.linalg.solve(np.stack([densities**2, densities], 1), counts)
+    wanted = factor * (a + b)
+    return float(2 * a / (np.sqrt(b * b + 4 * a * wanted) - b))
+
+
+def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewer: Viewer | None = None) -> Surfels:
     """Surfels of one surface, numbered `index`; denser near the player and where the player can look.
 
     Works in a space compressed along the grain, in which elongated Gaussians are round.
@@ -69,7 +109,7 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Su
     world = surface.world
     edges = edges_of(Mesh(world.vertices @ compress, world.faces))
     edge_normals = _unit(edges.normals @ compress)  # in the world: normals transform by the inverse transpose
-    edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ stretch, edge_normals, surface)
+    edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ stretch, edge_normals, surface, viewer)
     edge_points = points_along(edges, edge_spacing)
 
     mesh = _subdivided(world, 12 * surface.spacing)
@@ -77,7 +117,7 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Su
     corner_normals = _unit(_corner_normals(mesh, normal) @ stretch)
     v = (mesh.vertices @ compress)[mesh.faces]
     spacing = np.minimum(
-        _spacing(centre, normal, surface),
+        _spacing(centre, normal, surface, viewer),
         _curvature_limit(v, corner_normals, surface.spacing).clip(MIN_SPACING_RATIO * surface.spacing),
     )
     area = 0.5 * np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
@@ -109,15 +149,16 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator) -> Su
     return Surfels(p @ stretch, normals, tangents, sigma, np.full(len(p), index))
 
 
-def _spacing(points: np.ndarray, normals: np.ndarray, surface: Surface) -> np.ndarray:
+def _spacing(points: np.ndarray, normals: np.ndarray, surface: Surface, viewer: Viewer | None) -> np.ndarray:
     """Spacing (N,) [m]: grows with the distance to the player, doubles where the player cannot look."""
     if surface.uniform:
         return np.full(len(points), surface.spacing)
-    distance = np.linalg.norm(points - np.asarray(EYE), axis=1)
+    if viewer is None:
+        raise ValueError(f"{surface.name}: a surface without a viewer must be uniform")
+    distance = np.linalg.norm(points - np.asarray(viewer.eye), axis=1)
     factor = np.clip(distance / 1.5, 0.85, 2.6)
     if surface.translucency is None:
-        facing = np.max([((np.asarray(e) - points) * normals).sum(1) for e in EYES], axis=0)
-        factor = factor * np.where(facing < 0, 2.0, 1.0)
+        factor = factor * np.where(viewer.sees(points, normals), 1.0, 2.0)
     return surface.spacing * factor
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from assets.asset import Asset
 from core.spherical_harmonics import C0
 from studio.baked_light import RAY_OFFSET, BakedLight
+from studio.detail import Detail
 from studio.dining_room.furniture import TABLE_TOP
 from studio.finish import (
     fit_view_dependence,
@@ -19,7 +20,7 @@ from studio.finish import (
 )
 from studio.shapes import Mesh, Surface, grid_mesh, lathe, smooth_curve
 from studio.solids import revolved, sample_distance_grid
-from studio.surface_sampling import Surfels, join_surfels, sample_surface
+from studio.surface_sampling import Surfels, join_surfels, sample_surfaces
 from studio.textures import mix, plain, smoothstep, srgb
 
 BOTTLE_AT = (0.0, TABLE_TOP, -0.15)  # [m] centre of its base in the room
@@ -73,18 +74,22 @@ def bottle_surfaces() -> list[Surface]:
     return [p.placed(position=BOTTLE_AT) for p in surfaces]
 
 
-def bottle(light: BakedLight, rng: np.random.Generator) -> Asset:
+def bottle(rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset `bottle`; its highlights reflect the room from where the bottle stands."""
-    surfaces = bottle_surfaces()
-    c = join_surfels([sample_surface(surfaces[0], 0, rng), sample_surface(surfaces[1], 1, rng), _label_surfels()])
+    from studio.dining_room.room_model import lit_dining_room
+
+    lit = lit_dining_room(detail, report)
+    light, surfaces = lit.light, bottle_surfaces()
+    label_spacing = detail.spacing(PRINT_SPACING)
+    c = join_surfels([sample_surfaces(surfaces[:2], rng, detail), _label_surfels(label_spacing)])
     behind = np.abs(np.arctan2(*(c.points - BOTTLE_AT)[:, [0, 2]].T)) < LABEL_HALF_ANGLE - 0.06
     height = c.points[:, 1] - BOTTLE_AT[1]
     c = c.select(~((c.surface == 0) & behind & (height > LABEL_Y[0] + 0.002) & (height < LABEL_Y[1] - 0.002)))
-    irradiance, _ = light.irradiance(c, surfaces, 160, rng)
+    irradiance, _ = light.irradiance(c, surfaces, detail.ray_count(160), rng)
     for _ in range(2):
         irradiance = smoothed(c, irradiance, 4.0, 60)
     diffuse = sample_albedo(c, surfaces, rng) * irradiance / np.pi
-    views = view_directions(np.asarray(BOTTLE_AT) + (0.0, 0.5 * BOTTLE_HEIGHT, 0.0))
+    views = view_directions(np.asarray(BOTTLE_AT) + (0.0, 0.5 * BOTTLE_HEIGHT, 0.0), lit.room.viewer)
     specular = _specular(c, light, views[0])
     sh = fit_view_dependence(c.normals, lambda cosine: tone_map(diffuse[:, None] + specular), 2, views)
     paper = c.surface == 2
@@ -126,17 +131,17 @@ def _label_mesh() -> Mesh:
     return grid_mesh(points)
 
 
-def _label_surfels() -> Surfels:
+def _label_surfels(spacing: float) -> Surfels:
     """The label's surfels on a regular grid, which keeps fine print straight."""
-    u = np.arange(-LABEL_HALF_ANGLE, LABEL_HALF_ANGLE, PRINT_SPACING / BODY_RADIUS)
-    u, y = (x.ravel() for x in np.meshgrid(u, np.arange(LABEL_Y[0] + PRINT_SPACING / 2, LABEL_Y[1], PRINT_SPACING)))
+    u = np.arange(-LABEL_HALF_ANGLE, LABEL_HALF_ANGLE, spacing / BODY_RADIUS)
+    u, y = (x.ravel() for x in np.meshgrid(u, np.arange(LABEL_Y[0] + spacing / 2, LABEL_Y[1], spacing)))
     normals = np.stack([np.sin(u), 0 * u, np.cos(u)], 1)
     points = (BODY_RADIUS + 0.0004) * normals + np.stack([0 * u, y, 0 * u], 1) + BOTTLE_AT
     return Surfels(
         points,
         normals,
         np.tile((0.0, 1.0, 0.0), (len(u), 1)),
-        np.full((len(u), 2), 0.72 * PRINT_SPACING),
+        np.full((len(u), 2), 0.72 * spacing),
         np.full(len(u), 2),
     )
 

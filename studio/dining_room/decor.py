@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studio.baked_light import Lamp
 from studio.dining_room.shell import DOOR_X, ROOM_HIGH, ROOM_LOW, WINDOW_Z, Z0
+from studio.light_sources import Lamp
 from studio.shapes import Surface, box, grid_mesh, join, lathe, quad, rotation_about, smooth_curve, superellipsoid, tube
 from studio.textures import WALNUT, cloth, fbm, mix, noise, plain, smoothstep, srgb, wood
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from studio.baked_light import Opening
+from studio.light_sources import Opening, Sun
 from studio.shapes import Mesh, Surface, box, join, quad
 from studio.textures import OAK, fbm, hash_uniform, mix, noise, plain, smoothstep, srgb, wood
 from studio.walls import reveal, wall_sheet
@@ -24,6 +24,8 @@ PANEL_Y, BAR_WIDTH = (0.21, 0.77), 0.022  # [m] height of the panel frames, widt
 FAR_PANELS = [(X0 + 0.10, DOOR_X[0] - 0.15), (DOOR_X[1] + 0.17, 0.62), (0.74, X1 - 0.12)]  # along x
 SIDE_PANELS = [(Z0 + 0.12, -1.15), (-1.03, 0.0), (0.12, 1.15), (1.27, Z1 - 0.12)]  # along z
 WHITE = "efebe2"
+SUNLIGHT = np.array([0.50, -0.66, 0.62])  # direction in which the sun's light travels
+SUN = Sun(SUNLIGHT / np.linalg.norm(SUNLIGHT), np.array([1.0, 0.86, 0.66]) * 22)
 FILL_LIGHT = (0.16, 0.16, 0.16)  # added to frames seen against the sky, like a photographer's fill light
 
 

@@ -1,6 +1,7 @@
 """The shipped assets, and the sampling of models with Gaussians."""
 
 from argparse import Namespace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,16 @@ from core.material import Material
 from core.rotation import matrices_from_quaternions
 from prepare.cage.mesh_quality import dihedral_angles
 from studio import solids
+from studio.catalogue import MODELS
+from studio.detail import Detail
 from studio.dining_room.bottle import BOTTLE_AT, BOTTLE_HEIGHT
 from studio.dining_room.furniture import TABLE_SIZE, TABLE_TOP
-from studio.dining_room.room_model import GRID_HIGH, GRID_LOW
+from studio.dining_room.room_model import GRID_HIGH, GRID_LOW, VIEWER
 from studio.dining_room.shell import ROOM_HIGH, ROOM_LOW
 from studio.finish import fit_view_dependence, flat_sh, sharpened, smoothed, to_gaussians, view_directions
 from studio.ring import RING_MAJOR, RING_TUBE, torus_cage, torus_surfaces
 from studio.shapes import Surface, beveled_box, box, lathe, quad, rotation_about, superellipsoid, tube
-from studio.surface_sampling import sample_surface
+from studio.surface_sampling import sample_surface, sample_surfaces
 from studio.textures import fbm, plain
 
 SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "data"
@@ -42,7 +45,7 @@ def at(asset: Asset, points) -> np.ndarray:
 
 def test_an_unknown_name_is_refused(tmp_path):
     with pytest.raises(BadInput, match="teapot"):
-        run(Namespace(names=["teapot"], out=tmp_path))
+        run(Namespace(names=["teapot"], out=tmp_path, detail="shipped"))
     assert not list(tmp_path.iterdir())
 
 
@@ -203,7 +206,7 @@ def test_view_dependent_colour_is_reproduced_where_it_is_seen():
     from core.spherical_harmonics import sh_basis
 
     normals = np.array([[0.0, 1.0, 0.0], [0.6, 0.0, 0.8]])
-    views = view_directions((0.0, 0.8, 0.0))
+    views = view_directions((0.0, 0.8, 0.0), VIEWER)
     look = 0.5 + 0.3 * views[0][None, :, :] * np.ones((2, 1, 1))
     sh = fit_view_dependence(normals, lambda cosine: look, 2, views)
     seen = 0.5 + np.einsum("mk,nkc->nmc", sh_basis(views[0], 9), sh)
@@ -217,3 +220,19 @@ def test_noise_is_smooth_and_the_same_each_time():
     a, b = fbm(p, 4, 7), fbm(p + 1e-5, 4, 7)
     assert np.array_equal(a, fbm(p, 4, 7)) and np.abs(a - b).max() < 1e-3
     assert abs(a.mean()) < 0.05 and 0.1 < a.std() < 0.6
+
+
+@pytest.mark.parametrize("factor", [0.3, 4.0])
+def test_detail_multiplies_the_number_of_surfels(factor):
+    surfaces = [
+        Surface("plate", quad((0, 0, 0), (0.5, 0, 0), (0, 0, -0.5)), plain("808080"), 0.02, uniform=True),
+        Surface("post", beveled_box((0.06, 0.5, 0.06), 0.004), plain("808080"), 0.02, uniform=True),
+    ]
+    counts = [len(sample_surfaces(surfaces, np.random.default_rng(1), Detail(f))) for f in (1.0, factor)]
+    assert abs(counts[1] / counts[0] / factor - 1) < 0.15
+
+
+def test_every_model_of_the_catalogue_is_there():
+    for where, *_ in MODELS.values():
+        module, function = where.split(":")
+        assert callable(getattr(import_module(module), function))

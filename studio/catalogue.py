@@ -1,0 +1,50 @@
+"""The table of all models: where the function stands that makes each asset. To register a model, add one line."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from importlib import import_module
+
+import numpy as np
+
+from assets.asset import Asset
+from studio.detail import SHIPPED, Detail
+
+SEED = 7
+FIRST = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow", "dancer")  # numbered: their seeds stay
+
+# Asset name -> ("module:function", further arguments). The module is imported when the model is built, and the function
+# is called as f(*arguments, rng, detail, report) -> Asset, where rng is a numpy.random.Generator of the asset's own,
+# detail a studio.detail.Detail, and report(line) shows progress. Taichi is running.
+MODELS: dict[str, tuple] = {
+    # ring toss
+    "dining_room": ("studio.dining_room.room_model:dining_room",),
+    "bottle": ("studio.dining_room.bottle:bottle",),
+    "ring_red": ("studio.ring:ring", "ring_red"),
+    "ring_blue": ("studio.ring:ring", "ring_blue"),
+    "ring_yellow": ("studio.ring:ring", "ring_yellow"),
+    # just dance
+    "dancer": ("studio.dancer:dancer",),
+    # toy collection: room, basket
+    #
+    # toy collection: plush toys
+    #
+    # animals
+    #
+    # animal crossing: garden
+    #
+    # table brick game
+    #
+    # box moving
+    #
+}
+
+
+def build_model(name: str, detail: Detail = SHIPPED, report: Callable[[str], None] = print) -> Asset:
+    """Make the asset `name`. Its random numbers are its own: neither order nor other models matter."""
+    where, *arguments = MODELS[name]
+    module, function = where.split(":")
+    number = FIRST.index(name) if name in FIRST else zlib.crc32(name.encode())
+    rng = np.random.default_rng([SEED, number])
+    return getattr(import_module(module), function)(*arguments, rng, detail, report)

@@ -152,7 +152,7 @@ class Asset:
                 _read_gaussians(file),
                 _read_cage(file) if file.has("cage") else None,
                 _read_embedding(file) if file.has("embedding") else None,
-                _read_sdf(file) if file.has("sdf") else None,
+                read_sdf(file) if file.has("sdf") else None,
                 read_material(file),
                 _read_provenance(file),
                 read_environment(file) if file.has("stage") else None,
@@ -238,7 +238,8 @@ def _read_embedding(file: Hdf5Reader) -> CageEmbedding:
     return CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
 
 
-def _read_sdf(file: Hdf5Reader) -> DistanceGrid:
+def read_sdf(file: Hdf5Reader) -> DistanceGrid:
+    """The distance grid of an open asset file, unchecked."""
     values = file.array("sdf/values", "f", (None, None, None))
     if values.dtype != np.float16:
         with np.errstate(over="ignore"):

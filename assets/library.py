@@ -9,9 +9,13 @@ import hashlib
 import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL, DEFAULT_MATERIAL, Material
+
+if TYPE_CHECKING:
+    import numpy as np
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
 
@@ -57,10 +61,19 @@ def animated_height(name: str) -> float | None:
     from assets.hdf5 import open_hdf5
 
     with open_hdf5(find_asset(name)) as file:
-        if not file.has("animation"):
-            return None
-        y = file.array("cage/vertices", "f", (None, 3))[:, 1]
-        return float(y.max() - y.min()) if len(y) else None
+        animated = file.has("animation")
+    y = cage_vertices(name)[:, 1] if animated else ()
+    return float(y.max() - y.min()) if len(y) else None
+
+
+def cage_vertices(name: str) -> np.ndarray:
+    """Vertices of an asset's cage [m], (V, 3); they need not be finite. Raises BadInput if it has none."""
+    from assets.hdf5 import open_hdf5
+
+    with open_hdf5(find_asset(name)) as file:
+        if not file.has("cage"):
+            raise BadInput(f"{name}: has no cage to simulate (make one: python vrgs.py prepare)")
+        return file.array("cage/vertices", "f", (None, 3))
 
 
 def cache_folder() -> Path:

@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,9 +70,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "replay recorded input, and compare the states"
     again.add_argument("--replay", type=Path, metavar="FILE.h5", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
-    text = "sandbox, just_dance: splat file or prepared asset to play with"
+    text = "splat file or prepared asset to play with; several times: in the scene's roles, in their order"
     parser.add_argument("--body", metavar="FILE", action="append", help=text)
-    text = "sandbox: a room to play in, a splat or prepared with --static"
+    text = "a room to play in, a splat or prepared with --static"
     parser.add_argument("--stage", metavar="ROOM", help=text)
     text = "material of --body (default: the asset's own; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
@@ -151,14 +152,23 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
 
 
 def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
-    """The scene with the options' body, material and room, prepared if they are splat files. Raises BadInput."""
+    """The scene with the options' bodies, material and room, prepared if they are splat files. Raises BadInput.
+
+    A line says which role each of them plays.
+    """
     from scenes import registry
 
     bodies, stage = prepared_bodies(args), prepared_stage(args)
     material = args.material
     if replay and material is None:
         material = replay.implied_material(args.scene, bodies[0] if bodies else None)
-    return registry.load(args.scene, body=bodies, material=material, stage=stage, **(args.options or {}))
+    scene = registry.load(args.scene, body=bodies, material=material, stage=stage, **(args.options or {}))
+    if not scene.cast:
+        return scene
+    files = dict(zip([*bodies, stage], [*(args.body or ()), args.stage], strict=True))
+    cast = tuple((Path(files[asset]).name, role) for asset, role in scene.cast)
+    print("; ".join(f"{file} is {role}" for file, role in cast), flush=True)
+    return replace(scene, cast=cast)
 
 
 def open_replay(args: argparse.Namespace) -> Replay | None:

@@ -288,8 +288,9 @@ class World(WorldView):
         return self.scene.game.message if self.scene.game is not None else ""
 
     def stats(self) -> dict:
-        """Counts and state for panels and `--stats`."""
+        """Counts and state for panels and `--stats`, and the files that play roles."""
         s = self.device.solver.stats
         names = ("vertices", "tets", "substeps", "dt", "integrator", "iterations", "collision_passes")
         names = (*names, "finite", "asleep")
-        return {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
+        counts = {"gaussians": self.device.splats.count, **{n: s[n] for n in names}, "score": self.score}
+        return counts | ({"roles": {role: file for file, role in self.scene.cast}} if self.scene.cast else {})

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from core.material import Material
-from scenes.scene import Body, Box, Light, Plane, Vec3
+from scenes.scene import Body, Box, Light, Plane, Room, Vec3
 
 TABLE_TOP = 0.75  # [m] above the floor
 BOTTLE = (0.0, TABLE_TOP, -0.15)  # [m]
 BOTTLE_HEIGHT = 0.30  # [m]
+PLAY_RADIUS = 0.3  # [m] of the table top that a play needs
 RING_MATERIAL = Material.named("silicone")
 BACKGROUND = (0.5, 0.47, 0.4)  # plaster, behind the few pixels that no Gaussian covers
 
@@ -27,6 +28,11 @@ def colliders() -> list[Plane | Box]:
         Plane((0, 0, 2.3), (0, 0, -1)),
         Box((0, TABLE_TOP - 0.02, 0), (0.8, 0.02, 0.45), friction=0.5),
     ]
+
+
+def room() -> Room:
+    """The dining room, from which a play moves on to another table: the bottle comes along."""
+    return Room(("dining_room",), tuple(colliders()), (0.0, TABLE_TOP, 0.0), PLAY_RADIUS)
 
 
 def lamp(target: Vec3 = (0.0, TABLE_TOP, 0.0)) -> Light:

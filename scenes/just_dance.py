@@ -6,9 +6,9 @@ import numpy as np
 
 from assets.library import animated_height
 from core.errors import BadInput
-from scenes.dining_table import BACKGROUND, TABLE_TOP, colliders, furniture, lamp
-from scenes.sandbox import Sandbox, body_material, rings
-from scenes.scene import Body, BodyState, Scene
+from scenes.dining_table import BACKGROUND, TABLE_TOP, colliders, furniture, lamp, room
+from scenes.sandbox import RING, Sandbox, body_material, rings
+from scenes.scene import Body, BodyState, Role, Scene
 
 PLACE = (0.0, TABLE_TOP, 0.05)  # [m] on the table, before the bottle
 
@@ -56,4 +56,6 @@ def build(body: str = "dancer", material: str | None = None) -> Scene:
         eye=(0.0, 1.15 + 0.4 * back, 0.75 + back),
         target=(0.0, 0.9 + 0.5 * back, 0.0),
         game=JustDance(PLACE, height),
+        roles=(Role("dancer", (body,), animated=True), Role("ring", (RING,))),
+        room=room(),
     )

@@ -57,25 +57,59 @@ def names() -> list[str]:
     return [d.name for d in demos() if d.build is not None]
 
 
-def load(name: str, /, *, body: str | Sequence[str] | None = None, **options) -> Scene:
-    """Build the scene with the user's bodies and options; those that are None count as not given. Raises BadInput."""
+def load(
+    name: str,
+    /,
+    *,
+    body: str | Sequence[str] | None = None,
+    material: str | None = None,
+    stage: str | None = None,
+    **options,
+) -> Scene:
+    """Build the scene, with the user's bodies and room in their roles. Options that are None are not given.
+
+    body, stage  assets
+    material     a name: of the bodies
+    options      of the scene, texts or values
+
+    Raises BadInput, also for what the scene does not take.
+    """
     found = demo(name) if name in {m.name for m in pkgutil.iter_modules(scenes.__path__)} else None
     if found is None:
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:
         raise BadInput(f"the scene {name} cannot be played: {found.fault}")
-    bodies = [body] if isinstance(body, str) else list(body or ())
     taken = inspect.signature(found.build).parameters
     known = {option.name: option for option in found.options}
     values = {}
     for key, given in options.items():
-        if given is None:
-            continue
-        if key not in taken:
-            raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}")
-        values[key] = known[key].value(given, name) if key in known else given
-    if bodies and "body" not in taken:
+        if given is not None:
+            if key not in known:
+                raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}")
+            values[key] = known[key].value(given, name)
+    assets = [body] if isinstance(body, str) else list(body or ())
+    played = []  # by what `build` does itself
+    if assets and "body" in taken:
+        played = assets[:1] if isinstance(taken["body"].default, str) else assets
+        values["body"] = assets[0] if isinstance(taken["body"].default, str) else tuple(assets)
+    if material is not None and "material" in taken:
+        values["material"] = material
+    elif material is not None and not assets:
+        raise BadInput(f"the scene {name} takes no --material without --body")
+    scene = found.build(**values)
+    return with_users(scene, name, played, assets[len(played) :], material, stage)
+
+
+def with_users(
+    scene: Scene, name: str, played: list[str], assets: list[str], material: str | None, stage: str | None
+) -> Scene:
+    """The scene with the user's assets in its roles, and in the user's room. Raises BadInput."""
+    from scenes.roles import cast_bodies, in_room
+
+    if assets and not scene.roles:
         raise BadInput(f"the scene {name} takes no --body")
-    if len(bodies) > 1:
-        raise BadInput(f"the scene {name} takes one --body")
-    return found.build(**values, **({"body": bodies[0]} if bodies else {}))
+    if stage is not None and scene.room is None:
+        raise BadInput(f"the scene {name} takes no --stage")
+    if played or assets:
+        scene = cast_bodies(scene, played, assets, material)
+    return scene if stage is None else in_room(scene, stage)

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from scenes.dining_table import BACKGROUND, BOTTLE, BOTTLE_HEIGHT, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp
-from scenes.scene import Body, BodyState, Capsule, Hand, Scene
+from scenes.dining_table import (
+    BACKGROUND,
+    BOTTLE,
+    BOTTLE_HEIGHT,
+    RING_MATERIAL,
+    TABLE_TOP,
+    colliders,
+    furniture,
+    lamp,
+    room,
+)
+from scenes.scene import Body, BodyState, Capsule, Hand, Role, Scene
 from scenes.scripted_throw import Throw
 
 RING_RADIUS = 0.08  # [m], of the tube's centre line
@@ -85,4 +95,6 @@ def build() -> Scene:
         eye=(0.0, 1.42, 1.15),
         target=(0.0, 0.86, -0.12),
         game=RingToss(),
+        roles=(Role("ring", tuple(COLOURS)),),
+        room=room(),
     )

@@ -1,22 +1,23 @@
-"""Sandbox: drop your own splat (--body FILE) on the table, here or in your own room (--stage), and play with it.
+"""Sandbox: drop your own splats (--body FILE) on the table, here or in your own room (--stage), and play with them.
 
 An animated body cannot be carried off: beside it lies a ring to throw at it.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from assets.environment import Environment
 from assets.library import animated_height, default_material
 from core.material import Material
-from scenes.dining_table import BACKGROUND, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp
-from scenes.scene import Body, BodyState, Hand, Light, Plane, Scene, Vec3
+from scenes.dining_table import BACKGROUND, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp, room
+from scenes.roles import bounds
+from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
 from scenes.scripted_throw import Throw
 
 START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
-START_HEIGHT = 0.05  # [m] of the body over a room's table or floor
-LAMP_HEIGHT = 1.15  # [m] of the light over that
+GAP = 0.04  # [m] between bodies side by side
 RING = "ring_red"  # thrown at an animated body
 RING_SCALE_PER_METRE = 2.2  # size of the ring, in multiples of the ring toss's, for each metre of that body's height
 
@@ -81,28 +82,43 @@ class Sandbox:
         assert bodies[0].low[1] > -0.01, "the body fell through the floor"
 
 
-def build(body: str = "ring_red", material: str | None = None, stage: str | None = None) -> Scene:
-    """A body on the dining table, or in a room.
+def build(body: tuple[str, ...] = (RING,), material: str | None = None) -> Scene:
+    """Bodies side by side on the dining table.
 
-    body      an asset
-    material  a name (core/material.py); None: the asset's own
-    stage     an asset made by `prepare --static`: the room
+    body      assets; the first is the one that the scripted hand plays with
+    material  a name (core/material.py); None: the assets' own
     """
-    height = animated_height(body)
-    made_of = body_material(body, material, height)
-    if stage is not None:
-        return in_room(body, made_of, stage, height)
+    height = animated_height(body[0])
     start = START if height is None else (START[0], TABLE_TOP, 0.0)
     back = 0.0 if height is None else min(max(1.5 * height - 0.7, 0.0), 1.2)  # [m], to see it from head to foot
     return Scene(
-        bodies=[*furniture(), Body(body, made_of, position=start), *rings(start, height)],
+        bodies=[*furniture(), *side_by_side(body, material, start), *rings(start, height)],
         colliders=colliders(),
         light=lamp(),
         background=BACKGROUND,
         eye=(0.0, 1.35 + 0.3 * back, 1.0 + back),
         target=(0.0, 0.85 + 0.6 * back, 0.0),
         game=Sandbox(dancer_height=height),
+        roles=(Role("toy" if height is None else "dancer", tuple(body)),),
+        room=room(),
     )
+
+
+def side_by_side(assets: tuple[str, ...], material: str | None, start: Vec3) -> list[Body]:
+    """Bodies in a row from left to right, dropped from the height of `start`, or dancing on the table; a single one is
+    at `start`."""
+    bodies = [Body(asset, body_material(asset, material, animated_height(asset))) for asset in assets]
+    if len(bodies) == 1:
+        return [replace(bodies[0], position=start)]
+    boxes = [bounds(body.asset, body) for body in bodies]
+    widths = [high[0] - low[0] for low, high in boxes]
+    left = start[0] - 0.5 * (sum(widths) + GAP * (len(bodies) - 1))
+    placed = []
+    for body, (low, _), width in zip(bodies, boxes, widths, strict=True):
+        foot = start[1] if animated_height(body.asset) is None else TABLE_TOP
+        placed.append(replace(body, position=(float(left - low[0]), float(foot - low[1]), start[2])))
+        left += width + GAP
+    return placed
 
 
 def body_material(body: str, name: str | None, height: float | None) -> Material:
@@ -118,19 +134,3 @@ def rings(place: Vec3, height: float | None) -> list[Body]:
     scale = float(np.clip(RING_SCALE_PER_METRE * height, 0.5, 1.5))
     at = (place[0] + 0.12 * scale + 0.25 * height, place[1] + 0.019 * scale, place[2] + 0.1 * scale)
     return [Body(RING, RING_MATERIAL, position=at, scale=scale)]
-
-
-def in_room(body: str, material: Material, stage: str, height: float | None = None) -> Scene:
-    """The body over the table or floor of a captured room, whose floor extends beyond the capture."""
-    room = Environment.load(stage)
-    x, y, z = room.drop_point
-    start = (x, y + START_HEIGHT, z) if height is None else (x, y, z)
-    return Scene(
-        bodies=[Body(stage), Body(body, material, position=start), *rings(start, height)],
-        colliders=[Plane((0.0, room.floor_height, 0.0), (0.0, 1.0, 0.0))],
-        light=Light(position=(x + 0.1, y + LAMP_HEIGHT, z + 0.1), target=room.drop_point),
-        background=BACKGROUND,
-        eye=room.eye_position,
-        target=(x, y + 0.1, z),
-        game=Sandbox(room.drop_point, height),
-    )

@@ -133,6 +133,40 @@ class Game(Protocol):
 
 
 @dataclass(frozen=True)
+class Role:
+    """A part in a scene that bodies of the user's may play in place of its own (scenes/roles.py).
+
+    name      as it is told: "dancer"; several bodies are numbered: "toy 3"
+    assets    those of the scene's bodies that play it, in the scene's order
+    resize    whether what plays it becomes as large as what it replaces, or keeps its size
+    animated  whether what plays it must move by itself; None: it may
+    """
+
+    name: str
+    assets: tuple[str, ...]
+    resize: bool = True
+    animated: bool | None = False
+
+
+@dataclass(frozen=True)
+class Room:
+    """What of a scene is its room, which one of the user's may replace (scenes/roles.py).
+
+    assets     of the static bodies that go with it
+    colliders  that go with it
+    spot       middle of the play [m], which comes to lie on a table or the floor of the user's room
+    radius     [m] of level, free space that the play takes around it
+    on_floor   the spot belongs on the floor, where a table may be higher
+    """
+
+    assets: tuple[str, ...]
+    colliders: tuple[Plane | Capsule | Box, ...]
+    spot: Vec3
+    radius: float
+    on_floor: bool = False
+
+
+@dataclass(frozen=True)
 class Scene:
     """A demo: its bodies, light and view, and the accuracy of the simulation."""
 
@@ -148,3 +182,7 @@ class Scene:
     substep: float | None = None  # [s]; None: from the stability rule
     background: Vec3 = (0.0, 0.0, 0.0)
     game: Game | None = None
+    floor: float = 0.0  # [m] on which the player stands
+    roles: tuple[Role, ...] = ()  # for bodies of the user's
+    room: Room | None = None  # that one of the user's may replace
+    cast: tuple[tuple[str, str], ...] = ()  # what the user has brought, and what it is: ("cat.h5", "toy 3")

@@ -1,4 +1,4 @@
-"""The panel over the picture (ImGui): simulation, edits, light, performance; the game's score; the
+"""The panel over the picture (ImGui): simulation, edits, light, performance; the game's score.
 
 The theme is Roboto on dark glass with one accent colour.
 """
@@ -111,6 +111,10 @@ class Panel:
         imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + 4 * self.scale)  # onto the title's base line
         imgui.text_colored(ACCENT, rate)
         imgui.dummy((width, 2 * self.scale))
+        for file, role in self.scene.cast:
+            imgui.push_text_wrap_pos(width)
+            imgui.text_colored(QUIET, f"{file} is {role}")
+            imgui.pop_text_wrap_pos()
 
     def _buttons(self, imgui, world: WorldView) -> list[Command]:
         commands = []

@@ -39,7 +39,7 @@ class Player:
     """
 
     def __init__(self, scene: Scene):
-        self.play_space, self._eye_height = PlaySpace.of(scene), float(scene.eye[1])
+        self.play_space, self._eye_height, self._floor = PlaySpace.of(scene), float(scene.eye[1]), scene.floor
         self.pointing: tuple[np.ndarray, np.ndarray] | None = None
         self._grips = [False, False]
         self._poses: list[np.ndarray | None] = [None, None]  # of the hands in the play space, as last tracked
@@ -47,13 +47,13 @@ class Player:
         self._by_pinch = [False, False]
         self._shown = [Controller(), Controller()]
         self._pokes = [FingerPoke(), FingerPoke()]
-        self._stick_pushed, self._teleport = False, PinchTeleport()
+        self._stick_pushed, self._teleport = False, PinchTeleport(scene.floor)
         self._held, self._touch_force = [False, False], [0.0, 0.0]
 
     def stand(self, *, on_floor: bool) -> None:
         """Put y = 0 of the play space on the floor, or, where a runtime without a floor has it at the head, as high as
         the scene's eye."""
-        self.play_space.y = 0.0 if on_floor else self._eye_height
+        self.play_space.y = self._floor if on_floor else self._eye_height
 
     def advance(
         self, controllers: list[Controller], head: np.ndarray, world: WorldView
@@ -132,7 +132,7 @@ class Player:
             self.play_space.turn(-np.sign(x) * SNAP_TURN, head_position)
         elif (self.pointing is not None or not self._stick_pushed) and y > -STICK_CENTRED and pushed.aim is not None:
             aim = world_from_play @ pushed.aim
-            target = floor_hit(aim)
+            target = floor_hit(aim, self._floor)
             self.pointing = None if target is None else (aim[:3, 3], target)
         else:
             self.pointing = None
@@ -211,7 +211,8 @@ class PinchTeleport:
     but at the floor, or a hand that is lost, changes nothing. To turn, the player turns.
     """
 
-    def __init__(self):
+    def __init__(self, floor: float = 0.0):
+        self._floor = floor  # [m]
         self._pinches = self._aims = False
 
     def apply(self, c: Controller, world_from_play: np.ndarray, world: WorldView) -> Controller:
@@ -225,7 +226,7 @@ class PinchTeleport:
         began, self._pinches = pinches and not self._pinches, pinches
         if began:
             aim = world_from_play @ c.aim
-            at_floor = floor_hit(aim) is not None and forward(aim)[1] < -MIN_AIM_DOWN
+            at_floor = floor_hit(aim, self._floor) is not None and forward(aim)[1] < -MIN_AIM_DOWN
             point = (world_from_play @ [*pinch_point(c), 1.0])[:3]
             self._aims = at_floor and not any(is_near(body, point) for body in world.bodies())
         self._aims = self._aims and pinches
@@ -238,12 +239,15 @@ def is_near(body: BodyState, point: np.ndarray) -> bool:
     return float(np.linalg.norm(outside)) <= PINCH_MARGIN
 
 
-def floor_hit(aim: np.ndarray) -> np.ndarray | None:
-    """Point (3,) [m] where a pointing hand (4, 4) meets y = 0, no farther than MAX_TELEPORT; None if it points up."""
+def floor_hit(aim: np.ndarray, floor: float = 0.0) -> np.ndarray | None:
+    """Point (3,) [m] where a pointing hand (4, 4) meets the floor, no farther than MAX_TELEPORT; None if it points up.
+
+    floor  its height [m]
+    """
     start, direction = aim[:3, 3], forward(aim)
-    if direction[1] >= -1e-3 or start[1] <= 0:
+    if direction[1] >= -1e-3 or start[1] <= floor:
         return None
-    hit = start - direction * (start[1] / direction[1])
+    hit = start - direction * ((start[1] - floor) / direction[1])
     offset = hit - start
     length = np.hypot(offset[0], offset[2])
     return start + offset * min(1.0, MAX_TELEPORT / max(length, 1e-9))

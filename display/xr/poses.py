@@ -55,15 +55,15 @@ class PlaySpace:
     yaw: float = 0.0
 
     @classmethod
-    def facing(cls, eye, target) -> PlaySpace:
-        """Under `eye`, so that forward (-z) looks to `target`; the world's floor is at y = 0."""
+    def facing(cls, eye, target, floor: float = 0.0) -> PlaySpace:
+        """Under `eye`, so that forward (-z) looks to `target`; the floor is at a height [m] of the world."""
         d = np.subtract(target, eye)
-        return cls(float(eye[0]), 0.0, float(eye[2]), float(np.arctan2(-d[0], -d[2])))
+        return cls(float(eye[0]), floor, float(eye[2]), float(np.arctan2(-d[0], -d[2])))
 
     @classmethod
     def of(cls, scene) -> PlaySpace:
         """Start of a scene's player: at its eye, or a step ahead if no movable body were within an arm's length."""
-        start = cls.facing(scene.eye, scene.target)
+        start = cls.facing(scene.eye, scene.target, scene.floor)
         distances = [np.hypot(b.position[0] - start.x, b.position[2] - start.z) for b in scene.bodies if b.material]
         step = float(np.clip(min(distances, default=ARM_LENGTH) - ARM_LENGTH, 0.0, MAX_STEP_AHEAD))
         return replace(start, x=start.x - step * float(np.sin(start.yaw)), z=start.z - step * float(np.cos(start.yaw)))

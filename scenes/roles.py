@@ -1,0 +1,167 @@
+"""Bodies and rooms of the user's in any scene: they play the roles that it declares, and replace its room.
+
+A scene lists `roles` and says what its `room` is. A body of the user's is put where the one was that it replaces:
+upright on the same spot, as large if the role asks for that, of its own material or else of the role's. A room of the
+user's is put around the play, which stays where it is: its free table or floor comes to lie under the play's middle,
+turned so that its user stands where the scene's does. So a scene's game and scripted player work as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from assets.asset import read_sdf
+from assets.environment import Environment
+from assets.hdf5 import open_hdf5
+from assets.library import animated_height, asset_material, cage_vertices, find_asset
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from scenes.scene import Body, Plane, Role, Room, Scene, Vec3
+
+CELL = 0.05  # [m] of the map of a room's free floor
+FREE_HEIGHTS = np.arange(0.1, 1.3, 0.1)  # [m] over a floor at which nothing may be in the way
+TOUCHES = 0.03  # [m] between a point and what is solid there, below which it is not free
+MIDDLE_WEIGHT = 0.1  # of the distance from a floor's middle against free space: as `prepare --static` does
+EYE_CLEARANCE = 0.15  # [m] between the eye and what is solid
+NEAREST_EYE = 0.4  # of the way from target to eye: nearer, one would not see the play
+
+
+def places(scene: Scene) -> list[tuple[Role, str, int]]:
+    """Each role, its name with a number if several bodies play it, and the index of its body in the scene."""
+    result = []
+    for role in scene.roles:
+        indices = [i for i, body in enumerate(scene.bodies) if body.asset in role.assets]
+        names = [f"{role.name} {k + 1}" for k in range(len(indices))] if len(indices) > 1 else [f"the {role.name}"]
+        result += [(role, name, i) for name, i in zip(names, indices, strict=False)]
+    return result
+
+
+def cast_bodies(scene: Scene, played: Sequence[str], assets: Sequence[str], material: str | None) -> Scene:
+    """The scene with these assets in its roles, in their order. Raises BadInput.
+
+    played    assets of the user's that the scene has put in their places itself
+    material  a name, or None: each asset's own, or else that of the body that it replaces
+    """
+    bodies, cast, free = list(scene.bodies), [], []
+    for role, name, i in places(scene):
+        if bodies[i].asset in played:
+            cast.append((bodies[i].asset, name))
+        else:
+            free.append((role, name, i))
+    if len(assets) > len(free):
+        there = ", ".join(name for _, name, _ in free) or "none"
+        raise BadInput(f"{len(played) + len(assets)} bodies are too many for this scene; roles: {there}")
+    for asset, (role, name, i) in zip(assets, free, strict=False):
+        bodies[i] = in_place_of(bodies[i], asset, role, name, material)
+        cast.append((asset, name))
+    return replace(scene, bodies=bodies, cast=(*scene.cast, *cast))
+
+
+def in_place_of(body: Body, asset: str, role: Role, name: str, material: str | None) -> Body:
+    """The body of an asset that plays a role instead of a scene's body. Raises BadInput."""
+    height = animated_height(asset)
+    if role.animated is not None and role.animated != (height is not None):
+        moves = "does not move by itself" if role.animated else "moves by itself"
+        raise BadInput(f"{asset}: {moves}, so that it cannot be {name}")
+    low, high = bounds(body.asset, body)
+    its_low, its_high = bounds(asset, replace(body, scale=1.0, position=(0.0, 0.0, 0.0)))
+    scale = float(np.linalg.norm(high - low) / np.linalg.norm(its_high - its_low)) if role.resize else 1.0
+    foot, its_foot = ([0.5 * (a[0] + b[0]), a[1], 0.5 * (a[2] + b[2])] for a, b in ((low, high), (its_low, its_high)))
+    made_of = Material.named(material) if material is not None else asset_material(asset) or body.material
+    if height is not None:
+        made_of = made_of.animated(scale * height)
+    position = tuple(map(float, np.subtract(foot, np.multiply(scale, its_foot))))
+    return replace(body, asset=asset, material=made_of, scale=scale, position=position)
+
+
+def bounds(asset: str, placed: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of an asset's bounding box in the world [m], placed as a body is. Raises BadInput."""
+    x = cage_vertices(asset).astype(np.float64)
+    if not len(x) or not np.isfinite(x).all() or not np.ptp(x, axis=0).max() > 0:
+        raise BadInput(f"{asset}: its cage has no extent")
+    x = placed.scale * x @ matrices_from_quaternions(np.array(placed.rotation)).T + placed.position
+    return x.min(0), x.max(0)
+
+
+def in_room(scene: Scene, stage: str) -> Scene:
+    """The scene in a room of the user's, made by `prepare --static`. Raises BadInput."""
+    own = scene.room
+    environment, grid = load_room(stage)
+    at, free = spot_in(environment, grid, own)
+    position, angle = placement(at, environment.eye_position, own.spot, scene.eye)
+    rotation = (float(np.cos(0.5 * angle)), 0.0, float(np.sin(0.5 * angle)), 0.0)
+    floor = own.spot[1] - (at[1] - environment.floor_height)
+    small = (
+        ""
+        if free >= own.radius
+        else f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
+    )
+    return replace(
+        scene,
+        bodies=[Body(stage, rotation=rotation, position=position)]
+        + [b for b in scene.bodies if b.asset not in own.assets],
+        colliders=[Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0))] + [c for c in scene.colliders if c not in own.colliders],
+        eye=free_eye(scene, grid, rotation, position),
+        floor=floor,
+        cast=(*scene.cast, (stage, f"the room{small}")),
+    )
+
+
+def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
+    """The environment and the distances of a room. Raises BadInput if the file is none."""
+    path = find_asset(stage)
+    environment = Environment.load(path)
+    with open_hdf5(path) as file:
+        grid = read_sdf(file) if file.has("sdf") else None
+    if grid is not None:
+        grid.check(stage)
+    return environment, grid
+
+
+def spot_in(environment: Environment, grid: DistanceGrid | None, own: Room) -> tuple[np.ndarray, float]:
+    """The point (3,) of a room around which to play, and the radius [m] of free space there."""
+    drop = np.array(environment.drop_point)
+    if not own.on_floor or grid is None or not environment.planes:
+        return drop, environment.clear_radius
+    _, height, *corners = environment.planes[0]
+    low, high = np.array(corners).reshape(2, 2)
+    size = np.maximum((high - low) / CELL, 1).astype(int)
+    at = low + CELL * (np.moveaxis(np.indices(size), 0, -1) + 0.5)
+
+    def distance(over: float) -> np.ndarray:
+        return grid.sample(np.stack([at[..., 0], np.full(size, height + over), at[..., 1]], -1))
+
+    free = np.abs(distance(0.0)) < 2 * TOUCHES + 0.5 * grid.spacing  # there is a floor
+    for over in FREE_HEIGHTS:
+        free &= distance(over) > TOUCHES
+    radius = CELL * (distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] - 0.5).clip(0)
+    score = np.minimum(radius, 1.5 * own.radius) - MIDDLE_WEIGHT * np.linalg.norm(at - 0.5 * (low + high), axis=-1)
+    best = np.unravel_index(np.where(free, score, -np.inf).argmax(), free.shape)
+    return np.array([at[best][0], height, at[best][1]]), float(radius[best])
+
+
+def placement(at, user, spot: Vec3, eye: Vec3) -> tuple[Vec3, float]:
+    """Position [m] and angle about +y [rad] of a room so that its point `at` is the spot, and `user` is by the eye."""
+    theirs, ours = np.subtract(user, at), np.subtract(eye, spot)
+    angle = float(np.arctan2(ours[0], ours[2]) - np.arctan2(theirs[0], theirs[2]))
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ at
+    return tuple(map(float, np.subtract(spot, turned))), angle
+
+
+def free_eye(scene: Scene, grid: DistanceGrid | None, rotation, position: Vec3) -> Vec3:
+    """The scene's eye, or as far from its target towards there as nothing of the room is in the way."""
+    if grid is None:
+        return scene.eye
+    way = np.linspace(NEAREST_EYE, 1.0, 25)[:, None]
+    points = (1 - way) * scene.target + way * scene.eye
+    inside = (points - position) @ matrices_from_quaternions(np.array(rotation))
+    blocked = grid.sample(inside) < EYE_CLEARANCE
+    last = int(blocked.argmax()) - 1 if blocked.any() else len(points) - 1
+    return tuple(map(float, points[max(last, 0)]))

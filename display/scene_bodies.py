@@ -31,13 +31,13 @@ def load_bodies(
 ]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
 
-    The pieces of an asset are bodies of their own, the largest first.
+    The pieces of an asset are bodies of their own: its largest in the scene's order, all others after those.
 
     Out.  static bodies, simulated bodies, and the animated ones among the latter
     """
     library: dict[str, Asset] = {}
     pieces: dict[str, list[Asset]] = {}
-    static, moving, animated = [], [], {}
+    static, moving, others = [], [], []
     for body in scene.bodies:
         if body.asset not in library:
             library[body.asset] = Asset.load(find_asset(body.asset))
@@ -46,11 +46,16 @@ def load_bodies(
             continue
         if body.asset not in pieces:
             pieces[body.asset] = split_components(library[body.asset])
-        for asset in pieces[body.asset]:
-            if asset.animation is not None and body.kind == "soft":
-                animated[len(moving)] = body, asset.animation
-            moving.append(place_soft(asset, body))
-    return static, moving, animated
+        largest, *rest = pieces[body.asset]
+        moving.append((largest, body))
+        others += [(asset, body) for asset in rest]
+    placed = [*moving, *others]
+    animated = {
+        k: (body, asset.animation)
+        for k, (asset, body) in enumerate(placed)
+        if asset.animation is not None and body.kind == "soft"
+    }
+    return static, [place_soft(asset, body) for asset, body in placed], animated
 
 
 def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:

@@ -61,11 +61,15 @@ class BodyRegistry:
         return self.members != self._scene_members or self.device.solver.body_models != self._scene_models
 
     def scene_states(self, bodies: list[BodyState]) -> list[BodyState]:
-        """The states of the scene's own bodies, in its order: all that its game sees. A removed one is far away."""
+        """The states of the scene's own bodies, in its order: all that its game sees. A removed one is far away.
+
+        Of a body of several pieces it is the largest.
+        """
+        count = sum(body.material is not None for body in self.device.scene.bodies)
         if self.members == self._scene_members:
-            return bodies
+            return bodies[:count]
         index = {m.source: k for k, m in enumerate(self.members) if not m.copy}
-        return [bodies[index[k]] if k in index else self._removed(k) for k in range(len(self._scene_members))]
+        return [bodies[index[k]] if k in index else self._removed(k) for k in range(count)]
 
     def _removed(self, k: int) -> BodyState:
         body, far = self._scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])

@@ -1,6 +1,7 @@
 """Splats of several pieces: a cage for each in one asset, and each a body of its own in a scene."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.point_location import TetLocator
 from core.tetmesh import face_components, vertex_components
+from display.edit.body_registry import BodyRegistry
 from display.scene_bodies import load_bodies
 from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN
 from prepare.cage.component_cages import MIN_COMPONENT, Grid, components_of, vertex_counts
@@ -140,6 +142,17 @@ def test_in_a_scene_each_piece_is_a_body_of_its_own(pair, tmp_path):
         assert np.median(off) < 1e-4 and off.max() < 0.02
     static, _, _ = load_bodies(Scene([replace(body, material=None)], None, (0, 1, 1), (0, 0, 0)))
     assert len(static) == 1 and len(static[0][1]) == 1  # what does not move stays whole, with the grid of all
+
+
+def test_a_game_sees_the_largest_piece_of_each_of_the_scenes_bodies(pair, tmp_path):
+    pair.save(tmp_path / "pair.h5")
+    plush = Material.named("plush")
+    scene = Scene([Body(str(tmp_path / "pair.h5"), plush), Body("ring_red", plush)], None, (0, 1, 1), (0, 0, 0))
+    _, moving, _ = load_bodies(scene)
+    names = [soft.name for soft, _ in moving]
+    assert names == [str(tmp_path / "pair.h5"), "ring_red", str(tmp_path / "pair.h5")]
+    device = SimpleNamespace(scene=scene, animations=[], solver=SimpleNamespace(body_models=names))
+    assert BodyRegistry(device).scene_states(names) == names[:2]
 
 
 def test_the_command_keeps_all_pieces_and_says_how_many(ti_cpu, tmp_path, capsys, monkeypatch):

@@ -300,6 +300,10 @@ class ContactForces:
     def clear(self, i):
         self.correction[i] = ti.Vector([0.0, 0.0, 0.0])
 
+    def clear_all(self) -> None:
+        """Forget all forces of static shapes: vertices may be others now."""
+        self.correction.fill(0.0)
+
     def per_body(self) -> np.ndarray:
         """Force of all contacts on each body in the last substep [N], (B, 3) float64."""
         self._sum()

@@ -169,6 +169,7 @@ class Contacts(Constraint):
             self.fingers.reset()
         self.constraints.clear()
         self.static.clear()
+        self.forces.clear_all()
         if self.coupled:
             self.rigid_search.reset()
 

@@ -1,12 +1,23 @@
-"""Damping towards each body's rigid motion, which it leaves alone (Mueller et al. 2007, Sec. 3.5).
+"""Damping of vibrations: towards each body's rigid motion (Mueller et al. 2007, Sec. 3.5), and of its rocking.
 
     v_i += k (v_cm + omega x r_i - v_i),   k = 1 - exp(-c t),   omega = I^-1 L
 
 Inner friction is the other part of a material's damping (sim/state.py).
 
-In a body with prescribed vertices, v_cm and omega are those of these alone. Applied once for several
-substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
+The rigid motion is left alone, but the rotation of a body that stands on something is part of a vibration, too: the
+body rocks on its feet, which are elastic. So its rotation about the centre of pressure p decays at the same rate c, by
+a torque no larger than that of rolling resistance:
+
+    v_i -= s k omega x (x_i - p),   |s k I_p omega| <= t ROLLING_RESISTANCE a F,   a^2 = sum_i f_i d_i^2 / F
+
+where f_i are the forces of static shapes on the vertices, F is their sum, and d_i are their distances from the axis of
+rotation through p. What rolls or tips over stands on a small spot or an edge: there a is small. What flies has no f_i.
+
+In a body with prescribed vertices, v_cm and omega are those of these alone, and it does not rock. Applied once for
+several substeps (t is their sum; c t << 1), because the sums over a body cost as much as a substep.
 """
+
+from typing import TYPE_CHECKING
 
 import taichi as ti
 
@@ -15,20 +26,44 @@ from sim.capacity import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
-DAMPING_SUMS = 15  # of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3)
+if TYPE_CHECKING:
+    from sim.contact.contacts import Contacts
+
+# Of one body: m r (3), m v (3), m r x v (3), m r_k^2 (3), m r_k r_l (3); f (1), f r (3), f r_k^2 (3), f r_k r_l (3)
+DAMPING_SUMS = 25
+# Lever arm of rolling resistance, in units of a. A ball that loses the fraction alpha of the energy that its contact
+# stores meets 3/16 alpha of the contact's radius (Greenwood, Minshall and Tabor 1961), 0.42 alpha a; rubbers have an
+# alpha of 0.1 to 0.4. Rocking figures need less: their feet are far apart.
+ROLLING_RESISTANCE = 0.1
+
+
+@ti.func
+def products(r):
+    """r_y r_z, r_z r_x, r_x r_y."""
+    return ti.Vector([r[1] * r[2], r[2] * r[0], r[0] * r[1]])
+
+
+@ti.func
+def moment_of_inertia(squares, mixed, center, M):
+    """tr(S) 1 - S of S = sum m r r^T - M c c^T, from the sums of m r_k^2, of m r_k r_l, and the centre c of mass M."""
+    q, n = squares - M * center * center, mixed - M * products(center)
+    return ti.Matrix([[q[1] + q[2], -n[2], -n[1]], [-n[2], q[2] + q[0], -n[0]], [-n[1], -n[0], q[0] + q[1]]])
 
 
 @ti.data_oriented
 class Damping:
     """`run(t)` damps the velocities for t [s] and predicts the increments of the next substep."""
 
-    def __init__(self, state: State, blocks: ReductionBlocks):
-        self.state, self.blocks = state, blocks
+    def __init__(self, state: State, blocks: ReductionBlocks, contacts: "Contacts | None"):
+        self.state, self.blocks, self.touches = state, blocks, contacts is not None
+        self.forces = contacts.forces if self.touches else None  # of static shapes on the vertices
         g = self._group = FieldGroup()
         self.sums, self.total = g.scalar(blocks.size, DAMPING_SUMS), g.scalar(MAX_BODIES, DAMPING_SUMS)
         self.center = g.vector(MAX_BODIES)  # of mass [m]
         self.velocity = g.vector(MAX_BODIES)  # m/s
         self.omega = g.vector(MAX_BODIES)  # rad/s
+        self.pressure_center = g.vector(MAX_BODIES)  # m
+        self.rocking_change = g.vector(MAX_BODIES)  # of the rotation about it [rad/s]
         g.build()
 
     @ti.kernel
@@ -41,21 +76,33 @@ class Damping:
             about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
             p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+            force, force_r = 0.0, ti.Vector([0.0, 0.0, 0.0])
+            force_square, force_mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
                 m, r, v = s.mass[i], s.x[i] - about, s.v[i]
+                if ti.static(self.touches):
+                    f = m * self.forces.correction[i].norm() / s.dt[None] ** 2
+                    force += f
+                    force_r += f * r
+                    force_square += f * r * r
+                    force_mixed += f * products(r)
                 if s.inv_mass[i] > 0.0 and s.prescribed_mass[span[2]] > 0.0:
                     m = 0.0
                 p += m * r
                 q += m * v
                 L += m * r.cross(v)
                 square += m * r * r
-                mixed += m * ti.Vector([r[1] * r[2], r[2] * r[0], r[0] * r[1]])
+                mixed += m * products(r)
             for k in ti.static(range(3)):
                 self.sums[j, k] = p[k]
                 self.sums[j, 3 + k] = q[k]
                 self.sums[j, 6 + k] = L[k]
                 self.sums[j, 9 + k] = square[k]
                 self.sums[j, 12 + k] = mixed[k]
+                self.sums[j, 16 + k] = force_r[k]
+                self.sums[j, 19 + k] = force_square[k]
+                self.sums[j, 22 + k] = force_mixed[k]
+            self.sums[j, 15] = force
         ti.loop_config(serialize=s.serial)
         for bk in range(MAX_BODIES * DAMPING_SUMS):
             b, k = bk // DAMPING_SUMS, bk % DAMPING_SUMS
@@ -68,15 +115,25 @@ class Damping:
                 d = total[0:3] / M
                 v = total[3:6] / M
                 L = total[6:9] - M * d.cross(v)
-                xx, yy, zz = total[9] - M * d[0] ** 2, total[10] - M * d[1] ** 2, total[11] - M * d[2] ** 2
-                yz, zx, xy = total[12] - M * d[1] * d[2], total[13] - M * d[2] * d[0], total[14] - M * d[0] * d[1]
-                tiny = 1e-6 * (xx + yy + zz) + 1e-9 * M  # a body flattened to a line has no inertia about it
-                inertia = ti.Matrix(
-                    [[yy + zz + tiny, -xy, -zx], [-xy, zz + xx + tiny, -yz], [-zx, -yz, xx + yy + tiny]]
-                )
+                inertia = moment_of_inertia(total[9:12], total[12:15], d, M)
+                tiny = 0.5e-6 * inertia.trace() + 1e-9 * M  # a body flattened to a line has no inertia about it
+                inertia += tiny * ti.Matrix.identity(ti.f32, 3)
+                omega = (inertia / M).inverse() @ (L / M)
                 self.center[b] = s.x[s.vertex_begin[b]] + d
                 self.velocity[b] = v
-                self.omega[b] = (inertia / M).inverse() @ (L / M)
+                self.omega[b] = omega
+                self.rocking_change[b] = ti.Vector([0.0, 0.0, 0.0])
+                if ti.static(self.touches):
+                    force = total[15]
+                    if force > 0.0 and s.prescribed_mass[b] == 0.0:
+                        p = total[16:19] / force
+                        arm, k = d - p, 1.0 - ti.exp(-s.damping[b] * t)
+                        wanted = k * (inertia @ omega + M * arm.cross(omega.cross(arm)))
+                        axis = wanted / ti.max(wanted.norm(), 1e-20)
+                        square = axis.dot(moment_of_inertia(total[19:22], total[22:25], p, force) @ axis) / force
+                        most = ROLLING_RESISTANCE * force * t * ti.sqrt(ti.max(square, 0.0))
+                        self.pressure_center[b] = s.x[s.vertex_begin[b]] + p
+                        self.rocking_change[b] = -k * ti.min(most / ti.max(wanted.norm(), 1e-20), 1.0) * omega
         ti.loop_config(serialize=s.serial)
         for i in range(s.V):
             if s.awake_vertex(i):
@@ -84,7 +141,10 @@ class Damping:
                 if s.damping[b] > 0.0 and s.inv_mass[i] > 0.0:
                     rigid = self.velocity[b] + self.omega[b].cross(s.x[i] - self.center[b])
                     k = 1.0 - ti.exp(-s.damping[b] * t)
-                    s.v[i], s.v_lo[i] = two_sum(s.v[i], s.v_lo[i] + k * (rigid - s.v[i]))
+                    change = k * (rigid - s.v[i])
+                    if ti.static(self.touches):
+                        change += self.rocking_change[b].cross(s.x[i] - self.pressure_center[b])
+                    s.v[i], s.v_lo[i] = two_sum(s.v[i], s.v_lo[i] + change)
                 s.predict(i)
 
     def destroy(self) -> None:

@@ -28,10 +28,25 @@ MODELS: dict[str, tuple] = {
     "dancer": ("studio.dancer:dancer",),
     # toy collection: room, basket
     #
-    # toy collection: plush toys
-    #
+    # toy collection: plush toys; their Gaussians and cage vertices as shipped
+    "toy_teddy": ("studio.creatures.creature_asset:creature", "toy_pets:toy_teddy", 6_000, 200),
+    "toy_rabbit": ("studio.creatures.creature_asset:creature", "toy_pets:toy_rabbit", 6_000, 200),
+    "toy_cat": ("studio.creatures.creature_asset:creature", "toy_pets:toy_cat", 6_000, 200),
+    "toy_duck": ("studio.creatures.creature_asset:creature", "toy_pets:toy_duck", 6_000, 200),
+    "toy_elephant": ("studio.creatures.creature_asset:creature", "toy_wild:toy_elephant", 6_000, 200),
+    "toy_penguin": ("studio.creatures.creature_asset:creature", "toy_wild:toy_penguin", 6_000, 200),
+    "toy_frog": ("studio.creatures.creature_asset:creature", "toy_wild:toy_frog", 6_000, 300),
+    "toy_dinosaur": ("studio.creatures.creature_asset:creature", "toy_wild:toy_dinosaur", 6_000, 200),
+    "toy_octopus": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_octopus", 6_000, 250),
+    "toy_whale": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_whale", 6_000, 200),
+    "toy_star": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_star", 6_000, 200),
+    "toy_ladybird": ("studio.creatures.creature_asset:creature", "toy_sea_and_sky:toy_ladybird", 6_000, 250),
     # animals
-    #
+    "fox": ("studio.creatures.creature_asset:creature", "fox:fox", 16_000, 500),
+    "bear": ("studio.creatures.creature_asset:creature", "bear:bear", 16_000, 500),
+    "horse": ("studio.creatures.creature_asset:creature", "horse:horse", 16_000, 600),
+    "sheep": ("studio.creatures.creature_asset:creature", "sheep:sheep", 16_000, 500),
+    "rabbit": ("studio.creatures.creature_asset:creature", "rabbit:rabbit", 16_000, 400),
     # animal crossing: garden
     #
     # table brick game

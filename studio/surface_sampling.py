@@ -131,7 +131,7 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewe
         n = _unit(np.einsum("nk,nkd->nd", b, corner_normals[pick]))
         free = distance_to_edges(edge_points, p, n, 2 * s) >= 0.62 * s
         p, n = p[free], n[free]
-        keep = _blue_noise(p, n, s, (np.concatenate(points), np.concatenate(normals)) if points else None)
+        keep = blue_noise(p, n, s, (np.concatenate(points), np.concatenate(normals)) if points else None)
         points.append(p[keep])
         normals.append(n[keep])
         radii.append(np.full(keep.sum(), s))
@@ -200,7 +200,7 @@ def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
     return total.reshape(-1, 3, 3)
 
 
-def _blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: tuple | None) -> np.ndarray:
+def blue_noise(points: np.ndarray, normals: np.ndarray, radius: float, taken: tuple | None) -> np.ndarray:
     """Mask of points such that no two on the same side of a sheet are nearer than `radius` [m].
 
     Points come in random order; a point is kept if it precedes its undecided neighbours and if none of the

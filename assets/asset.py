@@ -15,13 +15,20 @@ from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
 from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
 from assets.images import check_thumbnail
+from assets.integers import read_grid, write_grid
+from assets.quantisation import (
+    read_quantised_embedding,
+    read_quantised_gaussians,
+    write_quantised_embedding,
+    write_quantised_gaussians,
+)
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import enclosed_volume, tet_volumes
 
 FORMAT = "vrgs-asset"
-FORMAT_VERSION = 1
+LOSSLESS, QUANTISED = 1, 2  # versions of the format
 
 INTEGER_DATASETS = {"object_id": np.uint16, "tets": np.int32, "surface": np.int32, "host": np.int32}
 
@@ -147,12 +154,17 @@ class Asset:
     def load(cls, path: str | Path) -> Asset:
         """Read and check an asset file. Raises BadInput."""
         with open_hdf5(Path(path)) as file:
-            _check_format(file)
+            quantised = _version(file) == QUANTISED
+            gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
+            cage = _read_cage(file) if file.has("cage") else None
+            embedding = None
+            if file.has("embedding"):
+                embedding = _read_quantised_embedding(file, gaussians, cage) if quantised else _read_embedding(file)
             asset = cls(
-                _read_gaussians(file),
-                _read_cage(file) if file.has("cage") else None,
-                _read_embedding(file) if file.has("embedding") else None,
-                read_sdf(file) if file.has("sdf") else None,
+                gaussians,
+                cage,
+                embedding,
+                read_grid(file, "sdf/values") if file.has("sdf") else None,
                 read_material(file),
                 _read_provenance(file),
                 read_environment(file) if file.has("stage") else None,
@@ -162,23 +174,33 @@ class Asset:
         asset.check(str(path))
         return asset
 
-    def save(self, path: str | Path) -> None:
-        """Write the asset, compressed, in one step: either the whole file or none. Raises BadInput."""
+    def save(self, path: str | Path, *, quantised: bool = False) -> None:
+        """Write the asset, compressed, in one step: either the whole file or none. Raises BadInput.
+
+        `quantised` stores Gaussians, embedding and distance grids quantised, with the losses of assets/quantisation.py.
+        """
         self.check(str(path))
-        with atomic_write(path) as beside, h5py.File(beside, "w") as file:
+        libver = ("v110", "v110") if quantised else None  # 20 kB less, but HDF5 of before 2016 cannot read it
+        with atomic_write(path) as beside, h5py.File(beside, "w", libver=libver) as file:
             file.attrs["format"] = FORMAT
-            file.attrs["version"] = FORMAT_VERSION
+            file.attrs["version"] = QUANTISED if quantised else LOSSLESS
             file.attrs["provenance"] = json.dumps(self.provenance)
-            for group, arrays in (("gaussians", self.gaussians), ("cage", self.cage), ("embedding", self.embedding)):
+            lossless = {"cage": self.cage}
+            if quantised:
+                write_quantised_gaussians(file, self.gaussians)
+                if self.embedding is not None:
+                    host, weights = self.embedding.host, self.embedding.weights
+                    write_quantised_embedding(file, host, weights, self.gaussians, self.cage)
+            else:
+                lossless |= {"gaussians": self.gaussians, "embedding": self.embedding}
+            for group, arrays in lossless.items():
                 for f in fields(arrays) if arrays is not None else ():
                     dtype = INTEGER_DATASETS.get(f.name, np.float32)
                     write_dataset(file, f"{group}/{f.name}", getattr(arrays, f.name), dtype)
             if self.sdf is not None:
-                write_dataset(file, "sdf/values", self.sdf.values, np.float16)
-                file["sdf/values"].attrs["origin"] = np.asarray(self.sdf.origin, np.float64)
-                file["sdf/values"].attrs["spacing"] = float(self.sdf.spacing)
+                write_grid(file, "sdf/values", self.sdf, quantised=quantised)
             if self.environment is not None:
-                write_environment(file, self.environment)
+                write_environment(file, self.environment, quantised=quantised)
             if self.thumbnail is not None:
                 write_dataset(file, "thumbnail", self.thumbnail, np.uint8)
             if self.material is not None:
@@ -203,13 +225,15 @@ def _write_material(file: h5py.File, material: Material) -> None:
             group.attrs[name] = float(value)
 
 
-def _check_format(file: Hdf5Reader) -> None:
+def _version(file: Hdf5Reader) -> int:
+    """The version of an asset file: LOSSLESS or QUANTISED. Raises BadInput."""
     if file.text("", "format") != FORMAT:
         raise file.error(f"not a {FORMAT} file")
     version = file.number("", "version")
-    if version != FORMAT_VERSION:
-        hint = "; a newer program wrote it" if version > FORMAT_VERSION else ""
-        raise file.error(f"version {version:g} of the format, this program reads version {FORMAT_VERSION}{hint}")
+    if version not in (LOSSLESS, QUANTISED):
+        hint = "; a newer program wrote it" if version > QUANTISED else ""
+        raise file.error(f"version {version:g} of the format, this program reads {LOSSLESS} and {QUANTISED}{hint}")
+    return int(version)
 
 
 def _read_gaussians(file: Hdf5Reader) -> Gaussians:
@@ -238,13 +262,12 @@ def _read_embedding(file: Hdf5Reader) -> CageEmbedding:
     return CageEmbedding(host, file.floats("embedding/weights", (len(host), 4, 4)))
 
 
-def read_sdf(file: Hdf5Reader) -> DistanceGrid:
-    """The distance grid of an open asset file, unchecked."""
-    values = file.array("sdf/values", "f", (None, None, None))
-    if values.dtype != np.float16:
-        with np.errstate(over="ignore"):
-            values = values.astype(np.float32)
-    return DistanceGrid(values, file.vector("sdf/values", "origin"), file.number("sdf/values", "spacing"))
+def _read_quantised_embedding(file: Hdf5Reader, gaussians: Gaussians, cage: Cage | None) -> CageEmbedding:
+    if cage is None:
+        raise file.error("has an embedding but no cage")
+    gaussians.check(str(file.path))  # the weights are computed from both
+    cage.check(str(file.path))
+    return CageEmbedding(*read_quantised_embedding(file, gaussians, cage))
 
 
 def _read_provenance(file: Hdf5Reader) -> dict:

@@ -8,7 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
+from assets.hdf5 import Hdf5Reader, open_hdf5
+from assets.integers import read_grid, write_grid
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
@@ -51,9 +52,7 @@ def read_environment(file: Hdf5Reader) -> Environment:
     rows = np.asarray(file.array("stage/planes", "f", (None, 6)), np.float64)
     fine = []
     while len(fine) < FINE_GRIDS_MAX and file.has(f"stage/fine{len(fine)}"):
-        name = f"stage/fine{len(fine)}"
-        values = file.array(name, "f", (None, None, None))
-        fine.append(DistanceGrid(values, file.vector(name, "origin"), file.number(name, "spacing")))
+        fine.append(read_grid(file, f"stage/fine{len(fine)}"))
     if not np.isfinite([floor, clear, *drop, *eye]).all() or not np.isfinite(rows).all():
         raise file.error("a number of the stage is not finite")
     if clear <= 0 or not np.isin(rows[:, 0], range(len(PLANE_KINDS))).all():
@@ -62,7 +61,7 @@ def read_environment(file: Hdf5Reader) -> Environment:
     return Environment(floor, drop, eye, clear, planes, tuple(fine))
 
 
-def write_environment(file: h5py.File, environment: Environment) -> None:
+def write_environment(file: h5py.File, environment: Environment, *, quantised: bool) -> None:
     """Write the environment to an asset file."""
     group = file.create_group("stage")
     group.attrs["floor"], group.attrs["clear"] = float(environment.floor_height), float(environment.clear_radius)
@@ -71,6 +70,4 @@ def write_environment(file: h5py.File, environment: Environment) -> None:
     rows = [(PLANE_KINDS.index(kind), *bounds) for kind, *bounds in environment.planes]
     group["planes"] = np.array(rows, np.float64).reshape(-1, 6)
     for k, grid in enumerate(environment.fine_grids):
-        write_dataset(file, f"stage/fine{k}", grid.values, np.float16)
-        attributes = file[f"stage/fine{k}"].attrs
-        attributes["origin"], attributes["spacing"] = np.asarray(grid.origin, np.float64), float(grid.spacing)
+        write_grid(file, f"stage/fine{k}", grid, quantised=quantised)

@@ -14,9 +14,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from assets.asset import read_sdf
 from assets.environment import Environment
 from assets.hdf5 import open_hdf5
+from assets.integers import read_grid
 from assets.library import animated_height, asset_material, cage_vertices, find_asset
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
@@ -118,7 +118,7 @@ def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
     path = find_asset(stage)
     environment = Environment.load(path)
     with open_hdf5(path) as file:
-        grid = read_sdf(file) if file.has("sdf") else None
+        grid = read_grid(file, "sdf/values") if file.has("sdf") else None
     if grid is not None:
         grid.check(stage)
     return environment, grid

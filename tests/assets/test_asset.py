@@ -114,7 +114,7 @@ def test_a_material_keeps_all_its_properties(tmp_path, changes):
 ONE = np.ones(20, np.float32)
 DEFECTS = {
     "not a vrgs-asset": lambda f: f.attrs.update(format="other"),
-    "newer program": lambda f: f.attrs.update(version=2),
+    "newer program": lambda f: f.attrs.update(version=3),
     "version 0": lambda f: f.attrs.update(version=0),
     "missing attribute 'version'": lambda f: f.attrs.pop("version"),
     "'version' of the file is not a number": lambda f: f.attrs.update(version="one"),

@@ -1,0 +1,167 @@
+"""Version 2 of the asset file: Gaussians and embeddings as integers, in a fifth of the bytes.
+
+Each array of integers has an attribute `step`, and stands for step times the integers. What is lost:
+
+    means            up to 1/32 of the smallest width in a block of BLOCK Gaussians (the middle standard deviation of
+                     one: what is seen of a flat or thin one), or the precision of float32 where that is coarser
+    quats            "smallest three" in 10 bits each: 5 mrad
+    log_scales       1/128: 0.8 %
+    logit_opacities  1/64: 0.4 % of opacity
+    sh               1/256: 0.3 of an 8-bit step of colour, for each coefficient
+    weights          made again from the Gaussians, the cage and the local tetrahedra's half axes (0.8 %)
+
+Means are integers on a lattice of each block's own step, from the block's lowest corner.
+"""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+
+from assets.gaussians import SH_COUNTS, Gaussians
+from assets.hdf5 import Hdf5Reader
+from assets.integers import read_steps, step_of, write_integers, write_steps
+from core.morton import morton_order
+from core.point_location import TetLocator
+from core.rotation import matrices_from_quaternions
+
+BLOCK = 256  # Gaussians that share a step and a corner
+STEPS_A_WIDTH = 16  # of a block's lattice in the smallest width
+FLOAT_BITS = 24  # of a float32's mantissa: a finer lattice would hold nothing more
+LOG_STEP, LOGIT_STEP, SH_STEP = 1 / 64, 1 / 32, 1 / 128
+QUAT_BITS = 10
+WEIGHT_TOLERANCE = 0.01  # weights that would come out farther from the asset's are stored as they are
+POINTS_AT_ONCE = 1 << 18  # a few tens of MB
+CORNERS = np.sqrt(3.0) * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])  # around the unit sphere
+
+
+def write_quantised_gaussians(file: h5py.File, g: Gaussians) -> None:
+    """Write the group `gaussians`."""
+    write_steps(file, "gaussians/log_scales", g.log_scales, LOG_STEP)
+    write_steps(file, "gaussians/logit_opacities", g.logit_opacities, LOGIT_STEP)
+    write_steps(file, "gaussians/sh", g.sh, SH_STEP)
+    write_integers(file, "gaussians/quats", packed_quaternions(g.quats), shuffle=False)
+    write_integers(file, "gaussians/object_id", g.object_id)
+    starts = np.arange(0, len(g), BLOCK)
+    width = np.sort(np.exp(g.log_scales.astype(np.float64)), axis=1)[:, 1]
+    smallest = np.minimum.reduceat(width, starts) / STEPS_A_WIDTH
+    farthest = np.maximum.reduceat(np.abs(g.means).max(1).astype(np.float64), starts) / 2**FLOAT_BITS
+    step = 2.0 ** np.ceil(np.log2(np.maximum(np.maximum(0.5 * smallest, farthest), 1e-30)))
+    means = np.rint(g.means / np.repeat(step, BLOCK)[: len(g), None]).astype(np.int64)
+    low = np.minimum.reduceat(means, starts)
+    write_integers(file, "gaussians/means", means - np.repeat(low, BLOCK, axis=0)[: len(g)], columns=True)
+    write_integers(file, "gaussians/block_low", low)
+    file.create_dataset("gaussians/block_step", data=step.astype(np.float32))
+
+
+def read_quantised_gaussians(file: Hdf5Reader) -> Gaussians:
+    """Read the group `gaussians`; the caller checks it. Raises BadInput."""
+    offsets = file.array("gaussians/means", "iu", (None, 3))
+    n = len(offsets)
+    blocks = -(-n // BLOCK)
+    low = file.array("gaussians/block_low", "iu", (blocks, 3))
+    step = file.floats("gaussians/block_step", (blocks,), np.float64)
+    if not (np.isfinite(step) & (step > 0)).all():
+        raise file.error("a step of gaussians/block_step is not positive")
+    lattice = np.repeat(low.astype(np.float64), BLOCK, axis=0)[:n] + offsets
+    sh = read_steps(file, "gaussians/sh", (n, None, 3))
+    if sh.shape[1] not in SH_COUNTS:
+        raise file.error(f"sh has shape {sh.shape}, expected (N, K, 3) with K one of {SH_COUNTS}")
+    with np.errstate(over="ignore"):  # an overflow becomes infinite
+        return Gaussians(
+            (lattice * np.repeat(step, BLOCK)[:n, None]).astype(np.float32),
+            unpacked_quaternions(file.indices("gaussians/quats", (n,), np.uint32)),
+            read_steps(file, "gaussians/log_scales", (n, 3)),
+            read_steps(file, "gaussians/logit_opacities", (n,)),
+            sh,
+            file.indices("gaussians/object_id", (n,), np.uint16),
+        )
+
+
+def packed_quaternions(quats: np.ndarray) -> np.ndarray:
+    """Unit quaternions (N, 4) as uint32 (N,): 2 bits name the largest component, 10 bits hold each of the others."""
+    largest = np.abs(quats).argmax(1)
+    rows = np.arange(len(quats))
+    q = np.asarray(quats, np.float64) * np.where(quats[rows, largest] < 0, -1.0, 1.0)[:, None]
+    rest = q[np.arange(4) != largest[:, None]].reshape(-1, 3) * np.sqrt(2)  # the others are at most sqrt(1/2)
+    half = 2 ** (QUAT_BITS - 1) - 1
+    codes = (np.rint(rest.clip(-1, 1) * half).astype(np.int64) + half).astype(np.uint32)
+    packed = largest.astype(np.uint32)
+    for k in range(3):
+        packed |= codes[:, k] << np.uint32(2 + QUAT_BITS * k)
+    return packed
+
+
+def unpacked_quaternions(packed: np.ndarray) -> np.ndarray:
+    """Unit quaternions (N, 4) float32 of packed ones."""
+    half, mask = 2 ** (QUAT_BITS - 1) - 1, np.uint32(2**QUAT_BITS - 1)
+    rest = np.stack([packed >> np.uint32(2 + QUAT_BITS * k) & mask for k in range(3)], 1)
+    rest = (rest.astype(np.float64) - half) / (half * np.sqrt(2))
+    q = np.empty((len(packed), 4))
+    q[np.arange(4) != (packed & np.uint32(3))[:, None]] = rest.ravel()
+    q[np.arange(len(q)), packed & np.uint32(3)] = np.sqrt((1 - (rest**2).sum(1)).clip(0))
+    return (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
+
+
+def write_quantised_embedding(file: h5py.File, host: np.ndarray, weights: np.ndarray, g: Gaussians, cage) -> None:
+    """Write the group `embedding` of Gaussians in a cage, with `host` (N, 4) and `weights` (N, 4, 4).
+
+    The corners of a local tetrahedron are mu + R diag(half axes) R^T CORNERS. Others keep their weights.
+    """
+    order = morton_order(_centroids(cage))
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    locator = TetLocator(cage.vertices, cage.tets)
+    codes, exact = np.zeros((len(g), 3), np.int64), np.zeros(len(g), bool)
+    for begin in range(0, len(g), POINTS_AT_ONCE):
+        s = slice(begin, begin + POINTS_AT_ONCE)
+        x = locator.vertices[locator.tets[host[s]]]
+        corners = np.einsum("nkj,nkjc->nkc", weights[s].astype(np.float64), x)
+        axes = matrices_from_quaternions(g.quats[s])
+        local = np.einsum("nkc,nci->nki", corners - g.means[s, None], axes)
+        half = np.einsum("nki,nkj,nji->ni", local, np.broadcast_to(CORNERS, local.shape), axes) / 12
+        codes[s] = np.rint(np.log(half.clip(1e-30)) / LOG_STEP)
+        again = _weights(locator, host[s], g.means[s], axes, codes[s])
+        exact[s] = np.abs(again - weights[s]).max((1, 2)) > WEIGHT_TOLERANCE
+    codes[exact] = 0
+    write_integers(file, "embedding/host", place[host])
+    write_integers(file, "embedding/half_axes", codes)
+    file["embedding/half_axes"].attrs["step"] = LOG_STEP
+    write_integers(file, "embedding/exact", np.flatnonzero(exact))
+    file.create_dataset("embedding/exact_weights", data=weights[exact])
+
+
+def read_quantised_embedding(file: Hdf5Reader, g: Gaussians, cage) -> tuple[np.ndarray, np.ndarray]:
+    """Host (N, 4) int32 and weights (N, 4, 4) float32 of sound Gaussians in a sound cage. Raises BadInput."""
+    n, tets = len(g), len(cage.tets)
+    place = file.indices("embedding/host", (n, 4))
+    if n and place.max() >= tets:
+        raise file.error(f"the embedding names a tet outside 0..{tets - 1}")
+    host = morton_order(_centroids(cage))[place]
+    codes = file.array("embedding/half_axes", "iu", (n, 3))
+    step = step_of(file, "embedding/half_axes")
+    exact = file.indices("embedding/exact", (None,))
+    if len(exact) and (exact.max() >= n or (np.diff(exact) <= 0).any()):
+        raise file.error("embedding/exact does not name Gaussians in order")
+    weights = np.empty((n, 4, 4), np.float32)
+    locator = TetLocator(cage.vertices, cage.tets)
+    for begin in range(0, n, POINTS_AT_ONCE):
+        s = slice(begin, begin + POINTS_AT_ONCE)
+        with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses weights that are not finite
+            axes = matrices_from_quaternions(g.quats[s])
+            weights[s] = _weights(locator, host[s], g.means[s], axes, codes[s] * (step / LOG_STEP))
+    weights[exact] = file.floats("embedding/exact_weights", (len(exact), 4, 4))
+    return host.astype(np.int32), weights
+
+
+def _weights(locator: TetLocator, host, means, axes, codes) -> np.ndarray:
+    """Weights (N, 4, 4) of local tetrahedra about `means`, half axes exp(LOG_STEP codes) [m] along `axes` (N, 3, 3)."""
+    half = np.exp(LOG_STEP * codes)
+    off = np.einsum("nci,ni,nji,kj->nkc", axes, half, axes, CORNERS, optimize=True)
+    corners = means[:, None].astype(np.float64) + off
+    return locator.weights(host.ravel(), corners.reshape(-1, 3)).reshape(-1, 4, 4)
+
+
+def _centroids(cage) -> np.ndarray:
+    """Centroids (T, 3) of the tets [m], float64: in their Morton order hosts of neighbours have near numbers."""
+    return cage.vertices.astype(np.float64)[cage.tets].mean(1)

@@ -51,6 +51,8 @@ def play(args) -> None:
                 film.add(world, frame.time)
             if recording:
                 recording.after(world)
+            if session.study:
+                session.study.after(frame, world)
         session.report()
 
 

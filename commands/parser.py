@@ -6,7 +6,7 @@ import argparse
 import difflib
 from collections.abc import Callable
 
-from commands import bench, build, convert, materials, physics_check, play, prepare, render, scenes, tune, view
+from commands import bench, build, convert, materials, physics_check, play, prepare, render, scenes, study, tune, view
 from core.errors import BadInput
 
 COMMANDS = {
@@ -20,6 +20,7 @@ COMMANDS = {
     "tune": tune,
     "materials": materials,
     "check": physics_check,
+    "study": study,
 }
 
 

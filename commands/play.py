@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from display.protocol import Display, Frame
     from display.record.recording import Recording
     from display.record.replay import Replay
+    from display.study.study_log import StudyLog
     from display.world import World
     from scenes.scene import Scene
 
@@ -69,6 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     again.add_argument("--record-input", type=Path, metavar="FILE.h5", help=text)
     text = "replay recorded input, and compare the states"
     again.add_argument("--replay", type=Path, metavar="FILE.h5", help=text)
+    text = "add what is done to the file of a study (see: vrgs.py study)"
+    parser.add_argument("--study", type=Path, metavar="OUT.h5", help=text)
+    text = "--study: who plays; a name for each, by which both settings are compared"
+    parser.add_argument("--participant", metavar="NAME", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     text = "splat file or prepared asset to play with; several times: in the scene's roles, in their order"
     parser.add_argument("--body", metavar="FILE", action="append", help=text)
@@ -91,9 +96,10 @@ class Session:
         display: Display,
         film: FilmWriter | None,
         recording: Recording | None,
+        study: StudyLog | None,
         replay: Replay | None,
     ):
-        self.world, self.display, self.film, self.recording = world, display, film, recording
+        self.world, self.display, self.film, self.recording, self.study = world, display, film, recording, study
         self._args, self._replay, self._count = args, replay, 0
 
     def frames(self) -> Iterator[Frame]:
@@ -129,6 +135,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         open_display(args, scene, replay) as display,
         open_film(args, display) as film,
         open_recording(args) as recording,
+        open_study(args, scene) as study,
     ):
         start_taichi(args.arch, args.seed)
         from display.start_progress import start_progress
@@ -148,7 +155,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
                 world.warm_up()
         if recording:
             recording.begin(args, options)
-        yield Session(args, world, display, film, recording, replay)
+        yield Session(args, world, display, film, recording, study, replay)
 
 
 def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
@@ -191,6 +198,24 @@ def open_recording(args: argparse.Namespace):
     from display.record.recording import Recording
 
     return Recording(args.record_input)
+
+
+def open_study(args: argparse.Namespace, scene: Scene):
+    """The log of the participant's trials, or a context of None."""
+    if not args.study:
+        if args.participant:
+            raise BadInput("--participant belongs to --study OUT.h5")
+        return contextlib.nullcontext()
+    from display.study.study_log import StudyLog
+
+    options = args.options or {}
+    return StudyLog(
+        args.study,
+        participant=(args.participant or "").strip(),
+        task=" ".join([args.scene, *(f"{key}={value}" for key, value in sorted(options.items()))]),
+        device="headset" if args.xr else "headless" if args.headless else "window",
+        about={"options": options, "roles": {role: file for file, role in scene.cast}},
+    )
 
 
 def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:

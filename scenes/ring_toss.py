@@ -28,6 +28,7 @@ class RingToss:
     """A ring scores once it has come to rest around the bottle: its disc holds the bottle's axis."""
 
     duration = THROW_PERIOD * len(STARTS) + 0.6
+    goal = len(STARTS)
 
     def __init__(self):
         above = (BOTTLE[0], TABLE_TOP + BOTTLE_HEIGHT + 0.03, BOTTLE[2])

@@ -117,7 +117,8 @@ class BodyState:
 class Game(Protocol):
     """Game of a scene. `hands` is its scripted player; `reset` starts it again.
 
-    `verify` raises AssertionError if the scripted play did not end as it should.
+    `verify` raises AssertionError if the scripted play did not end as it should. A game with a task to be done has an
+    attribute `goal`: the score with which it is.
     """
 
     duration: float  # [s] of the scripted play

@@ -17,6 +17,7 @@ from core.camera import look_at, perspective
 from core.material import Material
 from display.picture import pixels_of
 from display.protocol import Frame, Reset, SetLight, Undo
+from display.study.study_file import read_study
 from scenes import registry, ring_toss
 from scenes.dining_table import BOTTLE
 from scenes.scene import Body, BodyState, Light, Plane, Scene
@@ -43,7 +44,9 @@ def play(tmp_path, *args, name="run") -> dict:
 
 def test_the_scripted_hand_wins_the_ring_toss(tmp_path):
     film, picture = tmp_path / "toss.mp4", tmp_path / "toss.png"
-    stats = play(tmp_path, "--scene", "ring_toss", "--record", film, "--snapshot", picture)
+    study = tmp_path / "study.h5"
+    line = ("--record", film, "--snapshot", picture, "--study", study, "--participant", "Ida")
+    stats = play(tmp_path, "--scene", "ring_toss", *line)
     assert stats["score"] >= 2
     assert stats["finite"] is True
     assert stats["gaussians"] > 50_000 and stats["vertices"] > 300 and stats["substeps"] > 0 and stats["dt"] > 0
@@ -54,6 +57,9 @@ def test_the_scripted_hand_wins_the_ring_toss(tmp_path):
     capture = cv2.VideoCapture(str(film))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) >= stats["frames"] // 2
     assert cv2.imread(str(picture)).std() > 20  # a picture, not a flat colour
+    (trial,) = read_study(study).trials
+    assert (trial.participant, trial.task, trial.setting, trial.device) == ("Ida", "ring_toss", "physics", "headless")
+    assert trial.grips == trial.throws == 3 and trial.score == stats["score"] and 1.0 < trial.body_path < 12.0
 
 
 @pytest.mark.parametrize(("held", "height", "score"), [(False, 0.05, 1), (True, 0.05, 0), (False, 0.35, 0)])

@@ -46,5 +46,5 @@ def run(args: argparse.Namespace) -> None:
     for name in names:
         asset = build_model(name, detail, report)
         path = out / f"{name}.h5"
-        asset.save(path)
+        asset.save(path, quantised=True)
         report(f"{path}: {len(asset.gaussians):,} Gaussians, {path.stat().st_size / 1e6:.2f} MB")

@@ -39,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mesher", choices=("stuffing", "tetgen"), default="stuffing", help=text)
     text = "leave out ASSET.report.html and ASSET.report.json"
     parser.add_argument("--no-report", action="store_true", help=text)
+    text = "a third to a fifth of the file's size, with losses that are hardly seen (docs/formats.md)"
+    parser.add_argument("--quantised", action="store_true", help=text)
     add_arch(parser)
 
 
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
     start_taichi(args.arch)
     if static:
         options = EnvironmentOptions(up=args.up, scale=args.scale, cell=args.cell, cut=cut)
-        for file in prepare_environment_file(args.splats, out, options):
+        for file in prepare_environment_file(args.splats, out, options, quantised=args.quantised):
             print(f"wrote {file}")
         return
     vertices = () if args.vertices else device_vertices(animated=is_animated(args.splats, args.rig))
@@ -81,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
     )
     if vertices:
         print(suited(vertices[0]))
-    files = {"rig": args.rig, "landmarks": args.landmarks}
+    files = {"rig": args.rig, "landmarks": args.landmarks, "quantised": args.quantised}
     prepare_file(args.splats, out, options, vertices=vertices, **files, pictures=True, page=bool(reports))
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))
 

@@ -45,6 +45,7 @@ def prepare_file(
     report: Callable[[str], None] = print,
     pictures: bool = False,
     page: bool = False,
+    quantised: bool = False,
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
@@ -54,6 +55,7 @@ def prepare_file(
     landmarks JSON file of the positions of the body's joints
     pictures  draw a thumbnail into the asset
     page      also write the report beside it: ASSET.report.html and ASSET.report.json
+    quantised store it small, with the losses of assets/quantisation.py
     Raises BadInput, naming the file.
     """
     path, out, options = Path(path), Path(out), options or Options()
@@ -98,7 +100,7 @@ def prepare_file(
     texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat) if page else ()
     with atomic_write_all(out, *(report_names(out) if page else ())) as (beside, *others):
         asset.check(str(out))  # before `save` does, which would name the temporary file
-        asset.save(beside)
+        asset.save(beside, quantised=quantised)
         for other, text in zip(others, texts, strict=True):
             other.write_text(text, encoding="utf-8")
     checkpoints.clear()
@@ -162,6 +164,7 @@ def prepare_environment_file(
     *,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
+    quantised: bool = False,
 ) -> list[Path]:
     """Prepare the scene `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
@@ -183,7 +186,7 @@ def prepare_environment_file(
     with atomic_write_all(*files) as (beside, *others):
         for other, g in zip(others, objects.values(), strict=True):
             write_ply(other, g)
-        asset.save(beside)
+        asset.save(beside, quantised=quantised)
     for k, g in objects.items():
         report(f"object {k}: {len(g)} Gaussians cut out")
     for line in environment_summary(asset):

@@ -1,4 +1,4 @@
-"""From lit surfels to Gaussians: albedo, tone mapping, sharpening, view-dependent colour, and compressible numbers."""
+"""From lit surfels to Gaussians: albedo, tone mapping, sharpening and view-dependent colour."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ SHARPENING_ROUNDS = 4  # to undo the blur of overlapping Gaussians
 OPACITY = 0.97
 THICKNESS_RATIO = 0.12  # over the smaller width
 MAX_THICKNESS = 0.002  # [m]
-MANTISSA_BITS = 11  # of the floats in a file: relative errors of 1/4096 are invisible
 SPHERE_VIEWS, PLAYER_VIEWS = 96, 64  # directions that colours are fitted to: all around, and from the player's space
 SOLVE_BATCH = 4096  # Gaussians at a time
 
@@ -64,15 +63,14 @@ def sharpened(surfels: Surfels, colours: np.ndarray, neighbours: int = 12) -> np
 
 
 def to_gaussians(surfels: Surfels, sh: np.ndarray, object_id: np.ndarray) -> Gaussians:
-    """Flat Gaussians with spherical harmonics `sh` (N, K, 3), all numbers rounded so that the file compresses."""
+    """Flat Gaussians with spherical harmonics `sh` (N, K, 3)."""
     across = np.cross(surfels.normals, surfels.tangents)
     rotation = np.stack([surfels.tangents, across, surfels.normals], 2)
     quaternions = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
     thin = np.minimum(THICKNESS_RATIO * surfels.sigma.min(1), MAX_THICKNESS).clip(3e-4)
     scales = np.concatenate([surfels.sigma, thin[:, None]], 1)
     logit = np.full(len(surfels), np.log(OPACITY / (1 - OPACITY)))
-    rounded = [rounded_to(a, MANTISSA_BITS) for a in (quaternions, np.log(scales), logit, sh)]
-    return Gaussians(rounded_to(surfels.points, MANTISSA_BITS + 3), *rounded, object_id.astype(np.uint16))
+    return Gaussians.of(surfels.points, quaternions, np.log(scales), logit, sh, object_id)
 
 
 def flat_sh(colours: np.ndarray) -> np.ndarray:
@@ -118,12 +116,6 @@ def fit_view_dependence(normals: np.ndarray, colour: Callable, degree: int, view
         right = np.einsum("nm,mi,nmc->nic", w, basis, target[s : s + SOLVE_BATCH], optimize=True)
         result[s : s + SOLVE_BATCH] = np.linalg.solve(left, right)
     return result
-
-
-def rounded_to(values: np.ndarray, bits: int) -> np.ndarray:
-    """Values as float32, rounded to the given number of mantissa bits."""
-    mantissa, exponent = np.frexp(np.asarray(values, np.float64))
-    return np.ldexp(np.round(mantissa * 2.0**bits) / 2.0**bits, exponent).astype(np.float32)
 
 
 def _weights(surfels: Surfels, neighbours: int, width: float) -> tuple[np.ndarray, np.ndarray]:

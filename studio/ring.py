@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from assets.asset import Asset, Cage, CageEmbedding
+from assets.asset import Asset, Cage
 from core.material import Material
 from studio.detail import Detail
 from studio.finish import (
@@ -44,7 +44,6 @@ def ring(name: str, rng: np.random.Generator, detail: Detail, report) -> Asset:
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
     half = RING_MAJOR + RING_TUBE + 0.0105
     sdf = sample_distance_grid([torus(RING_MAJOR, RING_TUBE)], (-half, -0.0255, -half), (half, 0.0255, half), 0.003)
-    embedded = CageEmbedding(embedded.host, _rounded_weights(embedded.weights))
     return Asset(g, cage, embedded, sdf, MATERIAL, {"made_by": "vrgs build", "name": name})
 
 
@@ -129,10 +128,3 @@ def _rubber_sheen(c: Surfels, surfaces: list[Surface], rng: np.random.Generator)
         )
 
     return fit_view_dependence(c.normals, colour, 2, all_directions())
-
-
-def _rounded_weights(weights: np.ndarray) -> np.ndarray:
-    """Weights rounded to 1/8192 whose rows sum to 1: an error below a micrometre, and half the file size."""
-    rounded = np.round(weights * 8192.0) / 8192.0
-    rounded[..., 3] = 1 - rounded[..., :3].sum(-1)
-    return rounded.astype(np.float32)

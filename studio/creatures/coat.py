@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians, concatenate
 from studio.creatures.creature import Creature, Part, Seam, look_at_surface, surface_of
 from studio.creatures.implicit import unit
 from studio.creatures.sky_light import KEY, distance_grid, irradiance
-from studio.finish import MANTISSA_BITS, flat_sh, rounded_to, tone_map
+from studio.finish import flat_sh, tone_map
 from studio.surface_sampling import blue_noise
 from studio.textures import fbm, mix, srgb
 
@@ -137,8 +137,7 @@ def oriented(points, along, up, sigma, radiance) -> Gaussians:
     quats = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
     logit = np.full(len(points), np.log(OPACITY / (1 - OPACITY)))
     sh = flat_sh(tone_map(EXPOSURE * radiance))
-    rounded = [rounded_to(a, MANTISSA_BITS) for a in (quats, np.log(sigma), logit, sh)]
-    return Gaussians.of(rounded_to(points, MANTISSA_BITS + 3), *rounded, np.ones(len(points)))
+    return Gaussians.of(points, quats, np.log(sigma), logit, sh, np.ones(len(points)))
 
 
 def tangents_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -53,7 +53,8 @@ class Sandbox:
             grasp[1] += 0.3 * (body.high[1] - body.low[1])
             release, target = grasp + [0.0, 0.45, 0.0], tuple(np.add(self.target, [0.0, 0.2, 0.0]))
             times = {"acceleration_time": 0.12, "flight_time": 0.4}
-            self.throw = Throw(tuple(grasp), tuple(release), target, grab_radius=0.06, **times)
+            reach = max(0.06, 0.45 * float((body.high - body.low).max()))  # beyond the rim of a ring's hole
+            self.throw = Throw(tuple(grasp), tuple(release), target, grab_radius=reach, **times)
             self.throw_start = time
 
     def throw_at_dancer(self, body: BodyState, ring: BodyState) -> Throw:

@@ -18,18 +18,38 @@ if TYPE_CHECKING:
     import numpy as np
 
 SHIPPED_FOLDER = Path(__file__).resolve().parent / "data"
+_searched = [SHIPPED_FOLDER]  # folders of named assets, in turn
 
 
 def find_asset(name: str) -> Path:
     """Path of an asset named as in a scene: a shipped one ("ring") or a file. Raises BadInput."""
-    shipped = SHIPPED_FOLDER / f"{name}.h5"
-    if shipped.is_file():
-        return shipped
+    for folder in _searched:
+        if (folder / f"{name}.h5").is_file():
+            return folder / f"{name}.h5"
     path = Path(name)
     if path.is_file():
         return path
     known = ", ".join(sorted(p.stem for p in SHIPPED_FOLDER.glob("*.h5"))) or "none (run: python vrgs.py build)"
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
+
+
+def search_first(folder: Path | None) -> None:
+    """From now on find named assets in `folder` before the shipped ones; None: in these alone."""
+    _searched[:] = [SHIPPED_FOLDER] if folder is None else [folder, SHIPPED_FOLDER]
+
+
+def paper_folder(demo: str) -> Path:
+    """Folder of the assets that `vrgs.py build --detail paper` makes for a demo of scenes/paper_demos.py."""
+    return cache_folder() / "paper" / demo
+
+
+def asset_sizes(name: str) -> tuple[int, int]:
+    """Numbers of Gaussians and of cage vertices (0: no cage) of an asset. Raises BadInput."""
+    from assets.hdf5 import open_hdf5
+
+    with open_hdf5(find_asset(name)) as file:
+        gaussians = len(file.array("gaussians/means", "fiu", (None, 3)))
+        return gaussians, len(file.array("cage/vertices", "f", (None, 3))) if file.has("cage") else 0
 
 
 def asset_material(name: str) -> Material | None:

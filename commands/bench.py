@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import argparse
 import importlib
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from assets.library import SHIPPED_FOLDER
 from commands.options import add_arch, positive, size
+from core.errors import BadInput
 from core.runtime import start_taichi
 
+if TYPE_CHECKING:
+    from scenes.paper_demos import PaperDemo
+
 HELP = "measure speed"
-EXAMPLES = ("bench sim --json sim.json",)
+EXAMPLES = ("bench sim --json sim.json", "bench demos ring_toss --quick")
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
     "scene": ("bench.scene_speed", "the solver, real bodies dropped, thrown, squeezed, piled up"),
     "render": ("bench.render_speed", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
+    "demos": ("bench.demos", "the paper's nine demos, beside its figures"),
     "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
@@ -27,6 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     parser.add_argument("subject", choices=tuple(SUBJECTS), help=text)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="demos: which (default: all that are there)")
+    text = "demos: assets as shipped, or at the paper's sizes, which are built first where they are missing"
+    parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
     text = "popping: splats to draw (default: the dining room); embedding: a body"
     parser.add_argument("--splats", type=Path, default=SHIPPED_FOLDER / "dining_room.h5", metavar="SPLATS", help=text)
     text = "embedding: number of Gaussians (default 1000000)"
@@ -40,14 +50,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--materials", nargs="+", default=["plush", "rubber", "wood"], metavar="NAME", help=text)
     acts = ("drop", "throw", "squeeze", "stack")
     parser.add_argument("--acts", nargs="+", choices=acts, default=list(acts), help="scene: (default: all)")
-    parser.add_argument("--frames", type=positive(int), metavar="N", help="scene: a row (default 1000, quick 240)")
-    parser.add_argument("--quick", action="store_true", help="scene: drop, throw and squeeze in one row; 2 s a row")
+    parser.add_argument(
+        "--frames", type=positive(int), metavar="N", help="scene, demos: a row (default 1000; quick 240, 30)"
+    )
+    parser.add_argument("--quick", action="store_true", help="scene: one row, 2 s; demos: few frames")
     text = "scene: folder of bodies that were made for it (default: in the user's cache)"
     parser.add_argument("--bodies", type=Path, metavar="DIR", help=text)
     rooms = ("0.305M", "1.313M", "2.526M")
     text = "render: rooms (default: all)"
     parser.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help=text)
-    text = "render: picture of an eye (default 1800x1920)"
+    text = "render, demos: picture of an eye (default 1800x1920)"
     parser.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help=text)
     parser.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
@@ -58,7 +70,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int | None:
-    """Measure the subject."""
+    """Measure the subject. Raises BadInput."""
+    if args.names and args.subject != "demos":
+        raise BadInput(f"bench {args.subject} takes no names: {' '.join(args.names)}")
     if not args.earlier:
         start_taichi(args.arch)
-    return importlib.import_module(SUBJECTS[args.subject][0]).run(args)
+    subject = importlib.import_module(SUBJECTS[args.subject][0])
+    return subject.run(args, detailed(args.detail)) if args.subject == "demos" else subject.run(args)
+
+
+def detailed(detail: str) -> Callable[[PaperDemo], None]:
+    """A function that lets a demo's scene find its assets at a detail, built where they are missing."""
+    from assets.library import paper_folder, search_first
+    from commands.build import clock
+    from commands.paper_assets import build_demo, use_paper_assets
+
+    if detail == "shipped":
+        return lambda demo: search_first(None)
+    report = clock()
+
+    def make_ready(demo: PaperDemo) -> None:
+        try:
+            use_paper_assets(demo)
+        except BadInput as e:
+            report(str(e))
+            build_demo(demo, paper_folder(demo.name), report)
+            use_paper_assets(demo)
+
+    return make_ready

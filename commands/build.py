@@ -1,30 +1,38 @@
-"""`vrgs.py build`: rebuild the shipped assets from code."""
+"""`vrgs.py build`: build the modelled assets from code, as shipped or at the paper's sizes."""
 
 from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from pathlib import Path
 
-from assets.library import SHIPPED_FOLDER
+from assets.library import SHIPPED_FOLDER, paper_folder
+from commands.options import add_arch
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "rebuild the shipped assets from code"
-EXAMPLES = ("build ring_red",)
+HELP = "build the modelled assets from code"
+EXAMPLES = ("build ring_red", "build --detail paper ring_toss")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("names", nargs="*", metavar="NAME", help="names of assets (default: all)")
-    parser.add_argument("--out", type=Path, default=None, metavar="DIR", help="default: the shipped assets' folder")
-    parser.add_argument(
-        "--detail", choices=("shipped", "rough"), default="shipped", help="rough: quickly, to look at (needs --out)"
-    )
+    text = "names of assets, with --detail paper of demos (default: all)"
+    parser.add_argument("names", nargs="*", metavar="NAME", help=text)
+    text = "default: the shipped assets' folder, with --detail paper one in the user's cache"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=text)
+    text = "paper: each demo's own set, with as many Gaussians and vertices as the paper's; rough: quickly, to look at"
+    parser.add_argument("--detail", choices=("shipped", "paper", "rough"), default="shipped", help=text)
+    parser.add_argument("--force", action="store_true", help="--detail paper: also what is there already")
+    add_arch(parser)
 
 
 def run(args: argparse.Namespace) -> None:
     """Build the assets `args.names` (all, if there are none) into `args.out`. Raises BadInput."""
+    if args.detail == "paper":
+        build_paper(args.names, args.out, args.arch, force=args.force)
+        return
     from studio.catalogue import MODELS, build_model
     from studio.detail import ROUGH, SHIPPED
 
@@ -36,15 +44,30 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"--detail {args.detail} needs --out: it would replace the shipped assets")
     detail = {"shipped": SHIPPED, "rough": ROUGH}[args.detail]
     start_taichi(args.arch)
-    out = Path(args.out or SHIPPED_FOLDER)
-    start = time.perf_counter()
-
-    def report(line: str) -> None:
-        print(f"[{time.perf_counter() - start:5.1f} s] {line}", flush=True)
-
+    out, report = Path(args.out or SHIPPED_FOLDER), clock()
     out.mkdir(parents=True, exist_ok=True)
     for name in names:
         asset = build_model(name, detail, report)
         path = out / f"{name}.h5"
         asset.save(path, quantised=True)
         report(f"{path}: {len(asset.gaussians):,} Gaussians, {path.stat().st_size / 1e6:.2f} MB")
+
+
+def build_paper(names: list[str], out: Path | None, arch: str | None, *, force: bool = False) -> None:
+    """Build the assets of demos at the paper's sizes into out/DEMO (default: in the user's cache). Raises BadInput."""
+    from commands.paper_assets import build_demo
+    from scenes import registry
+    from scenes.paper_demos import paper_demos
+
+    demos = paper_demos(names, there=registry.names())
+    start_taichi(arch)
+    report = clock()
+    for k, demo in enumerate(demos):
+        report(f"demo {k + 1} of {len(demos)}: {demo.name}")
+        build_demo(demo, paper_folder(demo.name) if out is None else out / demo.name, report, force=force)
+
+
+def clock() -> Callable[[str], None]:
+    """A function that prints a line with the time since now."""
+    start = time.perf_counter()
+    return lambda line: print(f"[{time.perf_counter() - start:6.1f} s] {line}", flush=True)

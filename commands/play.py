@@ -81,6 +81,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stage", metavar="ROOM", help=text)
     text = "material of --body (default: the asset's own; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
+    text = "assets as shipped, or at the paper's sizes (make them: vrgs.py build --detail paper)"
+    parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
     add_preparation(parser, "--body: ")
     parser.set_defaults(options=None)
     add_scene_options(parser)
@@ -165,6 +167,11 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
     """
     from scenes import registry
 
+    if args.detail == "paper":
+        from commands.paper_assets import use_paper_assets
+        from scenes.paper_demos import paper_demo_of
+
+        use_paper_assets(paper_demo_of(args.scene, args.options or {}))
     bodies, stage = prepared_bodies(args), prepared_stage(args)
     material = args.material
     if replay and material is None:

@@ -21,7 +21,7 @@ from studio.surface_sampling import Surfels, sample_surfaces
 from studio.textures import plain
 
 RING_MAJOR, RING_TUBE = 0.08, 0.015  # [m] radii of the torus
-CAGE_SEGMENTS, CAGE_SIDES = 30, 8  # prisms about as long as they are wide
+CAGE_VERTICES, CAGE_SIDES = 270, 8  # 30 segments: prisms about as long as they are wide
 MATERIAL = Material.named("silicone")
 TINTS = {  # rubber, stripe
     "ring_red": ("e0301e", "f4d9c4"),
@@ -40,7 +40,7 @@ def ring(name: str, rng: np.random.Generator, detail: Detail, report) -> Asset:
     c = sample_surfaces(surfaces, rng, detail)
     sh = _rubber_sheen(c, surfaces, rng)
     g = to_gaussians(c, sh, np.ones(len(c)))
-    cage = torus_cage()
+    cage = torus_cage(detail.cage_vertices(CAGE_VERTICES))
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), cage.vertices, cage.tets)
     half = RING_MAJOR + RING_TUBE + 0.0105
     sdf = sample_distance_grid([torus(RING_MAJOR, RING_TUBE)], (-half, -0.0255, -half), (half, 0.0255, half), 0.003)
@@ -65,27 +65,38 @@ def torus_surfaces(name: str, sides: int = 28) -> list[Surface]:
     return surfaces
 
 
-def torus_cage() -> Cage:
-    """Cage swept from a polygon with a centre: prisms of three tets each, with matching diagonals.
+def torus_cage(wanted: int = CAGE_VERTICES) -> Cage:
+    """Cage of about `wanted` vertices swept from a polygon: prisms of three tets each, with matching diagonals.
 
-    The polygon circumscribes the tube, so that the Gaussians lie inside. Every quadrilateral is split from its lowest
-    vertex index, which always gives three conforming tets (Dompierre et al. 1999).
+    The polygon has a centre and, from more vertices on, several rings; it circumscribes the tube, so that the
+    Gaussians lie inside. Every quadrilateral is split from its lowest vertex index, which always gives three
+    conforming tets (Dompierre et al. 1999).
     """
-    a = 2 * np.pi * np.arange(CAGE_SEGMENTS) / CAGE_SEGMENTS
-    b = 2 * np.pi * (np.arange(CAGE_SIDES) + 0.5) / CAGE_SIDES
-    radius = 1.02 * RING_TUBE / np.cos(np.pi / CAGE_SIDES)
-    r = np.concatenate([[RING_MAJOR], RING_MAJOR + radius * np.cos(b)]) / np.cos(np.pi / CAGE_SEGMENTS)
-    y = np.concatenate([[0.0], radius * np.sin(b)])
+    finer = (wanted / CAGE_VERTICES) ** (1 / 3)
+    sides, layers = round(CAGE_SIDES * finer), max(round(finer), 1)
+    stride = 1 + sides * layers
+    segments = round(wanted / stride)
+    a = 2 * np.pi * np.arange(segments) / segments
+    b = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    radius = 1.02 * RING_TUBE / np.cos(np.pi / sides) * np.arange(1, layers + 1)[:, None] / layers
+    r = np.concatenate([[RING_MAJOR], (RING_MAJOR + radius * np.cos(b)).ravel()]) / np.cos(np.pi / segments)
+    y = np.concatenate([[0.0], (radius * np.sin(b)).ravel()])
     vertices = np.stack(
-        [np.outer(np.cos(a), r), np.broadcast_to(y, (CAGE_SEGMENTS, CAGE_SIDES + 1)), -np.outer(np.sin(a), r)], -1
+        [np.outer(np.cos(a), r), np.broadcast_to(y, (segments, stride)), -np.outer(np.sin(a), r)], -1
     ).reshape(-1, 3)
-    stride, tets, surface_ = CAGE_SIDES + 1, [], []
-    for s in range(CAGE_SEGMENTS):
-        here, there = s * stride, (s + 1) % CAGE_SEGMENTS * stride
-        for k in range(CAGE_SIDES):
-            one, two = 1 + k, 1 + (k + 1) % CAGE_SIDES
-            prism = [here, here + one, here + two, there, there + one, there + two]
-            tets += _split_prism(prism)
+    triangles = []  # of a section
+    for k in range(sides):
+        one, two = 1 + k, 1 + (k + 1) % sides
+        triangles.append((0, one, two))
+        for out in range(sides, sides * layers, sides):
+            triangles += [(one + out - sides, one + out, two + out), (one + out - sides, two + out, two + out - sides)]
+    tets, surface_ = [], []
+    for s in range(segments):
+        here, there = s * stride, (s + 1) % segments * stride
+        for triangle in triangles:
+            tets += _split_prism([here + v for v in triangle] + [there + v for v in triangle])
+        for k in range(sides):
+            one, two = (1 + sides * (layers - 1) + j % sides for j in (k, k + 1))
             side = [here + one, there + one, there + two, here + two]
             low = side.index(min(side))
             p, q, t, u = side[low:] + side[:low]

@@ -108,11 +108,14 @@ def test_rings_are_ready_to_be_simulated(shipped, name):
     assert_allclose(corners.mean(1), asset.gaussians.means, atol=5e-4)
 
 
-def test_the_ring_cage_is_well_shaped():
-    cage = torus_cage()
+@pytest.mark.parametrize("wanted", [270, 1000, 3000])
+def test_the_ring_cage_is_well_shaped(wanted):
+    cage = torus_cage(wanted)
+    cage.check("cage")
+    assert abs(len(cage.vertices) / wanted - 1) < 0.02
     angles = np.degrees(dihedral_angles(cage.vertices.astype(float), cage.tets))
     angles = angles if angles.max() < 181 else np.radians(angles)
-    assert angles.min() >= 15
+    assert angles.min() >= 12  # as prepare's cages
     tube_volume = 2 * np.pi**2 * RING_MAJOR * RING_TUBE**2
     assert (cage.volumes() > 0).all()
     assert tube_volume < cage.volumes().sum() < 1.25 * tube_volume  # drawn round the tube, not far from it

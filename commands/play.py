@@ -176,7 +176,8 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
     material = args.material
     if replay and material is None:
         material = replay.implied_material(args.scene, bodies[0] if bodies else None)
-    scene = registry.load(args.scene, body=bodies, material=material, stage=stage, **(args.options or {}))
+    users = {"body": bodies, "material": material, "stage": stage, "resize": args.scale is None}
+    scene = registry.load(args.scene, **users, **(args.options or {}))
     if not scene.cast:
         return scene
     files = dict(zip([*bodies, stage], [*(args.body or ()), args.stage], strict=True))

@@ -6,7 +6,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import scenes
@@ -64,12 +64,14 @@ def load(
     body: str | Sequence[str] | None = None,
     material: str | None = None,
     stage: str | None = None,
+    resize: bool = True,
     **options,
 ) -> Scene:
     """Build the scene, with the user's bodies and room in their roles. Options that are None are not given.
 
     body, stage  assets
     material     a name: of the bodies
+    resize       let bodies become as large as their roles ask for; otherwise all keep their sizes
     options      of the scene, texts or values
 
     Raises BadInput, also for what the scene does not take.
@@ -97,6 +99,8 @@ def load(
     elif material is not None and not assets:
         raise BadInput(f"the scene {name} takes no --material without --body")
     scene = found.build(**values)
+    if not resize:
+        scene = replace(scene, roles=tuple(replace(role, resize=False) for role in scene.roles))
     return with_users(scene, name, played, assets[len(played) :], material, stage)
 
 

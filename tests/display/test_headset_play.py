@@ -16,6 +16,7 @@ import pytest
 
 from core.rotation import quaternions_from_matrices
 from display.record.replay import Replay
+from display.study.study_file import read_study
 from display.xr.poses import PlaySpace
 from display.xr.wrist_panel import BUTTONS, panel_pose, point_on_panel
 from scenes import ring_toss
@@ -46,6 +47,8 @@ class Play(Watched):
             "stats.json",
             "--record-input",
             "play.h5",
+            "--study",
+            "study.h5",
         ]
         with open(self.errors, "w") as errors:
             env = {**screen.env, **environment}
@@ -274,6 +277,9 @@ def test_closing_the_mirror_ends_the_play_and_writes_its_numbers(play):
     assert "SESSION_NOT_RUNNING" not in play.errors.read_text()
     recorded = Replay.load(folder / "play.h5")
     assert len(recorded) == numbers["frames"] and recorded.about["arch"] == "cpu"
+    thrown, stretched = read_study(folder / "study.h5").trials  # there was one reset in between
+    assert thrown.device == "headset" and thrown.setting == stretched.setting == "physics"
+    assert thrown.throws >= 1 and thrown.body_path > 0.3 and stretched.grips >= 1
 
 
 def test_without_a_screen_the_headset_still_plays(tmp_path):

@@ -5,6 +5,7 @@ import json
 import numpy as np
 
 from core.camera import look_at, perspective
+from display.study.study_file import read_study
 from display.window.window import project
 from scenes import ring_toss
 from tests.support.watched import Watched
@@ -31,6 +32,7 @@ def height(frame: dict, ring: int) -> float:
 
 def test_a_ring_is_grabbed_lifted_and_thrown_and_all_is_reset(tmp_path):
     options = ["--scene", "ring_toss", "--arch", "cpu", "--size", f"{WIDTH}x{HEIGHT}", "--stats", "stats.json"]
+    options += ["--study", "study.h5", "--participant", "Ida"]
     with XServer(640, 480) as screen:
         play = Watched("watched_play.py", tmp_path, *options, env=screen.env)
         try:
@@ -41,6 +43,9 @@ def test_a_ring_is_grabbed_lifted_and_thrown_and_all_is_reset(tmp_path):
             play.close()
     stats = json.loads((tmp_path / "stats.json").read_text())
     assert stats["finite"] is True and stats["frames"] > 10 and stats["fps"] > 0
+    trial = read_study(tmp_path / "study.h5").trials[0]  # until the reset
+    assert (trial.participant, trial.task, trial.setting, trial.device) == ("Ida", "ring_toss", "physics", "window")
+    assert trial.grips == 1 and 0.05 < trial.body_path < 2.0 and trial.first_grip < trial.seconds
 
 
 def throw(play, screen) -> None:

@@ -70,6 +70,7 @@ def test_a_body_takes_the_place_the_size_and_the_material_of_what_it_replaces(na
     assert_allclose(low[1], its_low[1], atol=1e-6)
     if role.resize:
         assert_allclose(np.linalg.norm(high - low), np.linalg.norm(its_high - its_low), rtol=1e-6)
+    assert next(b for b in registry.load(name, body=mine, resize=False).bodies if b.asset == mine).scale == 1.0
     assert registry.load(name, body=ring(tmp_path, "plain", None)).bodies[i].material == own.material
     assert registry.load(name, body=mine, material="wood").bodies[i].material == Material.named("wood")
     with pytest.raises(BadInput, match="too many for this scene; roles"):

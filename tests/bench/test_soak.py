@@ -1,16 +1,19 @@
 """An episode of the soak with few soft bodies that bear their own weight, and its checks; `make soak` plays more."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.physics import BAR, bar
-from bench.setups import strain_energy
-from bench.soak import EnergyAudit, Failure, inverted, soak, work
+from bench.setups import FRAME, energies, strain_energy
+from bench.soak import EnergyAudit, Failure, Works, inverted, soak, work
 from bench.soak_acts import MAX_BODIES, Hands, Ranges, generator, population
 from scenes.scene import Hand
 from sim.body_model import BodyModel
 from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.hands.throw import THROW_WINDOW
 from sim.solver import Solver
 
 RANGES = Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=6, max_load=0.5)
@@ -43,6 +46,15 @@ def test_hands_work_no_more_than_their_force_along_their_way():
     assert work(still, Hand(position=(1.0, 0.0, 0.0))) == 0
 
 
+def test_a_throw_works_no_more_than_its_hand_did_just_before():
+    works = Works()
+    path = [Hand(position=(0.01 * k, 0.0, 0.0), grip=True) for k in range(10)]
+    for before, now in pairwise(path):
+        assert_allclose(works.of(before, now), MAX_HAND_FORCE * 0.01)
+    assert_allclose(works.of(path[-1], Hand()), MAX_HAND_FORCE * np.ceil(THROW_WINDOW / FRAME) * 0.01)
+    assert works.of(Hand(), Hand()) == 0
+
+
 def test_hands_find_something_to_do():
     hands, grips = Hands(generator(0, 0)), 0
     for frame in range(600):
@@ -73,6 +85,38 @@ def test_unexplained_energy_and_depth_are_found(solver):
         check_after(solver, lambda x, v: x.__imul__([0.9, 1.0, 1.0]))
     with pytest.raises(Failure, match="behind floor or wall"):
         check_after(solver, lambda x, v: x.__isub__([0.0, 0.7, 0.0]))
+
+
+def test_what_was_lost_must_not_come_back(solver):
+    solver.reset()
+    start = solver.snapshot()
+    x, v = start["x"].astype(np.float64), np.tile([1.0, 0.0, 0.0], (len(start["x"]), 1))
+    solver.restore({"x": x, "v": v})
+    audit = EnergyAudit(solver)
+    audit.check()
+    solver.restore({"x": x, "v": 0 * v})
+    audit.check()
+    solver.restore({"x": x, "v": v})
+    with pytest.raises(Failure, match="gained"):
+        audit.check()
+    audit.add_work(0.6 * solver.body_models[0].mass.sum())
+    audit.check()
+    with pytest.raises(Failure, match="gained"):
+        solver.restore({"x": x, "v": 1.3 * v})
+        audit.check()
+
+
+def test_what_far_stretched_tets_store_counts_when_it_comes_back_as_motion(solver):
+    solver.reset()
+    assert solver.stats["integrator"] == "xpbd"
+    x = solver.snapshot()["x"].astype(np.float64)
+    audit = EnergyAudit(solver)
+    solver.restore({"x": x * [1.9, 1.0, 1.0] - [0.95, 0.0, 0.0], "v": 0 * x})
+    assert energies(solver)["far"] == pytest.approx(energies(solver)["elastic"])
+    audit.check()
+    solver.restore({"x": x, "v": 0 * x + [1.0, 0.0, 0.0]})
+    with pytest.raises(Failure, match="gained"):
+        audit.check()
 
 
 def test_a_body_that_an_edit_put_into_a_wall_has_time_to_come_out(solver):

@@ -32,6 +32,11 @@ class MovingBodies:
     motions: tuple[np.ndarray, ...]
     grasps: GraspState | None
 
+    @property
+    def motion(self) -> np.ndarray:
+        """x, x_lo, v, v_lo of all bodies, (4, V, 3)."""
+        return np.concatenate([np.zeros((4, 0, 3), np.float32), *self.motions], axis=1)
+
     def with_body(self, model: BodyModel, motion: np.ndarray) -> MovingBodies:
         """Append a body."""
         return replace(self, models=(*self.models, model), motions=(*self.motions, motion))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -188,3 +188,11 @@ def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
     high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
     return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
+
+
+def models_of(bodies: Iterable[SoftBody | RigidBody]) -> list[BodyModel]:
+    """Check bodies; those with the same mesh share a shape."""
+    models: list[BodyModel] = []
+    for b in bodies:
+        models.append(BodyModel.of(b, models))
+    return models

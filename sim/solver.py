@@ -9,12 +9,12 @@ import numpy as np
 import taichi as ti
 
 from core.errors import BadInput
-from core.fields import Download, Upload, destroy_fields
+from core.fields import destroy_fields
 from core.material import Material
 from scenes.scene import IDENTITY, BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
-from sim.body_model import BodyModel
+from sim.body_model import BodyModel, models_of
 from sim.capacity import Capacity
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
@@ -28,9 +28,10 @@ from sim.hands.grasp_state import GraspState
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
 from sim.model import Model
+from sim.motion_arrays import MOTION, MotionArrays, motion_of
 from sim.recovery import NonFiniteRecovery
 from sim.reductions import ReductionBlocks, Reductions
-from sim.rigid.rigid_bodies import MAX_PASSES, SUBSTEP_PER_PASS, RigidBodies
+from sim.rigid.rigid_bodies import RigidBodies, passes_for
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
 from sim.soft_body import SoftBody
@@ -38,7 +39,6 @@ from sim.state import State
 
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
-MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
 WARM_UP_SUBSTEP = 1e-6  # [s] of the substeps that only compile; stable for any body
 
 
@@ -81,23 +81,19 @@ class Solver:
         self._wanted = {"frame_dt": frame_dt, "integrator": integrator, "substep": substep, "iterations": iterations}
         self.collision_passes, self.interaction = collision_passes, interaction
         self.gravity = tuple(float(g) for g in gravity)
-        models: list[BodyModel] = []
-        for b in bodies:
-            models.append(BodyModel.of(b, models))
-        first = Model(models)
+        first = Model(models_of(bodies))
         self._with_rigid = first.rigid or capacity.rigid
         s = self.state = State(first.sizes, capacity)
         self.x, self.v = s.x, s.v
         blocks = self._blocks = ReductionBlocks(s)
         self._reductions = Reductions(s, blocks)
         grasps = Grasps(s, hands) if contacts else None
-        self.rigid_bodies = self._make_rigid_bodies(first, grasps) if self._with_rigid else None
+        passes = passes_for(choose_for(first, self._wanted, rigid=True).substep)
+        rigid = self.rigid_bodies = RigidBodies(s, grasps, passes=passes) if self._with_rigid else None
         self.contacts: Contacts | None = None
         if contacts:
-            options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers}
-            self.contacts = Contacts(
-                s, first, list(colliders), blocks, grasps, rigid_bodies=self.rigid_bodies, **options
-            )
+            options = {"self_contact": self_contact, "capacity": capacity, "fingers": fingers, "rigid_bodies": rigid}
+            self.contacts = Contacts(s, first, list(colliders), blocks, grasps, **options)
         self._constraints = [c for c in (self.contacts, self.rigid_bodies) if c is not None]
         self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts)
@@ -107,8 +103,7 @@ class Solver:
         self._rigid_editing = RigidEditing(s)
         self._integrators = Integrators(s, self.elasticity, self._constraints, self.rigid_bodies, blocks)
         self._last_schedule = (0, 0.0)  # substeps of the last frame, and their length [s]
-        motion = [getattr(s, name) for name in MOTION]
-        self._read_motion, self._write_motion = Download(motion), Upload(motion)
+        self._motion = MotionArrays(s)
         self._load(first)
         self.reset()
 
@@ -235,9 +230,7 @@ class Solver:
 
     def contact_forces(self) -> np.ndarray:
         """Force of all contacts on each body in the last substep [N], (B, 3)."""
-        if self.contacts is None:
-            return np.zeros((len(self._model.bodies), 3))
-        return self.contacts.forces.per_body()
+        return np.zeros((len(self._model.bodies), 3)) if self.contacts is None else self.contacts.forces.per_body()
 
     def wake(self) -> None:
         """Wake all bodies: after a change that the solver cannot see, such as of `x` or `v`."""
@@ -335,7 +328,7 @@ class Solver:
         Impulses of contacts are not kept: a restored state evolves identically each time, but contacts converge
         to their loads again in the first substeps.
         """
-        motion = dict(zip(MOTION, self._read_motion(self.state.sizes.vertices), strict=True))
+        motion = dict(zip(MOTION, self._motion.read(), strict=True))
         return {
             **motion,
             "bodies": self._model.bodies,
@@ -351,13 +344,7 @@ class Solver:
         "asleep" all are awake, and what fp32 cannot hold of float64 values goes to x_lo and v_lo.
         """
         models = tuple(snapshot.get("bodies", self._model.bodies))
-        n, motion = sum(len(m.shape.vertices) for m in models), []
-        for name, low in (("x", "x_lo"), ("v", "v_lo")):
-            value = np.asarray(snapshot[name])
-            if value.shape != (n, 3) or not np.isfinite(value).all():
-                raise BadInput(f"snapshot: {name} must be finite and of shape {(n, 3)}, not {value.shape}")
-            high = value.astype(np.float32)
-            motion += [high, snapshot.get(low, value - high)]
+        motion = motion_of(snapshot, sum(len(m.shape.vertices) for m in models))
         self._set_bodies(models, motion, snapshot.get("grasps"))
         self.untangling.restore(snapshot.get("untangling"))
         self._sleeping.restore(snapshot.get("asleep"))
@@ -368,7 +355,7 @@ class Solver:
 
         So the user waits before the first picture, and never during play.
         """
-        self._read_motion(0)
+        self._motion.read()
         for part in (self._rigid_editing, self.untangling, *self._constraints):
             part.warm_up()
         self.pick((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
@@ -400,12 +387,6 @@ class Solver:
             integrator.reset()
         self._targets.end_frame()
 
-    def _make_rigid_bodies(self, first: Model, grasps: Grasps | None) -> RigidBodies:
-        passes = min(
-            max(math.ceil(choose_for(first, self._wanted, rigid=True).substep / SUBSTEP_PER_PASS), 1), MAX_PASSES
-        )
-        return RigidBodies(self.state, grasps, passes=passes)
-
     def _load(self, model: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
         integration = choose_for(model, self._wanted, rigid=self._with_rigid)
@@ -423,7 +404,7 @@ class Solver:
     ) -> None:
         if self._model.bodies != models:
             self._load(Model(models))
-        self._write_motion(list(motion))
+        self._motion.write(motion)
         self._reductions.forget()
         self._recovery.begin()
         self._targets.end_frame()
@@ -432,13 +413,12 @@ class Solver:
 
     def _change(self, bodies: MovingBodies) -> int:
         """Take edited bodies; return the index of the last one."""
-        motion = np.concatenate([np.zeros((4, 0, 3), np.float32), *bodies.motions], axis=1)
-        self._set_bodies(bodies.models, motion, bodies.grasps)
+        self._set_bodies(bodies.models, bodies.motion, bodies.grasps)
         self._rigid_editing.reset(held=True)
         return len(bodies.models) - 1
 
     def _moving_bodies(self) -> MovingBodies:
-        motion = self._read_motion(self.state.sizes.vertices)
+        motion = self._motion.read()
         motions = np.split(motion, self._model.vertex_begin[1:-1], axis=1) if self._model.bodies else ()
         return MovingBodies(self._model.bodies, tuple(motions), self._grasps())
 
@@ -454,8 +434,7 @@ class Solver:
 
     def _fit_rigid_bodies(self) -> None:
         """Put the rigid bodies where their vertices are."""
-        x, x_lo, v, v_lo = self._read_motion(self.state.sizes.vertices).astype(np.float64)
-        self.rigid_bodies.set_motion(x + x_lo, v + v_lo)
+        self.rigid_bodies.set_motion(*self._motion.read_exactly())
 
     def _grasps(self) -> GraspState | None:
         return None if self.contacts is None else self.contacts.grasps()

@@ -10,6 +10,7 @@ The angular momentum L in the world is the state, not omega, so that a free body
 term is that omega changes with the attitude. Kinematic bodies have w = 0 and follow their targets.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from sim.state import State
 
 SUBSTEP_PER_PASS = 1.25e-4  # [s] of a substep for each pass over the constraints
-MAX_PASSES = 4
 MAX_RIGID_SUBSTEP = 5e-4  # [s] with rigid bodies: the contacts of a stack converge over substeps
 
 
@@ -257,3 +257,8 @@ class RigidBodies(Constraint):
     def place_vertex(self, i):
         """Put vertex i of a rigid body where the committed pose has it."""
         place_vertex(self, i)
+
+
+def passes_for(substep: float) -> int:
+    """Passes over the constraints that a substep [s] needs."""
+    return math.ceil(substep / SUBSTEP_PER_PASS - 1e-6)

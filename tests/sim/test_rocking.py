@@ -12,7 +12,7 @@ from bench.setups import energies
 from core.material import Material
 from core.tetmesh import boundary_surface
 from scenes.scene import Plane
-from sim.body_model import BodyModel
+from sim.body_model import models_of
 from sim.capacity import Capacity
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -59,10 +59,7 @@ def world(ti_cpu) -> Solver:
 
 
 def put(solver: Solver, *bodies: SoftBody) -> Solver:
-    models: list[BodyModel] = []
-    for b in bodies:
-        models.append(BodyModel.of(b, models))
-    solver.reset(models)
+    solver.reset(models_of(bodies))
     return solver
 
 

@@ -10,7 +10,7 @@ from bench.sample_meshes import box
 from bench.setups import pile
 from core.material import Material
 from scenes.scene import Hand, Plane, Touch
-from sim.body_model import BodyModel
+from sim.body_model import models_of
 from sim.capacity import Capacity
 from sim.sleeping import REST_TIME, bits
 from sim.soft_body import SoftBody
@@ -39,11 +39,8 @@ def world(ti_cpu) -> Solver:
 
 def put(solver: Solver, *bodies: SoftBody, gravity=(0.0, -G, 0.0)) -> Solver:
     """The solver with these bodies, awake."""
-    models: list[BodyModel] = []
-    for b in bodies:
-        models.append(BodyModel.of(b, models))
     solver.interaction, solver.gravity = "physics", gravity
-    solver.reset(models)
+    solver.reset(models_of(bodies))
     return solver
 
 

@@ -63,6 +63,10 @@ class Constraint:
         return dx
 
     @ti.func
+    def evaluate_vertex(self, i):
+        """VBD, at the begin of a substep: evaluate what its sweeps need of the committed state of vertex i."""
+
+    @ti.func
     def external_displacement(self, i, dx):
         """VBD, at the begin of a substep: displacement [m] that hands give vertex i if it moves by dx otherwise."""
         return ti.Vector([0.0, 0.0, 0.0])

@@ -9,6 +9,7 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from core.rotation import best_fit_rotation
 from scenes.scene import BodyState
 from sim.capacity import MAX_BODIES, stacked
+from sim.lanes import lane_count, max_lanes, sum_lanes
 from sim.model import Model
 from sim.state import State
 
@@ -29,14 +30,14 @@ def finite(a) -> ti.i32:
 
 @ti.data_oriented
 class ReductionBlocks:
-    """Blocks of at most BLOCK_SIZE vertices of one body, over which one thread sums: sums so have a fixed order.
+    """Blocks of at most BLOCK_SIZE vertices of one body, over which `lanes` threads sum: sums so have a fixed order.
 
     span vec3i[size]: first vertex, end, and body of each block, empty ranges at the end;
     begin i32[B+1]: first block of each body.
     """
 
     def __init__(self, state: State):
-        self.size = round_up_capacity(state.V // BLOCK_SIZE + MAX_BODIES)
+        self.size, self.lanes = round_up_capacity(state.V // BLOCK_SIZE + MAX_BODIES), lane_count()
         g = self._group = FieldGroup()
         self.span = g.vector(self.size, dtype=ti.i32)
         self.begin = g.scalar(MAX_BODIES + 1, dtype=ti.i32)
@@ -52,6 +53,24 @@ class ReductionBlocks:
         ]
         table = np.array(rows, np.int64).reshape(-1, 3)
         self._upload([table, np.searchsorted(table[:, 2], np.arange(MAX_BODIES + 1))])
+
+    @ti.func
+    def sum_by_lanes(self, partial: ti.template(), b, k, lane):
+        """`sum` by all lanes together, in the first of them."""
+        total, j = 0.0, self.begin[b] + lane
+        while j < self.begin[b + 1]:
+            total += partial[j, k]
+            j += self.lanes
+        return sum_lanes(total, self.lanes)
+
+    @ti.func
+    def max_by_lanes(self, partial: ti.template(), b, k, sign, lane):
+        """Largest of `sign` times column k over body b, by all lanes together, in the first of them."""
+        most, j = -FLOAT_MAX, self.begin[b] + lane
+        while j < self.begin[b + 1]:
+            most = ti.max(most, sign * partial[j, k])
+            j += self.lanes
+        return max_lanes(most, self.lanes)
 
     @ti.func
     def sum(self, partial: ti.template(), b, k):
@@ -161,14 +180,16 @@ class Reductions:
         """Outermost level of a kernel."""
         s = self.state
         c = self.blocks
-        for j in range(c.size):
+        for w in range(c.size * c.lanes):
+            j, lane = w // c.lanes, w % c.lanes
             span = c.span[j]
             p, q = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             A = ti.Matrix.zero(ti.f32, 3, 3)
             low, high = ti.Vector([FLOAT_MAX, FLOAT_MAX, FLOAT_MAX]), ti.Vector([-FLOAT_MAX, -FLOAT_MAX, -FLOAT_MAX])
-            good = 1
+            bad = 0.0
             center = self.rest_center[span[2]]
-            for i in range(span[0], span[1]):
+            i = span[0] + lane
+            while i < span[1]:
                 m, x, v = s.mass[i], s.x[i], s.v[i]
                 p += m * x
                 q += m * v
@@ -176,30 +197,37 @@ class Reductions:
                 low, high = ti.min(low, x), ti.max(high, x)
                 for k in ti.static(range(3)):
                     if not (finite(x[k]) and finite(v[k])):
-                        good = 0
+                        bad = 1.0
+                i += c.lanes
             for k in ti.static(range(3)):
-                self.partial[j, k] = p[k]
-                self.partial[j, 3 + k] = q[k]
-                self.partial[j, 15 + k] = low[k]
-                self.partial[j, 18 + k] = high[k]
+                p[k], q[k] = sum_lanes(p[k], c.lanes), sum_lanes(q[k], c.lanes)
+                low[k], high[k] = -max_lanes(-low[k], c.lanes), max_lanes(high[k], c.lanes)
                 for l in ti.static(range(3)):
-                    self.partial[j, 6 + 3 * k + l] = A[k, l]
-            self.partial[j, 21] = good
-        for bk in range(MAX_BODIES * VALUES):
+                    A[k, l] = sum_lanes(A[k, l], c.lanes)
+            bad = max_lanes(bad, c.lanes)
+            if lane == 0:
+                for k in ti.static(range(3)):
+                    self.partial[j, k] = p[k]
+                    self.partial[j, 3 + k] = q[k]
+                    self.partial[j, 15 + k] = low[k]
+                    self.partial[j, 18 + k] = high[k]
+                    for l in ti.static(range(3)):
+                        self.partial[j, 6 + 3 * k + l] = A[k, l]
+                self.partial[j, 21] = 1.0 - bad
+        for w in range(MAX_BODIES * VALUES * c.lanes):
+            bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // VALUES, bk % VALUES
             if b < s.body_count[None] and k < ANY_MOVED:
-                value = self.partial[c.begin[b], k]
-                for j in range(c.begin[b] + 1, c.begin[b + 1]):
-                    other = self.partial[j, k]
-                    if k < 15:
-                        value += other
-                    elif k < 18 or k == 21:
-                        value = ti.min(value, other)
-                    else:
-                        value = ti.max(value, other)
+                value = 0.0
+                if k < 15:
+                    value = c.sum_by_lanes(self.partial, b, k, lane)
+                else:
+                    sign = -1.0 if k < 18 or k == 21 else 1.0  # the least
+                    value = sign * c.max_by_lanes(self.partial, b, k, sign, lane)
                 if k < 6:
                     value /= s.body_mass[b]
-                self.total[b, k] = value
+                if lane == 0:
+                    self.total[b, k] = value
 
     def moved(self) -> bool:
         """Return whether any vertex moved more than MIN_MOTION since the last call that returned True."""

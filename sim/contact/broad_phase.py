@@ -8,6 +8,7 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, round_up_capacity
 from sim.capacity import MAX_BODIES
+from sim.lanes import max_lanes
 
 if TYPE_CHECKING:
     from sim.state import State
@@ -47,29 +48,48 @@ class BodyBounds:
         self.max_speed, self.speed, self.speed_gain = (group.scalar(MAX_BODIES) for _ in range(3))
         group.build()
 
-    @ti.kernel
+    @ti.func
     def update(self):
-        """Bounds of positions and velocities as they are now."""
+        """Bounds of positions and velocities as they are now. Outermost level of a kernel."""
         s = self.state
         c = self.blocks
-        for j in range(c.size):
+        for w in range(c.size * c.lanes):
+            j, lane = w // c.lanes, w % c.lanes
             span = c.span[j]
             low, high = vec3(FLOAT_MAX), vec3(-FLOAT_MAX)
             v_min, v_max = low, high
-            for i in range(span[0], span[1]):
+            i = span[0] + lane
+            while i < span[1]:
                 low, high = ti.min(low, s.x[i]), ti.max(high, s.x[i])
                 v_min, v_max = ti.min(v_min, s.v[i]), ti.max(v_max, s.v[i])
-            self.partial[j, 0], self.partial[j, 1], self.partial[j, 2], self.partial[j, 3] = low, high, v_min, v_max
-        for b in range(MAX_BODIES):
+                i += c.lanes
+            low, high, v_min, v_max = self._combined(low, high, v_min, v_max)
+            if lane == 0:
+                self.partial[j, 0], self.partial[j, 1], self.partial[j, 2], self.partial[j, 3] = low, high, v_min, v_max
+        for w in range(MAX_BODIES * c.lanes):
+            b, lane = w // c.lanes, w % c.lanes
             if b < s.body_count[None]:
                 low, high = vec3(FLOAT_MAX), vec3(-FLOAT_MAX)
                 v_min, v_max = low, high
-                for j in range(c.begin[b], c.begin[b + 1]):
+                j = c.begin[b] + lane
+                while j < c.begin[b + 1]:
                     low, high = ti.min(low, self.partial[j, 0]), ti.max(high, self.partial[j, 1])
                     v_min, v_max = ti.min(v_min, self.partial[j, 2]), ti.max(v_max, self.partial[j, 3])
-                self.low[b], self.high[b], self.v_min[b], self.v_max[b] = low, high, v_min, v_max
-                self.speed[b] = ti.max(abs(v_min), abs(v_max)).norm()
-                self.widen(b, 0.0)
+                    j += c.lanes
+                low, high, v_min, v_max = self._combined(low, high, v_min, v_max)
+                if lane == 0:
+                    self.low[b], self.high[b], self.v_min[b], self.v_max[b] = low, high, v_min, v_max
+                    self.speed[b] = ti.max(abs(v_min), abs(v_max)).norm()
+                    self.widen(b, 0.0)
+
+    @ti.func
+    def _combined(self, low, high, v_min, v_max):
+        """The bounds of all lanes together, in the first of them."""
+        lanes = ti.static(self.blocks.lanes)
+        for k in ti.static(range(3)):
+            low[k], high[k] = -max_lanes(-low[k], lanes), max_lanes(high[k], lanes)
+            v_min[k], v_max[k] = -max_lanes(-v_min[k], lanes), max_lanes(v_max[k], lanes)
+        return low, high, v_min, v_max
 
     @ti.func
     def widen(self, b, gain):

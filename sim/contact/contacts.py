@@ -175,13 +175,9 @@ class Contacts(Constraint):
 
     def detect(self) -> None:
         if self.anything:
-            self.bounds.update()
-            self.swept_bounds.update()
+            self._begin_search()
             if self.fingers is not None and self.fingers.due:
                 self.fingers.prepare()
-            if self.self_collision is not None:
-                self.self_collision.update()
-            self._find_static()
             self.deformable.detect(self.constraints)
             if self.coupled:
                 self.rigid_search.find()
@@ -189,7 +185,19 @@ class Contacts(Constraint):
                 self.fingers.detect()
 
     @ti.kernel
+    def _begin_search(self):
+        """Bounds of the bodies, and what static shapes are near. One kernel: a call costs as much as all its loops."""
+        self.bounds.update()
+        self.swept_bounds.update()
+        if ti.static(self.deformable.self_collides):
+            self.self_collision.update()
+        if ti.static(self.deformable.needed):
+            self.deformable.normals.update()
+        self._find_static()
+
+    @ti.func
     def _find_static(self):
+        """Shapes near each sample. Outermost level of a kernel."""
         self.constraints.candidate_count[None], self.constraints.listed_count[None] = 0, 0
         for p in range(self.samples.capacity):
             if p < self.samples.count[None]:
@@ -215,6 +223,10 @@ class Contacts(Constraint):
         if ti.static(first):
             d = self.hands.apply_springs(i, dx)
         return self.static.project_vertex(i, d, first)
+
+    @ti.func
+    def evaluate_vertex(self, i):
+        self.static.evaluate_vertex(i)
 
     @ti.func
     def external_displacement(self, i, dx):

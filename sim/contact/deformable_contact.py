@@ -94,9 +94,8 @@ class DeformableContact:
         return self.hosts.hash.points if self.needed else 0
 
     def detect(self, constraints: "ContactConstraints") -> None:
-        """Make the constraints of points near a tet of another body candidates; the bounds must be up to date."""
+        """Make the constraints of points near a tet of another body candidates; `normals` must be up to date too."""
         if self.needed:
-            self.normals.update()
             self.hosts.find(constraints, self.begin)
 
     @ti.func
@@ -214,9 +213,9 @@ class VertexNormals:
         self._group = group
         group.build()
 
-    @ti.kernel
+    @ti.func
     def update(self):
-        """Normals at the positions as they are now."""
+        """Normals at the positions as they are now. Outermost level of a kernel."""
         s = self.state
         for i in range(s.V):
             self.sum[i] = ti.Vector([0, 0, 0])

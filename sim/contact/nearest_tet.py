@@ -25,7 +25,9 @@ from sim.contact.tet_geometry import (
     tet_key,
     tet_neighbors,
     tet_of_key,
+    worst_face,
 )
+from sim.lanes import lane_count
 
 if TYPE_CHECKING:
     from sim.body_model import RestShape
@@ -39,11 +41,14 @@ if TYPE_CHECKING:
 STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
+CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
+VISITORS = 8  # threads that share the cells near a tet, on CUDA
+
 
 @ti.data_oriented
 class NearestTets:
     """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face;
-    rest vec3[N] [m]: where a body's sample is at rest.
+    rest vec3[N] [m]: where a body's sample is at rest; velocity vec3[N] [m/s]: of the samples that were searched.
 
     Points: the samples of bodies, then of static capsules, and from `first_finger` on those of fingers.
 
@@ -67,14 +72,16 @@ class NearestTets:
         self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
         self.fingers, self.has_fingers = fingers, fingers is not None
         self.first_finger = samples.capacity + capsules.size
+        self.visitors = VISITORS if lane_count() > 1 else 1
         self.finger_groups = fingers.capsules if self.has_fingers else 0
         self.hash = PointHash(self.first_finger + (fingers.count if self.has_fingers else 0))
         group, N, G = FieldGroup(), self.hash.points, STATIC_GROUPS + self.finger_groups
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
         self.max_approach, self.wanted = group.scalar(MAX_BODIES, G), group.scalar(G, dtype=ti.i32)
         self.neighbor = group.vector(state.T, n=4, dtype=ti.i32)
-        self.rest = group.vector(N)
-        self.any_near = group.scalar(dtype=ti.i32)
+        self.rest, self.velocity = group.vector(N), group.vector(N)
+        self.any_near, self.nearby_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
+        self.nearby = group.scalar(state.T, dtype=ti.i32)  # tets that may meet a point, in any order
         self._group = group
         group.build()
         self._upload = Upload([self.neighbor, self.rest, self.hash.cell])
@@ -87,7 +94,7 @@ class NearestTets:
         edge = float(np.median([s.edge for s in shapes])) if shapes else 0.0
         ids, weights = self.samples.host_ids, self.samples.host_weights
         rest = (stacked([s.vertices for s in shapes], 3)[ids] * weights[..., None]).sum(1)
-        self._upload([near, rest, max(edge, self.samples.spacing)])
+        self._upload([near, rest, CELL_SIZE * edge or self.samples.spacing])
 
     @ti.func
     def is_finger(self, p):
@@ -201,9 +208,16 @@ class NearestTets:
         for p in range(h.points):
             if self._searches(p):
                 h.insert(p, self.position(p, True))
+                if ti.static(self.self_collides):  # noqa: SIM102
+                    if p < self.samples.count[None]:
+                        self.velocity[p] = self.samples.blend(p, s.v)
+        # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
+        self.nearby_count[None] = 0
         for t in range(s.T):
-            if self.any_near[None] and t < s.tet_count[None]:
-                self._visit(t)
+            if self.any_near[None] and t < s.tet_count[None] and self._may_meet_any(t):
+                self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = t
+        for k in range(self.nearby_count[None] * self.visitors):
+            self._visit(self.nearby[k // self.visitors], k % self.visitors)
         for p in range(h.points):
             host = tet_of_key(self.key[p])
             if host < 0 and self._searches(p):
@@ -227,10 +241,9 @@ class NearestTets:
         return result
 
     @ti.func
-    def _visit(self, t):
-        """Offer tet t to the points near it that it can meet until the next search; the lowest (distance, t) wins."""
+    def _reach(self, t):
+        """Box in which tet t can meet points until the next search, and the largest distance [m] it may come from."""
         s = self.state
-        h = self.hash
         body = s.body_of_tet[t]
         low, high, v_min, v_max = self._box(t)
         box_low, box_high, max_distance = vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0
@@ -250,26 +263,69 @@ class NearestTets:
                 if meets:
                     box_low, box_high = ti.min(box_low, part_low), ti.max(box_high, part_high)
                     max_distance = ti.max(max_distance, approach)
-        x0, e1, e2, e3 = tet_edges(s, t)
-        if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
-            n0, n1, n2, n3 = face_normals(e1, e2, e3)
+        return box_low, box_high, max_distance
+
+    @ti.func
+    def _rest_sphere(self, t):
+        """Centre and radius [m] of a sphere around tet t at rest."""
+        s, a, middle, radius = self.state, self.state.tets[t], vec3(0.0), 0.0
+        for j in ti.static(range(4)):
+            middle += 0.25 * s.rest[a[j]]
+        for j in ti.static(range(4)):
+            radius = ti.max(radius, (s.rest[a[j]] - middle).norm())
+        return middle, radius
+
+    @ti.func
+    def _may_meet_any(self, t):
+        """True if a point is in the box of tet t that may meet it, by what is quickly known of both."""
+        h = self.hash
+        body, found = self.state.body_of_tet[t], False
+        box_low, box_high, max_distance = self._reach(t)
+        if max_distance > 0.0:
+            middle, radius = self._rest_sphere(t)
             first, last = h.cell_range(box_low, box_high)
-            middle, a = vec3(0.0), s.tets[t]  # at rest
-            for j in ti.static(range(4)):
-                middle += 0.25 * s.rest[a[j]]
             for i in range(first[0], last[0]):
                 for j in range(first[1], last[1]):
                     for k in range(first[2], last[2]):
                         bucket = h.bucket_of(ti.Vector([i, j, k]))
-                        for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
-                            x = h.position[e]
+                        e, end = h.begin[bucket], h.begin[bucket] + h.size[bucket]
+                        while e < end and not found:
+                            p, x = h.entry[e], h.position[e]
                             if outside_box(box_low, box_high, x) <= 0.0:
-                                outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
-                                p = h.entry[e]
-                                if outside < max_distance and self._may_collide(
-                                    p, t, body, outside, middle, v_min, v_max
-                                ):
-                                    ti.atomic_min(self.key[p], tet_key(outside, t))
+                                found = self._may_collide(p, body, middle, radius) and self._may_close(p, x, t)
+                            e += 1
+        return found
+
+    @ti.func
+    def _visit(self, t, visitor):
+        """Offer tet t to the points near it that it can meet until the next search; the lowest (distance, t) wins.
+
+        Each visitor looks at some of the cells near it.
+        """
+        s = self.state
+        h = self.hash
+        body = s.body_of_tet[t]
+        box_low, box_high, max_distance = self._reach(t)
+        x0, e1, e2, e3 = tet_edges(s, t)
+        if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
+            n0, n1, n2, n3 = face_normals(e1, e2, e3)
+            first, last = h.cell_range(box_low, box_high)
+            middle, radius = self._rest_sphere(t)
+            n = last - first
+            cell = visitor
+            while cell < n[0] * n[1] * n[2]:
+                offset = ti.Vector([cell // (n[1] * n[2]), cell // n[2] % n[1], cell % n[2]])
+                bucket = h.bucket_of(first + offset)
+                for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
+                    x = h.position[e]
+                    if outside_box(box_low, box_high, x) <= 0.0:
+                        outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
+                        p = h.entry[e]
+                        if outside < max_distance and self._may_collide(p, body, middle, radius):
+                            face = worst_face(x - x0, e1, n0, n1, n2, n3)
+                            if self._may_close(p, x, t) and self._may_touch(p, t, body, x, outside, face):
+                                ti.atomic_min(self.key[p], tet_key(outside, t))
+                cell += self.visitors
 
     @ti.func
     def _near(self, g):
@@ -348,14 +404,49 @@ class NearestTets:
         return result
 
     @ti.func
-    def _may_collide(self, p, t, body, outside, middle, v_min, v_max):
-        """True if tet t of a body may meet point p: of another body that comes near, or far away at rest.
+    def _may_collide(self, p, body, middle, radius):
+        """True if a tet of a body may ever meet point p: one of another body that comes near, or far away at rest.
 
-        outside       distance [m] of the point from the tet
-        middle        of the tet at rest [m]
-        v_min, v_max  velocities [m/s] of the tet, with their gain
+        middle, radius: of a sphere around the tet at rest [m]. What the narrow phase takes for a neighbour is left out.
         """
         result = self.max_approach[body, self.group(p)] > 0.0
+        if ti.static(self.self_collides):  # noqa: SIM102
+            if self.group(p) == body:
+                gap = (middle - self.rest[p]).norm() - radius
+                result = result and gap > 0.5 * self.self_collision.min_rest_distance(body)
+        return result
+
+    @ti.func
+    def _may_close(self, p, x, t):
+        """False if tet t and point p at x, of the same body, stay apart in the direction from one to the other."""
+        result, s = True, self.state
+        if ti.static(self.self_collides):  # noqa: SIM102
+            if self.group(p) == s.body_of_tet[t]:
+                a = s.tets[t]
+                away = x - 0.25 * (s.x[a[0]] + s.x[a[1]] + s.x[a[2]] + s.x[a[3]])
+                result = not self._stay_apart(p, x, t, away / ti.max(away.norm(), 1e-12))
+        return result
+
+    @ti.func
+    def _stay_apart(self, p, x, t, axis):
+        """True if `axis` goes on separating tet t and the body's sample p at x until the next search.
+
+        Rotation of both, and motion past each other, hardly bring them closer along it.
+        """
+        s, a = self.state, self.state.tets[t]
+        gap, closing = UNKNOWN_DISTANCE, 0.0
+        for j in ti.static(range(4)):
+            gap = ti.min(gap, axis.dot(x - s.x[a[j]]))
+            closing = ti.max(closing, axis.dot(s.v[a[j]] - self.velocity[p]))
+        return gap >= CONTACT_MARGIN + closing * s.detect_dt[None]
+
+    @ti.func
+    def _may_touch(self, p, t, body, x, outside, face):
+        """True if tet t of a body may touch point p at x until the next search, of all that may collide.
+
+        outside  distance [m] of the point from the tet, which is that beyond the face of this normal
+        """
+        result = True
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self._spared(p, body):
                 result = False
@@ -364,14 +455,10 @@ class NearestTets:
             if self.group(p) == body:
                 s = self.state
                 a = s.tets[t]
-                result = result and (middle - self.rest[p]).norm() > self.self_collision.min_rest_distance(body)
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]
-                if result:  # and if their own velocities bring them together, not only those of the body's fastest
-                    v, gain = self.samples.blend(p, s.v), self.bounds.speed_gain[body]
-                    speed = ti.max(v - v_min - gain, v_max - gain - v).norm()
-                    result = outside < CONTACT_MARGIN + speed * s.detect_dt[None]
+                result = result and not self._stay_apart(p, x, t, face)
         return result
 
 

@@ -19,6 +19,7 @@ import taichi as ti
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN
+from sim.lanes import max_by_key, sum_lanes
 
 if TYPE_CHECKING:
     from sim.body_model import RestShape
@@ -82,34 +83,34 @@ class SelfCollision:
         s = self.state
         return s.v[i] - self.velocity[b] - self.gradient[b] @ (s.rest[i] - self.rest_center[b])
 
-    @ti.kernel
+    @ti.func
     def update(self):
-        """Find the bodies that may touch themselves; the bounds must be up to date."""
+        """Find the bodies that may touch themselves; the bounds must be up to date. Outermost level of a kernel."""
         s = self.state
         c = self.blocks
-        for j in range(c.size):
+        for w in range(c.size * c.lanes):
+            j = w // c.lanes
             span = c.span[j]
             if span[1] > span[0]:
-                self._sum(j, span)
-        for bk in range(MAX_BODIES * SHAPE_SUMS):
+                self._sum(j, span, w % c.lanes)
+        for w in range(MAX_BODIES * SHAPE_SUMS * c.lanes):
+            bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // SHAPE_SUMS, bk % SHAPE_SUMS
-            value = 0.0
-            for j in range(c.begin[b], c.begin[b + 1]):
-                value += self.sums[j, k]
-            self.total[b, k] = value
+            total = c.sum_by_lanes(self.sums, b, k, lane)
+            if lane == 0:
+                self.total[b, k] = total
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:
                 self._fit(b)
-        for i in range(s.V):
+        for i in range(s.V):  # whole warps: V is a multiple of them
+            b, r, r_v = 0, 0.0, 0.0
             if i < s.vertex_count[None]:
                 b = s.body_of_vertex[i]
                 X = s.rest[i] - self.rest_center[b]
                 r = (s.x[i] - self.center[b] - self.fit[b] @ X).norm()
                 r_v = self._residual_velocity(i, b).norm()
-                if r > self.residual[b]:
-                    ti.atomic_max(self.residual[b], r)
-                if r_v > self.speed_residual[b]:
-                    ti.atomic_max(self.speed_residual[b], r_v)
+            max_by_key(self.residual, b, r, i % c.lanes, c.lanes)
+            max_by_key(self.speed_residual, b, r_v, i % c.lanes, c.lanes)
         for b in range(MAX_BODIES):
             self.self_colliding[b] = 0
             if b < s.body_count[None]:
@@ -128,14 +129,15 @@ class SelfCollision:
                 self.search_distance[b] = ti.min(distance, self.min_rest_distance(b))
 
     @ti.func
-    def _sum(self, j, span):
-        """Sums of one block, about the body's first vertex."""
-        s = self.state
+    def _sum(self, j, span, lane):
+        """Sums of one block, about the body's first vertex, by all lanes together."""
+        s, lanes = self.state, ti.static(self.blocks.lanes)
         first = s.vertex_begin[span[2]]
         M, p, P, q = 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
         S = ti.Matrix.zero(ti.f32, 3, 3)
         C, H = S, S
-        for i in range(span[0], span[1]):
+        i = span[0] + lane
+        while i < span[1]:
             m, x, X, v = s.mass[i], s.x[i] - s.x[first], s.rest[i] - s.rest[first], s.v[i]
             M += m
             p += m * x
@@ -144,12 +146,24 @@ class SelfCollision:
             S += m * X.outer_product(X)
             C += m * x.outer_product(X)
             H += m * v.outer_product(X)
-        self.sums[j, 0] = M
+            i += lanes
+        self._write_sum(j, 0, M, lane)
         for k in ti.static(range(3)):
-            self.sums[j, 1 + k], self.sums[j, 4 + k], self.sums[j, 7 + k] = p[k], P[k], q[k]
-            self.sums[j, 10 + k], self.sums[j, 13 + k] = S[k, k], S[k, (k + 1) % 3]
+            self._write_sum(j, 1 + k, p[k], lane)
+            self._write_sum(j, 4 + k, P[k], lane)
+            self._write_sum(j, 7 + k, q[k], lane)
+            self._write_sum(j, 10 + k, S[k, k], lane)
+            self._write_sum(j, 13 + k, S[k, (k + 1) % 3], lane)
             for axis in ti.static(range(3)):
-                self.sums[j, 16 + 3 * k + axis], self.sums[j, 25 + 3 * k + axis] = C[k, axis], H[k, axis]
+                self._write_sum(j, 16 + 3 * k + axis, C[k, axis], lane)
+                self._write_sum(j, 25 + 3 * k + axis, H[k, axis], lane)
+
+    @ti.func
+    def _write_sum(self, j, k, value, lane):
+        """sums[j, k] = the sum of `value` over all lanes."""
+        total = sum_lanes(value, ti.static(self.blocks.lanes))
+        if lane == 0:
+            self.sums[j, k] = total
 
     @ti.func
     def _fit(self, b):

@@ -22,7 +22,11 @@ MAX_NEAR = 8  # static shapes that one sample can be near at once; of more, the 
 
 @ti.data_oriented
 class StaticContact:
-    """near i32[P,8]: shapes near sample p, near_count i32[P]."""
+    """near i32[P,8]: shapes near sample p, near_count i32[P].
+
+    Of a substep of VBD: contact_count i32[P], shapes that sample p may touch, and of each phi f32[P,8] [m], normal
+    vec3[P,8], friction vec2[P,8] = (mu_s, mu_k). The sweeps read these: they are the same in all of them.
+    """
 
     def __init__(
         self, state: "State", samples, shapes, bounds, constraints: "ContactConstraints", forces: "ContactForces"
@@ -32,11 +36,15 @@ class StaticContact:
         group = self._group = FieldGroup()
         self.near = group.scalar(samples.capacity, MAX_NEAR, dtype=ti.i32)
         self.near_count = group.scalar(samples.capacity, dtype=ti.i32)
+        self.contact_count = group.scalar(samples.capacity, dtype=ti.i32)
+        with group.interleaved(samples.capacity, MAX_NEAR):
+            self.phi, self.normal, self.friction = group.scalar(), group.vector(), group.vector(n=2)
         group.build()
 
     def clear(self) -> None:
         """Forget all contacts."""
         self.near_count.fill(0)
+        self.contact_count.fill(0)
 
     @ti.func
     def find(self, p, count):
@@ -99,6 +107,28 @@ class StaticContact:
         return d
 
     @ti.func
+    def evaluate_vertex(self, i):
+        """Find the distances of vertex i to all shapes near it, for the sweeps of a substep of VBD."""
+        s = self.state
+        p = self.samples.of_vertex[i]
+        if p >= 0:
+            count = 0
+            if self.near_count[p] > 0 and s.substep_index[None] >= self.constraints.next_check[p]:
+                clearance = UNKNOWN_DISTANCE
+                for k in range(self.near_count[p]):
+                    phi, n, friction = self._contact(i, p, self.near[p, k])
+                    if known(phi):
+                        self.phi[p, count], self.normal[p, count], self.friction[p, count] = phi, n, friction
+                        clearance = ti.min(clearance, phi)
+                        count += 1
+                    else:
+                        clearance = 0.0  # a grid that has no distance here may have one in a moment
+                self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
+            if count == 0 and self.contact_count[p] > 0:
+                self.forces.clear(i)
+            self.contact_count[p] = count
+
+    @ti.func
     def project_vertex_metric(self, i, dx, H, A, prior):
         """The increment dx of vertex i [m] moved out of all shapes near it in the metric of H = A^-1.
 
@@ -107,28 +137,21 @@ class StaticContact:
         s = self.state
         d, force, stiffness = dx, vec3(0.0), 0.0
         p = self.samples.of_vertex[i]
-        # every sweep of a substep
-        if p >= 0 and self.near_count[p] > 0 and s.substep_index[None] + 1 >= self.constraints.next_check[p]:
-            clearance = UNKNOWN_DISTANCE
+        if p >= 0 and self.contact_count[p] > 0:
             contact_stiffness = CONTACT_STIFFNESS * s.body_mass[self.samples.body[p]] / s.dt[None] ** 2
-            for k in range(self.near_count[p]):
-                phi, n, friction = self._contact(i, p, self.near[p, k])
-                if known(phi):
-                    y, A_n = d - s.x_lo[i], A @ n
-                    y_n, w_n = n.dot(y), n.dot(A_n)
-                    lacking = min_normal_motion(phi, s.dt[None]) - y_n
-                    if lacking > 0.0:
-                        most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
-                        holding = H @ (ti.min(lacking, w_n * most) * n - (y - y_n * n))
-                        f = contact_impulse(holding, n, A_n, A.trace() / 3.0, friction, s.dt[None])
-                        d += A @ f
-                        force += f
-                        stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
-                    clearance = ti.min(clearance, phi)
-                else:
-                    clearance = 0.0
+            for k in range(self.contact_count[p]):
+                n = self.normal[p, k]
+                y, A_n = d - s.x_lo[i], A @ n
+                y_n, w_n = n.dot(y), n.dot(A_n)
+                lacking = min_normal_motion(self.phi[p, k], s.dt[None]) - y_n
+                if lacking > 0.0:
+                    most = ti.max(n.dot(prior), 0.0) + contact_stiffness * lacking
+                    holding = H @ (ti.min(lacking, w_n * most) * n - (y - y_n * n))
+                    f = contact_impulse(holding, n, A_n, A.trace() / 3.0, self.friction[p, k], s.dt[None])
+                    d += A @ f
+                    force += f
+                    stiffness = ti.max(stiffness, ti.min(n.dot(H @ n), n.dot(f) / lacking))
             self.forces.add(i, s.dt[None] ** 2 / s.mass[i] * force, True)
-            self.constraints.postpone(p, clearance, self.bounds.max_speed[self.samples.body[p]])
         return d, force, stiffness
 
     @ti.func

@@ -18,6 +18,7 @@ from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.elastic.energy import energy_density
+from sim.lanes import lane_count, max_by_key
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds
@@ -35,16 +36,22 @@ class SweptBounds:
         self.impact_speed = group.scalar(MAX_BODIES)
         group.build()
 
-    @ti.kernel
+    @ti.func
     def update(self):
-        """Widen the bounds, which must be up to date, by the hands' poses of this frame too."""
+        """Widen the bounds, which must be up to date, by the hands' poses of this frame too.
+
+        Outermost level of a kernel.
+        """
         s = self.state
         for b in range(MAX_BODIES):
             self.spring_speed[b] = 0.0
             self.grasp_speed[b] = 0.0
-        for t in range(s.T):
+        lanes = ti.static(lane_count())
+        for t in range(s.T):  # whole warps: T is a multiple of them
+            b, speed = 0, 0.0
             if t < s.tet_count[None]:
-                self._find_spring_speed(t)
+                b, speed = s.body_of_tet[t], self._spring_speed(t)
+            max_by_key(self.spring_speed, b, speed, t % lanes, lanes)
         if ti.static(self.grasps.count > 0):
             for i in range(s.V):
                 if i < s.vertex_count[None] and self.grasps.held[i] != 0:
@@ -59,8 +66,8 @@ class SweptBounds:
                 self.bounds.widen(b, self._after_impact(b) - self.bounds.speed[b])
 
     @ti.func
-    def _find_spring_speed(self, t):
-        """spring_speed = max of sqrt(2 Psi / rho) over the tets of a body."""
+    def _spring_speed(self, t):
+        """sqrt(2 Psi / rho) of a tet [m/s]."""
         s = self.state
         a = s.tets[t]
         b = s.body_of_tet[t]
@@ -69,9 +76,7 @@ class SweptBounds:
         E = ti.Matrix.cols([s.rest[a[1]] - X0, s.rest[a[2]] - X0, s.rest[a[3]] - X0])
         F = e @ E.inverse()
         psi = energy_density((F.transpose() @ F).trace(), F.determinant() - 1.0, s.mu[b], s.lam[b])
-        speed = ti.sqrt(2.0 * ti.max(psi, 0.0) / s.density[b])
-        if speed > self.spring_speed[b]:
-            ti.atomic_max(self.spring_speed[b], speed)
+        return ti.sqrt(2.0 * ti.max(psi, 0.0) / s.density[b])
 
     @ti.func
     def _after_impact(self, b):

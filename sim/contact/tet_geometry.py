@@ -30,6 +30,16 @@ def distance_outside(r, e1, n0, n1, n2, n3):
 
 
 @ti.func
+def worst_face(r, e1, n0, n1, n2, n3):
+    """Unit normal of the face plane beyond which r, relative to corner 0, is farthest, or least inside."""
+    worst, normal = n0.dot(r - e1), n0
+    for n in ti.static((n1, n2, n3)):
+        if n.dot(r) > worst:
+            worst, normal = n.dot(r), n
+    return normal
+
+
+@ti.func
 def tet_key(distance, t):
     """64-bit key that orders tets by distance [m], in steps of 1e-7 m, then by index: for an atomic minimum."""
     return (ti.cast(distance * 1e7, ti.i64) << 32) | ti.cast(t, ti.i64)

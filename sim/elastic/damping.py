@@ -71,14 +71,16 @@ class Damping:
         s = self.state
         c = self.blocks
         ti.loop_config(serialize=s.serial)
-        for j in range(c.size):
+        for w in range(c.size * c.lanes):
+            j, lane = w // c.lanes, w % c.lanes
             span = c.span[j]
             about = s.x[s.vertex_begin[span[2]]]  # sums about a point of the body hardly cancel
             p, q, L = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             square, mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
             force, force_r = 0.0, ti.Vector([0.0, 0.0, 0.0])
             force_square, force_mixed = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-            for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
+            i = span[1] if s.asleep[span[2]] else span[0] + lane
+            while i < span[1]:
                 m, r, v = s.mass[i], s.x[i] - about, s.v[i]
                 if ti.static(self.touches):
                     f = m * self.forces.correction[i].norm() / s.dt[None] ** 2
@@ -93,20 +95,24 @@ class Damping:
                 L += m * r.cross(v)
                 square += m * r * r
                 mixed += m * products(r)
+                i += c.lanes
+            c.write_sum(self.sums, j, 15, force, lane)
             for k in ti.static(range(3)):
-                self.sums[j, k] = p[k]
-                self.sums[j, 3 + k] = q[k]
-                self.sums[j, 6 + k] = L[k]
-                self.sums[j, 9 + k] = square[k]
-                self.sums[j, 12 + k] = mixed[k]
-                self.sums[j, 16 + k] = force_r[k]
-                self.sums[j, 19 + k] = force_square[k]
-                self.sums[j, 22 + k] = force_mixed[k]
-            self.sums[j, 15] = force
+                c.write_sum(self.sums, j, k, p[k], lane)
+                c.write_sum(self.sums, j, 3 + k, q[k], lane)
+                c.write_sum(self.sums, j, 6 + k, L[k], lane)
+                c.write_sum(self.sums, j, 9 + k, square[k], lane)
+                c.write_sum(self.sums, j, 12 + k, mixed[k], lane)
+                c.write_sum(self.sums, j, 16 + k, force_r[k], lane)
+                c.write_sum(self.sums, j, 19 + k, force_square[k], lane)
+                c.write_sum(self.sums, j, 22 + k, force_mixed[k], lane)
         ti.loop_config(serialize=s.serial)
-        for bk in range(MAX_BODIES * DAMPING_SUMS):
+        for w in range(MAX_BODIES * DAMPING_SUMS * c.lanes):
+            bk, lane = w // c.lanes, w % c.lanes
             b, k = bk // DAMPING_SUMS, bk % DAMPING_SUMS
-            self.total[b, k] = c.sum(self.sums, b, k)
+            total = c.sum_by_lanes(self.sums, b, k, lane)
+            if lane == 0:
+                self.total[b, k] = total
         ti.loop_config(serialize=s.serial)
         for b in range(MAX_BODIES):
             if b < s.body_count[None]:

@@ -10,6 +10,7 @@ import sys
 import taichi as ti
 
 from core.fields import FieldGroup
+from sim.lanes import ALL, sum_lanes
 
 
 def multiprocessors() -> int:
@@ -91,18 +92,14 @@ class PersistentGrid:
     @ti.func
     def sum_lanes(self, value, lanes: ti.template()):
         """Sum of a float over each group of `lanes` neighbouring threads, in the first of them."""
-        total = value
-        if ti.static(self.on_cuda):
-            for half in ti.static([lanes >> (k + 1) for k in range(lanes.bit_length() - 1)]):
-                total += ti.simt.warp.shfl_down_f32(ti.u32(0xFFFFFFFF), total, half)
-        return total
+        return sum_lanes(value, ti.static(lanes if self.on_cuda else 1))
 
     @ti.func
     def broadcast(self, value):
         """The float of a warp's first thread, in all of its threads."""
         result = value
         if ti.static(self.on_cuda):
-            result = ti.simt.warp.shfl_sync_f32(ti.u32(0xFFFFFFFF), value, 0)
+            result = ti.simt.warp.shfl_sync_f32(ti.u32(ALL), value, 0)
         return result
 
     def destroy(self) -> None:

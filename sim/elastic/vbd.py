@@ -111,6 +111,12 @@ class VertexDescent:
         self.target[i] = target + impulse
 
     @ti.func
+    def find_contacts(self, i):
+        """Evaluate the contacts of vertex i with static shapes, which are the same in all sweeps."""
+        for c in ti.static(self.on_vertex):
+            c.evaluate_vertex(i)
+
+    @ti.func
     def load(self, i):
         """All that `descend` reads of vertex i but its contacts: dx and target [m], last reaction [N], mass [kg]."""
         return self.state.dx[i], self.target[i], self.reaction[i], self.state.mass[i]
@@ -275,6 +281,7 @@ class VBDSubsteps:
             for i in range(s.V):
                 if s.awake_vertex(i):
                     self.descent.begin(i, s.dx_predicted[i])
+                    self.descent.find_contacts(i)
             for c in ti.static(in_pairs):
                 ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[0])))
                 for k in range(c.phase_sizes[0]):

@@ -93,6 +93,7 @@ class PersistentVBD:
             rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
                 self._stage(first, own, points, words)
+                self._find_contacts(first, own)
                 if paired:
                     evaluate_candidates(self, thread)
                 w.fit_rotations(thread)
@@ -169,6 +170,21 @@ class PersistentVBD:
         while at < count and p.count[None] <= self.grid.blocks:
             p.stage(at, points, words)
             at += self.grid.block
+
+    @ti.func
+    def _find_contacts(self, first, own):
+        """Evaluate static contacts of the block's own vertices."""
+        p = self.patches
+        patch = first
+        while patch < p.count[None]:
+            begin = p.local_begin[patch]
+            at = own
+            while at < p.own_end[patch] - begin:
+                i = p.local[begin + at]
+                if self.state.awake_vertex(i):
+                    self.descent.find_contacts(i)
+                at += self.grid.block
+            patch += self.grid.blocks
 
     @ti.func
     def _sweep(self, own, color, points: ti.template(), words: ti.template()):

@@ -1,0 +1,46 @@
+"""Lanes: the 32 threads of a CUDA warp share a loop and combine their results; on the CPU there is one lane.
+
+A loop over n * lane_count() indices w gives work w // lanes to neighbouring threads of number w % lanes each. All of
+them must reach the functions here together.
+"""
+
+import taichi as ti
+
+WARP = 32
+ALL = 0xFFFFFFFF  # mask of a warp
+
+
+def lane_count() -> int:
+    """Number of lanes on the device that Taichi runs on."""
+    return WARP if ti.lang.impl.current_cfg().arch == ti.cuda else 1
+
+
+@ti.func
+def sum_lanes(value, lanes: ti.template()):
+    """Sum of a float over each group of `lanes` neighbouring threads, a power of two, in the first of them."""
+    total = value
+    for half in ti.static([lanes >> (k + 1) for k in range(lanes.bit_length() - 1)]):
+        total += ti.simt.warp.shfl_down_f32(ti.u32(ALL), total, half)
+    return total
+
+
+@ti.func
+def max_lanes(value, lanes: ti.template()):
+    """Largest of a float over each group of `lanes` neighbouring threads, in the first of them."""
+    most = value
+    for half in ti.static([lanes >> (k + 1) for k in range(lanes.bit_length() - 1)]):
+        most = ti.max(most, ti.simt.warp.shfl_down_f32(ti.u32(ALL), most, half))
+    return most
+
+
+@ti.func
+def max_by_key(field: ti.template(), key, value, lane, lanes: ti.template()):
+    """field[key] = max(field[key], value) for each lane; one atomic operation a warp where the keys are equal."""
+    most, writes = value, True
+    if ti.static(lanes > 1):
+        first = ti.simt.warp.shfl_sync_i32(ti.u32(ALL), key, 0)
+        if ti.simt.warp.all_nonzero(ti.u32(ALL), ti.cast(key == first, ti.i32)):
+            most = max_lanes(value, lanes)
+            writes = lane == 0
+    if writes and most > field[key]:
+        ti.atomic_max(field[key], most)

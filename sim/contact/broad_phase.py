@@ -149,9 +149,10 @@ class PointHash:
 
     @ti.func
     def insert(self, k, p):
-        """Put point k at p into its bucket's range."""
+        """Put point k at p into its bucket's range; returns its entry."""
         e = self.begin[self.bucket[k]] + self.rank[k]
         self.entry[e], self.position[e] = k, p
+        return e
 
     @ti.func
     def cell_range(self, low, high):

@@ -15,6 +15,7 @@ from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.contact_samples import MAX_CAPSULES
+from sim.contact.self_pairs import bounding_sphere, outside_sphere, stay_apart
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import (
     MIN_WEIGHT,
@@ -42,13 +43,15 @@ STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
 CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
-VISITORS = 8  # threads that share the cells near a tet, on CUDA
+VISITORS = 4  # threads that share the cells near a tet, on CUDA
 
 
 @ti.data_oriented
 class NearestTets:
     """host i32[N]: the tet of another group that is nearest to a point; neighbor vec4i[T]: across each corner's face;
-    rest vec3[N] [m]: where a body's sample is at rest; velocity vec3[N] [m/s]: of the samples that were searched.
+    rest vec3[N] [m]: where a body's sample is at rest.
+
+    Of the hash's entries: entry_group i32[N], and of bodies' samples entry_rest [m] and entry_velocity [m/s], vec3[N].
 
     Points: the samples of bodies, then of static capsules, and from `first_finger` on those of fingers.
 
@@ -79,9 +82,13 @@ class NearestTets:
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
         self.max_approach, self.wanted = group.scalar(MAX_BODIES, G), group.scalar(G, dtype=ti.i32)
         self.neighbor = group.vector(state.T, n=4, dtype=ti.i32)
-        self.rest, self.velocity = group.vector(N), group.vector(N)
+        self.rest = group.vector(N)
+        with group.interleaved(N):
+            self.entry_group, self.entry_rest = group.scalar(dtype=ti.i32), group.vector()
+            self.entry_velocity = group.vector()
         self.any_near, self.nearby_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
-        self.nearby = group.scalar(state.T, dtype=ti.i32)  # tets that may meet a point, in any order
+        # Of tets that may meet a point, t * visitors + visitor, in any order
+        self.nearby = group.scalar(state.T * self.visitors, dtype=ti.i32)
         self._group = group
         group.build()
         self._upload = Upload([self.neighbor, self.rest, self.hash.cell])
@@ -207,17 +214,18 @@ class NearestTets:
             h.allocate(bucket)
         for p in range(h.points):
             if self._searches(p):
-                h.insert(p, self.position(p, True))
-                if ti.static(self.self_collides):  # noqa: SIM102
-                    if p < self.samples.count[None]:
-                        self.velocity[p] = self.samples.blend(p, s.v)
+                e = h.insert(p, self.position(p, True))
+                self.entry_group[e] = self.group(p)
+                if p < self.samples.count[None]:
+                    self.entry_rest[e], self.entry_velocity[e] = self.rest[p], self.samples.blend(p, s.v)
         # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
         self.nearby_count[None] = 0
-        for t in range(s.T):
-            if self.any_near[None] and t < s.tet_count[None] and self._may_meet_any(t):
-                self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = t
-        for k in range(self.nearby_count[None] * self.visitors):
-            self._visit(self.nearby[k // self.visitors], k % self.visitors)
+        for k in range(s.T * self.visitors):
+            t = k // self.visitors
+            if self.any_near[None] and t < s.tet_count[None] and self._may_meet_any(t, k % self.visitors):
+                self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = k
+        for n in range(self.nearby_count[None]):
+            self._visit(self.nearby[n] // self.visitors, self.nearby[n] % self.visitors)
         for p in range(h.points):
             host = tet_of_key(self.key[p])
             if host < 0 and self._searches(p):
@@ -266,35 +274,54 @@ class NearestTets:
         return box_low, box_high, max_distance
 
     @ti.func
-    def _rest_sphere(self, t):
-        """Centre and radius [m] of a sphere around tet t at rest."""
-        s, a, middle, radius = self.state, self.state.tets[t], vec3(0.0), 0.0
-        for j in ti.static(range(4)):
-            middle += 0.25 * s.rest[a[j]]
-        for j in ti.static(range(4)):
-            radius = ti.max(radius, (s.rest[a[j]] - middle).norm())
-        return middle, radius
-
-    @ti.func
-    def _may_meet_any(self, t):
-        """True if a point is in the box of tet t that may meet it, by what is quickly known of both."""
-        h = self.hash
-        body, found = self.state.body_of_tet[t], False
+    def _may_meet_any(self, t, visitor):
+        """True if a point in a visitor's cells may meet tet t, by what is quickly known of both."""
+        s, h, a = self.state, self.hash, self.state.tets[t]
+        body, found = s.body_of_tet[t], False
         box_low, box_high, max_distance = self._reach(t)
         if max_distance > 0.0:
-            middle, radius = self._rest_sphere(t)
-            first, last = h.cell_range(box_low, box_high)
-            for i in range(first[0], last[0]):
-                for j in range(first[1], last[1]):
-                    for k in range(first[2], last[2]):
-                        bucket = h.bucket_of(ti.Vector([i, j, k]))
-                        e, end = h.begin[bucket], h.begin[bucket] + h.size[bucket]
-                        while e < end and not found:
-                            p, x = h.entry[e], h.position[e]
-                            if outside_box(box_low, box_high, x) <= 0.0:
-                                found = self._may_collide(p, body, middle, radius) and self._may_close(p, x, t)
-                            e += 1
+            rest, rest_radius = bounding_sphere(s.rest, a)
+            center, radius = bounding_sphere(s.x, a)
+            v, v_radius = bounding_sphere(s.v, a)
+            neighbor = self._neighbor_distance(body)
+            first, cells = self._cells(box_low, box_high)
+            cell = visitor
+            while cell < cells.x * cells.y * cells.z and not found:
+                bucket = self._bucket(first, cells, cell)
+                e, end = h.begin[bucket], h.begin[bucket] + h.size[bucket]
+                while e < end and not found:
+                    x, g = h.position[e], self.entry_group[e]
+                    x_rest, x_v = self.entry_rest[e], self.entry_velocity[e]
+                    if outside_box(box_low, box_high, x) <= 0.0:
+                        found = self.max_approach[body, g] > 0.0
+                        if ti.static(self.self_collides):  # noqa: SIM102
+                            if g == body:
+                                closing = (x_v - v).norm() + v_radius
+                                near = outside_sphere(x, center, radius) < CONTACT_MARGIN + closing * s.detect_dt[None]
+                                found = found and near and outside_sphere(x_rest, rest, rest_radius) > neighbor
+                    e += 1
+                cell += self.visitors
         return found
+
+    @ti.func
+    def _neighbor_distance(self, body):
+        """Distance at rest [m] up to which points of a body are neighbours, which never collide."""
+        distance = 0.0
+        if ti.static(self.self_collides):
+            distance = 0.5 * self.self_collision.min_rest_distance(body)
+        return distance
+
+    @ti.func
+    def _cells(self, low, high):
+        """First cell of the hash in a box, and their number along each axis."""
+        first, last = self.hash.cell_range(low, high)
+        return first, last - first
+
+    @ti.func
+    def _bucket(self, first, cells, k):
+        """Bucket of the k-th of these cells."""
+        h = self.hash
+        return h.bucket_of(first + ti.Vector([k // (cells.y * cells.z), k // cells.z % cells.y, k % cells.z]))
 
     @ti.func
     def _visit(self, t, visitor):
@@ -302,29 +329,24 @@ class NearestTets:
 
         Each visitor looks at some of the cells near it.
         """
-        s = self.state
-        h = self.hash
+        s, h = self.state, self.hash
         body = s.body_of_tet[t]
         box_low, box_high, max_distance = self._reach(t)
         x0, e1, e2, e3 = tet_edges(s, t)
         if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
-            first, last = h.cell_range(box_low, box_high)
-            middle, radius = self._rest_sphere(t)
-            n = last - first
+            first, cells = self._cells(box_low, box_high)
             cell = visitor
-            while cell < n[0] * n[1] * n[2]:
-                offset = ti.Vector([cell // (n[1] * n[2]), cell // n[2] % n[1], cell % n[2]])
-                bucket = h.bucket_of(first + offset)
+            while cell < cells.x * cells.y * cells.z:
+                bucket = self._bucket(first, cells, cell)
                 for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
                     x = h.position[e]
                     if outside_box(box_low, box_high, x) <= 0.0:
                         outside = distance_outside(x - x0, e1, n0, n1, n2, n3)
-                        p = h.entry[e]
-                        if outside < max_distance and self._may_collide(p, body, middle, radius):
+                        if outside < max_distance:
                             face = worst_face(x - x0, e1, n0, n1, n2, n3)
-                            if self._may_close(p, x, t) and self._may_touch(p, t, body, x, outside, face):
-                                ti.atomic_min(self.key[p], tet_key(outside, t))
+                            if self._may_meet(e, t, body, outside, face):
+                                ti.atomic_min(self.key[h.entry[e]], tet_key(outside, t))
                 cell += self.visitors
 
     @ti.func
@@ -404,61 +426,30 @@ class NearestTets:
         return result
 
     @ti.func
-    def _may_collide(self, p, body, middle, radius):
-        """True if a tet of a body may ever meet point p: one of another body that comes near, or far away at rest.
-
-        middle, radius: of a sphere around the tet at rest [m]. What the narrow phase takes for a neighbour is left out.
-        """
-        result = self.max_approach[body, self.group(p)] > 0.0
-        if ti.static(self.self_collides):  # noqa: SIM102
-            if self.group(p) == body:
-                gap = (middle - self.rest[p]).norm() - radius
-                result = result and gap > 0.5 * self.self_collision.min_rest_distance(body)
-        return result
-
-    @ti.func
-    def _may_close(self, p, x, t):
-        """False if tet t and point p at x, of the same body, stay apart in the direction from one to the other."""
-        result, s = True, self.state
-        if ti.static(self.self_collides):  # noqa: SIM102
-            if self.group(p) == s.body_of_tet[t]:
-                a = s.tets[t]
-                away = x - 0.25 * (s.x[a[0]] + s.x[a[1]] + s.x[a[2]] + s.x[a[3]])
-                result = not self._stay_apart(p, x, t, away / ti.max(away.norm(), 1e-12))
-        return result
-
-    @ti.func
-    def _stay_apart(self, p, x, t, axis):
-        """True if `axis` goes on separating tet t and the body's sample p at x until the next search.
-
-        Rotation of both, and motion past each other, hardly bring them closer along it.
-        """
-        s, a = self.state, self.state.tets[t]
-        gap, closing = UNKNOWN_DISTANCE, 0.0
-        for j in ti.static(range(4)):
-            gap = ti.min(gap, axis.dot(x - s.x[a[j]]))
-            closing = ti.max(closing, axis.dot(s.v[a[j]] - self.velocity[p]))
-        return gap >= CONTACT_MARGIN + closing * s.detect_dt[None]
-
-    @ti.func
-    def _may_touch(self, p, t, body, x, outside, face):
-        """True if tet t of a body may touch point p at x until the next search, of all that may collide.
+    def _may_meet(self, e, t, body, outside, face):
+        """True if tet t of a body may meet the point of entry e until the next search.
 
         outside  distance [m] of the point from the tet, which is that beyond the face of this normal
         """
-        result = True
+        p, x = self.hash.entry[e], self.hash.position[e]
+        result = self.max_approach[body, self.entry_group[e]] > 0.0
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self._spared(p, body):
                 result = False
                 self.fingers.note_overlap(p - self.first_finger, outside)
         if ti.static(self.self_collides):  # noqa: SIM102
-            if self.group(p) == body:
+            if self.entry_group[e] == body:
                 s = self.state
                 a = s.tets[t]
+                rest, rest_radius = bounding_sphere(s.rest, a)
+                far = outside_sphere(self.entry_rest[e], rest, rest_radius) > self._neighbor_distance(body)
+                result = result and far
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]
-                result = result and not self._stay_apart(p, x, t, face)
+                away = x - 0.25 * (s.x[a[0]] + s.x[a[1]] + s.x[a[2]] + s.x[a[3]])
+                for axis in ti.static((away / ti.max(away.norm(), 1e-12), face)):
+                    result = result and not stay_apart(s, x, self.entry_velocity[e], t, axis)
         return result
 
 

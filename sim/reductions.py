@@ -55,6 +55,13 @@ class ReductionBlocks:
         self._upload([table, np.searchsorted(table[:, 2], np.arange(MAX_BODIES + 1))])
 
     @ti.func
+    def write_sum(self, partial: ti.template(), j, k, value, lane):
+        """partial[j, k] = the sum of `value` over all lanes."""
+        total = sum_lanes(value, self.lanes)
+        if lane == 0:
+            partial[j, k] = total
+
+    @ti.func
     def sum_by_lanes(self, partial: ti.template(), b, k, lane):
         """`sum` by all lanes together, in the first of them."""
         total, j = 0.0, self.begin[b] + lane
@@ -200,19 +207,15 @@ class Reductions:
                         bad = 1.0
                 i += c.lanes
             for k in ti.static(range(3)):
-                p[k], q[k] = sum_lanes(p[k], c.lanes), sum_lanes(q[k], c.lanes)
+                c.write_sum(self.partial, j, k, p[k], lane)
+                c.write_sum(self.partial, j, 3 + k, q[k], lane)
                 low[k], high[k] = -max_lanes(-low[k], c.lanes), max_lanes(high[k], c.lanes)
                 for l in ti.static(range(3)):
-                    A[k, l] = sum_lanes(A[k, l], c.lanes)
+                    c.write_sum(self.partial, j, 6 + 3 * k + l, A[k, l], lane)
             bad = max_lanes(bad, c.lanes)
             if lane == 0:
                 for k in ti.static(range(3)):
-                    self.partial[j, k] = p[k]
-                    self.partial[j, 3 + k] = q[k]
-                    self.partial[j, 15 + k] = low[k]
-                    self.partial[j, 18 + k] = high[k]
-                    for l in ti.static(range(3)):
-                        self.partial[j, 6 + 3 * k + l] = A[k, l]
+                    self.partial[j, 15 + k], self.partial[j, 18 + k] = low[k], high[k]
                 self.partial[j, 21] = 1.0 - bad
         for w in range(MAX_BODIES * VALUES * c.lanes):
             bk, lane = w // c.lanes, w % c.lanes

@@ -19,7 +19,7 @@ import taichi as ti
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN
-from sim.lanes import max_by_key, sum_lanes
+from sim.lanes import max_by_key
 
 if TYPE_CHECKING:
     from sim.body_model import RestShape
@@ -131,7 +131,7 @@ class SelfCollision:
     @ti.func
     def _sum(self, j, span, lane):
         """Sums of one block, about the body's first vertex, by all lanes together."""
-        s, lanes = self.state, ti.static(self.blocks.lanes)
+        s, c = self.state, self.blocks
         first = s.vertex_begin[span[2]]
         M, p, P, q = 0.0, ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
         S = ti.Matrix.zero(ti.f32, 3, 3)
@@ -146,24 +146,17 @@ class SelfCollision:
             S += m * X.outer_product(X)
             C += m * x.outer_product(X)
             H += m * v.outer_product(X)
-            i += lanes
-        self._write_sum(j, 0, M, lane)
+            i += c.lanes
+        c.write_sum(self.sums, j, 0, M, lane)
         for k in ti.static(range(3)):
-            self._write_sum(j, 1 + k, p[k], lane)
-            self._write_sum(j, 4 + k, P[k], lane)
-            self._write_sum(j, 7 + k, q[k], lane)
-            self._write_sum(j, 10 + k, S[k, k], lane)
-            self._write_sum(j, 13 + k, S[k, (k + 1) % 3], lane)
+            c.write_sum(self.sums, j, 1 + k, p[k], lane)
+            c.write_sum(self.sums, j, 4 + k, P[k], lane)
+            c.write_sum(self.sums, j, 7 + k, q[k], lane)
+            c.write_sum(self.sums, j, 10 + k, S[k, k], lane)
+            c.write_sum(self.sums, j, 13 + k, S[k, (k + 1) % 3], lane)
             for axis in ti.static(range(3)):
-                self._write_sum(j, 16 + 3 * k + axis, C[k, axis], lane)
-                self._write_sum(j, 25 + 3 * k + axis, H[k, axis], lane)
-
-    @ti.func
-    def _write_sum(self, j, k, value, lane):
-        """sums[j, k] = the sum of `value` over all lanes."""
-        total = sum_lanes(value, ti.static(self.blocks.lanes))
-        if lane == 0:
-            self.sums[j, k] = total
+                c.write_sum(self.sums, j, 16 + 3 * k + axis, C[k, axis], lane)
+                c.write_sum(self.sums, j, 25 + 3 * k + axis, H[k, axis], lane)
 
     @ti.func
     def _fit(self, b):

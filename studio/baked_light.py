@@ -6,6 +6,8 @@ looked up in a coarse set of surfels whose radiosity has been solved before (Gor
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
@@ -59,15 +61,21 @@ class BakedLight:
         self._tree, self._radiosity = self._solve_radiosity(coarse, surfaces, albedo, rng)
 
     def irradiance(
-        self, surfels: Surfels, surfaces: list[Surface], rays: int, rng: np.random.Generator
+        self,
+        surfels: Surfels,
+        surfaces: list[Surface],
+        rays: int,
+        rng: np.random.Generator,
+        progress: Callable[[float], None] = lambda fraction: None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance (N, 3) of surfels of `surfaces`, from `rays` rays each, and mask (N,) of covered surfels.
 
-        Thin sheets get the mean of their two sides, weighted by their translucency.
+        Thin sheets get the mean of their two sides, weighted by their translucency. `progress` is told the fraction
+        of all surfels that are lit.
         """
         translucency = _translucency(surfels, surfaces)
         near = surfels.sigma.max(1).clip(SHORT_RAY, 5 * SHORT_RAY)
-        front, hidden = self._irradiance_from_front(surfels.points, surfels.normals, rays, near, rng)
+        front, hidden = self._irradiance_from_front(surfels.points, surfels.normals, rays, near, rng, progress)
         sheet = np.flatnonzero(np.isfinite(translucency))
         if len(sheet):
             back, _ = self._irradiance_from_front(
@@ -148,7 +156,9 @@ class BakedLight:
             )
         return tree, albedo * total / np.pi
 
-    def _irradiance_from_front(self, points, normals, rays, near, rng) -> tuple[np.ndarray, np.ndarray]:
+    def _irradiance_from_front(
+        self, points, normals, rays, near, rng, progress=lambda fraction: None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance (N, 3) on the side of the normals, and mask (N,) of points whose rays are nearly all short."""
         total, hidden = self._direct_light(points, normals, rng), np.zeros(len(points), bool)
         step = max(RAY_BATCH // rays, 1)
@@ -157,6 +167,7 @@ class BakedLight:
             transport, emitted, short = self._gather(points[s], normals[s], rays, near[s], self._tree, rng)
             total[s] += transport @ self._radiosity + emitted
             hidden[s] = short > COVERED_RAY_FRACTION
+            progress(min((i + step) / len(points), 1.0))
         return total, hidden
 
     def _gather(self, points, normals, rays, near, tree, rng) -> tuple[csr_matrix, np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ models in this package do so (dining_room/room_model.py).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +84,7 @@ def lit_room(room: Room, rng: np.random.Generator, detail: Detail, report) -> Li
 
 def room_asset(name: str, lit: LitRoom, rng: np.random.Generator, report) -> Asset:
     """The asset `name` of a lit room: its Gaussians with baked colours and object ids, and its distance grid."""
-    surfels, irradiance = visible_surfels(lit, rng)
+    surfels, irradiance = visible_surfels(lit, rng, tenths(f"{name}: light", report))
     report(f"{name}: lit {len(surfels):,} visible surfels")
     colours = sharpened(surfels, tone_map(_radiance(lit, surfels, irradiance, rng), lit.room.exposure))
     object_id = np.array([s.object_id for s in lit.room.surfaces])[surfels.surface]
@@ -91,7 +92,20 @@ def room_asset(name: str, lit: LitRoom, rng: np.random.Generator, report) -> Ass
     return Asset(gaussians, sdf=lit.room.distances(), provenance={"made_by": "vrgs build", "name": name})
 
 
-def visible_surfels(lit: LitRoom, rng: np.random.Generator) -> tuple[Surfels, np.ndarray]:
+def tenths(what: str, report: Callable[[str], None]) -> Callable[[float], None]:
+    """A function of a growing fraction that reports each tenth below 1 once."""
+    told = 0
+
+    def progress(fraction: float) -> None:
+        nonlocal told
+        if told < int(10 * fraction) < 10:
+            told = int(10 * fraction)
+            report(f"{what} {10 * told} %")
+
+    return progress
+
+
+def visible_surfels(lit: LitRoom, rng: np.random.Generator, progress) -> tuple[Surfels, np.ndarray]:
     """The surfels of the room (not of the bodies) that can be seen, and their irradiance (N, 3)."""
     surfaces = lit.room.surfaces
     surfels = lit.surfels.select(lit.surfels.surface < len(surfaces))
@@ -101,7 +115,7 @@ def visible_surfels(lit: LitRoom, rng: np.random.Generator) -> tuple[Surfels, np
     depth = np.maximum(0.012, surfels.sigma.max(1))
     thin = lit.light.has_surface_behind(surfels.points, surfels.normals, depth)
     surfels = surfels.select(seen | sheet | ~thin | (surfels.normals[:, 1] > -0.2))
-    irradiance, covered = lit.light.irradiance(surfels, surfaces, lit.detail.ray_count(GATHER_RAYS), rng)
+    irradiance, covered = lit.light.irradiance(surfels, surfaces, lit.detail.ray_count(GATHER_RAYS), rng, progress)
     keep = ~covered | np.array([not s.blocks_light for s in surfaces])[surfels.surface]
     surfels, irradiance = surfels.select(keep), irradiance[keep]
     for _ in range(3):  # against the noise of the rays; contact shadows stay two Gaussians wide

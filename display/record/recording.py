@@ -39,7 +39,7 @@ from display.record.codec import from_text, pack_hand, to_text
 
 FORMAT, VERSION = "vrgs-recording", 3  # 1: bodies were not of their own material; 2: there was one body at most
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
-OPTIONS += ("cells", "pieces", "options")  # of the command: they make the world what it is
+OPTIONS += ("cells", "pieces", "options", "detail")  # of the command: they make the world what it is
 WRITE_PERIOD = 1.0  # [s] between two states, and between two writings
 CAMERA_SIZE = 22  # numbers of a camera
 CHUNK = {"frames": 1024, "hands/layout": 2048, "hands/numbers": 32768, "cameras": 256, "commands": 4096, "states": 256}

@@ -22,6 +22,7 @@ CHOICES = {
     "embedding": ("two-level", "one-level"),
     "sort": SORTS,
     "cells": ("adaptive", "uniform"),
+    "detail": ("shipped", "paper"),
     "up": ("+x", "-x", "+y", "-y", "+z", "-z"),
 }
 KINDS = {"seed": (int,), "vertices": (int, list), "scale": (int, float), "pieces": (bool,)}  # the others are texts

@@ -78,7 +78,7 @@ def bottle(rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset `bottle`; its highlights reflect the room from where the bottle stands."""
     from studio.dining_room.room_model import lit_dining_room
 
-    lit = lit_dining_room(detail, report)
+    lit = lit_dining_room(Detail(min(detail.gaussians, 1.0), rays=detail.rays), report)  # a denser room shines no other
     light, surfaces = lit.light, bottle_surfaces()
     label_spacing = detail.spacing(PRINT_SPACING)
     c = join_surfels([sample_surfaces(surfaces[:2], rng, detail), _label_surfels(label_spacing)])

@@ -1,5 +1,6 @@
 """Bodies and rooms of the user's in the roles of scenes."""
 
+import inspect
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -18,11 +19,11 @@ from core.material import Material
 from core.rotation import matrices_from_quaternions
 from scenes import registry
 from scenes.roles import CELL, bounds, places, spot_in
-from scenes.scene import Plane, Room
+from scenes.scene import Plane, Role, Room
 from vrgs import main
 
 JELLY = Material.named("jelly")
-DEMOS = [name for name in registry.names() if registry.load(name).roles]
+DEMOS = registry.names()
 
 
 def ring(tmp_path, name: str = "mine", material=JELLY, scale: float = 3.0) -> str:
@@ -54,27 +55,51 @@ def room(tmp_path, *, table: bool, scale: float = 1.0) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("name", DEMOS)
+def replaceable(name: str) -> tuple[list[str], Role, str, int]:
+    """The first role of a demo that is filled from outside: the bodies before it, the role, its name and its body."""
+    default = inspect.signature(registry.demo(name).build).parameters.get("body")
+    before = [] if default is None else [default.default] if isinstance(default.default, str) else list(default.default)
+    free = [p for p in places(registry.load(name)) if registry.load(name).bodies[p[2]].asset not in before]
+    return before, *free[0]
+
+
+@pytest.mark.parametrize("name", [name for name in DEMOS if name != "sandbox"])  # which places its bodies itself
 def test_a_body_takes_the_place_the_size_and_the_material_of_what_it_replaces(name, tmp_path):
-    """Upright on the same spot; where it must keep its size it does, and what must move by itself is refused."""
+    """Upright on the same spot."""
     scene, mine = registry.load(name), ring(tmp_path)
-    role, title, i = next((p for p in places(scene) if not p[0].animated), (None, "", 0))
-    if role is None or registry.demo(name).build.__code__.co_varnames[:1] == ("body",):
-        return
+    before, role, title, i = replaceable(name)
     own = scene.bodies[i]
-    cast = registry.load(name, body=mine)
-    (body,) = [b for b in cast.bodies if b.asset == mine]
-    assert cast.cast == ((mine, title),) and body.material == JELLY and body.kind == own.kind
+    cast = registry.load(name, body=[*before, mine])
+    body = cast.bodies[i]
+    assert cast.cast[-1] == (mine, title) and body.material == JELLY and body.kind == own.kind
     (low, high), (its_low, its_high) = bounds(own.asset, own), bounds(mine, body)
     assert_allclose(0.5 * (low + high)[[0, 2]], 0.5 * (its_low + its_high)[[0, 2]], atol=1e-6)
     assert_allclose(low[1], its_low[1], atol=1e-6)
     if role.resize:
         assert_allclose(np.linalg.norm(high - low), np.linalg.norm(its_high - its_low), rtol=1e-6)
-    assert next(b for b in registry.load(name, body=mine, resize=False).bodies if b.asset == mine).scale == 1.0
-    assert registry.load(name, body=ring(tmp_path, "plain", None)).bodies[i].material == own.material
-    assert registry.load(name, body=mine, material="wood").bodies[i].material == Material.named("wood")
+    assert registry.load(name, body=[*before, mine], resize=False).bodies[i].scale == 1.0
+    assert registry.load(name, body=[*before, ring(tmp_path, "plain", None)]).bodies[i].material == own.material
+    assert registry.load(name, body=[*before, mine], material="wood").bodies[i].material == Material.named("wood")
     with pytest.raises(BadInput, match="too many for this scene; roles"):
-        registry.load(name, body=[mine] * (len(places(scene)) + 1))
+        registry.load(name, body=[*before, *[mine] * (len(places(scene)) + 1)])
+
+
+@pytest.mark.parametrize("name", DEMOS)
+def test_every_demo_moves_into_a_room_of_the_users(name, tmp_path):
+    """Its own room goes, the other one stands around the play; all that is played with stays as it is."""
+    stage = room(tmp_path, table=True)
+    own, scene = registry.load(name), registry.load(name, stage=stage)
+    around, *rest = scene.bodies
+    assert around.asset == stage and scene.cast[-1][0] == stage and scene.cast[-1][1].startswith("the room")
+    assert rest == [b for b in own.bodies if b.asset not in own.room.assets] and len(rest) < len(own.bodies)
+    assert any(c in own.room.colliders for c in own.colliders)
+    assert not any(c in own.room.colliders for c in scene.colliders[1:])
+    turn = matrices_from_quaternions(np.array(around.rotation))
+    spot = turn.T @ (np.array(own.room.spot) - around.position)
+    assert spot[1] == pytest.approx(0.0 if own.room.on_floor else 0.9, abs=1e-6)
+    assert scene.floor == pytest.approx(own.room.spot[1] - spot[1])
+    eye = turn.T @ (np.array(scene.eye) - around.position)
+    assert (np.abs(eye[[0, 2]]) < [2.0, 3.0]).all() and eye[1] > spot[1]
 
 
 def test_each_body_is_told_its_role(tmp_path):

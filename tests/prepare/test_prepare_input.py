@@ -3,6 +3,7 @@
 import argparse
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -113,6 +114,16 @@ def test_a_shape_that_has_no_cage_of_so_few_vertices_gets_one_of_more(ti_cpu, tm
     assert wanted_vertices(out) == 150 and abs(len(Asset.load(out).cage.vertices) / 150 - 1) < 0.15
     with pytest.raises(BadInput, match=r"ring\.ply: no cage of about 60"):
         prepare_file(tmp_path / "ring.ply", tmp_path / "ring.h5", vertices=(50, 60), report=said.append)
+
+
+def test_quantised_stores_a_smaller_asset(ti_cpu, tmp_path):
+    write_gaussians(tmp_path / "ball.ply", ball(2000))
+    words = ["prepare", str(tmp_path / "ball.ply"), "--out", str(tmp_path / "small.h5"), "--vertices", "300"]
+    assert vrgs.main([*words, "--up", "+y", "--no-report", "--quantised", "--arch", "cpu"]) == 0
+    with h5py.File(tmp_path / "small.h5") as file:
+        assert file.attrs["version"] == 2
+    Asset.load(tmp_path / "small.h5").save(tmp_path / "large.h5")
+    assert (tmp_path / "small.h5").stat().st_size < 0.4 * (tmp_path / "large.h5").stat().st_size
 
 
 @pytest.mark.parametrize("fraction", [1 / 3, 1.0])

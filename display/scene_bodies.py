@@ -80,6 +80,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         d = asset.sdf
         sdf = DistanceGrid(np.asarray(d.values, np.float32) * s, np.asarray(d.origin) * s, float(d.spacing) * s)
     led = None if asset.animation is None else asset.animation.vertices[asset.animation.driven]
+    fixed = None if body.fixed_below is None else np.flatnonzero(asset.cage.vertices[:, 1] < body.fixed_below)
     soft = SoftBody(
         name=body.asset,
         vertices=vertices,
@@ -90,7 +91,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         position=body.position,
         velocity=body.velocity,
         sdf=sdf,
-        pinned=led,
+        pinned=fixed if led is None else led,
         self_contact=led is None,
     )
     part = EmbeddedBody(

@@ -212,7 +212,11 @@ class World(WorldView):
     def scripted_hands(self, time: float) -> list[Hand]:
         """Hands of the scene's scripted player at `time` [s]."""
         game = self.scene.game
-        return game.hands(time, self.registry.scene_states(self._bodies)) if game is not None else []
+        if game is None:
+            return []
+        if hasattr(game, "interaction") and game.interaction(time) != self.interaction:
+            self.apply([SetInteraction(game.interaction(time))])
+        return game.hands(time, self.registry.scene_states(self._bodies))
 
     # what displays see: display/protocol.py, WorldView
 

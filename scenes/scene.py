@@ -20,7 +20,8 @@ class Body:
 
     `asset` is a name under assets/ or a path. With a material it is simulated; without one it
     is static and its signed distance grid collides. `velocity` [m/s] is the initial one. `kind` is "soft", "rigid", or
-    "kinematic": rigid, and moved by nothing but the program.
+    "kinematic": rigid, and moved by nothing but the program. What of a soft body lies below `fixed_below` [m] in the
+    asset's frame stays where it is.
     """
 
     asset: str
@@ -30,6 +31,7 @@ class Body:
     scale: float = 1.0
     velocity: Vec3 = (0.0, 0.0, 0.0)
     kind: str = "soft"
+    fixed_below: float | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,8 @@ class Game(Protocol):
     """Game of a scene. `hands` is its scripted player; `reset` starts it again.
 
     `verify` raises AssertionError if the scripted play did not end as it should. A game with a task to be done has an
-    attribute `goal`: the score with which it is.
+    attribute `goal`: the score with which it is. A game may have `interaction(time)`: the mode, "physics" or
+    "transform", in which its scripted player's hands grip.
     """
 
     duration: float  # [s] of the scripted play

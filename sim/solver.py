@@ -162,8 +162,7 @@ class Solver:
         if self.contacts is not None:
             self.contacts.begin_frame(hands, dt, 0)
             grasped, tracked = self.contacts.grasped_bodies(), self.contacts.tracked_hands()
-        self._rigid_editing.step(tracked, grasped)
-        if any(b >= 0 for b in grasped):
+        if self._rigid_editing.step(tracked, grasped):
             self.wake()
         if any(b >= 0 and self._model.bodies[b].body.rigid for b in grasped):
             self._fit_rigid_bodies()

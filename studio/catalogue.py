@@ -27,6 +27,8 @@ MODELS: dict[str, tuple] = {
     # just dance
     "dancer": ("studio.dancer:dancer",),
     # toy collection: room, basket
+    "childrens_room": ("studio.childrens_room.room_model:childrens_room",),
+    "basket": ("studio.basket:basket",),
     #
     # toy collection: plush toys; their Gaussians and cage vertices as shipped
     "toy_teddy": ("studio.creatures.creature_asset:creature", "toy_pets:toy_teddy", 6_000, 200),
@@ -48,6 +50,7 @@ MODELS: dict[str, tuple] = {
     "sheep": ("studio.creatures.creature_asset:creature", "sheep:sheep", 16_000, 500),
     "rabbit": ("studio.creatures.creature_asset:creature", "rabbit:rabbit", 16_000, 400),
     # animal crossing: garden
+    "garden": ("studio.garden.garden_model:garden",),
     #
     # table brick game
     #

@@ -15,6 +15,7 @@ from studio.finish import (
     to_gaussians,
     tone_map,
 )
+from studio.revolved_cage import revolved_cage
 from studio.shapes import Surface, grid_mesh
 from studio.solids import sample_distance_grid, torus
 from studio.surface_sampling import Surfels, sample_surfaces
@@ -69,54 +70,21 @@ def torus_cage(wanted: int = CAGE_VERTICES) -> Cage:
     """Cage of about `wanted` vertices swept from a polygon: prisms of three tets each, with matching diagonals.
 
     The polygon has a centre and, from more vertices on, several rings; it circumscribes the tube, so that the
-    Gaussians lie inside. Every quadrilateral is split from its lowest vertex index, which always gives three
-    conforming tets (Dompierre et al. 1999).
+    Gaussians lie inside.
     """
     finer = (wanted / CAGE_VERTICES) ** (1 / 3)
     sides, layers = round(CAGE_SIDES * finer), max(round(finer), 1)
-    stride = 1 + sides * layers
-    segments = round(wanted / stride)
-    a = 2 * np.pi * np.arange(segments) / segments
     b = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     radius = 1.02 * RING_TUBE / np.cos(np.pi / sides) * np.arange(1, layers + 1)[:, None] / layers
-    r = np.concatenate([[RING_MAJOR], (RING_MAJOR + radius * np.cos(b)).ravel()]) / np.cos(np.pi / segments)
+    r = np.concatenate([[RING_MAJOR], (RING_MAJOR + radius * np.cos(b)).ravel()])
     y = np.concatenate([[0.0], (radius * np.sin(b)).ravel()])
-    vertices = np.stack(
-        [np.outer(np.cos(a), r), np.broadcast_to(y, (segments, stride)), -np.outer(np.sin(a), r)], -1
-    ).reshape(-1, 3)
     triangles = []  # of a section
     for k in range(sides):
         one, two = 1 + k, 1 + (k + 1) % sides
         triangles.append((0, one, two))
         for out in range(sides, sides * layers, sides):
             triangles += [(one + out - sides, one + out, two + out), (one + out - sides, two + out, two + out - sides)]
-    tets, surface_ = [], []
-    for s in range(segments):
-        here, there = s * stride, (s + 1) % segments * stride
-        for triangle in triangles:
-            tets += _split_prism([here + v for v in triangle] + [there + v for v in triangle])
-        for k in range(sides):
-            one, two = (1 + sides * (layers - 1) + j % sides for j in (k, k + 1))
-            side = [here + one, there + one, there + two, here + two]
-            low = side.index(min(side))
-            p, q, t, u = side[low:] + side[:low]
-            surface_ += [(p, q, t), (p, t, u)]
-    x = vertices[np.array(tets)]
-    flip = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    tets = np.array(tets, np.int32)
-    tets[flip] = tets[flip][:, [0, 1, 3, 2]]
-    return Cage(vertices.astype(np.float32), tets, np.array(surface_, np.int32))
-
-
-def _split_prism(prism: list[int]) -> list[tuple[int, int, int, int]]:
-    """Three tets of a prism (bottom triangle 0 1 2, top 3 4 5), with diagonals from the lowest index of each side."""
-    low = prism.index(min(prism))
-    if low >= 3:  # turned upside down, its lowest vertex is in the bottom triangle
-        prism, low = [prism[3], prism[5], prism[4], prism[0], prism[2], prism[1]], {3: 0, 5: 1, 4: 2}[low]
-    p = [prism[(low + i) % 3] for i in range(3)] + [prism[3 + (low + i) % 3] for i in range(3)]
-    if min(p[1], p[5]) < min(p[2], p[4]):
-        return [(p[0], p[1], p[2], p[5]), (p[0], p[1], p[5], p[4]), (p[0], p[4], p[5], p[3])]
-    return [(p[0], p[1], p[2], p[4]), (p[0], p[4], p[2], p[5]), (p[0], p[4], p[5], p[3])]
+    return revolved_cage(np.stack([r, y], 1), triangles, round(wanted / (1 + sides * layers)))
 
 
 def _rubber_sheen(c: Surfels, surfaces: list[Surface], rng: np.random.Generator) -> np.ndarray:

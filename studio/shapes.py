@@ -36,6 +36,7 @@ class Surface:
     width           factor on the standard deviations; plain surfaces close better with wide Gaussians
     uniform         keep `spacing` at any distance from the player
     blocks_light    casts shadows and reflects light; False for the bulb and the garden
+    leaves          the mesh is of `leaf_mesh`: every leaf becomes one Gaussian, whatever the spacing
     """
 
     name: str
@@ -53,6 +54,7 @@ class Surface:
     width: float = 1.0
     uniform: bool = False
     blocks_light: bool = True
+    leaves: bool = False
     object_id: int = 0
 
     def placed(self, rotation=None, position=(0.0, 0.0, 0.0)) -> Surface:
@@ -114,6 +116,14 @@ def quad(corner, along, across) -> Mesh:
     return Mesh(np.array([corner, corner + a, corner + a + b, corner + b]), _split([(0, 1, 2, 3)]))
 
 
+def leaf_mesh(centres, along, across) -> Mesh:
+    """Many rectangles, four vertices each: centres (N, 3), and edges `along` and `across`, (N, 3) each [m]."""
+    centres, a, b = (np.asarray(x, float) for x in (centres, along, across))
+    corners = [centres + 0.5 * (i * a + j * b) for i, j in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    quads = np.arange(4 * len(centres)).reshape(-1, 4)
+    return Mesh(np.stack(corners, 1).reshape(-1, 3), _split(quads))
+
+
 def grid_mesh(points: np.ndarray, close_u: bool = False, close_v: bool = False) -> Mesh:
     """Mesh of a grid of points (U, V, 3) with normal d/du x d/dv; either direction may be closed."""
     n, m = points.shape[:2]
@@ -131,15 +141,18 @@ def welded(mesh: Mesh) -> Mesh:
     return Mesh(v, f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])])
 
 
-def lathe(profile, segments: int = 48) -> Mesh:
-    """Solid of revolution about y. `profile` (K, 2) holds (radius, y), from the bottom outside to the top."""
+def lathe(profile, segments: int = 48, closed: bool = False) -> Mesh:
+    """Solid of revolution about y. `profile` (K, 2) holds (radius, y), from the bottom outside to the top.
+
+    A `closed` profile runs on from its end to its begin, as a torus's does.
+    """
     profile = np.asarray(profile, float)
     angle = 2 * np.pi * np.arange(segments) / segments
     r, y = profile[:, 0], profile[:, 1]
     points = np.stack(
         [r[:, None] * np.cos(angle), np.broadcast_to(y[:, None], (len(r), segments)), -r[:, None] * np.sin(angle)], -1
     )
-    return grid_mesh(points.transpose(1, 0, 2), close_u=True)
+    return grid_mesh(points.transpose(1, 0, 2), close_u=True, close_v=closed)
 
 
 def smooth_curve(profile, count: int = 60) -> np.ndarray:

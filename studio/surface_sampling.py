@@ -21,6 +21,7 @@ from studio.shapes import Mesh, Surface, welded
 
 CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
 SIGMA_OVER_SPACING = 0.95  # closes the surface even where neighbours are farthest apart
+SIGMA_OVER_LEAF = 0.3  # standard deviation over the length of a leaf
 RADIUS_RATIO = 1.3  # sampling radii are rounded down to powers of this
 MIN_SPACING_RATIO = 0.55  # lower bound of the spacing on thin tubes, over the surface's own
 
@@ -99,6 +100,8 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewe
 
     Works in a space compressed along the grain, in which elongated Gaussians are round.
     """
+    if surface.leaves:
+        return _one_for_each_leaf(surface, index)
     a = np.array([1.0, 0.0, 0.0])
     if surface.grain is not None:
         a = surface.rotation @ np.asarray(surface.grain, float)
@@ -145,6 +148,14 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewe
     tangents = _unit(axes[..., 2] - (axes[..., 2] * normals).sum(1, keepdims=True) * normals)
     sigma = np.sqrt(sigma[:, [2, 1]].clip(1e-8))
     return Surfels(p @ stretch, normals, tangents, sigma, np.full(len(p), index))
+
+
+def _one_for_each_leaf(surface: Surface, index: int) -> Surfels:
+    """A surfel for each rectangle of `leaf_mesh`, rounded as a leaf is."""
+    corner = surface.world.vertices.reshape(-1, 4, 3)
+    a, b = corner[:, 1] - corner[:, 0], corner[:, 3] - corner[:, 0]
+    sigma = SIGMA_OVER_LEAF * surface.width * np.stack([np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)], 1)
+    return Surfels(corner.mean(1), _unit(np.cross(a, b)), _unit(a), sigma, np.full(len(corner), index))
 
 
 def _spacing(points: np.ndarray, normals: np.ndarray, surface: Surface, viewer: Viewer | None) -> np.ndarray:

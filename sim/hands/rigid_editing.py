@@ -51,8 +51,9 @@ class RigidEditing:
         self._pairs: dict[int, TwoHandGrasp] = {}  # body -> both hands on it
         self._scaling: tuple[int, float] | None = None
 
-    def step(self, hands: list[Hand | None], grasped: list[int]) -> None:
-        """Move the bodies in the hands; grasped[h] is the body in hand h, -1 for none."""
+    def step(self, hands: list[Hand | None], grasped: list[int]) -> bool:
+        """Move the bodies in the hands; grasped[h] is the body in hand h, -1 for none. Return if any has moved."""
+        pairs = set(self._pairs)
         alone = self._scale(hands, grasped)
         for h, hand in enumerate(hands):
             body = alone[h] if h < len(alone) else -1
@@ -70,6 +71,7 @@ class RigidEditing:
                 moved.add(body)
         self._held = {}
         self._poses = {h: world_from_hand(hands[h]) for h in self._grasps if h < len(hands)}
+        return bool(moved or pairs or self._pairs)
 
     def reset(self, *, held: bool = False) -> None:
         """Forget where bodies were; those that are `held` go on from there with the hands, where these were."""

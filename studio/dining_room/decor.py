@@ -7,6 +7,7 @@ import numpy as np
 from studio.dining_room.shell import DOOR_X, ROOM_HIGH, ROOM_LOW, WINDOW_Z, Z0
 from studio.light_sources import Lamp
 from studio.shapes import Surface, box, grid_mesh, join, lathe, quad, rotation_about, smooth_curve, superellipsoid, tube
+from studio.textiles import drape
 from studio.textures import WALNUT, cloth, fbm, mix, noise, plain, smoothstep, srgb, wood
 
 LAMP_AT = (0.0, 1.72, 0.0)  # [m] lower rim of the pendant lamp
@@ -68,20 +69,14 @@ def curtains() -> list[Surface]:
     linen = cloth("dccdae", 0.012, 0.06, 0.03, 81)
     surfaces = []
 
-    def drape(name, a, b, folds, low, high, seed, to_room):
-        u = np.linspace(0, 1, 28 * folds)[:, None]
-        v = np.linspace(0, 1, 30)[None, :]
-        loose = 1 - 0.55 * v
-        wave = np.sin(2 * np.pi * folds * u + 0.9 * np.sin(5 * u + seed) + 0.25 * np.sin(3 * v + seed))
-        depth = 0.020 * wave * (0.7 + 0.5 * loose) + 0.004 * np.sin(11 * u + 4 * v + seed)
-        along = a + (b - a) * (u + 0.012 * np.sin(9 * v + 7 * u + seed) * loose)
-        mesh = grid_mesh(np.stack(np.broadcast_arrays(*to_room(along, low + (high - low) * v, depth)), -1))
+    def curtain(name, span, seed, to_room):
+        mesh = drape(span, (0.015, 2.30), 4, seed, to_room)
         surfaces.append(Surface(name, mesh, linen, 0.0115, grain=(0, 1, 0), stretch=3.5, translucency=0.38, width=1.12))
 
     for a, b, seed in ((DOOR_X[0] - 0.36, DOOR_X[0] + 0.10, 1.0), (DOOR_X[1] - 0.08, DOOR_X[1] + 0.34, 2.0)):
-        drape("curtain", a, b, 4, 0.015, 2.30, seed, lambda u, y, d: (u, y, Z0 + CURTAIN_OFFSET + d))
+        curtain("curtain", (a, b), seed, lambda u, y, d: (u, y, Z0 + CURTAIN_OFFSET + d))
     for a, b, seed in ((WINDOW_Z[0] - 0.34, WINDOW_Z[0] + 0.06, 3.0), (WINDOW_Z[1] - 0.06, WINDOW_Z[1] + 0.34, 4.0)):
-        drape("side curtain", a, b, 4, 0.015, 2.30, seed, lambda u, y, d: (ROOM_LOW[0] + CURTAIN_OFFSET + d, y, u))
+        curtain("side curtain", (a, b), seed, lambda u, y, d: (ROOM_LOW[0] + CURTAIN_OFFSET + d, y, u))
     brown, left = plain("4a3220"), ROOM_LOW[0] + CURTAIN_OFFSET
     rod = tube(
         [(DOOR_X[0] - 0.42, 2.325, Z0 + CURTAIN_OFFSET), (DOOR_X[1] + 0.40, 2.325, Z0 + CURTAIN_OFFSET)], 0.013, 12

@@ -103,6 +103,16 @@ def test_the_rescaled_body_is_where_the_preview_was(solver, keeps):
     assert_allclose(solver.x.to_numpy()[: len(X)], seen, atol=2e-4)
 
 
+def test_a_body_that_both_hands_let_go_is_observed_at_its_own_size(solver):
+    a, b, _ = gripped(solver)
+    hold(solver, a - [0.05, 0, 0], b)
+    wide = solver.observe()[1][0]
+    after = hold(solver, a - [0.05, 0, 0], b, (False, False))
+    seen = solver.observe()[1][0]
+    assert wide.held and not seen.held
+    assert_allclose([seen.low, seen.high], [after.min(0), after.max(0)], atol=1e-6)
+
+
 def test_a_trembling_hand_rescales_nothing(solver):
     a, b, _ = gripped(solver)
     hold(solver, a - [0.0003, 0, 0], b)

@@ -1,0 +1,37 @@
+"""The garden: its lawn, where animals belong on it, colliders and sun."""
+
+from __future__ import annotations
+
+from scenes.scene import Body, Capsule, Light, Plane, Room, Vec3
+
+PLAY_RADIUS = 1.2  # [m] of the lawn that a play needs
+BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
+SUNLIGHT = (0.52, -0.74, -0.42)  # direction in which it travels
+
+
+def furniture() -> list[Body]:
+    """The static body: the garden, whose distance grid holds the bench and the pots."""
+    return [Body("garden")]
+
+
+def colliders() -> list[Plane | Capsule]:
+    """Lawn, hedges, fence, and the trunk of the tree."""
+    return [
+        Plane((0, 0, 0), (0, 1, 0), friction=0.9),
+        Plane((-3.6, 0, 0), (1, 0, 0)),
+        Plane((3.6, 0, 0), (-1, 0, 0)),
+        Plane((0, 0, -4.2), (0, 0, 1)),
+        Plane((0, 0, 3.0), (0, 0, -1)),
+        Capsule((-2.15, 0.0, -2.35), (-2.12, 1.3, -2.32), 0.13),
+    ]
+
+
+def room() -> Room:
+    """The garden, from which a play moves on to another floor."""
+    return Room(("garden",), tuple(colliders()), (0.0, 0.0, 0.0), PLAY_RADIUS, on_floor=True)
+
+
+def sun(target: Vec3 = (0.0, 0.0, 0.0)) -> Light:
+    """The sun, over the player's left shoulder."""
+    position = tuple(t - 10.0 * d for t, d in zip(target, SUNLIGHT, strict=True))
+    return Light(position=position, target=target, kind="directional", strength=0.6, softness=0.015)

@@ -1,0 +1,4 @@
+"""The garden: a lawn among hedges, an apple tree, flower beds, a fence and a bench, under a summer sky.
+
+In: nothing but code. Out: the asset `garden`.
+"""

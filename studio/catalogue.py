@@ -27,7 +27,7 @@ MODELS: dict[str, tuple] = {
     # just dance
     "dancer": ("studio.dancer:dancer",),
     # toy collection: room, basket
-    "childrens_room": ("studio.childrens_room.room_model:childrens_room",),
+    "childrens_room": ("studio.childrens_room.childrens_room_model:childrens_room",),
     "basket": ("studio.basket:basket",),
     #
     # toy collection: plush toys; their Gaussians and cage vertices as shipped

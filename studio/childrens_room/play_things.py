@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from studio.childrens_room.furniture import SHELF_BOARD, SHELF_COLUMNS, SHELF_LEVEL, SHELF_TOP, SHELF_X
-from studio.childrens_room.shell import X0, X1, Z0
+from studio.childrens_room.bed_and_tent import SHELF_BOARD, SHELF_COLUMNS, SHELF_LEVEL, SHELF_TOP, SHELF_X
+from studio.childrens_room.painted_shell import X0, X1, Z0
 from studio.light_sources import Lamp
 from studio.shapes import (
     Surface,

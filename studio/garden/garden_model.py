@@ -6,7 +6,7 @@ import numpy as np
 
 from assets.asset import Asset
 from studio.detail import Detail
-from studio.garden.furniture import furniture, solids
+from studio.garden.garden_furniture import furniture, solids
 from studio.garden.ground import ground
 from studio.garden.plants import plants
 from studio.light_sources import LightSources, Sun

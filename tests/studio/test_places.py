@@ -12,9 +12,9 @@ from scenes import childrens_room as room_scene
 from scenes import garden as garden_scene
 from scenes.scene import Box, Capsule, Plane
 from studio import basket
-from studio.childrens_room.furniture import TENT_AT
-from studio.childrens_room.shell import ROOM_HIGH, ROOM_LOW
-from studio.garden.furniture import BENCH_AT, SEAT
+from studio.childrens_room.bed_and_tent import TENT_AT
+from studio.childrens_room.painted_shell import ROOM_HIGH, ROOM_LOW
+from studio.garden.garden_furniture import BENCH_AT, SEAT
 from studio.garden.garden_model import SUNLIGHT
 from studio.garden.plants import RINGS
 from studio.revolved_cage import revolved_cage

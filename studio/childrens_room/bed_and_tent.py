@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from studio.childrens_room.shell import X0, Z0
+from studio.childrens_room.painted_shell import X0, Z0
 from studio.shapes import Surface, beveled_box, box, grid_mesh, join, rotation_about, superellipsoid, tube
 from studio.solids import Solid
 from studio.textures import BEECH, cloth, hash_uniform, plain, smoothstep, srgb, wood

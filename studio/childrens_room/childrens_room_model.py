@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from assets.asset import Asset
-from studio.childrens_room.furniture import furniture, tent_solid
+from studio.childrens_room.bed_and_tent import furniture, tent_solid
+from studio.childrens_room.painted_shell import SUN, openings, shell
 from studio.childrens_room.play_things import lamps, play_things, solids
-from studio.childrens_room.shell import SUN, openings, shell
 from studio.detail import Detail
 from studio.light_sources import LightSources
 from studio.lit_room import Room, lit_room, room_asset

@@ -15,7 +15,7 @@ from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.contact_samples import MAX_CAPSULES
-from sim.contact.self_pairs import bounding_sphere, outside_sphere, stay_apart
+from sim.contact.self_pairs import bounding_sphere, neighborhood, outside_sphere, stay_apart
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import (
     MIN_WEIGHT,
@@ -280,12 +280,11 @@ class NearestTets:
         body, found = s.body_of_tet[t], False
         box_low, box_high, max_distance = self._reach(t)
         if max_distance > 0.0:
-            rest, rest_radius = bounding_sphere(s.rest, a)
+            rest, rest_radius = self._neighborhood(t)
             center, radius = bounding_sphere(s.x, a)
             v, v_radius = bounding_sphere(s.v, a)
-            neighbor = self._neighbor_distance(body)
-            first, cells = self._cells(box_low, box_high)
-            cell = visitor
+            first, last = h.cell_range(box_low, box_high)
+            cells, cell = last - first, visitor
             while cell < cells.x * cells.y * cells.z and not found:
                 bucket = self._bucket(first, cells, cell)
                 e, end = h.begin[bucket], h.begin[bucket] + h.size[bucket]
@@ -298,24 +297,18 @@ class NearestTets:
                             if g == body:
                                 closing = (x_v - v).norm() + v_radius
                                 near = outside_sphere(x, center, radius) < CONTACT_MARGIN + closing * s.detect_dt[None]
-                                found = found and near and outside_sphere(x_rest, rest, rest_radius) > neighbor
+                                found = found and near and outside_sphere(x_rest, rest, rest_radius) > 0.0
                     e += 1
                 cell += self.visitors
         return found
 
     @ti.func
-    def _neighbor_distance(self, body):
-        """Distance at rest [m] up to which points of a body are neighbours, which never collide."""
+    def _neighborhood(self, t):
+        """`neighborhood` of tet t."""
         distance = 0.0
         if ti.static(self.self_collides):
-            distance = 0.5 * self.self_collision.min_rest_distance(body)
-        return distance
-
-    @ti.func
-    def _cells(self, low, high):
-        """First cell of the hash in a box, and their number along each axis."""
-        first, last = self.hash.cell_range(low, high)
-        return first, last - first
+            distance = self.self_collision.min_rest_distance(self.state.body_of_tet[t])
+        return neighborhood(self.state, t, distance)
 
     @ti.func
     def _bucket(self, first, cells, k):
@@ -335,8 +328,8 @@ class NearestTets:
         x0, e1, e2, e3 = tet_edges(s, t)
         if max_distance > 0.0 and e1.dot(e2.cross(e3)) > 0.0:
             n0, n1, n2, n3 = face_normals(e1, e2, e3)
-            first, cells = self._cells(box_low, box_high)
-            cell = visitor
+            first, last = h.cell_range(box_low, box_high)
+            cells, cell = last - first, visitor
             while cell < cells.x * cells.y * cells.z:
                 bucket = self._bucket(first, cells, cell)
                 for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
@@ -441,9 +434,8 @@ class NearestTets:
             if self.entry_group[e] == body:
                 s = self.state
                 a = s.tets[t]
-                rest, rest_radius = bounding_sphere(s.rest, a)
-                far = outside_sphere(self.entry_rest[e], rest, rest_radius) > self._neighbor_distance(body)
-                result = result and far
+                rest, rest_radius = self._neighborhood(t)
+                result = result and outside_sphere(self.entry_rest[e], rest, rest_radius) > 0.0
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]

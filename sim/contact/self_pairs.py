@@ -24,6 +24,16 @@ def bounding_sphere(field: ti.template(), a):
 
 
 @ti.func
+def neighborhood(s: ti.template(), t, distance):
+    """Centre and radius [m] of a sphere around tet t at rest: of its body, points within never meet the tet.
+
+    Its radius is `distance`, or what the narrow phase takes for a neighbour: half of that beyond the tet.
+    """
+    center, radius = bounding_sphere(s.rest, s.tets[t])
+    return center, ti.max(distance, radius + 0.5 * distance)
+
+
+@ti.func
 def outside_sphere(p, center, radius):
     """Distance of p outside of a sphere; negative inside."""
     return (p - center).norm() - radius

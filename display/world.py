@@ -65,6 +65,7 @@ class World(WorldView):
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
         self._drawn: tuple | None = None  # cameras of the picture; None if it is outdated
+        self._commanding = self._deform_due = False  # while commands are carried out, before bodies are deformed anyway
         self.refresh()
 
     def warm_up(self) -> None:
@@ -85,20 +86,21 @@ class World(WorldView):
     def step(self, frame: Frame) -> None:
         """One frame: carry out commands, simulate, deform, shade, draw."""
         self.editor.begin_frame()
-        self.apply([*self._two_hand_scaling(), *frame.commands])
+        self._commanding = True
+        try:
+            self.apply([*self._two_hand_scaling(), *frame.commands])
+        finally:
+            self._commanding = False
         shadow_outdated = False
         if frame.prop_poses is not None:
             with self.timings.stage("hands"):
                 shadow_outdated = self.device.place_props(frame.prop_poses)
         runs = not self.paused or last_of(SingleStep, frame.commands) is not None
-        if runs:
-            if self._advance(frame):
-                self._deform()
-                shadow_outdated = False
-        else:
-            self.moving = False
+        self.moving = runs and self._advance(frame)
         self._hands = frame.hands
-        if shadow_outdated:
+        if self.moving or self._deform_due:
+            self._deform()
+        elif shadow_outdated:
             self._cast_shadow()
         self._draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
 
@@ -108,7 +110,7 @@ class World(WorldView):
         begin = perf_counter()
         with self.timings.stage("simulate"):
             self._simulate(frame)
-            self.moving, bodies = self.device.solver.observe()  # waits for the device
+            moving, bodies = self.device.solver.observe()  # waits for the device
         if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
             self._cost.note(perf_counter() - begin, frame.dt)
         if not self.demo:
@@ -116,7 +118,7 @@ class World(WorldView):
         self._bodies = bodies
         if self.scene.game is not None:
             self.scene.game.update(self.time, self.registry.scene_states(bodies))
-        return self.moving
+        return moving
 
     def _simulate(self, frame: Frame) -> None:
         """Step with the user's hands at the display's pace, or with the scripted ones in frames of SCRIPT_DT."""
@@ -137,6 +139,7 @@ class World(WorldView):
         return [] if scaled is None else [Rescale(*scaled)]
 
     def _deform(self) -> None:
+        self._deform_due = False
         with self.timings.stage("embed"):
             self.device.deform()
         self._cast_shadow()
@@ -186,9 +189,11 @@ class World(WorldView):
         self.refresh()
 
     def refresh(self) -> None:
-        """Take note of bodies that an edit has moved or changed, and draw them where they are."""
+        """Take note of bodies that an edit has moved or changed; the next picture shows them."""
         self._bodies = self.device.solver.bodies()
-        self._deform()
+        self._deform_due = True
+        if not self._commanding:
+            self._deform()
 
     def set_light(self, light: Light) -> None:
         """Replace the light."""

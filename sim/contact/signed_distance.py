@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 UNKNOWN_DISTANCE = 1e3  # [m], the distance where a grid says nothing
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache
-PADDING = 4  # [nodes] around the cage's box: contact begins outside
-EXACT_BAND = 3.5  # [nodes] around the surface with exact distances; further away only sign and trend matter
+# [nodes] around the surface with exact distances, and of the grid around the cage's box: skins are up to two nodes
+# thick, and a gradient there asks for the corners of its cell, another 1.7 away. Elsewhere sign and trend matter only.
+EXACT_BAND = 4
 UNREACHED = 1e9  # [nodes] where no triangle is near
 
 
@@ -138,8 +139,8 @@ def rest_grid(vertices: np.ndarray, tets: np.ndarray, surface: np.ndarray, *, no
     """
     x = np.asarray(vertices, np.float32)
     spacing = float(np.ptp(x, axis=0).max()) / nodes
-    origin = x.min(0).astype(np.float64) - PADDING * spacing
-    dims = np.ceil((x.max(0) - origin) / spacing).astype(int) + PADDING + 1
+    origin = x.min(0).astype(np.float64) - EXACT_BAND * spacing
+    dims = np.ceil((x.max(0) - origin) / spacing).astype(int) + EXACT_BAND + 1
     local = ((x - origin) / spacing).astype(np.float32)  # in nodes
     values, inside = np.full(dims, UNREACHED, np.float32), np.zeros(dims, np.int32)
     _surface_distances(values, np.ascontiguousarray(local[np.asarray(surface)]))

@@ -74,7 +74,7 @@ class ModalCorrection:
 
     def load(self, model: Model) -> None:
         """Take the modes of these bodies."""
-        modes = [p.shape.once(modes_of, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
+        modes = [modes_of(p.shape, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
         U = np.zeros((MODES, self.state.V, 3), np.float32)
         if modes:
             U[:, : model.sizes.vertices] = np.concatenate([shape.transpose(1, 0, 2) for shape, _ in modes], axis=1)
@@ -335,9 +335,17 @@ def motions_of(shape: RestShape, pinned: tuple) -> LatticeMotions:
     return lattice_motions(shape.vertices, shape.tets, shape.vertex_volumes, ~np.array(pinned))
 
 
+def unit_modes_of(shape: RestShape, pinned: tuple, poisson: float) -> tuple[np.ndarray, np.ndarray]:
+    """softest_modes of a shape at 1 kg/m^3 and mu = 1 Pa."""
+    return softest_modes(shape.once(motions_of, pinned), 1.0, 2 * poisson / (1 - 2 * poisson))
+
+
 def modes_of(shape: RestShape, pinned: tuple, material: Material) -> tuple[np.ndarray, np.ndarray]:
-    """softest_modes of a body of this shape and material: of a scaled shape, masses go with f^3, stiffness with f."""
-    mu, lam = lame(material)
-    U, squares = softest_modes(shape.root.once(motions_of, pinned), mu, lam - mu)
+    """softest_modes of a body of this shape and material.
+
+    Of a scaled shape masses go with f^3 and stiffness with f, so that only Poisson's ratio makes other shapes of modes.
+    """
+    U, squares = shape.root.once(unit_modes_of, pinned, material.poisson)
+    mu, _ = lame(material)
     mass = material.density * shape.factor**3
-    return U / np.sqrt(mass), squares * shape.factor / mass
+    return U / np.sqrt(mass), squares * mu * shape.factor / mass

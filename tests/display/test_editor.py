@@ -181,6 +181,25 @@ def test_a_copy_looks_like_its_original_and_stands_above_it(play):
     assert 0 < world.bodies()[2].low[1] < original.high[1] + 0.02  # it lies on the other one
 
 
+def test_the_frame_of_an_edit_deforms_and_casts_once(play, monkeypatch):
+    """Also when nothing moves in it: what is undone is seen at once."""
+    device, calls = play.world.device, []
+
+    def counted(name):
+        part = getattr(device, name)
+        monkeypatch.setattr(device, name, lambda *a: (calls.append(name), part(*a)))
+
+    play.step(150)
+    for name in ("deform", "cast_shadow", "render"):
+        counted(name)
+    before = play.picture()
+    for command in (Duplicate(RED), Undo()):
+        calls.clear()
+        play.step(1, command)
+        assert calls == ["deform", "cast_shadow", "render"]
+        assert (play.picture() != before).any() == (command != Undo())
+
+
 def test_the_game_sees_the_scenes_own_bodies_only(play):
     play.do(Duplicate(RED))
     play.do(Remove(RED))

@@ -48,6 +48,16 @@ def test_modes_of_another_size_and_material_are_derived_from_those_of_the_shape(
     assert_allclose(flat.T @ flat, np.eye(MODES), atol=1e-9)
 
 
+def test_a_stiffer_and_denser_body_has_the_modes_that_are_known(monkeypatch):
+    """The eigenvalue problem is that of a mesh and of Poisson's ratio: it would hold up play for each material."""
+    shape, pinned = RestShape(BAR, TETS, SURFACE, None), (False,) * len(BAR)
+    U, squares = modes_of(shape, pinned, Material(1e4, 0.3, 100.0))
+    monkeypatch.setattr("sim.elastic.modal_correction.softest_modes", None)
+    stiff, stiff_squares = modes_of(shape, pinned, Material(1e6, 0.3, 400.0))
+    assert_allclose(stiff_squares, 25 * squares, rtol=1e-12)
+    assert_allclose(stiff, U / 2, rtol=1e-12)
+
+
 @pytest.mark.parametrize("cells", [(1, 1, 1), (2, 2, 2), (3, 1, 3), (6, 1, 1), (9, 9, 1)])
 def test_a_mesh_coarser_than_its_lattice_has_all_rigid_modes(cells):
     """The lattice then moves in ways that no vertex follows; once those were all the modes of such a body."""

@@ -170,11 +170,12 @@ def test_distance_grid_of_a_cage(ti_cpu):
     nodes = grid.nodes()
     q = np.abs(nodes - size / 2) - size / 2
     exact = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-    near = np.abs(exact) < 3 * grid.spacing
+    near = np.abs(exact) < (2 + np.sqrt(3)) * grid.spacing  # a skin, and a cell
     assert_allclose(grid.values[near], exact[near], atol=2e-6)
     clear = np.abs(exact) > 1e-6
     assert (np.sign(grid.values[clear]) == np.sign(exact[clear])).all()
     assert np.abs(grid.values - exact).max() < 2 * grid.spacing
+    assert (grid.values.shape < size / grid.spacing + 2 * 4 + 3).all()  # no larger than it must be
 
 
 def test_surface_points_cover_the_surface_evenly():

@@ -71,8 +71,9 @@ class LitRoom:
 def lit_room(room: Room, rng: np.random.Generator, detail: Detail, report) -> LitRoom:
     """Sample all surfaces of a room and solve the interreflection of light between them."""
     surfaces = room.all_surfaces
+    report(f"room: sampling {len(surfaces)} surfaces")
     surfels = sample_surfaces(surfaces, rng, detail, room.viewer)
-    report(f"room: {len(surfaces)} surfaces, {len(surfels):,} surfels")
+    report(f"room: {len(surfels):,} surfels")
     blocks_light = np.array([s.blocks_light for s in surfaces])[surfels.surface]
     least = min(MIN_COARSE_FRACTION / detail.gaussians, 1.0)  # finer surfels do not mean more of them
     fraction = (surfels.sigma.prod(1) / RADIOSITY_SPACING**2).clip(least, 1) * blocks_light

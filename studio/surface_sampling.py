@@ -79,20 +79,21 @@ def sample_surfaces(
     Their number is `detail.gaussians` times the surfaces' own within 3 %; below 1 only roughly.
     """
 
-    def sampled(density: float, rng: np.random.Generator) -> Surfels:
+    def sampled(density: float) -> Surfels:
         scaled = [replace(s, spacing=s.spacing / density) for s in surfaces]
         return join_surfels([sample_surface(s, i, rng, viewer) for i, s in enumerate(scaled)])
 
     density = detail.gaussians**0.5  # along a line; that of edges and thin parts grows less than with its square
-    if detail.gaussians > 1:
-        trial = np.random.default_rng(0)
-        own = len(sampled(1.0, trial))
-        for _ in range(4):
-            ratio = len(sampled(density, trial)) / own
-            if abs(ratio / detail.gaussians - 1) < 0.03:
-                break
-            density **= np.log(detail.gaussians) / np.log(ratio)
-    return sampled(density, rng)
+    if detail.gaussians <= 1:
+        return sampled(density)
+    own = len(sampled(1.0))
+    for _ in range(4):
+        surfels = sampled(density)
+        ratio = len(surfels) / own
+        if abs(ratio / detail.gaussians - 1) < 0.03:
+            break
+        density **= np.log(detail.gaussians) / np.log(ratio)
+    return surfels
 
 
 def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewer: Viewer | None = None) -> Surfels:

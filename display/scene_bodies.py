@@ -92,7 +92,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         velocity=body.velocity,
         sdf=sdf,
         pinned=fixed if led is None else led,
-        self_contact=led is None,
+        self_contact=True if led is None else "parts",
     )
     part = EmbeddedBody(
         host=asset.embedding.host[order],

@@ -1,45 +1,79 @@
-"""Just dance: a puppet dances on the table, rings bounce off it; --body brings a dancer of yours (prepare --rig)."""
+"""Just dance: throw two rings and a ball at the dancer on the stage; --body brings one of yours (prepare --rig)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from assets.library import animated_height
+from assets.library import animated_height, default_material
 from core.errors import BadInput
-from scenes.dining_table import BACKGROUND, TABLE_TOP, colliders, furniture, lamp, room
-from scenes.sandbox import RING, Sandbox, body_material, rings
-from scenes.scene import Body, BodyState, Role, Scene
+from core.material import Material
+from scenes.scene import Body, BodyState, Hand, Role, Scene
+from scenes.scripted_throw import Throw
+from scenes.theatre import BACKGROUND, STAGE_TOP, TABLE_TOP, TABLES, colliders, furniture, room, spotlight
 
-PLACE = (0.0, TABLE_TOP, 0.05)  # [m] on the table, before the bottle
+PLACE = (0.0, STAGE_TOP, -0.05)  # [m] where the dancer stands
+PROPS = ("ring_red", "ring_yellow", "ball")
+RING_SCALE, BALL_SCALE = 1.4, 1.4  # times the sizes of the ring toss
+THROW_PERIOD, FLIGHT_TIME = 2.0, 0.42  # [s]
+MEETING_SPEED = 0.1  # [m/s] by which a meeting changes the velocity along the floor, which is constant in flight
 
 
-class JustDance(Sandbox):
-    """A ring that is thrown and meets the dancer scores; the scripted hand throws one again and again."""
+class JustDance:
+    """Each ring and the ball scores once, when it has been thrown and meets the dancer."""
+
+    duration = THROW_PERIOD * len(PROPS) + 0.8
+
+    def __init__(self, height: float):
+        self.height = height  # [m] of the dancer
+        self.reset()
 
     def reset(self) -> None:
-        super().reset()
-        self.hits, self.flying = 0, False  # flying: the ring was thrown and has met nobody yet
+        self.thrown: set[int] = set()
+        self.hit: set[int] = set()
+        self.throw: Throw | None = None
+        self.turn = -1
+        self.drift = np.zeros((len(PROPS), 2))  # [m/s] velocities along the floor a frame ago
 
     def update(self, time: float, bodies: list[BodyState]) -> None:
-        super().update(time, bodies)
-        dancer, ring = bodies[:2]
-        if ring.held:
-            self.flying = True
-        elif self.flying and (ring.centroid > dancer.low).all() and (ring.centroid < dancer.high).all():
-            self.flying, self.hits = False, self.hits + 1
+        dancer, *props = bodies
+        for k, prop in enumerate(props):
+            if prop.held:
+                self.thrown.add(k)
+            elif k in self.thrown and (prop.high > dancer.low).all() and (prop.low < dancer.high).all():
+                turned = np.linalg.norm(prop.velocity[::2] - self.drift[k]) > MEETING_SPEED
+                self.hit |= {k} if turned else set()
+            self.drift[k] = prop.velocity[::2]
+        turn = min(int(time / THROW_PERIOD), len(props) - 1)
+        if turn != self.turn:
+            self.turn, self.throw = turn, self.throw_at(dancer, props[turn])
+
+    def throw_at(self, dancer: BodyState, prop: BodyState) -> Throw:
+        """A throw from the hall at the dancer's skirt, wherever both are now."""
+        middle = 0.5 * (dancer.low + dancer.high)
+        target = (middle[0], STAGE_TOP + 0.5 * self.height, middle[2])
+        release = (0.5 * prop.centroid[0], 1.45, 1.15)
+        size = float(np.ptp([prop.low, prop.high], axis=0).max())
+        times = {"approach_time": 0.3, "lift_time": 0.6, "acceleration_time": 0.15, "flight_time": FLIGHT_TIME}
+        return Throw(tuple(prop.centroid), release, target, grab_radius=0.7 * size, **times)
+
+    def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
+        return [self.throw.hand(time - self.turn * THROW_PERIOD)] if self.throw else []
 
     @property
     def score(self) -> int:
-        return self.hits
+        return len(self.hit)
 
     @property
     def message(self) -> str:
-        return f"{self.hits} hits. Throw the ring at the dancer." if self.hits else "Throw the ring at the dancer."
+        if self.score == len(PROPS):
+            return "Bravo! Press R to play again."
+        left = [name.split("_")[0] for k, name in enumerate(PROPS) if k not in self.hit]
+        return f"{self.score} of {len(PROPS)} have met the dancer. Throw {' and '.join(left)}."
 
     def verify(self, bodies: list[BodyState]) -> None:
-        """Assert the outcome of the scripted play: a ring has hit the dancer and lies outside of it."""
-        assert self.hits > 0, "no ring has met the dancer"
-        assert np.isfinite(bodies[1].centroid).all() and bodies[0].low[1] > TABLE_TOP - 0.05
+        """Assert the outcome of the scripted play."""
+        assert self.score == len(PROPS), f"only {self.score} of {len(PROPS)} have met the dancer"
+        assert all(b.low[1] > -0.02 and np.isfinite(b.centroid).all() for b in bodies), "something fell through"
 
 
 def build(body: str = "dancer", material: str | None = None) -> Scene:
@@ -47,15 +81,22 @@ def build(body: str = "dancer", material: str | None = None) -> Scene:
     height = animated_height(body)
     if height is None:
         raise BadInput(f"{body}: is not animated; make such an asset by vrgs.py prepare PERSON.ply --rig RIG.glb")
-    back = float(np.clip(1.5 * height - 0.5, 0.0, 1.2))  # [m], to see it from head to foot
+    made_of = default_material(body) if material is None else Material.named(material)
+    (lx, _, lz), (rx, _, rz) = TABLES
+    places = ((lx - 0.15, TABLE_TOP + 0.022, lz), (lx + 0.15, TABLE_TOP + 0.022, lz), (rx, TABLE_TOP + 0.002, rz))
+    props = [
+        Body(name, default_material(name), position=at, scale=BALL_SCALE if name == "ball" else RING_SCALE)
+        for name, at in zip(PROPS, places, strict=True)
+    ]
+    back = max(1.3 * height - 1.1, 0.0)  # [m], to see it from head to foot
     return Scene(
-        bodies=[*furniture(), Body(body, body_material(body, material, height), position=PLACE), *rings(PLACE, height)],
+        bodies=[*furniture(), Body(body, made_of.animated(height), position=PLACE), *props],
         colliders=colliders(),
-        light=lamp(PLACE),
+        light=spotlight(PLACE),
         background=BACKGROUND,
-        eye=(0.0, 1.15 + 0.4 * back, 0.75 + back),
-        target=(0.0, 0.9 + 0.5 * back, 0.0),
-        game=JustDance(PLACE, height),
-        roles=(Role("dancer", (body,), animated=True), Role("ring", (RING,))),
+        eye=(0.0, 1.6, 2.1 + back),
+        target=(0.0, STAGE_TOP + 0.45 * height, 0.0),
+        game=JustDance(height),
+        roles=(Role("dancer", (body,), animated=True), Role("prop", PROPS)),
         room=room(),
     )

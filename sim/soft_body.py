@@ -28,7 +28,8 @@ class SoftBody:
     rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
     sdf       signed distance of the rest shape in the body frame [m], or None
     pinned    indices of vertices that do not move (inverse mass 0), or None
-    self_contact   False: it passes through itself. Driven vertices, which nothing stops, would crush what they meet
+    self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
+                   driven vertices, which nothing stops, would crush what they meet. False: it passes through itself
     """
 
     name: str
@@ -41,7 +42,7 @@ class SoftBody:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
     pinned: np.ndarray | None = None
-    self_contact: bool = True
+    self_contact: bool | str = True
     rigid: ClassVar[bool] = False
 
     def of_material(self, material: Material) -> SoftBody:

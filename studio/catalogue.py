@@ -25,7 +25,9 @@ MODELS: dict[str, tuple] = {
     "ring_blue": ("studio.ring:ring", "ring_blue"),
     "ring_yellow": ("studio.ring:ring", "ring_yellow"),
     # just dance
-    "dancer": ("studio.dancer:dancer",),
+    "dancer": ("studio.dancer.dancer_model:dancer",),
+    "stage": ("studio.stage.stage_model:stage",),
+    "ball": ("studio.ball:ball",),
     # toy collection: room, basket
     "childrens_room": ("studio.childrens_room.childrens_room_model:childrens_room",),
     "basket": ("studio.basket:basket",),

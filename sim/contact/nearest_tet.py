@@ -436,6 +436,8 @@ class NearestTets:
                 a = s.tets[t]
                 rest, rest_radius = self._neighborhood(t)
                 result = result and outside_sphere(self.entry_rest[e], rest, rest_radius) > 0.0
+                part = self.self_collision.part[a[0]]
+                result = result and (part < 0 or part != self.self_collision.part[self.samples.ids[p][0]])
                 for k in ti.static(range(3)):
                     for j in ti.static(range(4)):
                         result = result and self.samples.ids[p][k] != a[j]

@@ -17,12 +17,13 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
+from core.tetmesh import vertex_components
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN
 from sim.lanes import max_by_key
 
 if TYPE_CHECKING:
-    from sim.body_model import RestShape
+    from sim.body_model import BodyModel, RestShape
     from sim.contact.broad_phase import BodyBounds
     from sim.model import Model
     from sim.state import State
@@ -35,6 +36,7 @@ SHAPE_SUMS = 34  # m; m x, m X, m v; m X X^T, its upper half; m x X^T, m v X^T
 class SelfCollision:
     """Per body: self_colliding i32[B], whether it may touch itself; disabled i32[B], whether it passes through itself.
 
+    part i32[V]: number of a vertex's part where only the parts of its body meet each other, else -1
     search_distance f32[B] [m]: how far two points may approach, apart from the affine motion
     sums f32[blocks,34], total f32[B,34];   fit, gradient mat3[B] = A, G
     center, rest_center, velocity vec3[B]: the means
@@ -45,17 +47,21 @@ class SelfCollision:
         self.state, self.blocks, self.bounds = state, blocks, bounds
         group, B = FieldGroup(), MAX_BODIES
         self.sums, self.total = group.scalar(blocks.size, SHAPE_SUMS), group.scalar(B, SHAPE_SUMS)
+        self.part = group.scalar(state.V, dtype=ti.i32)
         self.self_colliding, self.disabled = group.scalar(B, dtype=ti.i32), group.scalar(B, dtype=ti.i32)
         self.search_distance, self.residual, self.speed_residual = (group.scalar(B) for _ in range(3))
         self.fit, self.gradient = group.matrix(B), group.matrix(B)
         self.center, self.rest_center, self.velocity = (group.vector(B) for _ in range(3))
         self._group = group
         group.build()
-        self._upload = Upload([self.disabled])
+        self._upload = Upload([self.disabled, self.part])
 
     def load(self, model: "Model") -> None:
         """Take which of these bodies pass through themselves."""
-        self._upload([np.array([not (p.body.rigid or p.body.self_contact) for p in model.bodies])])
+        parts = [part_of_vertices(p) for p in model.bodies]
+        alone = [not part.any() for part in parts]  # of one part
+        passes = [not (p.body.rigid or p.body.self_contact) for p in model.bodies]
+        self._upload([np.logical_or(passes, alone), np.concatenate([np.zeros(0, np.int32), *parts])])
 
     @ti.func
     def min_rest_distance(self, b):
@@ -173,6 +179,16 @@ class SelfCollision:
         self.fit[b], self.gradient[b] = C @ inverse, H @ inverse
         self.center[b], self.rest_center[b], self.velocity[b] = s.x[first] + p, s.rest[first] + P, q
         self.residual[b], self.speed_residual[b] = 0.0, 0.0
+
+
+def part_of_vertices(p: "BodyModel") -> np.ndarray:
+    """Number of the connected part of each vertex (V,); all -1 unless the body's parts alone meet each other."""
+    count = len(p.shape.vertices)
+    if p.body.rigid or p.body.self_contact != "parts":
+        return np.full(count, -1, np.int32)
+    part = np.empty(count, np.int32)
+    part[p.shape.tets] = vertex_components(p.shape.tets)[:, None]
+    return part
 
 
 def can_fold(shape: "RestShape") -> bool:

@@ -106,7 +106,7 @@ def test_each_body_is_told_its_role(tmp_path):
     a, b = ring(tmp_path, "a"), ring(tmp_path, "b")
     assert registry.load("ring_toss", body=[a, b]).cast == ((a, "ring 1"), (b, "ring 2"))
     assert registry.load("sandbox", body=[a]).cast == ((a, "the toy"),)
-    assert registry.load("just_dance", body=["dancer", a]).cast == (("dancer", "the dancer"), (a, "the ring"))
+    assert registry.load("just_dance", body=["dancer", a]).cast == (("dancer", "the dancer"), (a, "prop 1"))
     with pytest.raises(BadInput, match=r"^dancer: moves by itself, so that it cannot be ring 1$"):
         registry.load("ring_toss", body="dancer")
 

@@ -179,7 +179,7 @@ def test_a_body_is_of_its_own_material_unless_another_is_asked_for(tmp_path):
 
     assert material("own.h5") == jelly and material("none.h5") == Material.named("plush")
     assert material("own.h5", material="wood") == Material.named("wood")
-    dancer = registry.load("just_dance").bodies[2].material
+    dancer = registry.load("just_dance").bodies[1].material
     assert dancer == Material.named("flesh").animated(animated_height("dancer")) and dancer.young < 1e5
 
 

@@ -22,13 +22,16 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Body, Plane, Role, Room, Scene, Vec3
+from scenes.scene import Body, Plane, Quat, Role, Room, Scene, Vec3
 
 CELL = 0.05  # [m] of the map of a room's free floor
 FREE_HEIGHTS = np.arange(0.1, 1.3, 0.1)  # [m] over a floor at which nothing may be in the way
 TOUCHES = 0.03  # [m] between a point and what is solid there, below which it is not free
 MIDDLE_WEIGHT = 0.1  # of the distance from a floor's middle against free space: as `prepare --static` does
 EYE_CLEARANCE = 0.15  # [m] between the eye and what is solid
+TURNS = np.pi / 8 * np.array([0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6, 7, -7, 8])  # [rad] of a room around a play
+BOX_POINTS = 0.1 + 0.4 * np.indices((3, 3, 3)).reshape(3, -1).T  # of a body's bounding box, in its extents
+SHIFTS_ASIDE, SHIFTS_UP = np.linspace(0.0, 1.0, 21), (0.0, 0.2, 0.4, 0.6, 0.8)  # of the way to the spot; [m]
 NEAREST_EYE = 0.4  # of the way from target to eye: nearer, one would not see the play
 
 
@@ -94,23 +97,58 @@ def in_room(scene: Scene, stage: str) -> Scene:
     own = scene.room
     environment, grid = load_room(stage)
     at, free = spot_in(environment, grid, own)
-    position, angle = placement(at, environment.eye_position, own.spot, scene.eye)
-    rotation = (float(np.cos(0.5 * angle)), 0.0, float(np.sin(0.5 * angle)), 0.0)
     floor = own.spot[1] - (at[1] - environment.floor_height)
-    small = (
-        ""
-        if free >= own.radius
-        else f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
-    )
+    facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
+    angles = facing + TURNS if own.on_floor else facing[None]
+    views = [(*around(own.spot, at, angle), angle) for angle in angles]
+    eyes = [free_eye(scene, grid, rotation, position, floor) for rotation, position, _ in views]
+    best = int(np.argmax([part for _, part in eyes]))
+    rotation, position, _ = views[best]
+    small = f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
     return replace(
         scene,
-        bodies=[Body(stage, rotation=rotation, position=position)]
-        + [b for b in scene.bodies if b.asset not in own.assets],
-        colliders=[Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0))] + [c for c in scene.colliders if c not in own.colliders],
-        eye=free_eye(scene, grid, rotation, position),
+        bodies=[
+            Body(stage, rotation=rotation, position=position),
+            *clear_of_room([b for b in scene.bodies if b.asset not in own.assets], grid, rotation, position, own.spot),
+        ],
+        colliders=[
+            Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)),
+            *(c for c in scene.colliders if c not in own.colliders),
+        ],
+        eye=eyes[best][0],
         floor=floor,
-        cast=(*scene.cast, (stage, f"the room{small}")),
+        cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
     )
+
+
+def clear_of_room(
+    bodies: list[Body], grid: DistanceGrid | None, rotation: Quat, position: Vec3, spot: Vec3
+) -> list[Body]:
+    """The bodies; those that would be in what is solid of the room are moved towards the spot, or over it.
+
+    What the room's own furniture carried falls.
+    """
+    moving = [i for i, body in enumerate(bodies) if body.material is not None]
+    boxes = {i: np.array(bounds(bodies[i].asset, bodies[i])) for i in moving}
+    to_room, placed = matrices_from_quaternions(np.array(rotation)), list(bodies)
+
+    def is_solid(box: np.ndarray) -> bool:
+        inside = box[0] + (box[1] - box[0]) * BOX_POINTS
+        return bool((grid.sample((inside - position) @ to_room) < 0.0).any())
+
+    def meets_others(i: int, box: np.ndarray) -> bool:
+        return any((box[0] < other[1]).all() and (other[0] < box[1]).all() for k, other in boxes.items() if k != i)
+
+    for i in moving if grid is not None else ():
+        if not is_solid(boxes[i]):
+            continue
+        away = np.subtract(spot, boxes[i].mean(0)) * [1.0, 0.0, 1.0]
+        shifts = [t * away + [0.0, up, 0.0] for up in SHIFTS_UP for t in SHIFTS_ASIDE]
+        clear = (s for s in shifts if not is_solid(boxes[i] + s) and not meets_others(i, boxes[i] + s))
+        shift = next(clear, np.zeros(3))
+        boxes[i] = boxes[i] + shift
+        placed[i] = replace(bodies[i], position=tuple(map(float, bodies[i].position + shift)))
+    return placed
 
 
 def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
@@ -146,22 +184,35 @@ def spot_in(environment: Environment, grid: DistanceGrid | None, own: Room) -> t
     return np.array([at[best][0], height, at[best][1]]), float(radius[best])
 
 
-def placement(at, user, spot: Vec3, eye: Vec3) -> tuple[Vec3, float]:
-    """Position [m] and angle about +y [rad] of a room so that its point `at` is the spot, and `user` is by the eye."""
-    theirs, ours = np.subtract(user, at), np.subtract(eye, spot)
-    angle = float(np.arctan2(ours[0], ours[2]) - np.arctan2(theirs[0], theirs[2]))
-    c, s = np.cos(angle), np.sin(angle)
-    turned = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]) @ at
-    return tuple(map(float, np.subtract(spot, turned))), angle
+def angle_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angle about +y [rad] that turns the horizontal direction of `a` (3,) to that of `b`."""
+    return np.arctan2(b[0], b[2]) - np.arctan2(a[0], a[2])
 
 
-def free_eye(scene: Scene, grid: DistanceGrid | None, rotation, position: Vec3) -> Vec3:
-    """The scene's eye, or as far from its target towards there as nothing of the room is in the way."""
+def around(spot: Vec3, at: np.ndarray, angle: float) -> tuple[Quat, Vec3]:
+    """Rotation and position of a room that is turned by an angle about +y [rad], so that its point `at` is the spot."""
+    rotation = (float(np.cos(0.5 * angle)), 0.0, float(np.sin(0.5 * angle)), 0.0)
+    position = np.subtract(spot, matrices_from_quaternions(np.array(rotation)) @ at)
+    return rotation, tuple(map(float, position))
+
+
+def free_eye(
+    scene: Scene, grid: DistanceGrid | None, rotation: Quat, position: Vec3, floor: float
+) -> tuple[Vec3, float]:
+    """The scene's eye, or as far from its target towards there as nothing of the room is in the way.
+
+    Out.  the eye, and how much of the way there is free; at the eye there is room for a user who stands on the floor
+    """
     if grid is None:
-        return scene.eye
-    way = np.linspace(NEAREST_EYE, 1.0, 25)[:, None]
-    points = (1 - way) * scene.target + way * scene.eye
-    inside = (points - position) @ matrices_from_quaternions(np.array(rotation))
-    blocked = grid.sample(inside) < EYE_CLEARANCE
-    last = int(blocked.argmax()) - 1 if blocked.any() else len(points) - 1
-    return tuple(map(float, points[max(last, 0)]))
+        return scene.eye, 1.0
+    parts = np.linspace(NEAREST_EYE, 1.0, 25)
+    eyes = (1 - parts[:, None]) * scene.target + parts[:, None] * scene.eye
+    legs = np.repeat(eyes[:, None], 4, axis=1)
+    legs[..., 1] = np.linspace(floor + 0.25, scene.eye[1], 4)
+    to_room = matrices_from_quaternions(np.array(rotation))
+    blocked = grid.sample((eyes - position) @ to_room) < EYE_CLEARANCE
+    stands = (grid.sample((legs - position) @ to_room) > TOUCHES).all(1) if scene.room.on_floor else ~blocked
+    seen = np.arange(len(parts)) < (blocked.argmax() if blocked.any() else len(parts))
+    good = np.flatnonzero(seen & stands) if (seen & stands).any() else np.flatnonzero(seen)
+    last = int(good[-1]) if len(good) else 0
+    return tuple(map(float, eyes[last])), float(parts[last]) * (1.0 if stands[last] and seen[last] else 0.5)

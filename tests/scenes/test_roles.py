@@ -18,8 +18,8 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from scenes import registry
-from scenes.roles import CELL, bounds, places, spot_in
-from scenes.scene import Plane, Role, Room
+from scenes.roles import CELL, bounds, clear_of_room, places, spot_in
+from scenes.scene import Body, Plane, Role, Room
 from vrgs import main
 
 JELLY = Material.named("jelly")
@@ -91,7 +91,9 @@ def test_every_demo_moves_into_a_room_of_the_users(name, tmp_path):
     own, scene = registry.load(name), registry.load(name, stage=stage)
     around, *rest = scene.bodies
     assert around.asset == stage and scene.cast[-1][0] == stage and scene.cast[-1][1].startswith("the room")
-    assert rest == [b for b in own.bodies if b.asset not in own.room.assets] and len(rest) < len(own.bodies)
+    played = [b for b in own.bodies if b.asset not in own.room.assets]
+    assert [replace(b, position=o.position) for b, o in zip(rest, played, strict=True)] == played
+    assert len(rest) < len(own.bodies)
     assert any(c in own.room.colliders for c in own.colliders)
     assert not any(c in own.room.colliders for c in scene.colliders[1:])
     turn = matrices_from_quaternions(np.array(around.rotation))
@@ -150,6 +152,18 @@ def test_the_eye_stays_in_the_room(tmp_path):
     eye = turn.T @ (np.array(scene.eye) - scene.bodies[0].position)
     assert -1.9 < eye[0] < -1.4 and eye[1] > 1.1
     assert scene.target == registry.load("ring_toss").target
+
+
+def test_what_would_be_in_a_wall_or_in_furniture_is_put_beside_it(tmp_path):
+    """A ring in the wall comes out of it, one in the table as well, though not into a third; others stay."""
+    grid = Asset.load(room(tmp_path, table=True)).sdf
+    places = [(1.98, 0.2, 0.0), (-1.0, 0.3, 0.0), (-0.45, 0.3, 0.0), (0.5, 0.2, 1.0)]
+    rings = [Body("ring_red", JELLY, position=at) for at in places]
+    wall, table, beside, free = clear_of_room([*rings], grid, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
+    assert (beside, free) == tuple(rings[2:])
+    assert 1.6 < wall.position[0] < 1.92 and wall.position[1:] == (0.2, 0.0)
+    boxes = [bounds(b.asset, b) for b in (table, beside)]
+    assert boxes[0][0][0] > -0.62 and boxes[0][0][0] > boxes[1][1][0]
 
 
 def test_a_play_on_the_floor_finds_free_floor(tmp_path):

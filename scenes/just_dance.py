@@ -22,6 +22,7 @@ class JustDance:
     """Each ring and the ball scores once, when it has been thrown and meets the dancer."""
 
     duration = THROW_PERIOD * len(PROPS) + 0.8
+    goal = len(PROPS)
 
     def __init__(self, height: float):
         self.height = height  # [m] of the dancer

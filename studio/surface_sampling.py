@@ -83,16 +83,19 @@ def sample_surfaces(
         scaled = [replace(s, spacing=s.spacing / density) for s in surfaces]
         return join_surfels([sample_surface(s, i, rng, viewer) for i, s in enumerate(scaled)])
 
-    density = detail.gaussians**0.5  # along a line; that of edges and thin parts grows less than with its square
     if detail.gaussians <= 1:
-        return sampled(density)
-    own = len(sampled(1.0))
+        return sampled(detail.gaussians**0.5)
+    # At x times the density along a line, faces hold a x^2 surfels, edges and thin parts b x: two samplings tell both.
+    low, high = 1.0, 2**0.5
+    a, b = np.linalg.solve([[low**2, low], [high**2, high]], [len(sampled(low)), len(sampled(high))])
+    wanted = detail.gaussians * (a + b)
+    density = (np.sqrt(b * b + 4 * a * wanted) - b) / (2 * a)
     for _ in range(4):
         surfels = sampled(density)
-        ratio = len(surfels) / own
-        if abs(ratio / detail.gaussians - 1) < 0.03:
+        ratio = len(surfels) / wanted
+        if abs(ratio - 1) < 0.03:
             break
-        density **= np.log(detail.gaussians) / np.log(ratio)
+        density /= ratio**0.5
     return surfels
 
 

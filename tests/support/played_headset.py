@@ -120,7 +120,7 @@ class Play:
         noted, bodies = self.noted, world.bodies()
         held = any(body.held for body in bodies)
         noted["frames"] += 1
-        noted["held"] += held
+        noted["held"] += bool(held)
         noted["finite"] &= bool(all(np.isfinite(body.centroid).all() for body in bodies))
         if noted["frames"] % 5 == 0:
             noted["contrast"] = max(noted["contrast"], int(np.ptp(world.picture.to_numpy() & 255)))
@@ -152,7 +152,7 @@ class Play:
                 controller.squeeze = float(arrived or held)
             elif not hand.grip:
                 controller.squeeze, self._shift[k], self._tried[k] = 0.0, np.zeros(3), 0
-            self.noted["scripted"] += hand.grip
+            self.noted["scripted"] += bool(hand.grip)
             self._grips[k] = hand.grip
             same = self._sent[k] is not None and np.allclose(at + self._shift[k], self._sent[k], atol=1e-6)
             self._rests[k] = self._rests[k] + 1 if same else 0

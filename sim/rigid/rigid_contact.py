@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest
-IMPACT_SUBSTEPS = 16  # that an impact may take to reach its speed: what is wedged in cannot, and must not push on
+IMPACT_SUBSTEPS = 8  # that an impact may take to reach its speed: what is wedged in cannot, and must not push on
 
 
 @ti.data_oriented

@@ -6,7 +6,21 @@ import argparse
 import difflib
 from collections.abc import Callable
 
-from commands import bench, build, convert, materials, physics_check, play, prepare, render, scenes, study, tune, view
+from commands import (
+    bench,
+    build,
+    convert,
+    figures,
+    materials,
+    physics_check,
+    play,
+    prepare,
+    render,
+    scenes,
+    study,
+    tune,
+    view,
+)
 from core.errors import BadInput
 
 COMMANDS = {
@@ -16,6 +30,7 @@ COMMANDS = {
     "prepare": prepare,
     "convert": convert,
     "bench": bench,
+    "figures": figures,
     "build": build,
     "tune": tune,
     "materials": materials,

@@ -1,0 +1,69 @@
+"""`vrgs.py figures` at a tiny size: a page that holds its pictures, and numbers beside theory."""
+
+import base64
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from bench import paper_figures
+from bench.html_page import Section, Table, html_page
+from bench.twist import TwistedBar, crossing_frequency
+from scenes import registry
+from vrgs import main
+
+
+def pictures(page: str) -> list[np.ndarray]:
+    """The pictures that a page holds."""
+    found = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    return [cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_COLOR) for data in found]
+
+
+def test_a_page_holds_its_pictures_and_escapes_its_texts():
+    red = np.zeros((4, 6, 3), np.uint8)
+    red[..., 0] = 255
+    table = Table(("a", "b"), [("x < y", "1")])
+    page = html_page("A & B", "text", [Section("one", "first", {"red & small": red}, table, "note")])
+    assert "A &amp; B" in page and "x &lt; y" in page and "red &amp; small" in page and "http" not in page
+    (picture,) = pictures(page)
+    assert picture.shape == (4, 6, 3) and (picture == (0, 0, 255)).all()  # OpenCV has blue first
+
+
+def test_a_frequency_is_read_off_its_crossings():
+    time = np.arange(120) * paper_figures.FRAME
+    assert abs(crossing_frequency(np.cos(2 * np.pi * 2.3 * time)) - 2.3) < 0.01
+    assert np.isnan(crossing_frequency(np.ones(10)))
+
+
+def test_a_twisted_bar_agrees_with_theory(ti_cpu):
+    bar = TwistedBar(paper_figures.prepared("bar")[1])
+    found = bar.twist(0.35, (0.3, 0.2, 0.7), "xpbd", draw=False)
+    assert found.error < 0.03 and abs(found.volume - 1) < 0.01
+    measured, theory = found.frequency
+    assert abs(measured / theory - 1) < 0.12
+    assert found.left < 1.0 and not found.pictures
+
+
+@pytest.mark.long
+def test_the_quick_page_is_whole(tmp_path):
+    out = tmp_path / "figures"
+    assert main(["figures", "--out", str(out), "--quick", "--arch", "cpu"]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["figures.html", "figures.json"]
+    page, numbers = (out / "figures.html").read_text(), json.loads((out / "figures.json").read_text())
+    shown = pictures(page)
+    assert len(shown) == 2 + 2 + 4 + 1 and all(p.std() > 4 for p in shown)
+    with_shadow, without = shown[2:4]
+    assert without.astype(float).mean() > with_shadow.mean() and numbers["shadow"]["pixels"] > 0.001
+    one, two = numbers["embedding"]
+    assert one["scheme"] == "one-level" and two["jump"] < one["jump"]
+    assert numbers["demos"].keys() <= {*registry.names(), "fox", "bear", "horse"}
+    assert "PhysGaussian" in page and "PAC-NeRF" in page
+
+
+def test_a_file_in_the_way_is_told_in_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["figures", "--out", str(tmp_path / "file")]) == 2
+    error = capsys.readouterr().err
+    assert "is a file, not a folder" in error and error.count("\n") == 1

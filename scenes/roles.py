@@ -28,7 +28,8 @@ CELL = 0.05  # [m] of the map of a room's free floor
 FREE_HEIGHTS = np.arange(0.1, 1.3, 0.1)  # [m] over a floor at which nothing may be in the way
 TOUCHES = 0.03  # [m] between a point and what is solid there, below which it is not free
 MIDDLE_WEIGHT = 0.1  # of the distance from a floor's middle against free space: as `prepare --static` does
-EYE_CLEARANCE = 0.15  # [m] between the eye and what is solid
+EYE_CLEARANCE = 0.15  # [m] between what is solid and the eye, or the user's body under it
+USER_POINTS = 16  # heights at which that is tested: every 0.1 m, for a table top
 TURNS = np.pi / 8 * np.array([0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6, 7, -7, 8])  # [rad] of a room around a play
 BOX_POINTS = 0.1 + 0.4 * np.indices((3, 3, 3)).reshape(3, -1).T  # of a body's bounding box, in its extents
 SHIFTS_ASIDE, SHIFTS_UP = np.linspace(0.0, 1.0, 21), (0.0, 0.2, 0.4, 0.6, 0.8)  # of the way to the spot; [m]
@@ -100,22 +101,25 @@ def in_room(scene: Scene, stage: str) -> Scene:
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
     angles = facing + TURNS if own.on_floor else facing[None]
-    views = [(*around(own.spot, at, angle), angle) for angle in angles]
-    eyes = [free_eye(scene, grid, rotation, position, floor) for rotation, position, _ in views]
-    best = int(np.argmax([part for _, part in eyes]))
-    rotation, position, _ = views[best]
+    played = [b for b in scene.bodies if b.asset not in own.assets]
+    best = None
+    for angle in angles:  # the widest view, then the fewest bodies in the way, then nearest to where its user stood
+        rotation, position = around(own.spot, at, angle)
+        eye, part = free_eye(scene, grid, rotation, position, floor)
+        bodies = clear_of_room(played, grid, rotation, position, own.spot)
+        rank = part, -sum(a is not b for a, b in zip(bodies, played, strict=True))
+        if best is None or rank > best[0]:
+            best = rank, eye, [Body(stage, rotation=rotation, position=position), *bodies]
+    _, eye, bodies = best
     small = f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
     return replace(
         scene,
-        bodies=[
-            Body(stage, rotation=rotation, position=position),
-            *clear_of_room([b for b in scene.bodies if b.asset not in own.assets], grid, rotation, position, own.spot),
-        ],
+        bodies=bodies,
         colliders=[
             Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)),
             *(c for c in scene.colliders if c not in own.colliders),
         ],
-        eye=eyes[best][0],
+        eye=eye,
         floor=floor,
         cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
     )
@@ -207,11 +211,13 @@ def free_eye(
         return scene.eye, 1.0
     parts = np.linspace(NEAREST_EYE, 1.0, 25)
     eyes = (1 - parts[:, None]) * scene.target + parts[:, None] * scene.eye
-    legs = np.repeat(eyes[:, None], 4, axis=1)
-    legs[..., 1] = np.linspace(floor + 0.25, scene.eye[1], 4)
+    column = np.repeat(eyes[:, None], USER_POINTS, axis=1)
+    column[..., 1] = np.linspace(floor + 2 * EYE_CLEARANCE, scene.eye[1], USER_POINTS)
     to_room = matrices_from_quaternions(np.array(rotation))
     blocked = grid.sample((eyes - position) @ to_room) < EYE_CLEARANCE
-    stands = (grid.sample((legs - position) @ to_room) > TOUCHES).all(1) if scene.room.on_floor else ~blocked
+    stands = ~blocked
+    if scene.room.on_floor:
+        stands = (grid.sample((column - position) @ to_room) > EYE_CLEARANCE).all(1)
     seen = np.arange(len(parts)) < (blocked.argmax() if blocked.any() else len(parts))
     good = np.flatnonzero(seen & stands) if (seen & stands).any() else np.flatnonzero(seen)
     last = int(good[-1]) if len(good) else 0

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from core.fields import FieldGroup
-from render.footprint import MASK_COLUMNS, tile_box, tile_columns
+from render.footprint import tile_box
 from render.prefix_sum import PrefixSum
 from render.projection import Projection
 from render.radix_sort import RadixSort, item_of, key_of, value_of
@@ -140,20 +140,18 @@ class TileBins:
     def _emit_masked(self, g: ti.i32, pair: ti.i32):
         """Write the pairs of a Gaussian from `pair` on; returns whether splats without a tile mask are left."""
         left_over = False
-        columns = self.projection.grid[None][2]
         for v in range(self.projection.views):
             mask = self.projection.tile_mask[v, g]
             bits = mask[1]
-            corner = v * self.tiles_per_view() + (mask[0] >> 16) * columns + (mask[0] & 0xFFFF)
             while bits > 0:
-                lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
-                tile = corner + lowest // MASK_COLUMNS * columns + lowest % MASK_COLUMNS
-                self.sorter.items[pair] = item_of(tile, g)
-                pair += 1
+                tile = self.projection.masked_tile(v, mask[0], bits)
+                if self.projection.draws(tile):
+                    self.sorter.items[pair] = item_of(tile, g)
+                    pair += 1
                 bits &= bits - 1
             if bits < 0:
                 left_over = True
-                pair -= bits
+                pair += self.projection.tile_count(v, g)
         return left_over
 
     @ti.func
@@ -163,17 +161,19 @@ class TileBins:
             if self.projection.tile_mask[v, g][1] >= 0:
                 pair += self.projection.tile_count(v, g)
             else:
-                mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
-                box = self.projection.box[v, g]
-                left, right, top, bottom = tile_box(mean2d, box, self.projection.tile, self.projection.grid)
+                p = self.projection
+                left, right, top, bottom = tile_box(p.mean2d[v, g], p.box[v, g], p.tile, p.grid)
                 for row in range(top, bottom):
-                    first, last = tile_columns(row, left, right, mean2d, conic, box, self.projection.tile)
-                    if (row - top) % self.emit_threads == member:
-                        tile = v * self.tiles_per_view() + row * self.projection.grid[None][2]
-                        column = first
+                    first, last = p.columns_in(v, g, row, left, right)
+                    own, tile, at = (row - top) % self.emit_threads == member, p.tile_at(v, row, 0), pair + last - first
+                    if own or ti.static(p.compares):
+                        at, column = pair, first
                         # The second bound is read again at each step, else the loop's vectorised forms take half a
                         # second to compile.
-                        while column < ti.min(last, self.projection.grid[None][2]):
-                            self.sorter.items[pair + column - first] = item_of(tile + column, g)
+                        while column < ti.min(last, p.grid[None][2]):
+                            if p.draws(tile + column):
+                                if own:
+                                    self.sorter.items[at] = item_of(tile + column, g)
+                                at += 1
                             column += 1
-                    pair += last - first
+                    pair = at

@@ -62,6 +62,9 @@ class Blend:
         ti.loop_config(block_dim=4)
         for tile in range(self.projection.views * self.bins.tiles_per_view()):
             width, height = self.projection.grid[None][0], self.projection.grid[None][1]
+            if ti.static(self.projection.compares):  # noqa: SIM102
+                if not self.projection.changed.has(tile):
+                    continue
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
             x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)

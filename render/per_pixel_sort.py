@@ -65,6 +65,9 @@ class PerPixelSort:
         ti.loop_config(block_dim=4 * CPU_TILE)
         for line in range(self.projection.views * self.bins.tiles_per_view() * CPU_TILE):
             tile, row = line // CPU_TILE, line % CPU_TILE
+            if ti.static(self.projection.compares):  # noqa: SIM102
+                if not self.projection.changed.has(tile):
+                    continue
             width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
             x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))

@@ -8,12 +8,16 @@ import taichi as ti
 from core.camera import Camera
 from core.fields import FieldGroup
 from render import SORTS
+from render.changed_tiles import ChangedTiles, differ
 from render.footprint import (
     CUTOFF_BITS,
     CUTOFF_SLACK,
+    MASK_COLUMNS,
     clamp,
     depth_slope,
     meets_picture,
+    tile_box,
+    tile_columns,
     tile_mask_of,
 )
 from render.radix_sort import DROPPED, item_of
@@ -37,6 +41,7 @@ class Projection:
     camera     vec4 (views, 4): three rows of world_to_camera, then (fx, fy, cx, cy)
     near       least camera z [m] that is drawn, (views,)
     grid       (width, height [px], columns, rows of tiles): a field, so that another picture size needs no new kernels
+    changed    tiles that differ from the last picture, or None if they are not wanted
     still      number of Gaussians at the beginning of which nothing but the visibility ever changes: a view that has
                been projected is kept, their sort keys in `kept_key`, their colours without visibility in `kept_color`
 
@@ -62,12 +67,14 @@ class Projection:
         color: bool,
         sort: str = "z",
         still: int = 0,
+        changed: ChangedTiles | None = None,
     ):
         if sort not in SORTS:
             raise ValueError(f"sort must be one of {', '.join(SORTS)}, not {sort!r}")
         self.splats, self.radial, self.with_slope = splats, sort != "z", sort == "pixel"
         self.views, self.tile, self.antialias, self.with_color = views, tile, antialias, color
         self.still, self.keeps = still, still > 0
+        self.changed, self.compares = changed, changed is not None
         self.fields = f = FieldGroup()
         # 64 bytes: a splat is one cache line
         with f.interleaved(views, splats.capacity):
@@ -111,14 +118,17 @@ class Projection:
         self.camera[v, 3] = vec4(fx, fy, cx, cy)
 
     @ti.func
-    def project(self, begin: ti.i32, end: ti.i32, kept: ti.i32, sorter: ti.template()):
+    def project(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32, sorter: ti.template()):
         """Project Gaussians [begin, end) and give `sorter` their depths; outermost level of a kernel.
 
-        Of those below `kept` only the colours are renewed: the last call projected them for the same cameras.
+        Of those below `kept` only the colours are renewed: the last call projected them for the same cameras. All
+        tiles count as changed if `whole`.
 
         Sigma_2D = J W Sigma W^T J^T + 0.3 I, J = [[fx/z, 0, -fx x/z^2], [0, fy/z, -fy y/z^2]]
         with x/z and y/z held near the picture.                       Zwicker 2001; Kerbl 2023
         """
+        if ti.static(self.compares):
+            self.changed.begin(whole)
         for g in range(begin, end):
             key, c = ti.u32(DROPPED), vec3(0.0)
             if ti.static(self.keeps) and g < kept:
@@ -132,8 +142,7 @@ class Projection:
                 if key != ti.u32(DROPPED):
                     c *= self.splats.visibility[g]
                     for v in range(self.views):
-                        for k in ti.static(range(3)):
-                            self.color[v, g][k] = c[k]
+                        self._set_color(v, g, c)
             sorter.items[g - begin] = item_of(key, g)
         sorter.count[None] = ti.max(end - begin, 0)
 
@@ -145,9 +154,11 @@ class Projection:
         for v in range(self.views):
             p = self._to_camera(v, mean)
             depth += p.norm() if ti.static(self.radial) else p.z
-            mask = ti.Vector([0, 0])
+            mask, drawn = ti.Vector([0, 0]), self.tile_mask[v, g][1] != 0
             if p.z >= self.near[v] and opacity >= 1 / 255:
-                mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0))
+                mask = self._project_to(v, g, ti.cast(p, ti.f32), ti.min(opacity, 1.0), drawn)
+            if drawn and mask[1] == 0:
+                self._add_changed(v, self.mean2d[v, g], self.box[v, g])
             self.tile_mask[v, g] = mask
             seen |= mask[1]
         key = ti.u32(DROPPED)
@@ -156,16 +167,70 @@ class Projection:
                 c = color_of(self.splats, g, mean - self._eye())
                 if not (ti.abs(c).sum() < MAX_COLOR):  # also if it is not a number
                     seen = 0
+                    for v in range(self.views):
+                        self.tile_mask[v, g] = ti.Vector([0, 0])
                 c = ti.max(0.0, c)
         if seen != 0:
             key = ordered_bits(ti.cast(depth / self.views, ti.f32))
         return key, c
 
     @ti.func
+    def _set_color(self, v: ti.i32, g: ti.i32, c: vec3):
+        """Write the colour of splat `g` of view `v`, which has been projected."""
+        new = vec4(c, self.color[v, g][3])
+        if ti.static(self.compares):  # noqa: SIM102, the outer one is resolved at compile time
+            if self.tile_mask[v, g][1] != 0 and differ(new, self.color[v, g]):
+                self._add_changed(v, self.mean2d[v, g], self.box[v, g])
+        for k in ti.static(range(3)):
+            self.color[v, g][k] = c[k]
+
+    @ti.func
+    def _add_changed(self, v: ti.i32, mean2d: vec4, box: vec4):
+        if ti.static(self.compares):
+            self.changed.add(v, mean2d, box, self.tile, self.grid)
+
+    @ti.func
     def tile_count(self, v: ti.i32, g: ti.i32) -> ti.i32:
-        """Number of tiles of view `v` that splat `g` touches."""
-        bits = self.tile_mask[v, g][1]
-        return -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
+        """Number of tiles of view `v` that splat `g` touches, of those that are drawn."""
+        corner, bits = self.tile_mask[v, g][0], self.tile_mask[v, g][1]
+        count = -bits if bits < 0 else ti.cast(ti.math.popcnt(bits), ti.i32)
+        if ti.static(self.compares):
+            if bits != 0 and not self.changed.everywhere():
+                count = 0
+                while bits > 0:
+                    count += ti.cast(self.draws(self.masked_tile(v, corner, bits)), ti.i32)
+                    bits &= bits - 1
+            if bits < 0 and not self.changed.everywhere():
+                left, right, top, bottom = tile_box(self.mean2d[v, g], self.box[v, g], self.tile, self.grid)
+                for row in range(top, bottom):
+                    first, last = self.columns_in(v, g, row, left, right)
+                    for column in range(first, last):
+                        count += ti.cast(self.draws(self.tile_at(v, row, column)), ti.i32)
+        return count
+
+    @ti.func
+    def columns_in(self, v: ti.i32, g: ti.i32, row: ti.i32, left: ti.i32, right: ti.i32):
+        """Columns [first, last) of tiles in a row that splat `g` of view `v` touches; left, right of its `tile_box`."""
+        return tile_columns(row, left, right, self.mean2d[v, g], self.conic[v, g], self.box[v, g], self.tile)
+
+    @ti.func
+    def tile_at(self, v: ti.i32, row: ti.i32, column: ti.i32) -> ti.i32:
+        """Number of a tile: row by row, view by view."""
+        return (v * self.grid[None][3] + row) * self.grid[None][2] + column
+
+    @ti.func
+    def masked_tile(self, v: ti.i32, corner: ti.i32, bits: ti.i32) -> ti.i32:
+        """Number of the tile of the lowest bit of a tile mask."""
+        lowest = ti.cast(ti.math.popcnt((bits & -bits) - 1), ti.i32)
+        return self.tile_at(v, (corner >> 16) + lowest // MASK_COLUMNS, (corner & 0xFFFF) + lowest % MASK_COLUMNS)
+
+    @ti.func
+    def draws(self, tile: ti.i32):
+        """True if a tile is drawn, and does not keep its pixels."""
+        result = True
+        if ti.static(self.compares):
+            result = self.changed.has(tile)
+        return result
 
     @ti.func
     def _to_camera(self, v: ti.i32, x: vec3):
@@ -186,8 +251,8 @@ class Projection:
         return eye
 
     @ti.func
-    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32):
-        """Write splat `g` of view `v` and return its tile mask."""
+    def _project_to(self, v: ti.i32, g: ti.i32, p: vec3, opacity: ti.f32, drawn: ti.i32):
+        """Write splat `g` of view `v` and return its tile mask; `drawn` if the last picture had it."""
         intrinsics = self.camera[v, 3]
         fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
         width, height = self.grid[None][0], self.grid[None][1]
@@ -227,6 +292,12 @@ class Projection:
                     if ti.static(self.with_slope):
                         change = depth_slope(self.camera, v, p, s, DILATION, MAX_CUTOFF)
                         box[3], self.color[v, g][3] = change.x, change.y
+                    if ti.static(self.compares):
+                        if not drawn:
+                            self._add_changed(v, mean2d, box)
+                        elif differ(mean2d, self.mean2d[v, g]) or differ(conic, self.conic[v, g]):
+                            self._add_changed(v, self.mean2d[v, g], self.box[v, g])
+                            self._add_changed(v, mean2d, box)
                     self.mean2d[v, g], self.conic[v, g], self.box[v, g] = mean2d, conic, box
                     mask = tile_mask_of(mean2d, conic, box, self.tile, self.grid)
         return mask

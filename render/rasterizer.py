@@ -7,6 +7,7 @@ from core.errors import BadInput
 from core.fields import keep_compiled_kernels
 from render.binning import DepthOrder, TileBins
 from render.blend import Blend
+from render.changed_tiles import ChangedTiles
 from render.per_pixel_sort import BUFFER_SIZE, PerPixelSort
 from render.projection import Projection, camera_values
 from render.splats import Splats
@@ -27,6 +28,8 @@ class Rasterizer:
 
     still  number of Gaussians at the beginning of which only the visibility changes: they are projected again only if
            the cameras or the size have changed, and all draws must begin with them
+    keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
+           where blending takes most of the time
     """
 
     def __init__(
@@ -43,11 +46,14 @@ class Rasterizer:
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
         still: int = 0,
+        keeps: bool = False,
     ):
         tile = GPU_TILE if ti.cfg.arch == ti.cuda else (CPU_TILE, CPU_TILE)
         self.splats, self.sink = splats, sink
         how = {"antialias": antialias, "color": color, "sort": sort}
-        self.projection = Projection(splats, width, height, views, tile=tile, still=still, **how)
+        self._changed = ChangedTiles() if keeps and ti.cfg.arch != ti.cuda else None
+        self._last: tuple | None = None  # range and `out` of the last draw, unless all has changed since
+        self.projection = Projection(splats, width, height, views, tile=tile, still=still, changed=self._changed, **how)
         self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
         self._sums = {"with_color": color, "with_depth": depth}
@@ -60,15 +66,16 @@ class Rasterizer:
 
         Without `wait` the result is final only after `finish`.
         """
-        self._order(begin, self.splats.count if end is None else end, self._kept)
-        self._kept = self.projection.still
+        end = self.splats.count if end is None else end
+        self._order(begin, end, self._kept, self._last != (begin, end, id(out)))
+        self._kept, self._last = self.projection.still, (begin, end, id(out))
         self.tile_pass.draw(out)
         if wait:
             self.finish(out)
 
     @ti.kernel
-    def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32):
-        self.projection.project(begin, end, kept, self.order.sorter)
+    def _order(self, begin: ti.i32, end: ti.i32, kept: ti.i32, whole: ti.i32):
+        self.projection.project(begin, end, kept, whole, self.order.sorter)
         self.order.sort()
         self.order.count_pairs()
 
@@ -109,7 +116,7 @@ class Rasterizer:
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
         self.projection.set_size(width, height)
-        self._kept = 0
+        self._kept, self._last = 0, None
         bins = self.tile_pass.bins
         if bins.tiles > bins.tile_capacity:
             self.reserve(bins.capacity * 4 // 5)
@@ -119,13 +126,15 @@ class Rasterizer:
         values = camera_values(camera)
         if self._cameras.get(view) != values:
             self.projection.set_camera(view, values)
-            self._cameras[view], self._kept = values, 0
+            self._cameras[view], self._kept, self._last = values, 0, None
 
     def destroy(self) -> None:
         """Free the device memory."""
         self.tile_pass.bins.destroy()
         self.order.destroy()
         self.projection.destroy()
+        if self._changed is not None:
+            self._changed.destroy()
 
 
 @ti.data_oriented

@@ -113,7 +113,7 @@ class Renderer:
             self.sink, self._out = FloatImages(views, height, width), 0
             self.rgb, self.alpha, self.depth = self.sink.rgb, self.sink.alpha, self.sink.depth
         options = {"antialias": antialias, "depth": outputs != "rgba8", "sort": sort, "buffer_size": buffer_size}
-        options["still"] = still
+        options |= {"still": still, "keeps": outputs != "float"}
         self.rasterizer = Rasterizer(splats, width, height, views=views, sink=self.sink, **options)
 
     def resize(self, width: int, height: int) -> None:

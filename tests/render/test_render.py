@@ -119,6 +119,48 @@ def test_what_stands_still_is_projected_once_a_view_and_shaded_in_each_picture(t
     compare((0.3, 0.2, -2))
 
 
+@pytest.mark.parametrize("sort", ["radial", "pixel"])
+def test_tiles_in_which_nothing_changes_keep_their_pixels(ti_cpu, sort):
+    """Pictures equal those drawn as a whole, when Gaussians move, appear, vanish, change colour or are broken."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    rng, splats = np.random.default_rng(4), Splats(cloud(np.random.default_rng(3), 60))
+    keeping, whole = (Renderer(splats, 96, 64, sort=sort, still=n) for n in (20, 0))
+    camera = perspective(96, 64, 1.0, look_at((0, 0, -2), (0, 0, 0)))
+    tiles = keeping.rasterizer.projection.changed
+
+    def compare() -> int:
+        """Number of tiles that were drawn anew."""
+        whole.rasterizer.resize(96, 64)  # so that it keeps nothing
+        for renderer in (keeping, whole):
+            renderer.render([camera])
+        np.testing.assert_array_equal(keeping.pixels(), whole.pixels())
+        if tiles.whole[None] == tiles.picture[None]:
+            return 96
+        return int((tiles.last.to_numpy()[:96] == tiles.picture[None]).sum())
+
+    assert compare() == 96 and compare() == 0
+    means, opacity, visibility = splats.mean.to_numpy(), splats.opacity.to_numpy(), splats.visibility.to_numpy()
+    for _ in range(12):
+        g = rng.integers(20, 60)
+        means[g] += 0.05 * rng.normal(size=3)
+        splats.mean.from_numpy(means)
+        assert compare() < 96
+        visibility[rng.integers(0, 60)] = rng.uniform(0.2, 1.0)
+        splats.visibility.from_numpy(visibility)
+        opacity[g] = 0.0 if opacity[g] > 0 else 0.8
+        splats.opacity.from_numpy(opacity)
+        compare()
+    means[30], means[31] = np.nan, (0, 0, -50)  # behind the camera
+    splats.mean.from_numpy(means)
+    compare()
+    splats.set_count(45)
+    assert compare() == 96
+    camera = perspective(96, 64, 1.0, look_at((0.1, 0, -2), (0, 0, 0)))
+    assert compare() == 96 and compare() == 0
+
+
 def test_the_picture_has_the_background_and_the_byte_order_it_promises(ti_cpu):
     from render.renderer import Renderer
     from render.splats import Splats

@@ -13,6 +13,8 @@ from studio.detail import SHIPPED, Detail
 
 SEED = 7
 FIRST = ("dining_room", "bottle", "ring_red", "ring_blue", "ring_yellow", "dancer")  # numbered: their seeds stay
+BRICKS = tuple(f"brick_{kind}" for kind in ("maple", "walnut", "red", "blue", "yellow", "green", "letters"))
+BOXES = tuple(f"box_{kind}" for kind in ("cardboard", "parcel", "crate", "tin"))
 
 # Asset name -> ("module:function", further arguments). The module is imported when the model is built, and the function
 # is called as f(*arguments, rng, detail, report) -> Asset, where rng is a numpy.random.Generator of the asset's own,
@@ -55,9 +57,14 @@ MODELS: dict[str, tuple] = {
     "garden": ("studio.garden.garden_model:garden",),
     #
     # table brick game
-    #
+    "study": ("studio.study.study_model:study",),
+    **{name: ("studio.study.bricks:brick", name) for name in BRICKS},
+    "ball": ("studio.study.elastic_toys:ball",),
+    "jelly_bear": ("studio.study.elastic_toys:jelly_bear",),
     # box moving
-    #
+    "attic": ("studio.attic.attic_model:attic",),
+    "pallet": ("studio.attic.boxes:pallet",),
+    **{name: ("studio.attic.boxes:moving_box", name) for name in BOXES},
 }
 
 

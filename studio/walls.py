@@ -40,3 +40,11 @@ def reveal(low, high, depth: float, to_wall: Callable, flip: bool = False) -> Me
         p, q, r = (np.array(to_wall(*t)) for t in ((a, b, 0), (c, d, 0), (a, b, depth)))
         meshes.append(quad(p, q - p, r - p) if not flip else quad(p, r - p, q - p))
     return join(*meshes)
+
+
+def within(mesh: Mesh, low, high) -> Mesh:
+    """The mesh clamped to a room from `low` to `high`, without faces that lie wholly in or behind a wall."""
+    low, high = np.array(low), np.array(high)
+    v = mesh.vertices[mesh.faces]
+    out = ((v <= low + 1e-9).all(1) | (v >= high - 1e-9).all(1)).any(1)
+    return Mesh(mesh.vertices.clip(low, high), mesh.faces[~out])

@@ -14,9 +14,11 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from core.tetmesh import positively_oriented
+from core.tetmesh import positively_oriented, tet_volumes
 from scenes.scene import IDENTITY, Quat, Vec3
 from sim.soft_body import SoftBody
+
+BOX_TOLERANCE = 1e-4  # relative: what float32 leaves of a box
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,7 @@ class RigidBody:
     def from_soft(cls, soft: SoftBody, **options) -> RigidBody:
         """A soft body's shape, place, density and friction; `options` replace fields."""
         m = soft.material
+        options.setdefault("boxed", fills_its_box(soft.vertices, soft.tets))
         return replace(
             cls(
                 soft.name, soft.vertices, soft.tets, soft.surface, m.density, m.friction, m.kinetic_friction,
@@ -126,6 +129,13 @@ class RigidBody:
                 f"{self.name}: out of range (density > 0, 0 <= kinetic <= static friction, 0 <= restitution <= 1):"
                 f" {self.density}, {kinetic}, {self.friction}, {self.restitution}"
             )
+
+
+def fills_its_box(vertices: np.ndarray, tets: np.ndarray) -> bool:
+    """True if a cage is the whole box that its vertices span, and this lies about the origin of its frame."""
+    high = np.max(vertices, axis=0).astype(np.float64)
+    centred = np.allclose(np.min(vertices, axis=0), -high, atol=BOX_TOLERANCE * high.max())
+    return bool(centred and tet_volumes(vertices, tets).sum() > (1 - BOX_TOLERANCE) * np.prod(2 * high))
 
 
 def hull(name: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

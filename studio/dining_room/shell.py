@@ -9,7 +9,7 @@ import numpy as np
 from studio.light_sources import Opening, Sun
 from studio.shapes import Mesh, Surface, box, join, quad
 from studio.textures import OAK, fbm, hash_uniform, mix, noise, plain, smoothstep, srgb, wood
-from studio.walls import reveal, wall_sheet
+from studio.walls import reveal, wall_sheet, within
 
 ROOM_LOW, ROOM_HIGH = (-2.0, 0.0, -2.2), (2.0, 2.6, 2.3)  # [m] scenes repeat them for their analytic colliders
 # Openings: (low, high) across the wall [m]. The garden door is in the far wall, the window in the left one.
@@ -121,7 +121,7 @@ def mouldings() -> list[Surface]:
     frames = [box((a, c, Z0 - depth), (b, d, Z0 + depth)) for a, b, c, d in _bars(FAR_PANELS)]
     for a, b, c, d in _bars(SIDE_PANELS):
         frames += [box((X0 - depth, c, a), (X0 + depth, d, b)), box((X1 - depth, c, a), (X1 + depth, d, b))]
-    frames = [_in_room(m) for m in frames]
+    frames = [within(m, ROOM_LOW, ROOM_HIGH) for m in frames]
     return [
         Surface("mouldings", join(*meshes), white, 0.034, gloss=0.02),
         Surface("panel frames", join(*frames), white, 0.026, gloss=0.02),
@@ -229,12 +229,4 @@ def _strip(a, b, side: str, low: float, high: float, depth: float) -> Mesh:
     axis, sign = (0 if side[0] == "x" else 2), (1 if side[1] == "+" else -1)
     (p if sign < 0 else q)[axis] += sign * depth
     (q if sign < 0 else p)[axis] -= sign * depth
-    return _in_room(box(np.minimum(p, q), np.maximum(p, q)))
-
-
-def _in_room(mesh: Mesh) -> Mesh:
-    """The mesh clamped to the room, without faces that lie wholly in or behind a wall."""
-    low, high = np.array(ROOM_LOW), np.array(ROOM_HIGH)
-    v = mesh.vertices[mesh.faces]
-    out = ((v <= low + 1e-9).all(1) | (v >= high - 1e-9).all(1)).any(1)
-    return Mesh(mesh.vertices.clip(low, high), mesh.faces[~out])
+    return within(box(np.minimum(p, q), np.maximum(p, q)), ROOM_LOW, ROOM_HIGH)

@@ -1,0 +1,57 @@
+"""Box moving: boxes are carried to the pallet one after the other, and the mouse hole behind them becomes free."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from display.protocol import Frame, Reset
+from scenes import registry
+from scenes.attic_floor import FAR, HOLE, PALLET, SIZES, boxes, colliders
+from scenes.box_moving import BoxMoving, before_hole
+from scenes.scene import Box
+from tests.support.blind_world import blind_world
+
+DT = 1 / 60  # [s]
+
+
+@pytest.fixture(scope="module")
+def world(ti_cpu):
+    return blind_world(registry.load("box_moving"))
+
+
+def test_the_script_moves_all_boxes_and_the_big_one_hid_the_hole(world):
+    """The score grows by one box after the other; what is not carried stays where it is."""
+    world.apply([Reset()])
+    game, scores, found = world.scene.game, [0], None
+    for k in range(round(game.duration / DT)):
+        time = (k + 1) * DT
+        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+        scores.append(game.score)
+        big = world.bodies()[-1]
+        if found is None and not big.held:
+            assert_allclose(big.centroid, boxes()[-1].position, atol=2e-3)
+        if game.found and found is None:
+            found = time
+            assert big.held and "mouse" in game.message
+    game.verify(world.bodies())
+    assert np.all(np.diff(scores) >= 0) and set(scores) == {0, 1, 2, 3, 4}
+    assert found is not None and not any(before_hole(b) for b in world.bodies())
+    low = [b.low[1] - PALLET[1][1] for b in world.bodies()]
+    assert_allclose(low, 0.0, atol=2e-3)  # they stand on it
+    assert world.stats()["finite"] and world.stats()["asleep"] >= 3
+
+
+def test_the_boxes_stand_apart_before_the_hole_and_the_pallet_is_free():
+    """At the start no two boxes and nothing static cut into each other, and the big one covers the whole hole."""
+    sizes = [np.array(SIZES[b.asset]) for b in boxes()]
+    at = [np.array(b.position) for b in boxes()]
+    for i in range(len(at)):
+        for j in range(i):
+            assert np.max(np.abs(at[i] - at[j]) - 0.5 * (sizes[i] + sizes[j])) > -1e-6
+        for c in colliders():
+            if isinstance(c, Box):
+                assert np.max(np.abs(at[i] - c.center) - 0.5 * sizes[i] - c.half_size) > 0.005
+    big, size = at[-1], sizes[-1]
+    assert big[0] - size[0] / 2 < HOLE[0] and big[0] + size[0] / 2 > HOLE[1] and size[1] > HOLE[2]
+    assert 0.0 < big[2] - size[2] / 2 - FAR < 0.05
+    assert BoxMoving().score == 0

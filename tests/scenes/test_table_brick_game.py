@@ -1,0 +1,55 @@
+"""The brick game: the tower stands and sleeps by itself, a plank is drawn from it, a thrown ball fells it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from display.protocol import Frame, Reset
+from scenes import registry
+from scenes.study_table import TABLE_TOP, tower, tower_height
+from tests.support.blind_world import blind_world
+
+DT = 1 / 60  # [s]
+BRICKS = len(tower())
+
+
+@pytest.fixture(scope="module")
+def world(ti_cpu):
+    return blind_world(registry.load("table_brick_game"))
+
+
+def test_the_tower_stands_still_and_the_script_fells_it(world):
+    """Until the hand comes bricks do not move; one plank is drawn; the ball gives its momentum to bricks and bear."""
+    world.apply([Reset()])
+    game = world.scene.game
+    places = np.array([b.position for b in tower()])
+    ball_speed = bear_speed = brick_speed = 0.0
+    for k in range(round(game.duration / DT)):
+        time = (k + 1) * DT
+        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+        *bricks, bear, ball = world.bodies()
+        if time < 0.45:
+            assert_allclose([b.centroid for b in bricks], places, atol=2e-4)
+            assert abs(bear.low[1] - tower_height()) < 0.004
+        if not ball.held:
+            ball_speed = max(ball_speed, -ball.velocity[2])
+        bear_speed = max(bear_speed, np.linalg.norm(bear.velocity))
+        brick_speed = max([brick_speed, *(np.linalg.norm(b.velocity) for b in bricks if not b.held)])
+    game.verify(world.bodies())
+    assert game.score >= game.goal and game.message.startswith("The tower is down with one throw")
+    assert ball_speed > 3.0 and brick_speed > 1.0 and bear_speed > 0.5  # soft moves rigid, rigid moves soft
+    assert all(b.low[1] > -0.01 for b in world.bodies()) and world.stats()["finite"]
+
+
+def test_what_is_left_alone_sleeps(world):
+    """No hand: the tower, the bear on it and the ball in its ring fall asleep where they are."""
+    world.apply([Reset()])
+    before = world.bodies()
+    for k in range(round(4.0 / DT)):
+        world.step(Frame(DT, (k + 1) * DT, []))
+        if world.device.solver.stats["asleep"] == BRICKS + 2:
+            break
+    assert world.device.solver.stats["asleep"] == BRICKS + 2
+    moved = [np.linalg.norm(b.centroid - a.centroid) for a, b in zip(before, world.bodies(), strict=True)]
+    assert max(moved[:BRICKS]) < 2e-4 and max(moved) < 0.008  # soft ones settle under their weight
+    assert world.scene.game.score == 0 and world.bodies()[-1].low[1] > TABLE_TOP - 0.005

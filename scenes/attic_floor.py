@@ -18,12 +18,13 @@ SIZES = {  # [m] of the boxes
     "box_crate": (0.40, 0.30, 0.30),
     "box_tin": (0.22, 0.12, 0.22),
 }
-FULL = {  # material of a box with all that is in it: a rigid body has but density and friction
-    "box_cardboard": Material.named("foam", density=45.0),
-    "box_parcel": Material.named("foam", density=140.0),
+FULL = {  # material of a box with all that is in it: cardboard and paper give way where they are pressed
+    "box_cardboard": Material(young=5e4, poisson=0.2, density=45.0, friction=0.6, damping=20.0),
+    "box_parcel": Material(young=4e4, poisson=0.2, density=140.0, friction=0.6, damping=20.0),
     "box_crate": Material.named("wood", density=90.0),
-    "box_tin": Material.named("wood", density=180.0, friction=0.4),
+    "box_tin": Material.named("wood", density=180.0, friction=0.4, kinetic_friction=0.3),
 }
+RIGID = ("box_crate", "box_tin")
 # Where each box stands: x, height of its foot, z [m], turn about y [degrees]; then its place on the pallet.
 STARTS = {
     "box_parcel": (0.03, 0.36, -0.87, -7.0),
@@ -51,7 +52,9 @@ def boxes() -> list[Body]:
         half = np.radians(turn) / 2
         rotation: Quat = (float(np.cos(half)), 0.0, float(np.sin(half)), 0.0)
         at = (x, foot + 0.5 * SIZES[asset][1], z)
-        bodies.append(Body(asset, FULL[asset], position=at, rotation=rotation, kind="rigid"))
+        bodies.append(
+            Body(asset, FULL[asset], position=at, rotation=rotation, kind="rigid" if asset in RIGID else "soft")
+        )
     return bodies
 
 

@@ -10,6 +10,7 @@ from scenes.scripted_throw import ease
 
 NAMES = list(PLACES)
 APPROACH, LIFT, CARRY, LOWER, LEAVE = 0.3, 0.5, 0.9, 0.5, 0.2  # [s] of the scripted hand with each box
+WIDE_GRIP = 0.4  # reach of the hand over a box's width: held by a small spot, a soft box swings
 CLEARANCE = 0.30  # [m] between a box that is carried and the pallet
 TURN = APPROACH + LIFT + CARRY + LOWER + LEAVE  # [s]
 
@@ -35,7 +36,8 @@ class BoxMoving:
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         k = min(int(time / TURN), len(NAMES) - 1)
         t = time - k * TURN
-        top = np.array([0.0, 0.5 * SIZES[NAMES[k]][1], 0.0])
+        width, height, depth = SIZES[NAMES[k]]
+        top = np.array([0.0, 0.5 * height, 0.0])
         start, end = self.starts[k] + top, np.array(place_of(NAMES[k])) + top
         over = np.array([0.0, max(start[1], end[1] + CLEARANCE), 0.0])
         high, ready = np.where([0, 1, 0], over, start), np.where([0, 1, 0], over, end)
@@ -44,7 +46,7 @@ class BoxMoving:
         keys = np.cumsum([0.0, APPROACH, LIFT, CARRY, LOWER, LEAVE])
         leg = int(np.clip(np.searchsorted(keys, t) - 1, 0, len(path) - 2))
         at = path[leg] + (path[leg + 1] - path[leg]) * ease((t - keys[leg]) / (keys[leg + 1] - keys[leg]))
-        return [Hand(tuple(at), grip=keys[1] <= t < keys[4], reach=0.06)]
+        return [Hand(tuple(at), grip=keys[1] <= t < keys[4], reach=WIDE_GRIP * min(width, depth))]
 
     @property
     def score(self) -> int:

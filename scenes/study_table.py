@@ -15,7 +15,8 @@ ROOM_LOW, ROOM_HIGH = (-1.9, 0.0, -1.75), (1.9, 2.7, 2.2)  # [m]
 PLAY_RADIUS = 0.35  # [m] of the table top that the play needs
 BACKGROUND = (0.30, 0.24, 0.18)  # dim wood, behind the few pixels that no Gaussian covers
 BALL_RADIUS = 0.042  # [m]
-BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.044, 0.007)  # a wooden ring that keeps the ball: centre, radius, its rod's [m]
+BALL_HEIGHT = 0.047  # [m] of its centre above the table: it lies on the ring
+BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.030, 0.007)  # a wooden ring that keeps the ball: centre, radius, its rod's [m]
 PLANK, CUBE, GAP = (0.15, 0.032, 0.049), 0.049, 0.001  # [m] sizes of the bricks; air between neighbours
 TOWER = (0.0, TABLE_TOP, -0.06)  # [m] centre of its foot
 LAYERS = 4  # of three planks, crosswise
@@ -72,7 +73,7 @@ def toys() -> list[Body]:
     """The bear of jelly on top of the tower, and the ball in its ring."""
     (x, y, z), _, _ = BALL_RING
     bear = Body("jelly_bear", JELLY, position=(TOWER[0], tower_height() + 0.001, TOWER[2]))
-    return [bear, Body("ball", RUBBER, position=(x, y + BALL_RADIUS + 0.001, z))]
+    return [bear, Body("rubber_ball", RUBBER, position=(x, y + BALL_HEIGHT, z))]
 
 
 def lamp(target: Vec3 = (0.0, TABLE_TOP, 0.0)) -> Light:

@@ -105,6 +105,6 @@ def build() -> Scene:
         eye=(0.0, 1.28, 0.92),
         target=(0.0, 0.87, -0.08),
         game=TableBrickGame(),
-        roles=(Role("figure", ("jelly_bear",)), Role("ball", ("ball",))),
+        roles=(Role("figure", ("jelly_bear",)), Role("ball", ("rubber_ball",))),
         room=room(),
     )

@@ -59,7 +59,7 @@ MODELS: dict[str, tuple] = {
     # table brick game
     "study": ("studio.study.study_model:study",),
     **{name: ("studio.study.bricks:brick", name) for name in BRICKS},
-    "ball": ("studio.study.elastic_toys:ball",),
+    "rubber_ball": ("studio.study.elastic_toys:rubber_ball",),
     "jelly_bear": ("studio.study.elastic_toys:jelly_bear",),
     # box moving
     "attic": ("studio.attic.attic_model:attic",),

@@ -23,9 +23,9 @@ from studio.shapes import Mesh, Surface
 from studio.solids import Solid
 from studio.surface_sampling import Surfels, sample_surfaces
 
-FACE_LIGHT = (0.58, 0.84, 0.70)  # light on faces across x, y and z: opposite sides are alike, as the thing may turn
+FACE_LIGHT = (0.52, 0.78, 0.64)  # light on faces across x, y and z: opposite sides are alike, as the thing may turn
 WARMTH = (1.12, 1.0, 0.76)  # of the light indoors
-GRID_NODES = 36  # of the signed distance of a solid, on its longest side
+GRID_NODES = 36  # of the signed distance of a solid, on its longest side, for a cage of 200 vertices
 CAGE_MARGINS = (0.3, 0.6, 1.0, 1.5)  # grid cells around a solid, tried in turn: faces of few tets would cut into it
 
 
@@ -83,10 +83,10 @@ def box_cage(size, vertices: int) -> Cage:
     return Cage((x - 0.5 * size).astype(np.float32), tets.astype(np.int32), surface.astype(np.int32))
 
 
-def solid_grid(solid: Solid, low, high) -> DistanceGrid:
-    """Signed distance of a solid within the bounds [m], with room around it."""
+def solid_grid(solid: Solid, low, high, vertices: int) -> DistanceGrid:
+    """Signed distance of a solid within the bounds [m], with room around it, fine enough for a cage of `vertices`."""
     low, high = np.asarray(low, float), np.asarray(high, float)
-    spacing = float((high - low).max()) / GRID_NODES
+    spacing = float((high - low).max()) / (GRID_NODES * max(vertices / 200, 1.0) ** (1 / 3))
     low = low - 4 * spacing
     count = np.ceil((high + 4 * spacing - low) / spacing).astype(int) + 1
     nodes = low + spacing * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), -1).reshape(-1, 3)

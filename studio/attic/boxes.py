@@ -23,12 +23,13 @@ SIZES = {  # [m]; scenes/attic_floor.py repeats them
     "box_crate": (0.40, 0.30, 0.30),
     "box_tin": (0.22, 0.12, 0.22),
 }
-MATERIALS = {  # of what they weigh as a whole, full of this and that
-    "box_cardboard": Material.named("foam", density=45.0, friction=0.6, kinetic_friction=0.5),
-    "box_parcel": Material.named("foam", density=140.0, friction=0.6, kinetic_friction=0.5),
+MATERIALS = {  # of what they are as a whole, full of this and that; the crate and the tin are rigid
+    "box_cardboard": Material(young=5e4, poisson=0.2, density=45.0, friction=0.6, damping=20.0),
+    "box_parcel": Material(young=4e4, poisson=0.2, density=140.0, friction=0.6, damping=20.0),
     "box_crate": Material.named("wood", density=90.0),
     "box_tin": Material.named("wood", density=180.0, friction=0.4, kinetic_friction=0.3),
 }
+CAGE_VERTICES = {"box_cardboard": 120, "box_parcel": 80, "box_crate": 8, "box_tin": 8}
 PALLET_AT, PALLET_SIZE = (0.90, 0.0, 0.02), (1.04, 0.12, 0.78)  # [m] scenes/attic_floor.py repeats them
 KRAFT, TAPE, INK = "b98a58", "cfae78", "4a2f1c"
 
@@ -36,7 +37,7 @@ KRAFT, TAPE, INK = "b98a58", "cfae78", "4a2f1c"
 def moving_box(name: str, rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset of this name, its origin at its centre. Taichi must be running."""
     surfaces = {"box_cardboard": cardboard, "box_parcel": parcel, "box_crate": crate, "box_tin": tin}[name]()
-    cage = box_cage(SIZES[name], detail.cage_vertices(8))
+    cage = box_cage(SIZES[name], detail.cage_vertices(CAGE_VERTICES[name]))
     gleam = 0.14 if name == "box_tin" else 0.015
     return handled(name, surfaces, cage, MATERIALS[name], rng, detail, gleam=gleam)
 
@@ -82,7 +83,7 @@ def cardboard() -> list[Surface]:
             ink = np.maximum(ink, (stem | head | base) * front)
         ink = np.maximum(ink, text_at("ATTIC", right, up, (0.09, 0.075), 0.052) * front)
         ink = np.maximum(ink, text_at("BOOKS", right, up, (0.0, 0.0), 0.075) * (axis == 0))
-        worn = smoothstep(-0.55, -0.25, fbm(p * 40, 3, 7))
+        worn = smoothstep(-0.75, -0.45, fbm(p * 40, 3, 7))
         c = mix(c, srgb(INK), 0.85 * ink * worn)
         return scuffed(c, p, size, "d8bd92")
 
@@ -177,7 +178,7 @@ def crate() -> list[Surface]:
         c = along(p, n)
         nail = (np.abs(np.abs(p[:, 0]) - (w / 2 - 0.016)) < 0.0035) & (np.abs((p[:, 1] / 0.05) % 1 - 0.5) < 0.07)
         c = np.where(nail[:, None], srgb("3a3632"), c)
-        return mix(c, srgb("2b2622"), 0.8 * ink * smoothstep(-0.5, -0.1, fbm(p * 60, 3, 23)))
+        return mix(c, srgb("2b2622"), 0.8 * ink * smoothstep(-0.75, -0.4, fbm(p * 60, 3, 23)))
 
     return [
         Surface("crate front", join(*slats_x), stencilled, 0.0080, grain=(1, 0, 0), stretch=1.6, uniform=True),
@@ -238,7 +239,7 @@ def pallet_surfaces() -> list[Surface]:
         cross = (np.minimum(np.abs(u - v), np.abs(u + v)) < 0.10) & (np.abs(u) < 1)
         frame = np.abs(np.maximum(np.abs(p[:, 0]) / (w / 2), np.abs(p[:, 2]) / (d / 2)) - 0.90) < 0.022
         worn = smoothstep(-0.4, 0.0, fbm(p * 40, 3, 73))
-        return mix(grain(p, n), srgb("e8e6de"), 0.75 * ((cross | frame) & (n[:, 1] > 0.7)) * worn)
+        return mix(0.7 * grain(p, n), srgb("e8e6de"), 0.75 * ((cross | frame) & (n[:, 1] > 0.7)) * worn)
 
     return [
         Surface("pallet", join(*top), chalked, 0.0105, grain=(1, 0, 0), stretch=2.0, uniform=True),

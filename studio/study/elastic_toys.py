@@ -30,14 +30,15 @@ BEAR_PARTS = (
 )
 
 
-def ball(rng: np.random.Generator, detail: Detail, report) -> Asset:
-    """The asset `ball`. Taichi must be running."""
+def rubber_ball(rng: np.random.Generator, detail: Detail, report) -> Asset:
+    """The asset `rubber_ball`. Taichi must be running."""
     r = BALL_RADIUS
-    grid = solid_grid(sphere((0, 0, 0), r), (-r, -r, -r), (r, r, r))
+    vertices = detail.cage_vertices(160)
+    grid = solid_grid(sphere((0, 0, 0), r), (-r, -r, -r), (r, r, r), vertices)
     mesh = superellipsoid((2 * r, 2 * r, 2 * r), 1.0, 40)
-    surface = Surface("ball", mesh, ball_colour, 0.0026, uniform=True)
-    cage = solid_cage(grid, detail.cage_vertices(160))
-    return handled("ball", [surface], cage, BALL_MATERIAL, rng, detail, distance=grid, gleam=0.16, degree=2)
+    surface = Surface("rubber ball", mesh, ball_colour, 0.0026, uniform=True)
+    cage = solid_cage(grid, vertices)
+    return handled("rubber_ball", [surface], cage, BALL_MATERIAL, rng, detail, distance=grid, gleam=0.16, degree=2)
 
 
 def ball_colour(p, n):
@@ -55,9 +56,10 @@ def ball_colour(p, n):
 
 def jelly_bear(rng: np.random.Generator, detail: Detail, report) -> Asset:
     """The asset `jelly_bear`, whose origin lies at the centre of its base. Taichi must be running."""
-    grid = solid_grid(bear_distance, (-0.032, 0.0, -0.022), (0.032, 0.080, 0.036))
+    vertices = detail.cage_vertices(220)
+    grid = solid_grid(bear_distance, (-0.032, 0.0, -0.022), (0.032, 0.080, 0.036), vertices)
     surface = Surface("jelly bear", solid_mesh(grid), bear_colour, 0.0021, uniform=True)
-    cage = solid_cage(grid, detail.cage_vertices(220))
+    cage = solid_cage(grid, vertices)
     return handled("jelly_bear", [surface], cage, BEAR_MATERIAL, rng, detail, distance=grid, gleam=0.22, degree=2)
 
 

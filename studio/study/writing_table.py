@@ -22,7 +22,7 @@ from studio.study.bookcases import closed_book
 from studio.textures import HONEY, fbm, mix, noise, plain, smoothstep, srgb, wood
 
 TABLE_TOP, TABLE_HALF, THICKNESS = 0.76, (0.75, 0.40), 0.036  # [m] scenes/study_table.py repeats them
-BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.044, 0.007)  # centre, radius and radius of the rod [m]: so does it these
+BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.030, 0.007)  # centre, radius and radius of the rod [m]: so does it these
 LAMP_AT = (-0.52, TABLE_TOP, -0.24)  # [m] foot of the desk lamp
 LAMP_COLOUR = np.array([1.0, 0.74, 0.45])  # linear RGB
 BOOKS_AT = (0.56, TABLE_TOP, -0.22)  # [m]

@@ -30,7 +30,7 @@ def test_the_tower_stands_still_and_the_script_fells_it(world):
         *bricks, bear, ball = world.bodies()
         if time < 0.45:
             assert_allclose([b.centroid for b in bricks], places, atol=2e-4)
-            assert abs(bear.low[1] - tower_height()) < 0.004
+            assert abs(bear.low[1] - tower_height()) < 0.007
         if not ball.held:
             ball_speed = max(ball_speed, -ball.velocity[2])
         bear_speed = max(bear_speed, np.linalg.norm(bear.velocity))
@@ -45,7 +45,7 @@ def test_what_is_left_alone_sleeps(world):
     """No hand: the tower, the bear on it and the ball in its ring fall asleep where they are."""
     world.apply([Reset()])
     before = world.bodies()
-    for k in range(round(4.0 / DT)):
+    for k in range(round(3.5 / DT)):
         world.step(Frame(DT, (k + 1) * DT, []))
         if world.device.solver.stats["asleep"] == BRICKS + 2:
             break

@@ -81,7 +81,7 @@ def room_colliders() -> list[Plane | Box | Capsule]:
         Box((-1.18, 0.25, -0.50), (0.39, 0.25, 0.23)),  # the trunk
         Box((-1.52, 0.26, 0.32), (0.27, 0.26, 0.19)),  # the suitcases
         Box((1.945, 0.31, -0.72), (0.145, 0.31, 0.30)),  # the shelf
-        Capsule((1.28, 0.85, 1.02), (1.28, 1.35, 1.02), 0.13),  # the dress form
+        Capsule((1.00, 0.85, 1.15), (1.00, 1.35, 1.15), 0.13),  # the dress form
         *(Capsule((x, r, 0.35), (x, r, 1.9), r) for x, r in ((1.86, 0.11), (1.68, 0.09))),  # the carpets
     ]
 

@@ -160,9 +160,9 @@ def shelf() -> list[Surface]:
 
     y = 0.62
     for k in range(9):
-        w, h = rng.uniform(0.02, 0.045), rng.uniform(0.15, 0.22)
+        w, h = rng.uniform(0.02, 0.045), rng.uniform(0.11, 0.17)
         z = z0 + 0.03 + 0.045 * k
-        books.append(box((x0 + 0.06, y, z), (x0 + 0.20, y + h, z + w)))
+        books.append(box((x0 + 0.01, y, z), (x0 + 0.11, y + h, z + w)))
 
     def spines(p, n):
         k = np.floor((p[:, 2] - z0 - 0.03) / 0.045).astype(int).clip(0, 8)
@@ -208,7 +208,7 @@ def rocking_chair() -> list[Surface]:
         patch = (np.floor(p[:, 0] / 0.075) * 3 + np.floor(p[:, 1] / 0.075) * 5).astype(int) % 5
         return c[patch] * (1 + 0.12 * fbm(p * 60, 2, 3))[:, None]
 
-    r, at = rotation_about("y", 52), (-1.30, 0.0, 1.10)
+    r, at = rotation_about("y", 52), (-0.98, 0.0, 1.20)
     return [
         Surface("rocking chair", join(*rails, seat), plain("5a3820", 0.16, 0.05), 0.019, gloss=0.03).placed(r, at),
         Surface("patchwork", blanket, squares, 0.012, translucency=0.05).placed(r, at),
@@ -245,7 +245,7 @@ def dress_form() -> list[Surface]:
         seam = (np.abs(p[:, 0]) < 0.003) | (np.abs(p[:, 1] - 1.06) < 0.003)
         return np.where(seam[:, None], srgb("6a5a48"), cloth("c9b79a", 0.008, 0.12, 0.08, 5)(p, n))
 
-    at, r = (1.28, 0.0, 1.02), rotation_about("y", -35)
+    at, r = (1.00, 0.0, 1.15), rotation_about("y", -35)
     return [
         Surface("dress form", body, linen, 0.012).placed(r, at),
         Surface("dress form stand", join(foot, knob), plain("4a2c18", 0.12, 0.04), 0.012, gloss=0.04).placed(r, at),

@@ -68,8 +68,9 @@ class JustDance:
     def message(self) -> str:
         if self.score == len(PROPS):
             return "Bravo! Press R to play again."
-        left = [name.split("_")[0] for k, name in enumerate(PROPS) if k not in self.hit]
-        return f"{self.score} of {len(PROPS)} have met the dancer. Throw {' and '.join(left)}."
+        left = ["the " + " ".join(name.split("_")[::-1]) for k, name in enumerate(PROPS) if k not in self.hit]
+        what = " and ".join([", ".join(left[:-1]), left[-1]] if len(left) > 1 else left)
+        return f"{self.score} of {len(PROPS)} have met the dancer. Throw {what}."
 
     def verify(self, bodies: list[BodyState]) -> None:
         """Assert the outcome of the scripted play."""

@@ -103,8 +103,8 @@ def overview(study: Study) -> str:
     mixed = sum(t.setting == MIXED for t in study.trials)
     left_out = f" ({mixed} with grips in both settings, left out)" if mixed else ""
     return (
-        f"{len(study.trials)} trials{left_out} and {len(study.answers)} answered questionnaires"
-        f" of {len(people - {''})} named participants"
+        f"trials: {len(study.trials)}{left_out}; answered questionnaires: {len(study.answers)};"
+        f" named participants: {len(people - {''})}"
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -22,7 +23,10 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Body, Plane, Quat, Role, Room, Scene, Vec3
+from scenes.scene import Body, Plane, Quat, Role, Room, Vec3
+
+if TYPE_CHECKING:  # a module that has it is taken for a scene
+    from scenes.scene import Scene
 
 CELL = 0.05  # [m] of the map of a room's free floor
 FREE_HEIGHTS = np.arange(0.1, 1.3, 0.1)  # [m] over a floor at which nothing may be in the way

@@ -302,7 +302,7 @@ def test_the_command_prints_and_plots(tmp_path, capsys):
     files = [str(tmp_path / f"{k}.h5") for k in (0, 1)]
     assert main(["study", *files, "--out", str(tmp_path / "p.html"), "--json", str(tmp_path / "n.json")]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("8 trials and 4 answered questionnaires of 4 named participants")
+    assert said.startswith("trials: 8; answered questionnaires: 4; named participants: 4\n")
     (line,) = (line for line in said.splitlines() if line.startswith("time on task"))
     assert re.search(r"11\.5 ± 1\.29 \(4\) +15 ± 2\.58 \(4\) +3\.5 +p = 0\.125 \(Wilcoxon signed-rank, 4 pairs\)", line)
     (line,) = (line for line in said.splitlines() if line.startswith("Immersion"))

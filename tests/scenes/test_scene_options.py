@@ -30,6 +30,10 @@ def build(
 '''
 
 
+def test_no_module_is_a_faulty_scene():
+    assert [demo.name for demo in registry.demos() if demo.fault] == []
+
+
 @pytest.fixture
 def zoo(tmp_path, monkeypatch):
     """A scene `zoo` with options of each kind, but `--size`, which is the picture's."""

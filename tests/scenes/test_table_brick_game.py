@@ -45,7 +45,7 @@ def test_what_is_left_alone_sleeps(world):
     """No hand: the tower, the bear on it and the ball in its ring fall asleep where they are."""
     world.apply([Reset()])
     before = world.bodies()
-    for k in range(round(3.5 / DT)):
+    for k in range(round(6.0 / DT)):
         world.step(Frame(DT, (k + 1) * DT, []))
         if world.device.solver.stats["asleep"] == BRICKS + 2:
             break

@@ -1,0 +1,66 @@
+"""The demos with animals: they are placed, sized and petted in one, pulled at in the other."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from core.errors import BadInput
+from scenes import animal_crossing, manipulation, registry
+from scenes.scene import BodyState
+from tests.support.scripted_play import play
+
+
+def test_animals_are_placed_sized_and_petted(ti_cpu):
+    scene = registry.load("animal_crossing")
+    assert len(animal_crossing.ANIMALS) == 5
+    world = play(scene)
+    game = scene.game
+    game.verify(world.bodies())
+    assert game.score == len(animal_crossing.SCRIPT) + 1 and world.interaction == "physics"
+    sizes = [m.shape.factor for m in world.device.solver.body_models]
+    assert_allclose(sizes[:2], [1.0, 1 / 0.62], rtol=0.02)  # the fox kept its size, the bear has grown
+    assert_allclose(sizes[4], 1 / 1.45, rtol=0.02)  # the rabbit has shrunk
+    assert "horse" in game.message or "bear" in game.message
+    game.reset()
+    assert game.score == 0
+
+
+@pytest.mark.parametrize(
+    ("upright", "axis", "expected"),
+    [(0.0, (1, 0, 0), True), (0.0, (0, 1, 0), False), (0.9, (0.1, -0.9, 0.4), True), (0.9, (1, 0.2, 0), False)],
+)
+def test_an_animal_on_its_side_does_not_stand(upright, axis, expected):
+    low, high = np.array([-0.1, 0.0, -0.3]), np.array([0.1, 0.5, 0.3])
+    axis = np.array(axis) / np.linalg.norm(axis)
+    body = BodyState("fox", np.array([0.0, 0.25, 0.0]), np.zeros(3), low, high, axis, False)
+    assert animal_crossing.stands(body, animal_crossing.Guest(0.5, upright)) == expected
+
+
+def test_parts_of_an_animal_are_pulled_and_spring_back(ti_cpu):
+    scene = registry.load("manipulation")
+    feet = []
+
+    def note(time, world):
+        if round(time * 60) % 30 == 0:
+            solver = world.device.solver
+            pinned = np.asarray(solver.body_models[0].body.pinned)
+            feet.append(solver.x.to_numpy()[pinned])
+
+    world = play(scene, each=note)
+    scene.game.verify(world.bodies())
+    assert scene.game.score == scene.game.goal == 3
+    assert len(feet[0]) > 10 and np.ptp(feet, axis=0).max() < 1e-6  # what is fixed stays
+    assert world.bodies()[0].driven and world.stats()["finite"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("animal", ["bear", "horse"])
+def test_other_animals_are_pulled_too(animal, ti_cpu):
+    scene = registry.load("manipulation", animal=animal)
+    scene.game.verify(play(scene).bodies())
+
+
+def test_only_animals_that_are_known():
+    assert set(manipulation.ANIMALS) == {"fox", "bear", "horse"}
+    with pytest.raises(BadInput, match="no such animal"):
+        registry.load("manipulation", animal="dodo")

@@ -179,7 +179,7 @@ class BakedLight:
         k = np.arange(rays)
         u = (k[None] + rng.random((n, rays))) / rays  # stratified in elevation, golden angle in azimuth
         angle = 2 * np.pi * ((k * 0.6180339887 + rng.random((n, 1))) % 1)
-        t1, t2 = _tangent_frame(normals)
+        t1, t2 = tangent_frame(normals)
         r = np.sqrt(u)
         d = (r * np.cos(angle))[..., None] * t1[:, None] + (r * np.sin(angle))[..., None] * t2[:, None]
         d = (d + np.sqrt(1 - u)[..., None] * normals[:, None]).reshape(-1, 3)
@@ -253,7 +253,7 @@ def _translucency(surfels: Surfels, surfaces: list[Surface]) -> np.ndarray:
     return np.array([np.nan if s.translucency is None else s.translucency for s in surfaces])[surfels.surface]
 
 
-def _tangent_frame(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def tangent_frame(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit tangents (N, 3) for each normal."""
     axis = np.where(np.abs(normals[:, :1]) > 0.7, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
     t = np.cross(normals, axis)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.material import Material
-from studio.creatures.creature import Creature, Part, pair
+from studio.creatures.creature import Creature, Part, pair, tissue
 from studio.creatures.implicit import ellipsoid, limb
 from studio.textures import mix, smoothstep, srgb
 
 BROWN, DARK, TAN, BLACK = "8a5a34", "5a3820", "c99d6b", "15100d"
-MATERIAL = Material(young=1.5e5, poisson=0.35, density=180.0, friction=0.8, kinetic_friction=0.6)
+YOUNG = 6e4  # [Pa]
 
 
 def bear() -> Creature:
@@ -29,7 +28,9 @@ def bear() -> Creature:
     ]
     parts = [
         Part(
-            limb([(0, 0.33, -0.2), (0, 0.345, 0.0), (0, 0.35, 0.16)], [0.165, 0.172, 0.155]), BROWN, comb=(0, -0.5, -1)
+            limb([(0, 0.325, -0.21), (0, 0.345, 0.0), (0, 0.35, 0.16)], [0.145, 0.172, 0.155]),
+            BROWN,
+            comb=(0, -0.5, -1),
         ),
         Part(ellipsoid((0, 0.43, 0.12), (0.11, 0.09, 0.13)), BROWN, 0.06, comb=(0, 0.1, -1)),
         Part(limb([(0, 0.38, 0.2), (0, 0.43, 0.3)], [0.135, 0.11]), BROWN, 0.06, 0.03, (0, -0.6, -0.8)),
@@ -68,7 +69,9 @@ def bear() -> Creature:
         *pair(Part(ellipsoid((0.05, 0.497, 0.428), 0.0145), BLACK, 0.0, glint=True)),
         *claws,
     ]
-    return Creature(parts, (-0.28, -0.02, -0.46), (0.28, 0.66, 0.6), MATERIAL, hair=0.032, lift=0.3, pattern=pattern)
+    return Creature(
+        parts, (-0.28, -0.02, -0.46), (0.28, 0.66, 0.6), tissue(YOUNG), hair=0.032, lift=0.3, pattern=pattern
+    )
 
 
 def pattern(p: np.ndarray, n: np.ndarray, colour: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.gaussians import Gaussians, concatenate
+from studio.baked_light import tangent_frame
 from studio.creatures.creature import Creature, Part, Seam, look_at_surface, surface_of
 from studio.creatures.implicit import unit
 from studio.creatures.sky_light import KEY, distance_grid, irradiance
@@ -59,14 +60,13 @@ def coat(creature: Creature, count: int, rng: np.random.Generator) -> Gaussians:
 def furry_skin(creature: Creature, body: Surface, spacing: float, light: Light, rng) -> list[Gaussians]:
     """Skin with points about `spacing` [m] apart, and the hair on it."""
     points, normals = surface_points(body, creature.low, creature.high, spacing, rng)
-    for bead in creature.beads:  # what a bead covers
-        outside = bead.shape(points)[0] > 0
-        points, normals = points[outside], normals[outside]
+    free = np.min([bead.shape(points)[0] for bead in creature.beads], axis=0)  # distance to the nearest bead
+    points, normals, free = points[free > 0], normals[free > 0], free[free > 0]  # but for what a bead covers
     look = look_at_surface(creature, points, normals)
     clumps = np.exp(creature.mottle * fbm(points / 0.05, 3, 5))[:, None]
     lit = light(points, normals)[:, None]
     furry = (look.hair > 0.3 * spacing)[:, None]
-    tangents, _ = tangents_of(normals)
+    tangents, _ = tangent_frame(normals)
     sigma = np.tile([SKIN_SIGMA * spacing, SKIN_SIGMA * spacing, THIN * SKIN_SIGMA * spacing], (len(points), 1))
     skin = oriented(points, tangents, normals, sigma, look.albedo * clumps * lit * np.where(furry, SKIN_SHADE, 1.0))
 
@@ -81,7 +81,8 @@ def furry_skin(creature: Creature, body: Surface, spacing: float, light: Light, 
     flow = unit(flow - (flow * n).sum(1, keepdims=True) * n)
     angle = (creature.lift * rng.uniform(0.5, 1.5, len(root))).clip(0, 1)[:, None] * np.pi / 2
     along = np.cos(angle) * flow + np.sin(angle) * n
-    length = look.hair * rng.uniform(0.7, 1.25, len(root))
+    room = (free[root] / look.hair.clip(1e-4)).clip(0.2, 1.0)  # short round the eyes
+    length = room * look.hair * rng.uniform(0.7, 1.25, len(root))
     sigma = np.stack([0.33 * length, np.full(len(root), HAIR_SIGMA * spacing)], 1)
     sigma = np.column_stack([np.maximum(sigma[:, 0], sigma[:, 1]), sigma[:, 1], 0.5 * sigma[:, 1]])
     tone = np.exp(creature.mottle * (rng.normal(size=(len(root), 1)) + HUE * rng.normal(size=p.shape)))
@@ -105,7 +106,7 @@ def bead_discs(bead: Part, creature: Creature, fineness: float, light: Light, rn
         shine = (normals @ unit(np.array(KEY) + [0.0, 0.0, 0.6])) > GLINT_COSINE
         colour = mix(colour, (0.9, 0.9, 0.9), 0.9 * shine)
     sigma = np.tile([0.65 * spacing, 0.65 * spacing, THIN * spacing], (len(points), 1))
-    return oriented(points, tangents_of(normals)[0], normals, sigma, colour)
+    return oriented(points, tangent_frame(normals)[0], normals, sigma, colour)
 
 
 def stitches(seam: Seam, creature: Creature, body: Surface, length: float, light: Light, rng) -> Gaussians:
@@ -138,13 +139,6 @@ def oriented(points, along, up, sigma, radiance) -> Gaussians:
     logit = np.full(len(points), np.log(OPACITY / (1 - OPACITY)))
     sh = flat_sh(tone_map(EXPOSURE * radiance))
     return Gaussians.of(points, quats, np.log(sigma), logit, sh, np.ones(len(points)))
-
-
-def tangents_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit tangents (N, 3) at each normal."""
-    axis = np.where(np.abs(normals[:, :1]) > 0.7, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
-    t = unit(np.cross(normals, axis))
-    return t, np.cross(normals, t)
 
 
 def shell_cells(surface: Surface, low, high, beside=None) -> tuple[np.ndarray, float]:

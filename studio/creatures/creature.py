@@ -11,6 +11,9 @@ from core.material import Material
 from studio.creatures.implicit import Shape, mirrored, smooth_union, unit
 from studio.textures import srgb
 
+# Density of an animal with its fur, and its friction on grass. Living tissue damps far more than rubber: an animal that
+# is set down stands still after a second or two.
+TISSUE = Material(young=1e5, poisson=0.35, density=180.0, friction=0.8, kinetic_friction=0.6, damping=40.0)
 Pattern = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # points, normals, albedo -> albedo
 
 
@@ -85,6 +88,11 @@ class Creature:
         return [p for p in self.parts if p.bead]
 
 
+def tissue(young: float) -> Material:
+    """Soft tissue with this Young's modulus [Pa], which decides how far the legs give way."""
+    return replace(TISSUE, young=young)
+
+
 def pair(part: Part) -> list[Part]:
     """The part and its mirror image in the plane x = 0."""
     comb = None if part.comb is None else (-part.comb[0], *part.comb[1:])
@@ -92,8 +100,10 @@ def pair(part: Part) -> list[Part]:
 
 
 def surface_of(parts: list[Part], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distance (N,) [m] and its unit gradient (N, 3) of joined parts."""
-    return smooth_union([p.shape(points) for p in parts], [p.blend for p in parts])
+    """Signed distance (N,) [m] and its unit gradient (N, 3) of joined parts, cut flat at y = 0 to stand on."""
+    distance, gradient = smooth_union([p.shape(points) for p in parts], [p.blend for p in parts])
+    below = -points[:, 1] > distance
+    return np.where(below, -points[:, 1], distance), np.where(below[:, None], (0.0, -1.0, 0.0), gradient)
 
 
 @dataclass(frozen=True)

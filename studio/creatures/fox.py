@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.material import Material
-from studio.creatures.creature import Creature, Part, pair
+from studio.creatures.creature import Creature, Part, pair, tissue
 from studio.creatures.implicit import ellipsoid, limb
 from studio.textures import mix, smoothstep, srgb
 
 ORANGE, CREAM, SOCK, BLACK = "d9752b", "f7eee0", "33211a", "17120f"
-MATERIAL = Material(young=3e5, poisson=0.35, density=180.0, friction=0.8, kinetic_friction=0.6)
+YOUNG = 8e4  # [Pa]
 
 
 def fox() -> Creature:
@@ -63,7 +62,7 @@ def fox() -> Creature:
         Part(ellipsoid((0, 0.362, 0.348), (0.014, 0.011, 0.011)), BLACK, 0.0, glint=True),
         *pair(Part(ellipsoid((0.033, 0.387, 0.288), 0.0105), BLACK, 0.0, glint=True)),
     ]
-    return Creature(parts, (-0.14, -0.02, -0.54), (0.14, 0.52, 0.4), MATERIAL, hair=0.018, pattern=pattern)
+    return Creature(parts, (-0.14, -0.02, -0.54), (0.14, 0.52, 0.4), tissue(YOUNG), hair=0.018, pattern=pattern)
 
 
 def pattern(p: np.ndarray, n: np.ndarray, colour: np.ndarray) -> np.ndarray:

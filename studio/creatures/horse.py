@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.material import Material
-from studio.creatures.creature import Creature, Part, pair
+from studio.creatures.creature import Creature, Part, pair, tissue
 from studio.creatures.implicit import ellipsoid, limb
 from studio.textures import mix, smoothstep, srgb
 
-CHESTNUT, DARK, MUZZLE, WHITE, HOOF, BLACK = "a5622f", "3a2318", "6b4a3a", "f4ece0", "3b342f", "15100d"
-MATERIAL = Material(young=6e5, poisson=0.35, density=150.0, friction=0.8, kinetic_friction=0.6)
+CHESTNUT, DARK, MUZZLE, WHITE, HOOF, BLACK = "96562b", "3a2318", "6b4a3a", "f4ece0", "3b342f", "15100d"
+YOUNG = 2.5e05  # [Pa]
 
 
 def horse() -> Creature:
     """The model."""
-    fore = [(0.085, 0.52, 0.2), (0.082, 0.33, 0.215), (0.08, 0.2, 0.21), (0.08, 0.07, 0.215)]
-    hind = [(0.09, 0.57, -0.26), (0.098, 0.42, -0.235), (0.09, 0.3, -0.31), (0.085, 0.19, -0.3), (0.085, 0.07, -0.28)]
+    fore = [(0.088, 0.52, 0.2), (0.09, 0.33, 0.215), (0.092, 0.2, 0.21), (0.094, 0.07, 0.215)]
+    hind = [(0.09, 0.57, -0.26), (0.1, 0.42, -0.235), (0.098, 0.3, -0.31), (0.096, 0.19, -0.3), (0.096, 0.07, -0.28)]
     crest = [(0, 0.975, 0.435), (0, 0.93, 0.34), (0, 0.84, 0.26), (0, 0.75, 0.175)]
     tail = [(0, 0.7, -0.385), (0, 0.65, -0.455), (0, 0.5, -0.49), (0, 0.32, -0.47)]
     parts = [
@@ -50,10 +49,10 @@ def horse() -> Creature:
             )
         ),
         *pair(Part(limb(fore, [0.082, 0.053, 0.041, 0.038]), CHESTNUT, 0.05)),
-        *pair(Part(ellipsoid((0.082, 0.32, 0.222), (0.047, 0.05, 0.045)), CHESTNUT, 0.03)),
-        *pair(Part(limb([(0.08, 0.075, 0.215), (0.08, 0.02, 0.225)], [0.04, 0.052]), HOOF, 0.012, 0.0)),
+        *pair(Part(ellipsoid((0.09, 0.32, 0.222), (0.047, 0.05, 0.045)), CHESTNUT, 0.03)),
+        *pair(Part(limb([(0.094, 0.075, 0.215), (0.095, 0.02, 0.225)], [0.04, 0.052]), HOOF, 0.012, 0.0)),
         *pair(Part(limb(hind, [0.125, 0.085, 0.05, 0.042, 0.039]), CHESTNUT, 0.05)),
-        *pair(Part(limb([(0.085, 0.075, -0.28), (0.085, 0.02, -0.27)], [0.041, 0.052]), HOOF, 0.012, 0.0)),
+        *pair(Part(limb([(0.096, 0.075, -0.28), (0.097, 0.02, -0.27)], [0.041, 0.052]), HOOF, 0.012, 0.0)),
         Part(limb(crest, [0.045, 0.05, 0.055, 0.04], 0.55, (1, 0, 0)), DARK, 0.012, 0.085, (0.75, -1.0, -0.2)),
         Part(ellipsoid((0, 0.968, 0.468), (0.035, 0.035, 0.025)), DARK, 0.01, 0.07, (0.1, -1, 0.45)),
         Part(limb(tail, [0.035, 0.05, 0.058, 0.02]), DARK, 0.02, 0.12),
@@ -61,7 +60,15 @@ def horse() -> Creature:
         *pair(Part(ellipsoid((0.028, 0.785, 0.637), (0.009, 0.012, 0.008)), BLACK, 0.0)),
     ]
     return Creature(
-        parts, (-0.2, -0.04, -0.62), (0.2, 1.1, 0.7), MATERIAL, hair=0.016, lift=0.2, border=0.01, pattern=pattern
+        parts,
+        (-0.25, -0.04, -0.62),
+        (0.25, 1.1, 0.7),
+        tissue(YOUNG),
+        hair=0.022,
+        lift=0.12,
+        mottle=0.07,
+        border=0.01,
+        pattern=pattern,
     )
 
 

@@ -1,7 +1,7 @@
 """Soft shapes as implicit surfaces: ellipsoids, limbs, and their smooth union (Quilez, "smooth minimum").
 
-A shape gives at points (N, 3) [m] a signed distance (N,) [m], exact to first order at the surface and negative inside,
-its gradient (N, 3), and a direction of growth (N, 3), along which hair is combed.
+A shape gives at points (N, 3) [m] a signed distance (N,) [m], negative inside and exact to first order at the surface
+(but for the taper of limbs), its gradient (N, 3), and a direction of growth (N, 3), along which hair is combed.
 """
 
 from __future__ import annotations

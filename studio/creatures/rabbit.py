@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from core.material import Material
-from studio.creatures.creature import Creature, Part, pair
+from studio.creatures.creature import Creature, Part, pair, tissue
 from studio.creatures.implicit import ellipsoid, limb
 from studio.textures import mix, smoothstep, srgb
 
 BROWN, WHITE, PINK, BLACK = "a08260", "f5eee2", "e0a6a0", "15100d"
-MATERIAL = Material(young=6e4, poisson=0.35, density=180.0, friction=0.8, kinetic_friction=0.6)
+YOUNG = 3e4  # [Pa]
 
 
 def rabbit() -> Creature:
@@ -60,7 +59,7 @@ def rabbit() -> Creature:
         *pair(Part(limb([(0, 0.181, 0.164), (0, 0.175, 0.164), (0.01, 0.169, 0.16)], [0.0014] * 3), "6b4a40", 0.0)),
         *pair(Part(ellipsoid((0.044, 0.207, 0.121), (0.01, 0.0125, 0.0115)), BLACK, 0.0, glint=True)),
     ]
-    return Creature(parts, (-0.15, -0.02, -0.24), (0.15, 0.39, 0.2), MATERIAL, hair=0.014, pattern=pattern)
+    return Creature(parts, (-0.15, -0.02, -0.24), (0.15, 0.39, 0.2), tissue(YOUNG), hair=0.014, pattern=pattern)
 
 
 def pattern(p: np.ndarray, n: np.ndarray, colour: np.ndarray) -> np.ndarray:

@@ -50,9 +50,9 @@ MODELS: dict[str, tuple] = {
     # animals
     "fox": ("studio.creatures.creature_asset:creature", "fox:fox", 22_000, 560),
     "bear": ("studio.creatures.creature_asset:creature", "bear:bear", 22_000, 500),
-    "horse": ("studio.creatures.creature_asset:creature", "horse:horse", 22_000, 600),
+    "horse": ("studio.creatures.creature_asset:creature", "horse:horse", 22_000, 640),
     "sheep": ("studio.creatures.creature_asset:creature", "sheep:sheep", 22_000, 600),
-    "rabbit": ("studio.creatures.creature_asset:creature", "rabbit:rabbit", 22_000, 400),
+    "rabbit": ("studio.creatures.creature_asset:creature", "rabbit:rabbit", 22_000, 480),
     # animal crossing: garden
     "garden": ("studio.garden.garden_model:garden",),
     #

@@ -41,7 +41,7 @@ def coat(creature: Creature, count: int, rng: np.random.Generator) -> Gaussians:
     """About `count` Gaussians of the creature."""
 
     def body(points):
-        return surface_of(creature.body, points)
+        return surface_of(creature.body, points, creature.sole)
 
     def light(points, normals):
         return irradiance(grid, points, normals, creature.from_below)

@@ -52,13 +52,14 @@ class Seam:
 
 @dataclass(frozen=True)
 class Creature:
-    """A body to be made, in metres, +y up, facing +z, standing on y = 0.
+    """A body to be made, in metres, +y up, facing +z.
 
-    low, high  corners of a box that holds all parts [m]
-    hair       length of the hair [m]
-    lift       0: hair lies flat, 1: it stands upright
-    border     width over which the colours of parts mix [m]
-    pattern    changes the colours of the body (not of beads): points, normals, albedo -> albedo
+    low, high   corners of a box that holds all parts [m]
+    sole        height at which the body is cut flat to stand or sit on [m]
+    hair        length of the hair [m]
+    lift        0: hair lies flat, 1: it stands upright
+    border      width over which the colours of parts mix [m]
+    pattern     changes the colours of the body (not of beads): points, normals, albedo -> albedo
     curl        0: combed hair, 1: every hair has a direction of its own
     mottle      standard deviation of the logarithm of the brightness from hair to hair
     from_below  light from the ground over that from the sky
@@ -72,6 +73,7 @@ class Creature:
     lift: float = 0.35
     border: float = 0.008
     curl: float = 0.0
+    sole: float = 0.0
     mottle: float = 0.12
     from_below: float = 0.45
     pattern: Pattern | None = None
@@ -99,11 +101,12 @@ def pair(part: Part) -> list[Part]:
     return [part, replace(part, shape=mirrored(part.shape), comb=comb)]
 
 
-def surface_of(parts: list[Part], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Signed distance (N,) [m] and its unit gradient (N, 3) of joined parts, cut flat at y = 0 to stand on."""
+def surface_of(parts: list[Part], points: np.ndarray, sole: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distance (N,) [m] and its unit gradient (N, 3) of joined parts, cut flat at y = `sole` to stand on."""
     distance, gradient = smooth_union([p.shape(points) for p in parts], [p.blend for p in parts])
-    below = -points[:, 1] > distance
-    return np.where(below, -points[:, 1], distance), np.where(below[:, None], (0.0, -1.0, 0.0), gradient)
+    depth = sole - points[:, 1]
+    below = depth > distance
+    return np.where(below, depth, distance), np.where(below[:, None], (0.0, -1.0, 0.0), gradient)
 
 
 @dataclass(frozen=True)

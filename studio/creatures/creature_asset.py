@@ -35,12 +35,12 @@ def creature(
     firm = FIRM_HAIR * made.hair
 
     def skin(points):
-        distance, normal = surface_of(made.body, points)
+        distance, normal = surface_of(made.body, points, made.sole)
         return distance - firm, normal
 
     count = detail.cage_vertices(vertices)
     solid = solid_grid(skin, made.low, made.high, count)
-    cage = body_cage(skin, solid, -firm, count)
+    cage = body_cage(skin, solid, made.sole - firm, count)
     low, high = cage.vertices.min(0), cage.vertices.max(0)
     foot = -np.array([0.5 * (low[0] + high[0]), low[1], 0.5 * (low[2] + high[2])])
     cage = Cage(cage.vertices + foot.astype(np.float32), cage.tets, cage.surface)

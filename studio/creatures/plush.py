@@ -11,13 +11,15 @@ from studio.shapes import smooth_curve
 
 BLACK, THREAD, CREAM, ROSE, WHITE = "14100e", "4a2f2a", "f5ead6", "e79a9a", "faf7ef"
 FLEECE = 0.0045  # [m]
+SOLE = 0.012  # [m] above the lowest point of the round shapes: what a toy sits on is flat
+PLUSH = Material.named("plush", damping=20.0)  # fibre fill: a toy that is dropped neither bounces nor rolls for long
 NEWTON_STEPS = 8  # from a point near a surface to it
 
 
 def toy(parts: list[Part], low, high, hair: float = FLEECE, **options) -> Creature:
     """A toy of these parts in fleece of that depth [m]."""
-    usual = {"lift": 0.55, "curl": 0.4, "border": 0.002, "mottle": 0.06, "from_below": 0.68}
-    return Creature(parts, low, high, Material.named("plush"), hair, **(usual | options))
+    usual = {"sole": SOLE, "lift": 0.55, "curl": 0.4, "border": 0.002, "mottle": 0.06, "from_below": 0.68}
+    return Creature(parts, low, high, PLUSH, hair, **(usual | options))
 
 
 def on_surface(body: list[Part], points) -> tuple[np.ndarray, np.ndarray]:

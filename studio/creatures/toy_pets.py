@@ -156,4 +156,4 @@ def toy_duck() -> Creature:
         *cheeks(body, (0.04, 0.158, 0.09), 0.008, "f5a25c"),
     ]
     seam = Seam((0, 0, 0), (1, 0, 0), lambda p: ((p[:, 1] < 0.13) & (p[:, 2] > 0.04)) | (p[:, 2] < -0.02))
-    return toy([*body, *face], (-0.12, -0.01, -0.15), (0.12, 0.25, 0.16), seams=[seam])
+    return toy([*body, *face], (-0.12, -0.01, -0.15), (0.12, 0.25, 0.16), sole=0.018, seams=[seam])

@@ -46,7 +46,7 @@ def toy_octopus() -> Creature:
         smile(body, (0.094, 0.09), 0.036, 0.008),
         *cheeks(body, (0.047, 0.103, 0.07), 0.009),
     ]
-    return toy([*body, *face], (-0.18, -0.01, -0.18), (0.18, 0.22, 0.18), pattern=spotted)
+    return toy([*body, *face], (-0.18, -0.01, -0.18), (0.18, 0.22, 0.18), sole=0.006, pattern=spotted)
 
 
 def toy_whale() -> Creature:

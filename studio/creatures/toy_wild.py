@@ -34,7 +34,7 @@ def toy_elephant() -> Creature:
         part
         for z in (0.075, -0.045)
         for x in (0.032, 0.05, 0.068)
-        for part in pair(sewn(body, (x, 0.012, z), (0.008, 0.009, 0.005), CREAM))
+        for part in pair(sewn(body, (x, 0.024, z), (0.008, 0.009, 0.005), CREAM))
     ]
     face = [
         *pair(Part(limb(tusk, [0.009, 0.008, 0.005]), CREAM, 0.0)),
@@ -101,7 +101,7 @@ def toy_frog() -> Creature:
         smile(body, (0.103, 0.12), 0.1, 0.016, "2f5a24", 0.0022),
         *cheeks(body, (0.057, 0.112, 0.09), 0.0095, "f0a08c"),
     ]
-    return toy([*body, *face], (-0.15, -0.01, -0.13), (0.15, 0.21, 0.15), pattern=spots)
+    return toy([*body, *face], (-0.15, -0.01, -0.13), (0.15, 0.21, 0.15), sole=0.008, pattern=spots)
 
 
 def toy_dinosaur() -> Creature:

@@ -5,22 +5,14 @@ In the transform mode two hands on an animal draw it larger or smaller (VR-GS, S
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from assets.library import default_material
-from core.material import Material
-from scenes.garden import BACKGROUND, colliders, furniture, room, sun
-from scenes.scene import Body, BodyState, Hand, Role, Scene
+from scenes.garden import ANIMALS, BACKGROUND, animals, colliders, furniture, room, sun
+from scenes.scene import BodyState, Hand, Role, Scene
 from scenes.scripted_throw import ease
 
-ANIMALS = {  # name: x, z on the path [m], turn [degrees], size of its own; x, z of its place on the lawn [m]
-    "fox": ((1.35, 0.75), -70, 1.0, (-0.95, 0.15)), "bear": ((1.45, -0.15), -95, 0.62, (-0.25, -0.85)),
-    "horse": ((1.62, -1.1), -60, 1.0, (-1.25, -1.45)), "sheep": ((1.55, -2.0), -100, 1.0, (0.55, -1.55)),
-    "rabbit": ((0.55, 1.3), -80, 1.45, (0.45, 0.25)),
-}  # fmt: skip
-YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the asset's
 PLACE_RADIUS, SIZE_TOLERANCE = 0.35, 0.15  # [m], relative
 STROKED, STROKE_SPEED = 0.3, 0.01  # [s] and [m/s] of an animal that is stroked
 SCRIPT = (("bear", 1 / 0.62), ("rabbit", 1 / 1.45), ("fox", 1.0))  # whom the scripted hands move, and by which factor
@@ -118,25 +110,9 @@ def stands(body: BodyState, guest: Guest) -> bool:
     return abs(abs(body.axis[1]) - guest.upright) < 0.35
 
 
-def material(name: str) -> Material:
-    """The animal's own, firm enough to stand."""
-    own = default_material(name)
-    return replace(own, young=max(own.young, YOUNG.get(name, 0.0)))
-
-
 def build() -> Scene:
-    animals = [
-        Body(
-            name,
-            material(name),
-            position=(x, 0.004, z),
-            rotation=(np.cos(np.radians(turn) / 2), 0.0, np.sin(np.radians(turn) / 2), 0.0),
-            scale=size,
-        )
-        for name, ((x, z), turn, size, _) in ANIMALS.items()
-    ]
     return Scene(
-        bodies=[*furniture(), *animals],
+        bodies=[*furniture(), *animals()],
         colliders=colliders(),
         light=sun(),
         background=BACKGROUND,

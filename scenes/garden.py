@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
+
+from assets.library import default_material
+from core.material import Material
 from scenes.scene import Body, Capsule, Light, Plane, Room, Vec3
 
 PLAY_RADIUS = 1.2  # [m] of the lawn that a play needs
 BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
 SUNLIGHT = (0.52, -0.74, -0.42)  # direction in which it travels
+
+ANIMALS = {  # name: x, z on the path [m], turn [degrees], size of its own; x, z of its place on the lawn [m]
+    "fox": ((1.35, 0.75), -70, 1.0, (-0.95, 0.15)), "bear": ((1.45, -0.15), -95, 0.62, (-0.25, -0.85)),
+    "horse": ((1.62, -1.1), -60, 1.0, (-1.25, -1.45)), "sheep": ((1.55, -2.0), -100, 1.0, (0.55, -1.55)),
+    "rabbit": ((0.55, 1.3), -80, 1.45, (0.45, 0.25)),
+}  # fmt: skip
+YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the asset's
 
 
 def furniture() -> list[Body]:
@@ -35,3 +48,23 @@ def sun(target: Vec3 = (0.0, 0.0, 0.0)) -> Light:
     """The sun, over the player's left shoulder."""
     position = tuple(t - 10.0 * d for t, d in zip(target, SUNLIGHT, strict=True))
     return Light(position=position, target=target, kind="directional", strength=0.6, softness=0.015)
+
+
+def animals() -> list[Body]:
+    """All animals, on the path, as the crossing begins."""
+    return [
+        Body(
+            name,
+            _material(name),
+            position=(x, 0.004, z),
+            rotation=(np.cos(np.radians(turn) / 2), 0.0, np.sin(np.radians(turn) / 2), 0.0),
+            scale=size,
+        )
+        for name, ((x, z), turn, size, _) in ANIMALS.items()
+    ]
+
+
+def _material(name: str) -> Material:
+    """The animal's own, firm enough to stand."""
+    own = default_material(name)
+    return replace(own, young=max(own.young, YOUNG.get(name, 0.0)))

@@ -5,22 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from assets.library import default_material
-from core.material import Material
-from scenes.childrens_room import BACKGROUND, BED_TOP, FLOOR, colliders, furniture, lamp, room
+from scenes.childrens_room import BACKGROUND, FLOOR, TOYS, colliders, furniture, lamp, room, toys
 from scenes.scene import Body, BodyState, Hand, Role, Scene
 from scenes.scripted_carry import Carry
 from scenes.scripted_throw import ease
 
-PLUSH = Material.named("plush")
 BASKET_AT, RIM_RADIUS, BASKET_HEIGHT = (0.0, FLOOR, 0.30), 0.335, 0.264  # [m]
-TOYS = {  # name: (x, y, z) [m], turn about the vertical and forwards [degrees]
-    "toy_teddy": ((-0.68, FLOOR, 0.48), 40, 0), "toy_rabbit": ((0.70, FLOOR, 0.45), -35, 0),
-    "toy_elephant": ((-0.66, FLOOR, 0.02), 60, 0), "toy_cat": ((0.66, FLOOR, 0.02), -50, 0),
-    "toy_duck": ((-0.24, FLOOR, -0.30), 20, 0), "toy_penguin": ((0.22, FLOOR, -0.34), -15, 0),
-    "toy_star": ((-0.62, FLOOR + 0.065, -0.46), 30, -90), "toy_frog": ((0.62, FLOOR, -0.42), -25, 0),
-    "toy_octopus": ((0.0, FLOOR, -0.74), 0, 0), "toy_ladybird": ((1.02, FLOOR, 0.3), -70, 0),
-    "toy_dinosaur": ((-1.33, BED_TOP + 0.005, -0.32), 60, 0), "toy_whale": ((-1.33, BED_TOP + 0.005, -0.85), 50, 0),
-}  # fmt: skip
 TURNS = ((0, 2, 4), (1, 3))  # toys that the scripted hands gather, left and right
 PERIOD, LIFT_AT, LIFT_TIME = 1.5, 4.7, 0.9  # [s]
 
@@ -49,10 +39,10 @@ class ToyCollection:
         if time >= LIFT_AT:
             return self.lifting(time - LIFT_AT, bodies[0])
         hands = []
-        for h, toys in enumerate(TURNS):
+        for h, own in enumerate(TURNS):
             begun = time - 0.5 * h * PERIOD  # by turns, so that they do not meet
-            turn = int(np.clip(begun // PERIOD, 0, len(toys) - 1))
-            toy = bodies[1 + toys[turn]]
+            turn = int(np.clip(begun // PERIOD, 0, len(own) - 1))
+            toy = bodies[1 + own[turn]]
             if (h, turn) not in self.carries:
                 over = bodies[0].centroid + [(2 * h - 1) * 0.08, 0.15, 0.08 * (turn - 1)]
                 self.carries[h, turn] = Carry(
@@ -95,18 +85,9 @@ def lies_in(basket: BodyState, body: BodyState) -> bool:
     return up[1] > 0.5 and -0.12 < height < 0.28 and np.linalg.norm(offset - height * up) < RIM_RADIUS
 
 
-def turned(turn: float, forwards: float) -> tuple[float, float, float, float]:
-    """Quaternion of a body that is first tipped forwards, then turned about the vertical [degrees]."""
-    a, b = np.radians([turn, forwards]) / 2
-    return (np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a) * np.cos(b), -np.sin(a) * np.sin(b))
-
-
 def build() -> Scene:
-    toys = [
-        Body(name, PLUSH, position=at, rotation=turned(turn, forwards)) for name, (at, turn, forwards) in TOYS.items()
-    ]
     return Scene(
-        bodies=[*furniture(), Body("basket", default_material("basket"), position=BASKET_AT, kind="rigid"), *toys],
+        bodies=[*furniture(), Body("basket", default_material("basket"), position=BASKET_AT, kind="rigid"), *toys()],
         colliders=colliders(),
         light=lamp(),
         background=BACKGROUND,

@@ -10,6 +10,15 @@ from scenes.scene import BodyState
 from tests.support.scripted_play import play
 
 
+def test_two_hands_place_an_animal_and_draw_it_larger(ti_cpu):
+    scene = registry.load("animal_crossing")
+    world = play(scene, seconds=animal_crossing.MOVE_TIME)
+    bear = list(animal_crossing.ANIMALS).index("bear")
+    assert scene.game.guests[bear].placed and scene.game.score == 1
+    assert_allclose(world.device.solver.body_models[bear].shape.factor, 1 / 0.62, rtol=0.02)
+
+
+@pytest.mark.long
 def test_animals_are_placed_sized_and_petted(ti_cpu):
     scene = registry.load("animal_crossing")
     assert len(animal_crossing.ANIMALS) == 5

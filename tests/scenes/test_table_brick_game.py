@@ -41,6 +41,7 @@ def test_the_tower_stands_still_and_the_script_fells_it(world):
     assert all(b.low[1] > -0.01 for b in world.bodies()) and world.stats()["finite"]
 
 
+@pytest.mark.long
 def test_what_is_left_alone_sleeps(world):
     """No hand: the tower, the bear on it and the ball in its ring fall asleep where they are."""
     world.apply([Reset()])

@@ -32,7 +32,7 @@ UNKNOWN = "–"
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is played and drawn.
+    """Amount that is played and drawn.
 
     deformations  of the embedding's ablation
     turn          of the bar [rad], and small_turn: the one that is compared with the theory of small angles

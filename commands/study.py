@@ -96,7 +96,7 @@ def show(args: argparse.Namespace) -> None:
 
 
 def overview(study: Study) -> str:
-    """What there is, in a line."""
+    """Line that counts trials and answered questionnaires."""
     from display.study.trial import MIXED
 
     people = {t.participant for t in study.trials} | {a.participant for a in study.answers}

@@ -25,7 +25,7 @@ FULL = {  # material of a box with all that is in it: cardboard and paper give w
     "box_tin": Material.named("wood", density=180.0, friction=0.4, kinetic_friction=0.3),
 }
 RIGID = ("box_crate", "box_tin")
-# Where each box stands: x, height of its foot, z [m], turn about y [degrees]; then its place on the pallet.
+# Place of each box: x, height of its foot, z [m], turn about y [degrees]; then its place on the pallet.
 STARTS = {
     "box_parcel": (0.03, 0.36, -0.87, -7.0),
     "box_tin": (-0.47, 0.30, -0.84, 12.0),

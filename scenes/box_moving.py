@@ -68,7 +68,7 @@ class BoxMoving:
 
 
 def place_of(name: str) -> tuple[float, float, float]:
-    """Where a box belongs on the pallet [m]: its centre, a little above."""
+    """Place of a box on the pallet [m]: its centre, a little above."""
     (x, _, z), (_, height, _) = PALLET
     return x + PLACES[name][0], height + 0.5 * SIZES[name][1] + 0.004, z + PLACES[name][1]
 

@@ -154,7 +154,7 @@ class Role:
 
 @dataclass(frozen=True)
 class Room:
-    """What of a scene is its room, which one of the user's may replace (scenes/roles.py).
+    """The part of a scene that is its room, which one of the user's may replace (scenes/roles.py).
 
     assets     of the static bodies that go with it
     colliders  that go with it

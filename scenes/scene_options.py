@@ -34,7 +34,7 @@ class SceneOption:
 
     @property
     def choice_text(self) -> str:
-        """What it may be, and what it is if it is not given."""
+        """Choices and default of the option, in words."""
         kinds = {str: "a text", int: "an integer", float: "a number"}
         what = one_of(self.choices) if self.choices else kinds[self.kind]
         default = {True: "yes", False: "no"}[self.default] if self.kind is bool else self.default

@@ -19,7 +19,7 @@ HAND_SPEED_MAX = 10.0  # [m/s]; a hand that is faster was lost, or teleported wi
 
 @dataclass
 class Trial:
-    """What a participant did in a task. Times are in the world's time without pauses [s].
+    """Record of a participant's play of a task. Times are in the world's time without pauses [s].
 
     setting     "physics", "transform" or "mixed"
     device      "window", "headset" or "headless"

@@ -1,4 +1,4 @@
-"""What is moved in the attic, all boxes to touch: of cardboard, a parcel, a crate, a biscuit tin; and their pallet."""
+"""Boxes that are moved in the attic: of cardboard, a parcel, a crate, a biscuit tin; and their pallet."""
 
 from __future__ import annotations
 

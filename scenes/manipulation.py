@@ -14,8 +14,7 @@ from scenes.scripted_throw import ease
 
 REACH = 0.07  # [m] of the scripted hand
 PULLED, BACK = 0.05, 0.015  # [m] by which a part must be drawn out, and within which it is back
-PULL_TIME, REST_TIME = 1.1, 0.9  # [s] of a scripted pull, and until the next
-YOUNG = 2.5e4  # [Pa]: soft enough for a hand of 80 N to draw out a nose; on its own the animal would not stand up
+SETTLE_TIME, PULL_TIME, REST_TIME = 0.8, 1.1, 0.9  # [s] before the first scripted pull, of one, and until the next
 EYE_DISTANCE = 1.45  # [m] before an animal of 1 m; nearer to a smaller one
 
 
@@ -28,13 +27,15 @@ class Pull:
     direction: Vec3
 
 
-ANIMALS = {  # height [m], height [m] below which it is held fast, parts
+# Height [m], height [m] below which it is held fast, parts, and Young's modulus [Pa]: soft enough for a hand of 80 N
+# to draw out a tail; on its own the animal would not stand up.
+ANIMALS = {
     "fox": (0.47, 0.17, (Pull("ear", (0.24, 0.97, 0.84), (0, 1, 0)), Pull("nose", (0.5, 0.75, 0.97), (0, 0, 1)),
-                         Pull("tail", (0.5, 0.41, 0.03), (0, 0, -1)))),
-    "bear": (0.60, 0.20, (Pull("ear", (0.68, 0.97, 0.77), (0, 1, 0)), Pull("nose", (0.5, 0.73, 0.97), (0, 0, 1)),
-                          Pull("tail", (0.5, 0.65, 0.03), (0, 0, -1)))),
-    "horse": (1.0, 0.45, (Pull("ear", (0.61, 0.97, 0.80), (0, 1, 0)), Pull("nose", (0.5, 0.73, 0.97), (0, 0, 1)),
-                          Pull("tail", (0.5, 0.46, 0.03), (0, 0, -1)))),
+                         Pull("tail", (0.5, 0.41, 0.03), (0, 0, -1))), 2.5e4),
+    "bear": (0.63, 0.20, (Pull("ear", (0.70, 0.98, 0.82), (0, 1, 0)), Pull("nose", (0.5, 0.76, 0.99), (0, 0, 1)),
+                          Pull("tail", (0.5, 0.56, 0.02), (0, 0, -1))), 1.2e4),
+    "horse": (1.02, 0.45, (Pull("ear", (0.56, 0.98, 0.80), (0, 1, 0)), Pull("nose", (0.5, 0.80, 0.98), (0, 0, 1)),
+                          Pull("tail", (0.5, 0.49, 0.02), (0, 0, -1))), 1.6e4),
 }  # fmt: skip
 
 
@@ -43,7 +44,7 @@ class Manipulation:
 
     def __init__(self, parts: tuple[Pull, ...]):
         self.parts, self.goal = parts, len(parts)
-        self.duration = len(parts) * (PULL_TIME + REST_TIME) + 0.6
+        self.duration = len(parts) * (PULL_TIME + REST_TIME) + SETTLE_TIME + 0.6
         self.reset()
 
     def reset(self) -> None:
@@ -67,8 +68,9 @@ class Manipulation:
                 self.done.add(k)
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
-        turn = min(int(time / (PULL_TIME + REST_TIME)), len(self.parts) - 1)
-        pull, t = self.parts[turn], time - turn * (PULL_TIME + REST_TIME)
+        since = max(time - SETTLE_TIME, 0.0)
+        turn = min(int(since / (PULL_TIME + REST_TIME)), len(self.parts) - 1)
+        pull, t = self.parts[turn], since - turn * (PULL_TIME + REST_TIME)
         way = 2.2 * PULLED * ease((t - 0.3) / (PULL_TIME - 0.35))
         away = 0.15 * (1 - ease(t / 0.25)) if t < PULL_TIME else 0.2 * ease((t - PULL_TIME) / 0.4)
         low, high = self.rest if self.rest is not None else (bodies[0].low, bodies[0].high)
@@ -94,8 +96,8 @@ def build(animal: str = "fox") -> Scene:
     """`animal` is one of ANIMALS. Raises BadInput."""
     if animal not in ANIMALS:
         raise BadInput(f"{animal}: no such animal; there are {', '.join(ANIMALS)}")
-    height, fixed, parts = ANIMALS[animal]
-    soft = replace(default_material(animal), young=YOUNG)
+    height, fixed, parts, young = ANIMALS[animal]
+    soft = replace(default_material(animal), young=young)
     far = EYE_DISTANCE * max(height, 0.6)
     return Scene(
         bodies=[*furniture(), Body(animal, soft, fixed_below=fixed)],

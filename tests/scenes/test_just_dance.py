@@ -12,6 +12,7 @@ from core.tetmesh import vertex_components
 from display.protocol import Duplicate, Frame, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
+from scenes.just_dance import THROW_PERIOD
 from scenes.scene import Hand
 
 DT = 1 / 60  # [s]
@@ -33,7 +34,8 @@ def shape(world, asset) -> np.ndarray:
     return world.device.solver.x.to_numpy()[: len(asset.cage.vertices)].astype(np.float64)
 
 
-def test_the_scripted_player_meets_the_dancer_with_all_he_throws(stage):
+@pytest.mark.parametrize("throws", [1, pytest.param(3, marks=pytest.mark.long)])
+def test_the_scripted_player_meets_the_dancer_with_what_he_throws(throws, stage):
     """Rings and ball bounce off; the skirt swings, no leg goes through it, and the dancer stays whole."""
     world, asset = stage
     world.apply([Reset()])
@@ -44,7 +46,7 @@ def test_the_scripted_player_meets_the_dancer_with_all_he_throws(stage):
     knees = body[(np.abs(rest[body, 1] - 0.36 * height) < 0.08 * height)]
     hem = skirt[rest[skirt, 1] < rest[skirt, 1].min() + 0.02]
     through = 0
-    for k in range(round(game.duration / DT)):
+    for k in range(round((game.duration if throws == 3 else THROW_PERIOD) / DT)):
         world.step(Frame(DT, (k + 1) * DT, [], world.scripted_hands((k + 1) * DT)))
         if k % 12 == 0:
             x = shape(world, asset)
@@ -52,8 +54,10 @@ def test_the_scripted_player_meets_the_dancer_with_all_he_throws(stage):
             round_hem = x[hem, ::2] - x[hem, ::2].mean(0)
             swing = max(swing, np.ptp(np.linalg.norm(round_hem, axis=1)))
             through = max(through, (Delaunay(x[skirt]).find_simplex(x[knees]) < 0).mean())
-    game.verify(world.bodies())
-    assert game.score == 3 and game.message.startswith("Bravo")
+    assert game.score == throws
+    if throws == 3:
+        game.verify(world.bodies())
+        assert game.message.startswith("Bravo")
     assert all(np.linalg.norm(b.centroid[::2] - world.bodies()[0].centroid[::2]) > 0.1 for b in world.bodies()[1:])
     assert least > 0.1 and world.stats()["finite"]
     assert swing > 0.08 and through < 0.05

@@ -1,4 +1,4 @@
-"""How finely a model is made: number of Gaussians, cage vertices, and rays of the baked light."""
+"""Density of a model: number of Gaussians, cage vertices, and rays of the baked light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Detail:
-    """What a model is told about its density. The defaults are the model's own, as shipped.
+    """Density that a model is asked for. The defaults are the model's own, as shipped.
 
     gaussians  factor on the model's own number of Gaussians
     vertices   wanted number of cage vertices; None: the model's own

@@ -1,4 +1,4 @@
-"""What lights a room: openings to the sky, the open sky, sun, lamps and spot lights."""
+"""Light sources of a room: openings to the sky, the open sky, sun, lamps and spot lights."""
 
 from __future__ import annotations
 

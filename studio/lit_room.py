@@ -29,7 +29,7 @@ MIN_COARSE_FRACTION = 0.06  # of small surfels that exchange light
 
 @dataclass(frozen=True)
 class Room:
-    """What a room consists of. World frame, metres, +y up.
+    """Contents of a room. World frame, metres, +y up.
 
     surfaces   all that is seen
     sources    what lights it; None for `sources.openings` outdoors

@@ -28,7 +28,7 @@ MIN_SPACING_RATIO = 0.55  # lower bound of the spacing on thin tubes, over the s
 
 @dataclass(frozen=True)
 class Viewer:
-    """Where a room is seen from.
+    """Places from which a room is seen.
 
     eye      where the player stands [m]; reflections are baked for this point, and surfels are densest near it
     corners  of the space that the player's head moves in [m]; surfaces that face none of them are sampled coarsely

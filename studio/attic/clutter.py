@@ -1,4 +1,4 @@
-"""What stands about in the attic: trunk, suitcases, shelf, rocking chair, dress form, mirror, birdcage, a bulb."""
+"""Clutter of the attic: trunk, suitcases, shelf, rocking chair, dress form, mirror, birdcage, a bulb."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the boxes hide: a mouse's parlour in the wall, with a candle, a spool for a table, a stamp for a picture."""
+"""Place behind the boxes: a mouse's parlour in the wall, with a candle, a spool for a table, a stamp for a picture."""
 
 from __future__ import annotations
 

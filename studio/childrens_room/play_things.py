@@ -1,4 +1,4 @@
-"""What children leave about: a rug, building blocks, a ball, books and boxes, a train; pictures, bunting and a lamp."""
+"""Play things of the room: a rug, building blocks, a ball, books and boxes, a train; pictures, bunting and a lamp."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def play_things() -> list[Surface]:
 
 
 def solids() -> list[Solid]:
-    """What lies on the floor, for collisions."""
+    """Signed distances of the things on the floor, for collisions."""
     half = BLOCK / 2
     cubes = [
         placed(cuboid((-half, -0.02 if at[1] == 0 else 0.0, -half), (half, BLOCK, half)), rotation_about("y", turn), at)

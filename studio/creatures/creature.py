@@ -1,4 +1,4 @@
-"""What an animal or a toy consists of: parts with shape, colour and hair; its surface and colours at any point."""
+"""Model of an animal or a toy: parts with shape, colour and hair; its surface and colours at any point."""
 
 from __future__ import annotations
 

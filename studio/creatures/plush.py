@@ -1,4 +1,4 @@
-"""What plush toys have in common: short fleece, soft filling, button eyes, embroidery."""
+"""Common features of plush toys: short fleece, soft filling, button eyes, embroidery."""
 
 from __future__ import annotations
 

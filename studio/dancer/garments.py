@@ -1,4 +1,4 @@
-"""What swings: a skirt and a ponytail, sheets and rods of soft material that the skeleton holds at one end.
+"""Swinging parts: a skirt and a ponytail, sheets and rods of soft material that the skeleton holds at one end.
 
 Each has a cage of its own beside the body's. Vertices at the waist, or at the head, are driven by that joint; all
 others are simulated, and legs, rings, balls and hands push them.

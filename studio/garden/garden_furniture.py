@@ -1,4 +1,4 @@
-"""What people have put in the garden: a picket fence with a gate, a bench, a bird house, pots."""
+"""Furniture of the garden: a picket fence with a gate, a bench, a bird house, pots."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ def path() -> Surface:
 
 
 def meadow() -> Surface:
-    """What lies around the garden, up to the sky."""
+    """Surroundings of the garden, up to the sky."""
     r = SKY_RADIUS + 1.0
 
     def colour_at(p, n):

@@ -34,7 +34,7 @@ def writing_table() -> list[Surface]:
 
 
 def table_solids() -> list[Solid]:
-    """What bodies touch on the table, besides its top and the ball's ring."""
+    """Signed distances of the things on the table, besides its top and the ball's ring."""
     lamp = revolved([(0.085, 0.0), (0.085, 0.02), (0.014, 0.03), (0.014, 0.34)])
     ink = cuboid((-0.035, 0, -0.035), (0.035, 0.06, 0.035))
     stack = cuboid((-0.13, 0, -0.095), (0.13, 0.112, 0.095))

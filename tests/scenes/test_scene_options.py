@@ -43,7 +43,7 @@ def zoo(tmp_path, monkeypatch):
 
 
 def given(*argv: str) -> tuple:
-    """What `build` of the zoo gets from a command line."""
+    """Arguments that `build` of the zoo gets from a command line."""
     return load_scene(build_parser("", print).parse_args(["--scene", "zoo", *argv]), None).given
 
 

@@ -38,5 +38,5 @@ def test_what_falls_on_two_others_rebounds_from_the_floor_beneath_them(heights):
 
 
 def test_what_is_wedged_in_does_not_push_on(heights):
-    """Where a plate leaves it half a millimetre, it cannot rebound: after 16 substeps of trying it is 1 mm inside."""
+    """A cube that a plate leaves half a millimetre cannot rebound: after 16 substeps of trying it is 1 mm inside."""
     assert heights[:, 3].max() < SIDE / 2 + 5e-4 + 1e-4

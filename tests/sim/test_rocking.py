@@ -69,7 +69,7 @@ def run(solver: Solver, seconds: float) -> None:
 
 
 def seconds_until_asleep(solver: Solver, most: float) -> list[float]:
-    """When each body fell asleep for good [s]; inf if it did not within `most`."""
+    """Times at which the bodies fell asleep for good [s]; inf if it did not within `most`."""
     when = np.full(len(solver.body_models), np.inf)
     for k in range(round(most / FRAME)):
         solver.step(FRAME)

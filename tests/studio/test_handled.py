@@ -1,4 +1,4 @@
-"""What is taken in the hand in study and attic: bricks, boxes, ball and bear of jelly; and letters on their faces."""
+"""Things taken in the hand in study and attic: bricks, boxes, ball and bear of jelly; and letters on their faces."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Safe access to files: system errors become BadInput, sizes are bounded, and writing is atomic."""
+"""Safe access to files: system errors become BadInput, sizes are bounded, and writing is atomic and exclusive."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from core.errors import BadInput
 
 UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
 UNPACK_RATIO = 200  # and this many times its own size: splats deflate 1.1 to 20 times, constant grids about 1,000
+LOCK_PATIENCE = 10.0  # [s] after which a lock was left by a program that was killed: writing takes a fraction of one
 
 
 def unpack_bound(size: int) -> int:
@@ -93,3 +95,36 @@ def atomic_write_all(*paths: str | Path) -> Iterator[list[Path]]:
             for beside, path in zip(besides, paths, strict=True):
                 text = text.replace(str(beside), str(path))
             raise BadInput(text) from e
+
+
+@contextmanager
+def locked(path: Path, *, patience: float | None = None) -> Iterator[None]:
+    """Keep other programs from changing the file meanwhile; they are waited for, `patience` [s] at most.
+
+    Raises BadInput.
+    """
+    patience = LOCK_PATIENCE if patience is None else patience
+    lock, waited = path.with_name(f".{path.name}.lock"), 0.0
+    while True:
+        try:
+            os.close(os.open(lock, os.O_CREAT | os.O_EXCL))
+            break
+        except FileExistsError:
+            if waited >= patience:
+                lock.unlink(missing_ok=True)
+            time.sleep(0.05)
+            waited += 0.05
+        except OSError as e:
+            raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
+    try:
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+
+
+def unused_name(path: Path) -> Path:
+    """The path itself if nothing has that name, else the first of `NAME_2.END`, `NAME_3.END`, ... that is free."""
+    number, free = 2, path
+    while os.path.lexists(free):
+        free, number = path.with_name(f"{path.stem}_{number}{path.suffix}"), number + 1
+    return free

@@ -28,6 +28,14 @@ def ti_cpu():
         yield ti
 
 
+@pytest.fixture(scope="module", autouse=True)
+def own_preferences(tmp_path_factory):
+    """A folder of settings for each test file, which programs that it starts inherit: none sees the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("VRGS_CONFIG", str(tmp_path_factory.mktemp("config")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """Folder of captures, splats and reference pictures; tests that need it are skipped without it."""

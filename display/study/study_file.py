@@ -16,20 +16,17 @@ The file is replaced as a whole by one with more in it, so that it is complete a
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, locked
 from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
-from core.errors import BadInput
 from display.study.questionnaire import QUESTIONS, SCALE, Answers
 from display.study.trial import MIXED, SETTINGS, Trial
 
@@ -37,7 +34,6 @@ FORMAT, VERSION = "vrgs-study", 1
 FLOATS = ("seconds", "first_grip", "goal", "hand_path", "body_path")
 INTEGERS = ("completed", "grips", "throws", "frames")
 TEXTS = ("participant", "task", "setting", "device", "started")
-LOCK_PATIENCE = 10.0  # [s] after which a lock was left by a program that was killed: writing takes a fraction of one
 
 
 @dataclass
@@ -144,24 +140,3 @@ def add_to_study(path: str | Path, change: Callable[[Study], None]) -> Study:
         change(study)
         write_study(path, study)
     return study
-
-
-@contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Keep other programs from changing the file meanwhile. Raises BadInput if that cannot be."""
-    lock, waited = path.with_name(f".{path.name}.lock"), 0.0
-    while True:
-        try:
-            os.close(os.open(lock, os.O_CREAT | os.O_EXCL))
-            break
-        except FileExistsError:
-            if waited >= LOCK_PATIENCE:
-                lock.unlink(missing_ok=True)
-            time.sleep(0.05)
-            waited += 0.05
-        except OSError as e:
-            raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
-    try:
-        yield
-    finally:
-        lock.unlink(missing_ok=True)

@@ -378,7 +378,7 @@ def test_bad_answers_are_refused(tmp_path, changes, says):
 
 
 def test_a_lock_that_was_left_is_taken_over(tmp_path, monkeypatch):
-    monkeypatch.setattr("display.study.study_file.LOCK_PATIENCE", 0.2)
+    monkeypatch.setattr("assets.file_access.LOCK_PATIENCE", 0.2)
     (tmp_path / ".s.h5.lock").touch()
     add_to_study(tmp_path / "s.h5", lambda study: study.trials.append(Trial("Ida", "task")))
     assert [p.name for p in tmp_path.iterdir()] == ["s.h5"]

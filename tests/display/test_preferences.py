@@ -1,0 +1,98 @@
+"""The user's preferences: kept over starts, shared by several programs, and never in the way."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from display.preferences import Preferences, config_folder
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "config" / "preferences.json"
+
+
+def test_what_is_set_is_there_at_the_next_start(path):
+    first = Preferences(path)
+    first.set("window.size", [800, 600])
+    first.set("panel.open", False)
+    first.set("light.sandbox", {"strength": 0.5})
+    first.set("light.sandbox", None)
+    again = Preferences(path)
+    assert again.numbers("window.size", 2) == [800, 600] and again.get("panel.open", True) is False
+    assert again.get("light.sandbox", {}) == {} and "light.sandbox" not in json.loads(path.read_text())
+
+
+def test_without_a_path_values_last_as_long_as_the_program():
+    preferences = Preferences()
+    preferences.set("sound", False)
+    assert preferences.get("sound", True) is False and Preferences().get("sound", True) is True
+
+
+@pytest.mark.parametrize("value", ["x", [1], [1, True], [1, None], [1, float("nan")], [1, 10**400], {"0": 1}, 3, None])
+def test_values_of_another_type_count_as_absent(path, value):
+    path.parent.mkdir()
+    path.write_text(json.dumps({"window.size": value, "sound": value}))
+    preferences = Preferences(path)
+    assert preferences.numbers("window.size", 2) is None and preferences.get("sound", True) is True
+
+
+def test_two_programs_keep_each_others_values(path):
+    one, two = Preferences(path), Preferences(path)
+    one.set("sound", False)
+    two.set("folder", "/films")
+    one.set("panel.open", False)
+    again = Preferences(path)
+    assert again.get("folder", "") == "/films"
+    assert not again.get("sound", True) and not again.get("panel.open", True)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]  # neither locks nor parts are left
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1]", "\xff", "[" * 100_000, "{}" + " " * (1 << 20)])
+def test_a_damaged_file_is_set_aside_and_told_once(path, text, capsys):
+    path.parent.mkdir()
+    path.write_text(text, encoding="latin-1")
+    preferences = Preferences(path)
+    preferences.set("sound", False)
+    aside = path.with_name("preferences.broken.json")
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and aside.name in told
+    assert aside.read_text(encoding="latin-1") == text and Preferences(path).get("sound", True) is False
+    path.write_text("no")
+    Preferences(path)
+    assert aside.read_text(encoding="latin-1") == text and path.with_name("preferences.broken_2.json").exists()
+
+
+def test_a_place_that_cannot_be_written_is_told_once_and_the_play_goes_on(tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    preferences = Preferences(tmp_path / "file" / "preferences.json")
+    preferences.set("sound", False)
+    preferences.set("panel.open", False)
+    assert preferences.get("sound", True) is False
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_file_that_cannot_be_read_is_not_written_over(path, capsys):
+    path.mkdir(parents=True)
+    preferences = Preferences(path)
+    preferences.set("sound", False)
+    assert path.is_dir() and capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_lock_of_a_killed_program_does_not_hold_up_the_play(path, monkeypatch):
+    monkeypatch.setattr("display.preferences.LOCK_PATIENCE", 0.05)
+    path.parent.mkdir()
+    path.with_name(f".{path.name}.lock").touch()
+    Preferences(path).set("sound", False)
+    assert Preferences(path).get("sound", True) is False
+
+
+def test_the_folder_follows_the_platform(monkeypatch, tmp_path):
+    monkeypatch.setenv("VRGS_CONFIG", str(tmp_path))
+    assert config_folder() == tmp_path
+    monkeypatch.delenv("VRGS_CONFIG")
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/x")
+    monkeypatch.setenv("APPDATA", "/roaming")
+    assert config_folder() == (Path("/roaming/vrgs") if sys.platform == "win32" else Path("/x/vrgs"))

@@ -42,6 +42,7 @@ EXAMPLES = """examples:
   python vrgs.py check --quick
 """
 FPS = 60  # [1/s] of a headless play
+SIZE = (960, 540)  # [px] of a headless play
 SECONDS = 5  # [s] of a headless play of a scene without a game
 
 
@@ -58,7 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help=text)
     add_sort(parser, MOVING_SORT)
     parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
-    parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help="picture size (default 960x540)")
+    text = "picture size (default 960x540, of a window: the last one's)"
+    parser.add_argument("--size", type=size, metavar="WxH", help=text)
     text = "--xr: factor of the width and height that the headset recommends"
     parser.add_argument("--render-scale", type=render_scale, default=1.0, metavar="S", help=text)
     parser.add_argument("--stereo", action="store_true", help="headless: draw two eyes, 63 mm apart")
@@ -232,7 +234,6 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         from assets.file_access import check_writable
 
         check_writable(args.stats)
-    width, height = args.size
     if args.xr:
         from display.xr.headset import Headset
 
@@ -242,9 +243,12 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         from display.window.gl_window import has_display
 
         if has_display():
+            from display.preferences import Preferences
             from display.window.window import Window
 
-            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height)
+            width, height = args.size or (None, None)
+            kept = Preferences.of_user()
+            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height, preferences=kept)
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")
@@ -254,6 +258,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
     frames = args.frames or round(FPS * (scene.game.duration if scene.game else SECONDS))
     frames = min(args.frames or len(replay), len(replay)) if replay else frames
     views = 2 if args.stereo else 1
+    width, height = args.size or SIZE
     out = {"record": args.record, "snapshot": args.snapshot}
     return Headless(
         scene, width=width, height=height, frames=frames, views=views, every=2, scripted=replay is None, **out

@@ -14,14 +14,15 @@ from render import MOVING_SORT
 
 HELP = "look at a splat file in a window"
 EXAMPLES = ("view cat.ply",)
+SIZE = (960, 540)  # [px] of a picture, and from which a window's first view is chosen
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("file", type=Path, metavar="FILE", help=f"{SPLATS} or .h5")
     parser.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
-    text = "window size (default 960x540)"
-    parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)
+    text = "picture size (default 960x540, of a window: the last one's)"
+    parser.add_argument("--size", type=size, metavar="WxH", help=text)
     parser.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
     add_sort(parser, MOVING_SORT, own=False)
     parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> None:
     if args.snapshot is None and not has_display():
         raise BadInput("no display to open a window on: --snapshot OUT.png writes a picture, `vrgs.py render` a film")
     gaussians, up = upright(args.file, args.up)
-    width, height = args.size
+    width, height = args.size or SIZE
     scene = scene_around(gaussians, width / height)
     print(f"{args.file}: {len(gaussians)} Gaussians, SH degree {gaussians.sh_degree}, {up}", file=sys.stderr)
     if args.snapshot is not None:
@@ -44,9 +45,12 @@ def run(args: argparse.Namespace) -> None:
 
         display = Headless(scene, width=width, height=height, frames=1, snapshot=args.snapshot)
     else:
+        from display.preferences import Preferences
         from display.window.window import Window
 
-        display = Window(scene, title=Path(args.file).name, width=width, height=height)
+        width, height = args.size or (None, None)
+        kept = Preferences.of_user()
+        display = Window(scene, title=Path(args.file).name, width=width, height=height, preferences=kept)
     with display:
         start_taichi(args.arch)
         viewer = Viewer(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)

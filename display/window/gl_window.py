@@ -129,6 +129,26 @@ class GLWindow:
         """True once the user has asked to close the window."""
         return bool(self.glfw.window_should_close(self.handle))
 
+    def geometry(self) -> dict:
+        """What `restore` takes: "size" and "place" in screen coordinates, or "maximized" alone."""
+        if self.glfw.get_window_attrib(self.handle, self.glfw.MAXIMIZED):
+            return {"maximized": True}
+        return {"size": [*self.window_size], "place": [*self.glfw.get_window_pos(self.handle)], "maximized": False}
+
+    def restore(self, size, place, maximized: bool) -> None:
+        """Give the window the size, place (None: as it is) and state that it had, as far as a screen shows them."""
+        glfw = self.glfw
+        areas = [glfw.get_monitor_workarea(monitor) for monitor in glfw.get_monitors()]
+        width = (size or self.window_size)[0]
+        shown = place and [a for a in areas if covers(a, place[0] + width / 2, place[1])]
+        if size is not None and areas:
+            _, _, wide, high = (shown or areas)[0]
+            glfw.set_window_size(self.handle, min(int(size[0]), wide), min(int(size[1]), high))
+        if shown:
+            glfw.set_window_pos(self.handle, int(place[0]), int(place[1]))
+        if maximized:
+            glfw.maximize_window(self.handle)
+
     def asleep(self) -> bool:
         """True while the window is minimised; waits briefly in that case."""
         if self.glfw.get_window_attrib(self.handle, self.glfw.ICONIFIED) or 0 in self.frame_size:
@@ -172,3 +192,8 @@ class GLWindow:
         self.glfw.destroy_window(self.handle)
         self.glfw.terminate()
         self.handle = None
+
+
+def covers(area: tuple[int, int, int, int], x: float, y: float) -> bool:
+    """True if a point lies in an area (left, top, width, height)."""
+    return area[0] <= x < area[0] + area[2] and area[1] <= y < area[1] + area[3]

@@ -12,6 +12,7 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, strokes
 from display.picture import PictureTexture, fit
+from display.preferences import Preferences
 from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
 from display.window.controls import Controls
 from display.window.gl_window import GLWindow
@@ -22,22 +23,36 @@ from scenes.scene import BodyState, Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
+DEFAULT_SIZE = (960, 540)  # in screen coordinates
 MIN_SIDE = 16  # [px] of a picture
 
 
 class Window:
     """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
-    `width` and `height` are in screen coordinates; `size` is the picture's. Raises BadInput without
-    a display or OpenGL 3.3. Close it (or use it in a `with`), so that the screen is given back.
+    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place and panel
+    from one start to the next; `size` is the picture's. Raises BadInput without a display or OpenGL 3.3. Close it (or
+    use it in a `with`), so that the screen is given back.
     """
 
-    def __init__(self, scene: Scene, *, title: str = "VR-GS", width: int = 1280, height: int = 720, vsync: bool = True):
-        self._surface = GLWindow(title, width, height, vsync=vsync)
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        title: str = "VR-GS",
+        width: int | None = None,
+        height: int | None = None,
+        preferences: Preferences | None = None,
+        vsync: bool = True,
+    ):
+        self._preferences = preferences or Preferences()
+        self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
+        self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(scene, title, self._surface.scale)
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
+        self._controls.panel = self._preferences.get("panel.open", True)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
@@ -54,7 +69,25 @@ class Window:
 
     def close(self) -> None:
         """Close the window. Further calls do nothing."""
+        self._remember()
         self._surface.close()
+
+    def _restore(self, *, asked: bool) -> dict:
+        """Give the window its remembered place, and its size unless another is asked for; returns what it has then."""
+        numbers = self._preferences.numbers
+        maximized = not asked and self._preferences.get("window.maximized", False)
+        size = None if asked else numbers("window.size", 2)
+        self._surface.restore(size, numbers("window.place", 2), maximized)
+        return self._surface.geometry()
+
+    def _remember(self) -> None:
+        """Note what the user has changed about the window, for the next one."""
+        if self._surface.handle is None:
+            return
+        for key, value in self._surface.geometry().items():
+            if value != self._opened.get(key):
+                self._preferences.set(f"window.{key}", value)
+        self._preferences.set("panel.open", self._controls.panel)
 
     @property
     def size(self) -> tuple[int, int]:

@@ -50,3 +50,14 @@ def perspective(width: int, height: int, fov_y: float, world_to_camera: np.ndarr
     """Camera with a vertical field of view `fov_y` [rad] and the principal point in the middle."""
     f = 0.5 * height / np.tan(0.5 * fov_y)
     return Camera(width, height, f, f, 0.5 * width, 0.5 * height, np.asarray(world_to_camera, np.float64))
+
+
+def view_depth(camera: Camera, point: np.ndarray) -> float:
+    """Distance [m] of a point along the camera's axis."""
+    return float(camera.world_to_camera[2, :3] @ point + camera.world_to_camera[2, 3])
+
+
+def project(camera: Camera, point: np.ndarray) -> tuple[float, float] | None:
+    """Picture pixels of a point in the world, None behind the camera."""
+    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+    return (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z) if z > 1e-6 else None

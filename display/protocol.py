@@ -221,6 +221,9 @@ class WorldView(Protocol):
     picture: Any
     """The finished picture, ti.ndarray u32 (views * H, W): R | G<<8 | B<<16 | A<<24, row 0 on top."""
 
+    pictures: int = 0
+    """Number of pictures drawn so far: `picture` has changed when it has."""
+
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size [px] from now on."""
         ...

@@ -94,6 +94,7 @@ class Viewer(WorldView):
             with self.timings.stage("render"):
                 self.renderer.render([camera])
             self._shown = now
+            self.pictures += 1
 
     @property
     def picture(self):

@@ -64,6 +64,7 @@ class World(WorldView):
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
+        self.pictures = 0
         self._drawn: tuple | None = None  # cameras of the picture; None if it is outdated
         self._commanding = self._deform_due = False  # while commands are carried out, before bodies are deformed anyway
         self.refresh()
@@ -156,6 +157,7 @@ class World(WorldView):
             with self.timings.stage("render"):
                 self.device.render(cameras)
             self._drawn = seen
+            self.pictures += 1
 
     # commands
 

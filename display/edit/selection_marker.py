@@ -10,12 +10,14 @@ import itertools
 
 import numpy as np
 
+from core.camera import Camera, project, view_depth
 from scenes.scene import BodyState
 
 MARKED_SECONDS = 2.5  # [s] that a body is marked after a command
 CORNER_GAP = 0.008  # [m] between a body and its corners
 STROKE_FRACTION, MAX_STROKE = 0.3, 0.045  # of the longest side; [m]: length of a corner's strokes
 COLOUR = (1.0, 0.96, 0.86)
+FAR_OPACITY = 0.35  # of strokes behind the body
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))  # of the eight corners
 
 
@@ -32,6 +34,18 @@ def strokes(body: BodyState) -> np.ndarray:
     sides = 0.5 * (at[-1] - at[0])
     ends = at[:, None] - SIGNS[:, :, None] * np.diag(np.minimum(length, sides))[None]
     return np.stack([np.repeat(at, 3, axis=0), ends.reshape(-1, 3)], axis=1)
+
+
+def marker_lines(body: BodyState, camera: Camera) -> list[tuple[tuple[float, float], tuple[float, float], float]]:
+    """Start and end [px of the picture] and opacity of the strokes before a camera; those behind are fainter."""
+    thickness = abs(camera.world_to_camera[2, :3] @ np.subtract(body.high, body.low))
+    middle = view_depth(camera, 0.5 * (body.low + body.high))
+    lines = []
+    for start, end in strokes(body):
+        a, b = project(camera, start), project(camera, end)
+        if a is not None and b is not None:
+            lines.append((a, b, FAR_OPACITY if view_depth(camera, start) > middle + 0.1 * thickness else 1.0))
+    return lines
 
 
 def marked(world, *, near: bool) -> BodyState | None:

@@ -123,8 +123,12 @@ class Controls:
         elif self.drag == "look":  # as in games: the view goes with the mouse; "turn" and "pan" drag the scene
             self.orbit.look(-LOOK_GAIN * du / camera.fx, -LOOK_GAIN * dv / camera.fy)
         elif self.drag == "pan":
-            metres_per_pixel = self.orbit.distance / camera.fy  # at the target
-            self.orbit.move(-du * metres_per_pixel, dv * metres_per_pixel, 0.0)
+            self.pan(du, dv, camera)
+
+    def pan(self, du: float, dv: float, camera: Camera) -> None:
+        """Shift the view with the cursor [px]."""
+        metres_per_pixel = self.orbit.distance / camera.fy  # at the target
+        self.orbit.move(-du * metres_per_pixel, dv * metres_per_pixel, 0.0)
 
     def wheel(self, notches: float) -> None:
         """Take a turn of the wheel; positive is away from the user."""

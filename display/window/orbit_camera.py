@@ -12,7 +12,10 @@ ZOOM_STEP = 0.9  # factor on the distance of one notch of the wheel
 
 
 class OrbitCamera:
-    """An eye and the target it looks at [m], upright (+y), with a vertical field of view [rad]."""
+    """An eye and the target it looks at [m], upright (+y), with a vertical field of view [rad].
+
+    Pictures that are higher than wide see that angle from side to side: a telephone held upright shows the scene too.
+    """
 
     def __init__(self, eye, target, fov_y: float):
         self._home = (np.array(eye, np.float64), np.array(target, np.float64))
@@ -30,7 +33,8 @@ class OrbitCamera:
 
     def camera(self, width: int, height: int) -> Camera:
         """The camera for a picture of this size [px]."""
-        return perspective(width, height, self.fov_y, look_at(self.eye, self.target))
+        steepness = np.tan(0.5 * self.fov_y) * max(1.0, height / width)
+        return perspective(width, height, float(2.0 * np.arctan(steepness)), look_at(self.eye, self.target))
 
     def turn(self, yaw: float, pitch: float) -> None:
         """Orbit the target: angles [rad], positive to the right of the target and upwards."""

@@ -7,10 +7,10 @@ from time import perf_counter
 
 import numpy as np
 
-from core.camera import Camera
+from core.camera import project
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
-from display.edit.selection_marker import COLOUR, marked, strokes
+from display.edit.selection_marker import COLOUR, marked, marker_lines
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences
 from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
@@ -215,8 +215,10 @@ class Window:
     def _to_screen(self, point: np.ndarray) -> tuple[float, float] | None:
         """Screen coordinates of a point in the world, None behind the camera."""
         at = project(self._camera, point)
-        if at is None:
-            return None
+        return None if at is None else self._from_picture(at)
+
+    def _from_picture(self, at: tuple[float, float]) -> tuple[float, float]:
+        """Screen coordinates of picture pixels: the inverse of `_to_picture`."""
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
         return left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
 
@@ -225,14 +227,10 @@ class Window:
         from imgui_bundle import imgui
 
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
-        thickness = abs(self._camera.world_to_camera[2, :3] @ np.subtract(body.high, body.low))
-        middle = view_depth(self._camera, 0.5 * (body.low + body.high))
-        for start, end in strokes(body):
-            a, b = self._to_screen(start), self._to_screen(end)
-            if a is not None and b is not None:
-                opacity = 0.35 if view_depth(self._camera, start) > middle + 0.1 * thickness else 1.0
-                for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
-                    draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
+        for start, end, opacity in marker_lines(body, self._camera):
+            a, b = self._from_picture(start), self._from_picture(end)
+            for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
+                draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
 
     def _draw_hand(self) -> None:
         """Draw a ring around the gripped point, and the hand for a cursor."""
@@ -245,14 +243,3 @@ class Window:
         draw_list.add_circle(at, 9 * scale, imgui.get_color_u32((0.0, 0.0, 0.0, 0.5)), 0, 4 * scale)
         draw_list.add_circle(at, 9 * scale, imgui.get_color_u32(ACCENT), 0, 2 * scale)
         imgui.set_mouse_cursor(imgui.MouseCursor_.hand)
-
-
-def view_depth(camera: Camera, point: np.ndarray) -> float:
-    """Distance [m] of a point along the camera's axis."""
-    return float(camera.world_to_camera[2, :3] @ point + camera.world_to_camera[2, 3])
-
-
-def project(camera: Camera, point: np.ndarray) -> tuple[float, float] | None:
-    """Picture pixels of a point in the world, None behind the camera."""
-    x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
-    return (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z) if z > 1e-6 else None

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from core.camera import look_at, perspective
+from core.camera import look_at, perspective, project
 from display import protocol
 from display.window.controls import HELP, SCALE_STEP, TURN_STEP, WALK_KEYS, Controls
 from display.window.mouse_hand import MAX_SPEED, MouseHand
 from display.window.orbit_camera import MAX_PITCH, OrbitCamera
-from display.window.window import project
 from scenes.scene import Hand, Light
 from tests.support.fake_world import RADIUS, BallWorld, fake_scene
 
@@ -340,3 +339,9 @@ def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):
     assert light.position[2] == pytest.approx(0.0)  # in the plane of what one looks at
     world.light = None
     assert place(70.0, 30.0) == []
+
+
+def test_a_picture_higher_than_wide_shows_as_much_from_side_to_side_as_a_square_one():
+    orbit = OrbitCamera((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), 0.9)
+    square, upright, wide = orbit.camera(400, 400), orbit.camera(400, 800), orbit.camera(800, 400)
+    assert_allclose([upright.fx, wide.fy], [square.fx, square.fy])

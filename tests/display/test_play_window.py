@@ -4,9 +4,8 @@ import json
 
 import numpy as np
 
-from core.camera import look_at, perspective
+from core.camera import look_at, perspective, project
 from display.study.study_file import read_study
-from display.window.window import project
 from scenes import ring_toss
 from tests.support.watched import Watched
 from tests.support.xvfb import NEEDS_XVFB, XServer

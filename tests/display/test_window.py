@@ -11,12 +11,12 @@ from unittest.mock import MagicMock
 import numpy as np
 import pytest
 
-from core.camera import look_at, perspective
+from core.camera import look_at, perspective, project
 from core.errors import BadInput
 from display.adaptive_resolution import WindowResolution
 from display.window.gl_window import has_display
 from display.window.orbit_camera import OrbitCamera
-from display.window.window import Window, project
+from display.window.window import Window
 from tests.support.fake_world import RADIUS, fake_scene
 from tests.support.watched import Watched
 from tests.support.xvfb import NEEDS_XVFB, XServer

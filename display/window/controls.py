@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from core.camera import Camera
 from display import protocol
+from display.edit.edit_steps import rotation_step
 from display.protocol import Command, WorldView
+from display.window.key_bindings import bound
 from display.window.mouse_hand import MIN_DEPTH, MouseHand
 from display.window.orbit_camera import OrbitCamera
 from scenes.scene import Hand
@@ -22,47 +25,18 @@ RUN_FACTOR = 3.0  # walking speed with Shift
 WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
-SCALE_STEP = 1.25  # of a key or a button
-TURN_STEP = np.pi / 12  # [rad]
-
-HELP = [
-    ("Drag a body", "grab it, release to throw"),
-    ("  + wheel, or Shift", "nearer and farther"),
-    ("Drag elsewhere", "turn around the scene"),
-    ("Right drag", "look around"),
-    ("Shift + right drag", "shift the view"),
-    ("Wheel", "nearer and farther"),
-    ("W A S D, Q E", "walk, down and up"),
-    ("Home", "first view again"),
-    ("Space  /  N", "pause  /  one step"),
-    ("R", "reset the scene"),
-    ("T", "physics or transform"),
-    ("P", "watch a demonstration"),
-    ("Ctrl+Z  /  Ctrl+Y", "undo  /  redo"),
-    ("C  /  Del", "copy  /  remove a body"),
-    ("+  -  ,  .", "larger, smaller, turn it"),
-    ("L", "light to the cursor"),
-    ("F1  /  Esc", "hide this  /  quit"),
-]
-CAMERA_HELP = [("Drag", "turn around it"), *HELP[3:8], HELP[-1]]  # where there is nothing to edit
+ENDING_DRAGS = (protocol.Reset, protocol.PlayDemo, protocol.Undo, protocol.Redo, protocol.Remove)
 
 
-def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0) -> tuple[float, ...]:
-    """Quaternion wxyz of a step about a unit axis (3,), the vertical one unless told otherwise."""
-    half = sign * TURN_STEP / 2
-    return (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
+@dataclass(frozen=True)
+class Press:
+    """A key that goes down: its name with "ctrl+" if that is held, and the cursor at (u, v) of a camera's picture."""
 
-
-EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
-    "undo": protocol.Undo(),
-    "redo": protocol.Redo(),
-    "copy": protocol.Duplicate(),
-    "remove": protocol.Remove(),
-    "smaller": protocol.Rescale(None, 1 / SCALE_STEP),
-    "larger": protocol.Rescale(None, SCALE_STEP),
-    "turn": protocol.Rotate(None, rotation_step(sign=-1.0)),
-}
-EDIT_KEYS = {"c": "copy", "delete": "remove", "minus": "smaller", "plus": "larger"}
+    name: str
+    world: WorldView
+    u: float
+    v: float
+    camera: Camera
 
 
 class Controls:
@@ -145,43 +119,51 @@ class Controls:
             (self._walking.add if down else self._walking.discard)(name)
         elif name == "l":
             self._light_cursor = () if down else None
-        elif not down:
-            return []
-        elif name == "escape":
-            self.quit = True
-        elif name == "f1":
-            self.panel = not self.panel
-        elif name == "home":
-            self.orbit.reset()
-        elif name == "r":
-            self.let_go()
-            return [protocol.Reset()]
-        elif name == "n":
-            return [protocol.Pause(True), protocol.SingleStep()]
-        elif name == "space":
-            return [protocol.Pause(not world.paused)]
-        elif name == "p":
-            self.let_go()
-            return [protocol.PlayDemo(not world.demo)]
-        elif name == "t":
-            return [protocol.SetInteraction("transform" if world.interaction == "physics" else "physics")]
-        elif world.editable:
-            return self._edit(name, world, u, v, camera)
+        elif down and (binding := bound(name, shift=self._shift, bodies=world.editable)) is not None:
+            return self._act(binding.action, Press(name, world, u, v, camera))
         return []
 
-    def _edit(self, name: str, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
-        """Edit of the body that is held, else of the one under the cursor, else of the one selected last."""
-        if name in ("ctrl+z", "ctrl+y", "u"):
+    def _act(self, action, press: Press) -> list[Command]:
+        """Do what a binding says; the commands of that."""
+        if isinstance(action, str):
+            return getattr(self, action)(press) or []
+        commands = [self._aimed(action, press)] if isinstance(action, Command) else list(action(press.world))
+        self.note(commands)
+        return commands
+
+    def _aimed(self, command: Command, press: Press) -> Command:
+        """A command for the body under the cursor; for the one that is held, or that was selected last, else."""
+        if not hasattr(command, "body") or self.drag == "grab":
+            return command
+        hit = press.world.pick(*press.camera.ray(press.u, press.v))
+        return command if hit is None else replace(command, body=hit[1])
+
+    def note(self, commands: Iterable[Command]) -> None:
+        """End the drag if one of these commands takes away what is held."""
+        if any(isinstance(command, ENDING_DRAGS) for command in commands):
             self._drop()
-            return [protocol.Redo() if name == "ctrl+y" or self._shift else protocol.Undo()]
-        hit = world.pick(*camera.ray(u, v)) if self.drag != "grab" else None
-        body = None if hit is None else hit[1]
-        if name == "delete":
-            self._drop()
-        if name in ("comma", "period"):
-            axis = camera.world_to_camera[0, :3] if self._shift else (0.0, 1.0, 0.0)
-            return [protocol.Rotate(body, rotation_step(axis, 1.0 if name == "comma" else -1.0))]
-        return [replace(EDITS[EDIT_KEYS[name]], body=body)] if name in EDIT_KEYS else []
+
+    # the actions of key_bindings.py that concern the window alone, or the camera
+
+    def escape(self, press: Press) -> None:
+        """Quit."""
+        self.quit = True
+
+    def toggle_panel(self, press: Press) -> None:
+        """Show the panel, or hide it."""
+        self.panel = not self.panel
+
+    def reset_view(self, press: Press) -> None:
+        """Show the scene from where it begins."""
+        self.orbit.reset()
+
+    def tilt_away(self, press: Press) -> list[Command]:
+        """Turn a body about the camera's horizontal axis."""
+        return [self._aimed(protocol.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3])), press)]
+
+    def tilt_towards(self, press: Press) -> list[Command]:
+        """Turn a body about the camera's horizontal axis, the other way."""
+        return [self._aimed(protocol.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3], -1.0)), press)]
 
     def place_light(self, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
         """While its key is down, the light follows the cursor at the depth that it has."""

@@ -8,9 +8,20 @@ import sys
 from core.errors import BadInput
 from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 
-KEYS = ["w", "a", "s", "d", "q", "e", "r", "n", "t", "p", "f1", "home", "escape", "space", "delete"]
-LABELS = {"u": "u", "c": "c", "l": "l", "+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
-CTRL = {"z": "ctrl+z", "y": "ctrl+y", "d": "c"}  # by what is printed on the keys: layouts differ
+WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
+NAMED = ["home", "escape", "space", "delete", *(f"f{k}" for k in range(1, 13))]
+SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
+
+
+def key_name(place: str | None, printed: str) -> str | None:
+    """Name of a key, by its place on a QWERTY keyboard (None: none of ours) and what is printed on it; or None."""
+    if place is not None and (len(place) > 1 or place in WALKING or place.isdigit()):
+        return place
+    if printed in SYMBOLS:
+        return SYMBOLS[printed]
+    if printed.isascii() and printed.isalpha():
+        return None if printed in WALKING else printed
+    return place  # other alphabets
 
 
 def import_glfw():
@@ -69,16 +80,19 @@ class GLWindow:
         """Queue the events: they are handled in order, once a frame, when ImGui knows what the cursor is over."""
         glfw, add = self.glfw, self._events.append
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
-        keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in KEYS}
+        places = [*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"]
+        keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in places}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
         keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus"}
 
         def key(window, code, scancode, action, mods):
-            label = (glfw.get_key_name(code, scancode) or "").lower()
-            ctrl = mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER)
-            name = CTRL.get(label) if ctrl and label in CTRL else keys.get(code) or LABELS.get(label)
-            if name is not None and action != glfw.REPEAT:
-                add(("key", name, action == glfw.PRESS))
+            if action == glfw.REPEAT:
+                return
+            printed = (glfw.get_key_name(code, scancode) or "").lower()
+            down, ctrl = action == glfw.PRESS, mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER)
+            name = printed if ctrl and printed.isascii() and printed.isalpha() else key_name(keys.get(code), printed)
+            if name is not None:
+                add(("key", f"ctrl+{name}" if ctrl and down and name != "shift" else name, down))
 
         cursor = glfw.get_cursor_pos(self.handle)  # as of the last event: by now it may be elsewhere
 

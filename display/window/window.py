@@ -13,12 +13,13 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences
-from display.protocol import Command, Frame, Pause, Reset, SingleStep, WorldView, last_of
+from display.protocol import Command, Frame, Pause, SingleStep, WorldView, last_of
 from display.window.controls import Controls
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
-from display.window.panel import ACCENT, QUIET, TITLE_SIZE, Panel
+from display.window.panel.panel import Panel
+from display.window.panel.theme import ACCENT, QUIET, TITLE_SIZE
 from scenes.scene import BodyState, Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
@@ -49,7 +50,7 @@ class Window:
         self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
-        self._panel = Panel(scene, title, self._surface.scale)
+        self._panel = Panel(title, self._surface.scale)
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.panel = self._preferences.get("panel.open", True)
@@ -185,8 +186,7 @@ class Window:
 
         io, controls = imgui.get_io(), self._controls
         commands, self._commands = self._commands, []
-        if last_of(Reset, commands):
-            controls.let_go()
+        controls.note(commands)
         for kind, *what in events:
             if kind == "move":
                 u, v = self._to_picture(*what)

@@ -6,7 +6,7 @@ from display.picture import PictureTexture
 from display.protocol import Command, WorldView
 from display.window.gl_context import EglContext
 from display.window.gl_window import GLWindow, has_display
-from display.window.panel import Panel
+from display.window.panel.panel import Panel
 from scenes.scene import Scene
 
 
@@ -19,7 +19,7 @@ class Mirror:
         self._surface = GLWindow(title, width, height, vsync=False)  # the headset sets the rate
         self.gl = self._surface.gl
         self.texture = PictureTexture(self.gl, views=views)
-        self._panel = Panel(scene, title, self._surface.scale)
+        self._panel = Panel(title, self._surface.scale)
 
     @property
     def closing(self) -> bool:

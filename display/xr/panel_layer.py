@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from display.protocol import WorldView
-from display.window.panel import ACCENT, QUIET, font_file
+from display.window.panel.theme import ACCENT, QUIET, font_file
 from display.xr.swapchains import QuadLayer
 from display.xr.wrist_panel import BUTTONS, PANEL_WIDTH, PIXELS, Button, WristPanel
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from display import protocol
+from display.edit.edit_steps import EDITS
 from display.protocol import Command, WorldView
-from display.window.controls import EDITS
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix

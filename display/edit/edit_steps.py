@@ -1,0 +1,29 @@
+"""Edits of the selected body by a key or a button: each by a fixed step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from display import protocol
+from display.protocol import Command
+
+SCALE_STEP = 1.25
+TURN_STEP = np.pi / 12  # [rad]
+
+
+def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0) -> tuple[float, ...]:
+    """Quaternion wxyz of a step about a unit axis (3,), the vertical one unless told otherwise."""
+    half = sign * TURN_STEP / 2
+    return (float(np.cos(half)), *(np.sin(half) * np.asarray(axis)).tolist())
+
+
+EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
+    "undo": protocol.Undo(),
+    "redo": protocol.Redo(),
+    "copy": protocol.Duplicate(),
+    "remove": protocol.Remove(),
+    "smaller": protocol.Rescale(None, 1 / SCALE_STEP),
+    "larger": protocol.Rescale(None, SCALE_STEP),
+    "turn": protocol.Rotate(None, rotation_step(sign=-1.0)),
+    "turn back": protocol.Rotate(None, rotation_step()),
+}

@@ -1,0 +1,96 @@
+"""Table of the mouse and keys of the window: what controls obey, the panel lists, and docs/play.md shows.
+
+A chord is the name of a key after its modifiers, "ctrl+shift+z". Keys have the name that is printed on them, but
+WASD and QE the place that they have on a QWERTY keyboard (display/window/gl_window.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from display import protocol
+from display.edit.edit_steps import EDITS
+from display.protocol import Command, WorldView
+
+NAMES = {"plus": "+", "minus": "-", "comma": ",", "period": ".", "delete": "Del", "escape": "Esc"}  # else capitalised
+
+
+@dataclass(frozen=True)
+class KeyBinding:
+    """A line of the table.
+
+    keys    chords that all do the same; none of a gesture of the mouse
+    label   what they do, for the user
+    action  a command, whose body, if it has one, is that under the cursor; a function of the world that gives commands;
+            or the name of a method of Controls that takes a Press. None: the keys act as long as they are held, and
+            Controls knows them
+    text    how the user reads the keys; "": made from `keys`
+    bodies  True: only where there are bodies, False: only where there are none
+    """
+
+    keys: tuple[str, ...]
+    label: str
+    action: Command | Callable[[WorldView], Sequence[Command]] | str | None = None
+    text: str = ""
+    bodies: bool | None = None
+
+    @property
+    def shown(self) -> str:
+        """The keys as the user reads them."""
+        return self.text or ", ".join(map(chord_text, self.keys))
+
+
+def chord_text(chord: str) -> str:
+    """A chord as it is written for the user: "Ctrl+Z"."""
+    return "+".join(NAMES.get(part, part.capitalize()) for part in chord.split("+"))
+
+
+BINDINGS = (
+    KeyBinding((), "grab it, release to throw", text="Drag a body", bodies=True),
+    KeyBinding((), "move it nearer or farther", text="  + wheel, or Shift", bodies=True),
+    KeyBinding((), "turn around the scene", text="Drag elsewhere", bodies=True),
+    KeyBinding((), "turn around it", text="Drag", bodies=False),
+    KeyBinding((), "look around", text="Right drag"),
+    KeyBinding((), "shift the view", text="Shift + right drag"),
+    KeyBinding((), "nearer and farther", text="Wheel"),
+    KeyBinding(("w", "a", "s", "d", "q", "e"), "walk; down and up", text="W A S D, Q E"),
+    KeyBinding(("home",), "first view again", "reset_view"),
+    KeyBinding(("space",), "pause", lambda world: [protocol.Pause(not world.paused)], bodies=True),
+    KeyBinding(("n",), "a single step", lambda world: [protocol.Pause(True), protocol.SingleStep()], bodies=True),
+    KeyBinding(("r",), "reset the scene", protocol.Reset(), bodies=True),
+    KeyBinding(
+        ("t",),
+        "physics or transform: what a grip does",
+        lambda world: [protocol.SetInteraction("transform" if world.interaction == "physics" else "physics")],
+        bodies=True,
+    ),
+    KeyBinding(("p",), "watch a demonstration", lambda world: [protocol.PlayDemo(not world.demo)], bodies=True),
+    KeyBinding(("ctrl+z", "u"), "undo", protocol.Undo(), bodies=True),
+    KeyBinding(("ctrl+y", "ctrl+shift+z", "shift+u"), "redo", protocol.Redo(), text="Ctrl+Y", bodies=True),
+    KeyBinding(("c", "ctrl+d"), "copy the body under the cursor", EDITS["copy"], bodies=True),
+    KeyBinding(("delete",), "remove it", EDITS["remove"], bodies=True),
+    KeyBinding(("plus",), "make it larger", EDITS["larger"], bodies=True),
+    KeyBinding(("minus",), "make it smaller", EDITS["smaller"], bodies=True),
+    KeyBinding(("comma",), "turn it to the left", EDITS["turn back"], bodies=True),
+    KeyBinding(("period",), "turn it to the right", EDITS["turn"], bodies=True),
+    KeyBinding(("shift+comma",), "tilt it away", "tilt_away", bodies=True),
+    KeyBinding(("shift+period",), "tilt it towards you", "tilt_towards", bodies=True),
+    KeyBinding(("l",), "the light follows the cursor", text="L (hold)", bodies=True),
+    KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
+    KeyBinding(("escape",), "quit", "escape"),
+)
+BY_CHORD = {chord: binding for binding in BINDINGS for chord in binding.keys}
+
+
+def bound(name: str, *, shift: bool, bodies: bool) -> KeyBinding | None:
+    """The binding of a key that goes down, where there are bodies or not; Shift matters only if it is bound so."""
+    ctrl, key = name.rpartition("+")[::2]
+    shifted = "+".join(part for part in (ctrl, "shift", key) if part)
+    binding = (BY_CHORD.get(shifted) if shift else None) or BY_CHORD.get(name)
+    return binding if binding is not None and binding.bodies in (None, bodies) else None
+
+
+def help_rows(bodies: bool) -> list[tuple[str, str]]:
+    """(keys, meaning) for the user, in a world with bodies or without."""
+    return [(b.shown, b.label) for b in BINDINGS if b.bodies in (None, bodies)]

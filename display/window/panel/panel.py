@@ -1,0 +1,101 @@
+"""The panel as a whole: title, rate, sections; and the game's score beside it."""
+
+from __future__ import annotations
+
+from display.protocol import Command, WorldView
+from display.window.panel.edit_section import EditSection
+from display.window.panel.keys_section import KeysSection
+from display.window.panel.light_section import LightSection
+from display.window.panel.performance_section import PerformanceSection
+from display.window.panel.play_section import PlaySection
+from display.window.panel.score_line import draw_score
+from display.window.panel.section import Section
+from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE, WIDTH, apply_theme
+from display.window.panel.widgets import pixels
+
+
+class Panel:
+    """The panel of an ImGui context, which it themes; `draw` returns the user's commands for the world.
+
+    `sections` are drawn from top to bottom, each under its title.
+    """
+
+    def __init__(self, title: str, scale: float):
+        self.title = title
+        self._edit, self._performance = EditSection(), PerformanceSection()
+        self.sections: list[Section] = [PlaySection(), self._edit, LightSection(), self._performance, KeysSection()]
+        self._visible = False
+        apply_theme(scale)
+
+    @property
+    def resolution(self) -> float | None:
+        """Scale of a side of the picture that the user has chosen; None: what keeps the rate."""
+        return self._performance.resolution
+
+    @property
+    def details(self) -> bool:
+        """True while the list of stages is on view."""
+        return self._visible and self._performance.open
+
+    @property
+    def edits(self) -> bool:
+        """True while the cursor is among the edits."""
+        return self._visible and self._edit.hovered
+
+    def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
+        """Draw one frame of the panel and of the score; the commands that the user gives."""
+        self._visible = visible
+        draw_score(world, pixels(WIDTH + 3 * MARGIN) if visible else 0.0)
+        return self._draw(world) if visible else []
+
+    def _draw(self, world: WorldView) -> list[Command]:
+        from imgui_bundle import imgui
+
+        self._performance.read(world)
+        edge, padding = pixels(MARGIN), imgui.get_style().window_padding.x
+        width, height = pixels(WIDTH) + 2 * padding, max(imgui.get_io().display_size.y - 2 * edge, 1.0)
+        imgui.set_next_window_pos((edge, edge))
+        imgui.set_next_window_size_constraints((width, 0), (width, height))
+        flags = imgui.WindowFlags_
+        fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
+        imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)
+        self._title(world)
+        commands: list[Command] = []
+        for section in self.sections:
+            if section.shown(world):
+                commands += self._section(section, world)
+        imgui.end()
+        return commands
+
+    def _section(self, section: Section, world: WorldView) -> list[Command]:
+        from imgui_bundle import imgui
+
+        if section.title:
+            imgui.set_next_item_open(section.open)
+            section.open = imgui.collapsing_header(section.title)
+        section.hovered = False
+        if not section.open:
+            return []
+        imgui.begin_group()
+        commands = section.draw(world)
+        imgui.end_group()
+        section.hovered = imgui.is_mouse_hovering_rect(imgui.get_item_rect_min(), imgui.get_item_rect_max())
+        return commands
+
+    def _title(self, world: WorldView) -> None:
+        from imgui_bundle import imgui
+
+        imgui.push_font(None, TITLE_SIZE)
+        imgui.text(self.title)
+        imgui.pop_font()
+        rate = f"{self._performance.fps:.0f} fps"
+        imgui.same_line()
+        space = imgui.get_content_region_avail().x - imgui.calc_text_size(rate).x
+        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
+        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))  # onto the title's base line
+        imgui.text_colored(ACCENT, rate)
+        imgui.dummy((0, pixels(2)))
+        for file, role in world.scene.cast:
+            imgui.push_text_wrap_pos(0.0)
+            imgui.text_colored(QUIET, f"{file} is {role}")
+            imgui.pop_text_wrap_pos()

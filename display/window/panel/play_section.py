@@ -1,0 +1,35 @@
+"""The panel's first section: pause, step, reset, and what a grip does."""
+
+from __future__ import annotations
+
+from display import protocol
+from display.protocol import Command, WorldView
+from display.window.panel.section import Section
+from display.window.panel.widgets import button_grid, choice
+
+INTERACTIONS = {
+    "Physics": "Bodies deform, collide and fall.",
+    "Transform": "A body that you hold moves rigidly; nothing deforms.",
+}
+
+
+class PlaySection(Section):
+    """Buttons of the play as a whole; always on view, so without a header."""
+
+    title = ""
+
+    def shown(self, world: WorldView) -> bool:
+        """True of worlds that can be played with."""
+        return world.editable
+
+    def draw(self, world: WorldView) -> list[Command]:
+        """Draw the buttons; their commands."""
+        pause = "Resume" if world.paused else "Pause"
+        pressed = button_grid({pause: "(Space)", "Step": "A single frame (N).", "Reset": "The scene anew (R)."}, 3)
+        commands: list[Command] = {
+            pause: [protocol.Pause(not world.paused)],
+            "Step": [protocol.Pause(True), protocol.SingleStep()],
+            "Reset": [protocol.Reset()],
+        }.get(pressed, [])
+        chosen = choice(list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS).lower()
+        return commands + ([protocol.SetInteraction(chosen)] if chosen != world.interaction else [])

@@ -53,6 +53,7 @@ def play(args) -> None:
                 recording.after(world)
             if session.study:
                 session.study.after(frame, world)
+            session.keeper.after(frame, world)
         session.report()
 
 

@@ -1,4 +1,4 @@
-"""Reading of CAM.json, the camera file of the command line."""
+"""CAM.json, the camera file of the command line: read and written."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.file_access import atomic_write
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
@@ -31,6 +32,16 @@ def read_cameras(path: str | Path) -> list[Camera]:
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise BadInput(f"{path}: the cameras differ in size")
     return cameras
+
+
+def write_cameras(path: str | Path, cameras: list[Camera]) -> None:
+    """Write a CAM.json: an object, or a list of several. Raises BadInput."""
+    items = []
+    for c in cameras:
+        sides = {"width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy}
+        items.append(sides | {"world_to_camera": np.asarray(c.world_to_camera, np.float64).tolist()})
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(items if len(items) != 1 else items[0], indent=1) + "\n", encoding="utf-8")
 
 
 def _camera(path: Path, index: int, item) -> Camera:

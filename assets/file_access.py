@@ -57,10 +57,15 @@ def check_writable(path: Path, part: Path | None = None, *, bytes_needed: float 
     try:
         with open(part, "wb"):
             pass
-        free = shutil.disk_usage(path.parent).free
     except OSError as e:
         raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
     part.unlink()
+    check_space(path, bytes_needed)
+
+
+def check_space(path: Path, bytes_needed: float) -> None:
+    """Raise BadInput if the disk of a file's folder has less left."""
+    free = shutil.disk_usage(path.parent).free
     if free < bytes_needed:
         raise BadInput(f"{path}: the disk has {free / 1e6:.0f} MB left, about {bytes_needed / 1e6:.0f} MB are needed")
 

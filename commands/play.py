@@ -18,6 +18,7 @@ from render import MOVING_SORT
 
 if TYPE_CHECKING:
     from display.headless.video import FilmWriter
+    from display.keep.keeper import Keeper
     from display.protocol import Display, Frame
     from display.record.recording import Recording
     from display.record.replay import Replay
@@ -102,8 +103,10 @@ class Session:
         recording: Recording | None,
         study: StudyLog | None,
         replay: Replay | None,
+        keeper: Keeper,
     ):
         self.world, self.display, self.film, self.recording, self.study = world, display, film, recording, study
+        self.keeper = keeper
         self._args, self._replay, self._count = args, replay, 0
 
     def frames(self) -> Iterator[Frame]:
@@ -140,6 +143,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         open_film(args, display) as film,
         open_recording(args) as recording,
         open_study(args, scene) as study,
+        open_keeper(args) as keeper,
     ):
         start_taichi(args.arch, args.seed)
         from display.start_progress import start_progress
@@ -159,7 +163,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
                 world.warm_up()
         if recording:
             recording.begin(args, options)
-        yield Session(args, world, display, film, recording, study, replay)
+        yield Session(args, world, display, film, recording, study, replay, keeper)
 
 
 def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
@@ -228,6 +232,13 @@ def open_study(args: argparse.Namespace, scene: Scene):
     )
 
 
+def open_keeper(args: argparse.Namespace) -> Keeper:
+    """What writes the files that the user asks for in play."""
+    from display.keep.keeper import Keeper
+
+    return Keeper(args.scene)
+
+
 def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
     """The headset, the window, or, with --headless or without a screen, the files."""
     if args.stats:
@@ -247,8 +258,8 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
             from display.window.window import Window
 
             width, height = args.size or (None, None)
-            kept = Preferences.of_user()
-            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height, preferences=kept)
+            kept = {"preferences": Preferences.of_user(), "name": args.scene}
+            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height, **kept)
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")

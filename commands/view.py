@@ -49,11 +49,15 @@ def run(args: argparse.Namespace) -> None:
         from display.window.window import Window
 
         width, height = args.size or (None, None)
-        kept = Preferences.of_user()
-        display = Window(scene, title=Path(args.file).name, width=width, height=height, preferences=kept)
-    with display:
+        name = Path(args.file).name
+        kept = {"preferences": Preferences.of_user(), "name": name}
+        display = Window(scene, title=name, width=width, height=height, **kept)
+    from display.keep.keeper import Keeper
+
+    with display, Keeper(str(args.file)) as keeper:
         start_taichi(args.arch)
         viewer = Viewer(gaussians, scene, width=display.size[0], height=display.size[1], sort=args.sort)
         for frame in itertools.islice(display.frames(viewer), args.frames):
             viewer.step(frame)
             display.present(viewer)
+            keeper.after(frame, viewer)

@@ -61,3 +61,10 @@ def project(camera: Camera, point: np.ndarray) -> tuple[float, float] | None:
     """Picture pixels of a point in the world, None behind the camera."""
     x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
     return (camera.cx + camera.fx * x / z, camera.cy + camera.fy * y / z) if z > 1e-6 else None
+
+
+def fitted(camera: Camera, width: int, height: int) -> Camera:
+    """The same view in a picture of another size [px], with the same vertical field of view."""
+    s = height / camera.height
+    cx, cy = width / 2 + s * (camera.cx - camera.width / 2), s * camera.cy
+    return Camera(width, height, camera.fx * s, camera.fy * s, cx, cy, camera.world_to_camera)

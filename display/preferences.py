@@ -6,7 +6,8 @@ One object whose keys name what is remembered:
 | --- | --- |
 | window.size, window.place | [width, height], [left, top] in screen coordinates |
 | window.maximized | true or false |
-| panel.open, panel.folded | true or false, list of the titles of folded sections |
+| panel.open | true or false |
+| panel.sections | {title: true or false}: whether its content is on view |
 | light.SCENE | fields of a Light, where it is not the scene's own |
 | bookmarks.SCENE | {"1": [[eye x, y, z], [target x, y, z]], ...} [m] |
 | sound | true or false |
@@ -139,3 +140,14 @@ def is_number(value) -> bool:
         return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:  # an integer beyond float64
         return False
+
+
+def read_bookmarks(value: dict) -> dict[str, list[list[float]]]:
+    """Those entries of a dictionary that are views: eye and target, three numbers each, apart."""
+    views = {}
+    for key, view in value.items():
+        points = view if isinstance(view, list) and len(view) == 2 else ()
+        sound = [p for p in points if isinstance(p, list) and len(p) == 3 and all(map(is_number, p))]
+        if len(sound) == 2 and sound[0] != sound[1]:
+            views[key] = sound
+    return views

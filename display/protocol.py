@@ -117,6 +117,32 @@ class SingleStep:
     """Simulate this one frame although the world is paused."""
 
 
+# What follows writes files, beside the frame and without changing the world (display/keep/). `size` is that of the
+# picture [px]; None: as large as it is drawn, which a window may shrink while things move.
+
+
+@dataclass(frozen=True)
+class TakePicture:
+    """Write the picture as a PNG."""
+
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Film:
+    """Begin to write a film of the picture, or finish it."""
+
+    on: bool
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class WriteCamera:
+    """Write the camera as a CAM.json, for `vrgs.py render`."""
+
+    size: tuple[int, int] | None = None
+
+
 Command = (
     PlayDemo
     | Reset
@@ -132,6 +158,9 @@ Command = (
     | Redo
     | Pause
     | SingleStep
+    | TakePicture
+    | Film
+    | WriteCamera
 )
 ORDER = Command.__args__  # in which the commands of one frame are carried out
 C = TypeVar("C", bound=Command)
@@ -211,6 +240,9 @@ class WorldView(Protocol):
     notice: str = ""
     """Message about the last command, for some seconds."""
 
+    film_seconds: float | None = None
+    """Length of the film that is being written [s]; None: there is none."""
+
     score: int = 0
     message: str = ""
     """Score and message of the scene's game."""
@@ -235,6 +267,9 @@ class WorldView(Protocol):
     def pick(self, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest simulated body, and its index."""
         return None
+
+    def tell(self, text: str) -> None:
+        """Let `notice` be this text."""
 
     def hand_forces(self) -> list[np.ndarray]:
         """Force of each hand of the last frame on the body that it holds [N], (3,)."""

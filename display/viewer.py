@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from core.camera import Camera, look_at, perspective
 from core.morton import morton_order
+from display.edit.notice import Notice
 from display.protocol import Frame, WorldView
 from display.timing import Timings
 from render import MOVING_SORT
@@ -80,6 +83,17 @@ class Viewer(WorldView):
         self.renderer = Renderer(self.splats, width, height, background=scene.background, sort=sort)
         self.picture_size = (width, height)
         self._shown: tuple | None = None
+        self.cameras: list[Camera] = []  # of the last picture
+        self._notice = Notice()
+
+    @property
+    def notice(self) -> str:
+        """Message about the last command, for some seconds."""
+        return self._notice.shown
+
+    def tell(self, text: str) -> None:
+        """Let `notice` be this text."""
+        self._notice.tell(text)
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on."""
@@ -88,7 +102,11 @@ class Viewer(WorldView):
 
     def step(self, frame: Frame) -> None:
         """Draw the view of the frame's camera."""
-        camera = frame.cameras[0]
+        self.draw(frame.cameras)
+
+    def draw(self, cameras: Sequence[Camera]) -> None:
+        """Draw for this camera, unless the picture shows that already."""
+        self.cameras, camera = list(cameras), cameras[0]
         now = (camera.width, camera.height, camera.fx, camera.world_to_camera.tobytes())
         if now != self._shown:
             with self.timings.stage("render"):

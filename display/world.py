@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from core.camera import look_at, perspective
+from core.camera import Camera, look_at, perspective
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
@@ -65,6 +65,7 @@ class World(WorldView):
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
         self.pictures = 0
+        self.cameras: list[Camera] = []  # of the last picture
         self._drawn: tuple | None = None  # cameras of the picture; None if it is outdated
         self._commanding = self._deform_due = False  # while commands are carried out, before bodies are deformed anyway
         self.refresh()
@@ -82,7 +83,7 @@ class World(WorldView):
         """Let `picture` be what the scene's eye sees."""
         width, height = self.picture_size
         view = look_at(self.scene.eye, self.scene.target)
-        self._draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
+        self.draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
 
     def step(self, frame: Frame) -> None:
         """One frame: carry out commands, simulate, deform, shade, draw."""
@@ -103,7 +104,7 @@ class World(WorldView):
             self._deform()
         elif shadow_outdated:
             self._cast_shadow()
-        self._draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
+        self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
 
     def _advance(self, frame: Frame) -> bool:
         """Simulate the frame; returns whether anything has moved."""
@@ -150,8 +151,9 @@ class World(WorldView):
         with self.timings.stage("shadow"):
             self.device.cast_shadow()
 
-    def _draw(self, cameras: Sequence) -> None:
+    def draw(self, cameras: Sequence[Camera]) -> None:
         """Draw for these cameras, unless the picture shows that already."""
+        self.cameras = list(cameras) or self.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
         if cameras and seen != self._drawn:
             with self.timings.stage("render"):
@@ -273,7 +275,11 @@ class World(WorldView):
     @property
     def notice(self) -> str:
         """Message about the last command, for some seconds."""
-        return self.editor.notice
+        return self.editor.notice.shown
+
+    def tell(self, text: str) -> None:
+        """Let `notice` be this text."""
+        self.editor.notice.tell(text)
 
     @property
     def simulation_cost(self) -> float | None:

@@ -12,6 +12,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from display.edit.body_registry import BodyRegistry
+from display.edit.notice import Notice
 from display.edit.selection_marker import MARKED_SECONDS
 from display.edit.undo_stack import Step, UndoStack
 from display.protocol import (
@@ -29,7 +30,6 @@ from display.protocol import (
 from scenes.scene import BodyState, Hand
 
 DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
-NOTICE_SECONDS = 6.0  # [s] that a notice is shown
 EDITS = (Select, Remove, Duplicate, Rescale, Rotate, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, SetMaterial)  # after these the selected body is marked
 COPY_GAP = 0.01  # [m] between a body and its copy
@@ -51,22 +51,13 @@ class Editor:
         self._last_action: tuple[str, int] = ("", 0)  # the action recorded last, and the frame of its last command
         self._frame = 0
         self._gripped: list[bool] = []  # by each hand in the frame before
-        self._notice: tuple[str, float] = ("", 0.0)  # and until when [s] it is shown
+        self.notice = Notice()
         self._selected_until = 0.0  # [s], of `recently_selected`
 
     @property
     def recently_selected(self) -> bool:
         """Was the selected body pointed at or changed within the last seconds?"""
         return monotonic() < self._selected_until
-
-    @property
-    def notice(self) -> str:
-        """Message about the last command, for some seconds."""
-        text, until = self._notice
-        return text if monotonic() < until else ""
-
-    def _tell(self, text: str) -> None:
-        self._notice = text, monotonic() + NOTICE_SECONDS
 
     def begin_frame(self) -> None:
         """Note that a frame begins."""
@@ -81,12 +72,12 @@ class Editor:
         for command in in_order(commands):
             if isinstance(command, EDITS):
                 try:
-                    self._notice = ("", 0.0)
+                    self.notice.clear()
                     self._carry_out(command)
                     if isinstance(command, SELECTING):
                         self._selected_until = monotonic() + MARKED_SECONDS
                 except BadInput as e:
-                    self._tell(str(e))
+                    self.notice.tell(str(e))
 
     def _carry_out(self, command: Command) -> None:
         match command:
@@ -201,7 +192,7 @@ class Editor:
         """Bring the state of a step back."""
         self._last_action = ("", 0)
         if step is None:
-            self._tell(nothing)
+            self.notice.tell(nothing)
         elif step.action == "light":
             self._world.set_light(step.state)
         else:

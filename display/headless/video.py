@@ -94,7 +94,7 @@ class FilmWriter:
     complete after `close`. Raises BadInput."""
 
     def __init__(self, path: str | Path, width: int, height: int):
-        self.size = (width, height)
+        self.path, self.size = Path(path), (width, height)
         self._video = Video(path, width, height, fps=FILM_FPS)
 
     def add(self, world, time: float) -> None:

@@ -24,7 +24,7 @@ from scenes.scene import Hand, Light, Touch
 TEXT_MAX = 200  # characters of a name
 TOUCHES_MAX = 1000  # finger capsules of a hand
 INDEX_MAX = 1_000_000  # of a body
-KEYS = {
+KEYS = {  # of the commands that change the world
     "demo": protocol.PlayDemo,
     "reset": protocol.Reset,
     "light": protocol.SetLight,
@@ -44,13 +44,13 @@ NAMES = {kind: key for key, kind in KEYS.items()}
 
 
 def to_text(frame: int, commands: Sequence[Command]) -> str:
-    """One line of JSON: {"frame": 12, "pause": true, "rescale": [3, 1.25]}.
+    """One line of JSON: {"frame": 12, "pause": true, "rescale": [3, 1.25]}; commands that write files are left out.
 
     A command without fields is true, one with one field is its value, one with more a list; Light and Material are
     {"Light": {field: value}}.
     """
     values = {}
-    for command in commands:
+    for command in (c for c in commands if type(c) in NAMES):
         fields = [getattr(command, f.name) for f in dataclasses.fields(command)]
         values[NAMES[type(command)]] = True if not fields else fields[0] if len(fields) == 1 else fields
     return json.dumps({"frame": frame, **values}, default=_plain)

@@ -10,7 +10,7 @@ import numpy as np
 
 from assets.hdf5 import open_hdf5
 from assets.library import animated_height
-from core.camera import Camera
+from core.camera import Camera, fitted
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
 from display.protocol import Frame, Pause, last_of
@@ -123,10 +123,3 @@ class Replay:
         if self.largest == float("inf"):
             return f"replayed {self.done}{of} frames, not the same bodies"
         return f"replayed {self.done}{of} frames, largest difference {self.largest:.3g} m"
-
-
-def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """The same view in a picture of another size [px], with the same vertical field of view."""
-    s = height / camera.height
-    cx, cy = width / 2 + s * (camera.cx - camera.width / 2), s * camera.cy
-    return Camera(width, height, camera.fx * s, camera.fy * s, cx, cy, camera.world_to_camera)

@@ -50,6 +50,7 @@ class Controls:
         self.drag: str | None = None
         self.panel = True
         self.quit = False
+        self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
         self._walking: set[str] = set()
         self._shift = False
@@ -156,6 +157,20 @@ class Controls:
     def reset_view(self, press: Press) -> None:
         """Show the scene from where it begins."""
         self.orbit.reset()
+
+    def go_to_bookmark(self, press: Press) -> None:
+        """Show the view that is kept under a digit."""
+        digit = press.name[-1]
+        if digit in self.bookmarks:
+            self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self.bookmarks[digit])
+        else:
+            press.world.tell(f"No view is kept under {digit}: Ctrl+{digit} keeps this one.")
+
+    def keep_bookmark(self, press: Press) -> None:
+        """Keep the view under a digit."""
+        digit = press.name[-1]
+        self.bookmarks = self.bookmarks | {digit: [self.orbit.eye.tolist(), self.orbit.target.tolist()]}
+        press.world.tell(f"This view is kept under {digit}.")
 
     def tilt_away(self, press: Press) -> list[Command]:
         """Turn a body about the camera's horizontal axis."""

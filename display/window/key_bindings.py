@@ -15,6 +15,8 @@ from display.protocol import Command, WorldView
 
 NAMES = {"plus": "+", "minus": "-", "comma": ",", "period": ".", "delete": "Del", "escape": "Esc"}  # else capitalised
 
+DIGITS = tuple("123456789")
+
 
 @dataclass(frozen=True)
 class KeyBinding:
@@ -77,6 +79,11 @@ BINDINGS = (
     KeyBinding(("shift+comma",), "tilt it away", "tilt_away", bodies=True),
     KeyBinding(("shift+period",), "tilt it towards you", "tilt_towards", bodies=True),
     KeyBinding(("l",), "the light follows the cursor", text="L (hold)", bodies=True),
+    KeyBinding(DIGITS, "go to a view that was kept", "go_to_bookmark", text="1 ... 9"),
+    KeyBinding(tuple(f"ctrl+{digit}" for digit in DIGITS), "keep this view", "keep_bookmark", text="Ctrl+1 ... 9"),
+    KeyBinding(("f12",), "write the picture", protocol.TakePicture()),
+    KeyBinding(("shift+f12",), "write the camera, for vrgs.py render", protocol.WriteCamera()),
+    KeyBinding(("f9",), "film: begin, finish", lambda world: [protocol.Film(world.film_seconds is None)]),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
     KeyBinding(("escape",), "quit", "escape"),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -12,28 +13,29 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines
 from display.picture import PictureTexture, fit
-from display.preferences import Preferences
-from display.protocol import Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.preferences import Preferences, read_bookmarks
+from display.protocol import Command, Film, Frame, Pause, SingleStep, TakePicture, WorldView, WriteCamera, last_of
 from display.window.controls import Controls
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.panel import Panel
-from display.window.panel.theme import ACCENT, QUIET, TITLE_SIZE
+from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from scenes.scene import BodyState, Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 DEFAULT_SIZE = (960, 540)  # in screen coordinates
+SIZED = (TakePicture, Film, WriteCamera)  # commands about the whole picture, however small it is drawn at the moment
 MIN_SIDE = 16  # [px] of a picture
 
 
 class Window:
     """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
-    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place and panel
-    from one start to the next; `size` is the picture's. Raises BadInput without a display or OpenGL 3.3. Close it (or
-    use it in a `with`), so that the screen is given back.
+    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel and
+    the views of the scene of that `name` from one start to the next; `size` is the picture's. Raises BadInput without a
+    display or OpenGL 3.3. Close it (or use it in a `with`), so that the screen is given back.
     """
 
     def __init__(
@@ -44,9 +46,10 @@ class Window:
         width: int | None = None,
         height: int | None = None,
         preferences: Preferences | None = None,
+        name: str = "",
         vsync: bool = True,
     ):
-        self._preferences = preferences or Preferences()
+        self._preferences, self._name = preferences or Preferences(), name
         self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
@@ -54,6 +57,10 @@ class Window:
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.panel = self._preferences.get("panel.open", True)
+        unfolded = self._preferences.get("panel.sections", {})
+        for section in self._panel.sections:
+            section.open = unfolded.get(section.title, section.open) is True
+        self._controls.bookmarks = read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
@@ -89,6 +96,7 @@ class Window:
             if value != self._opened.get(key):
                 self._preferences.set(f"window.{key}", value)
         self._preferences.set("panel.open", self._controls.panel)
+        self._preferences.set("panel.sections", {s.title: s.open for s in self._panel.sections if s.title})
 
     @property
     def size(self) -> tuple[int, int]:
@@ -159,6 +167,8 @@ class Window:
                 self._draw_hand()
             elif (body := marked(world, near=self._panel.edits)) is not None:
                 self._draw_marker(body)
+            if world.film_seconds is not None:
+                self._draw_film_mark(world.film_seconds)
             self._surface.end()
         self._surface.swap()
         world.timings.measure_exactly(self._panel.details)
@@ -205,7 +215,9 @@ class Window:
                 commands += controls.key(*what, world, *self._cursor, self._camera)
             elif kind == "blur":
                 controls.let_go()
-        return commands + controls.place_light(world, *self._cursor, self._camera)
+        self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
+        commands += controls.place_light(world, *self._cursor, self._camera)
+        return [replace(c, size=self._surface.frame_size) if isinstance(c, SIZED) else c for c in commands]
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""
@@ -231,6 +243,18 @@ class Window:
             a, b = self._from_picture(start), self._from_picture(end)
             for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
                 draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
+
+    def _draw_film_mark(self, seconds: float) -> None:
+        """Draw a red dot and the film's length in the upper right corner."""
+        from imgui_bundle import imgui
+
+        text, scale = f"{int(seconds) // 60}:{int(seconds) % 60:02d}", self._surface.scale
+        draw_list, extent = imgui.get_foreground_draw_list(), imgui.calc_text_size(text)
+        left, middle = imgui.get_io().display_size.x - extent.x - 2 * MARGIN * scale, 2 * MARGIN * scale
+        low, high = (left - 26 * scale, middle - extent.y), (left + extent.x + 8 * scale, middle + extent.y)
+        draw_list.add_rect_filled(low, high, imgui.get_color_u32((0.0, 0.0, 0.0, 0.6)), 6 * scale)
+        draw_list.add_circle_filled((left - 12 * scale, middle), 6 * scale, imgui.get_color_u32(FILMING))
+        draw_list.add_text((left, middle - 0.5 * extent.y), imgui.get_color_u32((1.0, 1.0, 1.0, 1.0)), text)
 
     def _draw_hand(self) -> None:
         """Draw a ring around the gripped point, and the hand for a cursor."""

@@ -163,8 +163,10 @@ class FakeWorld(BallWorld):
         if not self.paused or last_of(SingleStep, frame.commands):
             with self.timings.stage("simulate"):
                 self.move(frame)
-        height = self.picture_size[1]
-        self.cameras = frame.cameras() if callable(frame.cameras) else frame.cameras
+        self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
+
+    def draw(self, cameras) -> None:
+        self.cameras, height = cameras, self.picture_size[1]
         with self.timings.stage("render"):
             for view, camera in enumerate(self.cameras):
                 assert (camera.width, camera.height) == self.picture_size

@@ -11,8 +11,8 @@ def draw_score(world: WorldView, left: float) -> None:
     """Draw score, message and notice at the top: in the middle, or right of `left` [px] in a small window."""
     from imgui_bundle import imgui
 
-    game = world.scene.game
-    if not world.editable or (game is None and not world.notice):
+    game = world.scene.game if world.editable else None
+    if game is None and not world.notice:
         return
     score, message = ("", "") if game is None else (str(world.score or ""), world.message)
     if score in message.split():  # the game says it itself

@@ -6,6 +6,7 @@ from pathlib import Path
 
 ACCENT = (0.98, 0.66, 0.24, 1.0)
 ON_ACCENT = (0.08, 0.08, 0.08, 1.0)
+FILMING = (0.93, 0.16, 0.14, 1.0)
 QUIET = (0.66, 0.69, 0.74, 1.0)
 TEXT_SIZE = 15.0  # [px] at a display scale of 1
 TITLE_SIZE = 20.0

@@ -1,0 +1,136 @@
+"""Carrying out of the commands that write files: pictures, films, cameras."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from assets.camera_file import write_cameras
+from assets.file_access import check_space
+from core.camera import fitted
+from core.errors import BadInput
+from display.headless.video import FilmWriter
+from display.keep.output_place import output_path
+from display.picture import pixels_of, save_png
+from display.protocol import Film, Frame, TakePicture, WriteCamera, in_order
+
+CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
+FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its index can still be written
+
+
+class Keeper:
+    """Carries out the commands of a frame `after` it; files are written by a thread of its own, one after the other.
+
+    `scene` names the files. What was written, or why not, is a notice of the world and a line on stderr; the play goes
+    on. `close` finishes what is under way.
+    """
+
+    def __init__(self, scene: str):
+        self.scene = scene
+        self._film: FilmWriter | None = None
+        self._film_begin = self._checked = 0.0  # [s], times of the film's begin, and of the last look at the disk
+        self._writer, self._tasks = ThreadPoolExecutor(1), []
+
+    def __enter__(self) -> Keeper:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+    def after(self, frame: Frame, world) -> None:
+        """Carry out the frame's commands, and film the frame."""
+        for command in in_order(frame.commands):
+            try:
+                self._carry_out(command, frame, world)
+            except (BadInput, OSError) as e:
+                self._tell(one_line(e), world)
+        if self._film is not None:
+            self._add_to_film(frame.time, world)
+        self._report(world)
+
+    def close(self) -> None:
+        """Finish the film and all files. Further calls do nothing."""
+        if self._film is not None:
+            self._finish_film()
+        self._writer.shutdown()
+        self._report(None)
+
+    def _carry_out(self, command, frame: Frame, world) -> None:
+        match command:
+            case TakePicture(size):
+                path, pixels = output_path(self.scene, ".png"), full_picture(world, size)
+                self._write(path, lambda: save_png(path, pixels))
+            case WriteCamera(size):
+                path = output_path(self.scene, "_camera.json")
+                cameras = [fitted(world.cameras[0], *(size or world.picture_size))]
+                self._write(path, lambda: write_cameras(path, cameras))
+            case Film(on, size) if on and self._film is None:
+                self._film = FilmWriter(output_path(self.scene, ".mp4"), *(size or world.picture_size))
+                self._film_begin = self._checked = frame.time - frame.dt
+            case Film(on) if not on and self._film is not None:
+                self._finish_film()
+                world.film_seconds = None
+
+    def _write(self, path: Path, write: Callable[[], None]) -> None:
+        """Let the thread write a file."""
+        self._tasks.append(self._writer.submit(written, path, write))
+
+    def _add_to_film(self, time: float, world) -> None:
+        """Film the frame; a film that can go no further ends, and keeps what it has."""
+        try:
+            self._film.add(world, time - self._film_begin)
+            if time - self._checked >= CHECK_PERIOD:
+                self._checked = time
+                check_space(self._film.path, FILM_RESERVE)
+            world.film_seconds = time - self._film_begin
+        except (BadInput, OSError) as e:
+            self._tell(one_line(e), world)
+            self._finish_film()
+            world.film_seconds = None
+
+    def _finish_film(self) -> None:
+        film, self._film = self._film, None
+        self._write(film.path, film.close)
+
+    def _report(self, world) -> None:
+        """Tell of what the thread has done."""
+        while self._tasks and (self._tasks[0].done() or world is None):
+            task: Future = self._tasks.pop(0)
+            self._tell(task.result(), world)
+
+    def _tell(self, text: str, world) -> None:
+        print(text, file=sys.stderr, flush=True)
+        if world is not None:
+            world.tell(text)
+
+
+def written(path: Path, write: Callable[[], None]) -> str:
+    """Write a file; the line that says so, or why it could not be."""
+    try:
+        write()
+    except (BadInput, OSError) as e:
+        return one_line(e)
+    return f"Written: {path}"
+
+
+def one_line(error: Exception) -> str:
+    """What an error says, for the user."""
+    return " ".join(str(error).split())
+
+
+def full_picture(world, size: tuple[int, int] | None) -> np.ndarray:
+    """Pixels (H, W, 4) of the first camera's last view, drawn at `size` [px]; None: as it was drawn."""
+    now = world.picture_size
+    if size is None or tuple(size) == tuple(now):
+        return pixels_of(world.picture)[: now[1]].copy()
+    cameras = world.cameras
+    world.resize(*size)
+    try:
+        world.draw([fitted(camera, *size) for camera in cameras])
+        return pixels_of(world.picture)[: size[1]].copy()
+    finally:
+        world.resize(*now)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import sys
 
-from commands.parser import build_parser, check_options
+from commands.parser import parse
 from commands.play import open_session
 from core.errors import BadInput
 from core.runtime import is_out_of_memory
@@ -20,9 +20,7 @@ def main(argv: list[str] | None = None) -> int:
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
             argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
     try:
-        parser = build_parser(__doc__, play)
-        check_options(parser, argv)
-        args = parser.parse_args(argv)
+        args = parse(argv, __doc__, play)
         return args.run(args) or 0
     except BadInput as e:
         print(f"vrgs: {' '.join(str(e).split())}", file=sys.stderr)

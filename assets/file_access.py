@@ -11,6 +11,7 @@ from pathlib import Path
 
 from core.errors import BadInput
 
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")  # suffixes of pictures that are written
 UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
 UNPACK_RATIO = 200  # and this many times its own size: splats deflate 1.1 to 20 times, constant grids about 1,000
 LOCK_PATIENCE = 10.0  # [s] after which a lock was left by a program that was killed: writing takes a fraction of one

@@ -23,7 +23,7 @@ from bench.sample_meshes import random_gaussians, tet_bar
 from bench.synthetic_room import box_surface, turns_to
 from core.camera import look_at, perspective
 from display.headless.picture_strip import PAPER, write
-from display.picture import pixels_of, save_png
+from display.picture import pixels_of, save_picture
 from display.run_stats import write_stats
 from prepare.cage.embedding_hosts import embed
 from prepare.pipeline import Options, prepare
@@ -60,7 +60,7 @@ def run(args) -> None:
                 print(f"{name:14} {title:12} {scheme:10} {figures}", flush=True)
     rows += measure_parameters()
     if args.out:
-        save_png(args.out, page(pictures))
+        save_picture(args.out, page(pictures))
         print(f"wrote {args.out}", file=sys.stderr)
     if args.json:
         write_stats(args.json, rows)

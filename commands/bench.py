@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from assets.library import SHIPPED_FOLDER
+from commands.conditions import Condition
 from commands.options import add_arch, positive, size
 from core.errors import BadInput
 from core.runtime import start_taichi
@@ -28,6 +29,33 @@ SUBJECTS = {
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
 }
+OPTION_SUBJECTS = {  # of those that not all take
+    "--detail": ("demos",),
+    "--splats": ("popping", "embedding"),
+    "--count": ("embedding",),
+    "--out": ("embedding",),
+    "--sizes": ("sim", "scene"),
+    "--asset": ("scene",),
+    "--materials": ("scene",),
+    "--acts": ("scene",),
+    "--bodies": ("scene",),
+    "--frames": ("scene", "demos"),
+    "--quick": ("scene", "demos"),
+    "--gaussians": ("render",),
+    "--size": ("render", "demos"),
+    "--rounds": ("sim", "render", "scaling", "embedding"),
+    "--plot": ("scaling",),
+    "--from": ("scaling",),
+}
+CONDITIONS = (
+    *(
+        Condition(
+            (flag,), lambda args, takers=takers: args.subject in takers, f"belongs to bench {' and '.join(takers)}"
+        )
+        for flag, takers in OPTION_SUBJECTS.items()
+    ),
+    Condition(("--rounds",), lambda args: not args.earlier, "measures; --from only reads"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -8,12 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from assets.library import SHIPPED_FOLDER, paper_folder
+from commands.conditions import Condition
 from commands.options import add_arch
 from core.errors import BadInput
 from core.runtime import start_taichi
 
 HELP = "build the modelled assets from code"
 EXAMPLES = ("build ring_red", "build --detail paper ring_toss")
+CONDITIONS = (
+    Condition(("--force",), lambda args: args.detail == "paper", "belongs to --detail paper; the others always build"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

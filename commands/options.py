@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
+from assets.file_access import PICTURES
 from render import SORTS
 from scenes.scene_options import SceneOption
 
@@ -55,31 +57,36 @@ def elevation(text: str) -> float:
     return value
 
 
-def add_arch(parser: argparse.ArgumentParser, *, own: bool = False) -> None:
-    """Add --arch. A command's must not undo the one before the command, which is the play's `own`."""
+def picture_name(text: str) -> Path:
+    """The name of a picture's file."""
+    if Path(text).suffix.lower() not in PICTURES:
+        raise argparse.ArgumentTypeError(f"{text!r} does not end in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
+    return Path(text)
+
+
+def add_arch(parser: argparse.ArgumentParser) -> None:
+    """Add --arch."""
     text = "where kernels run; unset: CUDA if there is one, else the CPU"
-    default = None if own else argparse.SUPPRESS
-    parser.add_argument("--arch", choices=("cuda", "cpu"), help=text, default=default)
+    parser.add_argument("--arch", choices=("cuda", "cpu"), help=text)
 
 
-def add_sort(parser: argparse.ArgumentParser, mode: str, *, own: bool = True) -> None:
-    """Add --sort; `mode` is the default, which the play's gives unless it is the command's `own`."""
+def add_sort(parser: argparse.ArgumentParser, mode: str) -> None:
+    """Add --sort; `mode` is the default."""
     text = f"order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default {mode})"
-    parser.add_argument("--sort", choices=SORTS, help=text, default=mode if own else argparse.SUPPRESS)
+    parser.add_argument("--sort", choices=SORTS, help=text, default=mode)
 
 
 def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
     """Add the options of making a body of a splat; `prefix` opens their help where they belong to another option."""
-    suppress = {} if prefix else {"default": argparse.SUPPRESS}  # those of a command must not undo those before it
-    parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)", **suppress)
+    parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)")
     text = f"{prefix}largest extent in metres (default: guessed)"
-    parser.add_argument("--scale", type=positive(float), metavar="M", help=text, **suppress)
+    parser.add_argument("--scale", type=positive(float), metavar="M", help=text)
     text = f"{prefix}cage vertices (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
-    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text, **suppress)
+    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
     text = f"{prefix}cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)"
-    parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, **(suppress or {"default": "adaptive"}))
+    parser.add_argument("--cells", choices=("adaptive", "uniform"), help=text, default="adaptive")
     text = f"{prefix}separate pieces each get a cage and become bodies of their own (default: the largest alone)"
-    parser.add_argument("--pieces", action="store_true", help=text, **suppress)
+    parser.add_argument("--pieces", action="store_true", help=text)
 
 
 def add_scene_options(parser: argparse.ArgumentParser) -> None:

@@ -1,10 +1,14 @@
-"""The command line's parser: each command is a module of this package with HELP, EXAMPLES, add_arguments and run."""
+"""The command line's parser: each command is a module of this package with HELP, EXAMPLES, add_arguments and run.
+
+A module's CONDITIONS, if it has some, say which of its options act only beside others (commands/conditions.py).
+"""
 
 from __future__ import annotations
 
 import argparse
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 from commands import (
     bench,
@@ -21,6 +25,7 @@ from commands import (
     tune,
     view,
 )
+from commands.conditions import check_conditions
 from core.errors import BadInput
 
 COMMANDS = {
@@ -39,12 +44,41 @@ COMMANDS = {
 }
 
 
-def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """A parser that says what is wrong in one line: raises BadInput instead of printing the usage. `commands` are the
+    parsers of the commands by name."""
+
+    commands: dict[str, Parser] = {}
+
+    def error(self, message: str) -> None:
+        """Raise BadInput."""
+        raise BadInput(f"{message}; see {self.prog} --help")
+
+
+def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace], None]) -> argparse.Namespace:
+    """The arguments of a command line; `given` are the flags that it names. Raises BadInput.
+
+    Options before a command are those of the command, and must be known to it.
+    """
+    parser = build_parser(summary, run_play)
+    at = command_position(parser, argv)
+    name = None if at is None else argv[at]
+    if name is not None:
+        argv = [name, *argv[:at], *argv[at + 1 :]]
+    where, module = (parser, play) if name is None else (parser.commands[name], COMMANDS[name])
+    given = given_flags(where, argv, name)
+    args, unknown = parser.parse_known_args(argv)
+    if unknown:
+        raise BadInput(f"{' '.join(unknown)}: is one too many; see {where.prog} --help")
+    args.given = given
+    check_conditions(args, given, getattr(module, "CONDITIONS", ()))
+    return args
+
+
+def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> Parser:
     """The parser of all commands; `run_play` runs without one."""
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        prog="vrgs.py", description=summary, epilog=play.EXAMPLES, formatter_class=formatter
-    )
+    parser = Parser(prog="vrgs.py", description=summary, epilog=play.EXAMPLES, formatter_class=formatter)
     parser.set_defaults(run=run_play)
     play.add_arguments(parser)
     commands = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")
@@ -52,6 +86,7 @@ def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -
         examples = "".join(f"\n  python vrgs.py {example}" for example in module.EXAMPLES)
         sub = commands.add_parser(
             name,
+            prog=f"vrgs.py {name}",
             help=module.HELP,
             description=module.HELP,
             epilog=f"example:{examples}",
@@ -59,16 +94,68 @@ def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -
         )
         sub.set_defaults(run=module.run)
         module.add_arguments(sub)
+    parser.commands = commands.choices
     return parser
 
 
-def check_options(parser: argparse.ArgumentParser, argv: list[str]) -> None:
-    """Raise BadInput for an option of playing that there is not: argparse would take what follows for a command."""
-    known = parser._option_string_actions
-    for text in argv:
-        if text in COMMANDS:
-            return
-        flag = text.partition("=")[0]
-        if flag.startswith("--") and not any(name.startswith(flag) for name in known):
-            near = difflib.get_close_matches(flag, known, 1)
-            raise BadInput(f"there is no option {flag}" + (f"; {near[0]}?" if near else "; see vrgs.py --help"))
+def command_position(parser: Parser, argv: list[str]) -> int | None:
+    """Index of the command: the first word that is neither an option nor an option's value; None if there is none.
+
+    Raises BadInput if that is no command, or follows an option that there is not.
+    """
+    k = 0
+    while k < len(argv):
+        word = argv[k]
+        if word in COMMANDS:
+            return k
+        if not word.startswith("-") or word == "-":
+            raise BadInput(no_command(word))
+        option = named_option(parser, word)
+        k += 1
+        if option is None:
+            if (before := next((i for i in range(k, len(argv)) if argv[i] in COMMANDS), None)) is not None:
+                return before  # it may be an option of that command
+            raise BadInput(no_option(word, parser, None))
+        if "=" not in word and option.nargs != 0:
+            least, most = {None: (1, 1), "?": (0, 1)}.get(option.nargs, (1, len(argv)))
+            while most and k < len(argv) and (least or not (argv[k].startswith("-") or argv[k] in COMMANDS)):
+                k, least, most = k + 1, max(0, least - 1), most - 1
+    return None
+
+
+def given_flags(parser: Parser, argv: Iterable[str], command: str | None) -> tuple[str, ...]:
+    """The flags that are given, in full. Raises BadInput for an option that there is not."""
+    found = []
+    for word in argv:
+        if word == "--":
+            break
+        if word.startswith("--"):
+            option = named_option(parser, word)
+            if option is None:
+                raise BadInput(no_option(word, parser, command))
+            found.append(max(option.option_strings, key=len))
+    return tuple(found)
+
+
+def named_option(parser: Parser, word: str) -> argparse.Action | None:
+    """The option that a word names, or the first that it abbreviates; None if there is none."""
+    flag, known = word.partition("=")[0], parser._option_string_actions
+    if flag in known:
+        return known[flag]
+    return next((known[name] for name in known if flag.startswith("--") and name.startswith(flag)), None)
+
+
+def no_option(word: str, parser: Parser, command: str | None) -> str:
+    """The message about an option that there is not, with the nearest one."""
+    flag = word.partition("=")[0]
+    near = difflib.get_close_matches(flag, parser._option_string_actions, 1)
+    whose = "there is no option" if command is None else f"{command} has no option"
+    return f"{whose} {flag}" + (f"; {near[0]}?" if near else f"; see {parser.prog} --help")
+
+
+def no_command(word: str) -> str:
+    """The message about a word that is no command, with the nearest one."""
+    if Path(word).suffix:
+        return f"{word}: to look at it: vrgs.py view {word}; to play with it: vrgs.py --scene sandbox --body {word}"
+    near = difflib.get_close_matches(word, COMMANDS, 1)
+    return f"there is no command {word}; {near[0]}?" if near else f"there is no command {word}; see vrgs.py --help"

@@ -11,7 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from commands.options import add_arch, add_preparation, add_scene_options, add_sort, positive, render_scale, size
+from commands.conditions import Condition
+from commands.options import (
+    add_arch,
+    add_preparation,
+    add_scene_options,
+    add_sort,
+    picture_name,
+    positive,
+    render_scale,
+    size,
+)
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
@@ -44,6 +54,17 @@ EXAMPLES = """examples:
 """
 FPS = 60  # [1/s] of a headless play
 SIZE = (960, 540)  # [px] of a headless play
+CONDITIONS = (
+    Condition(("--render-scale",), lambda args: args.xr, "belongs to --xr; elsewhere: --size"),
+    Condition(("--size",), lambda args: not args.xr, "is not for --xr: a headset says what it takes; --render-scale"),
+    Condition(("--stereo",), lambda args: args.headless, "belongs to --headless"),
+    Condition(("--participant",), lambda args: args.study, "belongs to --study OUT.h5"),
+    Condition(
+        ("--up", "--scale", "--vertices", "--cells", "--pieces"),
+        lambda args: args.replay or not all(map(is_asset, args.body or ())),
+        "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
+    ),
+)
 SECONDS = 5  # [s] of a headless play of a scene without a game
 
 
@@ -53,7 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--xr", action="store_true", help="play in a headset")
     where.add_argument("--headless", action="store_true", help="no window: the scene's scripted hand plays")
-    add_arch(parser, own=True)
+    add_arch(parser)
     text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
     parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)
     text = "how Gaussians follow the cage"
@@ -66,7 +87,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--render-scale", type=render_scale, default=1.0, metavar="S", help=text)
     parser.add_argument("--stereo", action="store_true", help="headless: draw two eyes, 63 mm apart")
     parser.add_argument("--record", type=Path, metavar="OUT.mp4", help="write a film")
-    parser.add_argument("--snapshot", type=Path, metavar="OUT.png", help="headless: write the last frame")
+    text = "write the last frame: .png, .jpg or .webp"
+    parser.add_argument("--snapshot", type=picture_name, metavar="OUT.png", help=text)
     parser.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     again = parser.add_mutually_exclusive_group()
     text = "record your input, to be replayed"
@@ -129,6 +151,10 @@ class Session:
             print(self._replay.report())
         if args.stats:
             write_stats(args.stats, run_stats(world, self._count))
+        if args.snapshot and not args.headless:
+            from display.picture import pixels_of, save_picture
+
+            save_picture(args.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
         if args.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
 
@@ -201,7 +227,11 @@ def open_replay(args: argparse.Namespace) -> Replay | None:
     from display.record.replay import Replay
 
     replay = Replay.load(args.replay)
+    asked = {flag: getattr(args, flag[2:], None) for flag in getattr(args, "given", ())}
     replay.set_options(args)
+    for flag, value in asked.items():
+        if value != getattr(args, flag[2:], None):
+            raise BadInput(f"{flag} {value}: the recording was made with {getattr(args, flag[2:])}, which stays")
     return replay
 
 
@@ -217,8 +247,6 @@ def open_recording(args: argparse.Namespace):
 def open_study(args: argparse.Namespace, scene: Scene):
     """The log of the participant's trials, or a context of None."""
     if not args.study:
-        if args.participant:
-            raise BadInput("--participant belongs to --study OUT.h5")
         return contextlib.nullcontext()
     from display.study.study_log import StudyLog
 
@@ -241,10 +269,10 @@ def open_keeper(args: argparse.Namespace) -> Keeper:
 
 def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
     """The headset, the window, or, with --headless or without a screen, the files."""
-    if args.stats:
+    for file in filter(None, (args.stats, args.snapshot)):
         from assets.file_access import check_writable
 
-        check_writable(args.stats)
+        check_writable(file)
     if args.xr:
         from display.xr.headset import Headset
 
@@ -270,19 +298,20 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
     frames = min(args.frames or len(replay), len(replay)) if replay else frames
     views = 2 if args.stereo else 1
     width, height = args.size or SIZE
-    out = {"record": args.record, "snapshot": args.snapshot}
+    out = {"record": None if replay else args.record, "snapshot": args.snapshot}
     return Headless(
         scene, width=width, height=height, frames=frames, views=views, every=2, scripted=replay is None, **out
     )
 
 
 def open_film(args: argparse.Namespace, display: Display):
-    """The film of a window or headset, or a context of None; a headless display films itself."""
-    if args.headless or not args.record:
+    """The film of a window, a headset or a replay, or a context of None; a headless play, in which all frames are
+    equally long, films itself."""
+    if (args.headless and not args.replay) or not args.record:
         return contextlib.nullcontext()
     from display.headless.video import FilmWriter
 
-    return contextlib.closing(FilmWriter(args.record, *display.size))
+    return contextlib.closing(FilmWriter(args.record, *display.size, views=2 if args.stereo else 1))
 
 
 def prepared_bodies(args: argparse.Namespace) -> list[str]:
@@ -291,8 +320,6 @@ def prepared_bodies(args: argparse.Namespace) -> list[str]:
     Where no number of vertices is asked for, args.vertices becomes that of the only splat, or theirs in a list.
     """
     if not args.body:
-        if args.up is not None or args.scale is not None or args.pieces:
-            raise BadInput("--up, --scale and --pieces belong to --body FILE")
         return []
     splats = [name for name in args.body if not is_asset(name)]
     asked = args.vertices if isinstance(args.vertices, list) else [args.vertices] * len(splats)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from assets.file_access import file_size
 from assets.library import cached_asset
+from commands.conditions import Condition
 from commands.options import SPLATS, add_arch, add_preparation, positive
 from core.errors import BadInput
 from core.material import MATERIALS
@@ -14,6 +15,17 @@ from core.runtime import start_taichi
 
 HELP = "make a splat simulatable, or a room a stage"
 EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
+CONDITIONS = (
+    Condition(("--cell", "--cut"), lambda args: args.static, "belongs to --static"),
+    Condition(
+        ("--pieces",), lambda args: not args.static, "belongs to bodies; objects are cut out of a scene with --cut"
+    ),
+    Condition(
+        ("--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
+        lambda args: not args.static,
+        "belongs to bodies; with --static nothing is simulated",
+    ),
+)
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 2, 2  # of what `cached_body` and `cached_environment` make
 
 
@@ -27,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_preparation(parser)
     *others, last = MATERIALS
     text = f"{', '.join(others)} or {last} (default plush, with a rig flesh)"
-    parser.add_argument("--material", metavar="NAME", default=argparse.SUPPRESS, help=text)
+    parser.add_argument("--material", metavar="NAME", help=text)
     text = "the splat is a room or garden to play in"
     parser.add_argument("--static", action="store_true", help=text)
     text = "--static: spacing of the distance grid (default: by size)"
@@ -53,20 +65,17 @@ def run(args: argparse.Namespace) -> None:
 
     out = Path(args.out)
     cut = tuple(sorted(set(args.cut or ())))
-    static = args.static or args.cell is not None or bool(cut)
-    if static:
-        _check_static(args)
     file_size(Path(args.splats))  # before other errors
     if out.suffix.lower() != ".h5":
         raise BadInput(f"{out}: an asset's name ends in .h5")
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
-    reports = () if static or args.no_report else report_names(out)
+    reports = () if args.static or args.no_report else report_names(out)
     for file in (out, *reports, *(object_file(out, k) for k in cut)):
         if file.exists() and not args.force:
             raise BadInput(f"{file}: exists already; --force overwrites it")
     start_taichi(args.arch)
-    if static:
+    if args.static:
         options = EnvironmentOptions(up=args.up, scale=args.scale, cell=args.cell, cut=cut)
         for file in prepare_environment_file(args.splats, out, options, quantised=args.quantised):
             print(f"wrote {file}")
@@ -86,15 +95,6 @@ def run(args: argparse.Namespace) -> None:
     files = {"rig": args.rig, "landmarks": args.landmarks, "quantised": args.quantised}
     prepare_file(args.splats, out, options, vertices=vertices, **files, pictures=True, page=bool(reports))
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))
-
-
-def _check_static(args: argparse.Namespace) -> None:
-    if not args.static:
-        raise BadInput("--cell and --cut belong to --static")
-    if args.material is not None:
-        raise BadInput("--material belongs to bodies; with --static nothing is simulated")
-    if args.pieces:
-        raise BadInput("--pieces belongs to bodies; objects are cut out of a scene with --cut")
 
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:

@@ -12,6 +12,7 @@ import numpy as np
 from assets.camera_file import read_cameras
 from assets.file_access import atomic_write
 from assets.splat_files import read_gaussians
+from commands.conditions import Condition
 from commands.options import AXES, SPLATS, add_arch, add_sort, elevation, positive, size
 from core.camera import Camera
 from core.errors import BadInput
@@ -19,6 +20,13 @@ from core.runtime import start_taichi
 
 HELP = "draw a splat file, or film a turn around it"
 EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
+CONDITIONS = (
+    Condition(
+        ("--up", "--size", "--frames", "--elevation"),
+        lambda args: args.turntable,
+        "belongs to --turntable; a camera file says all of this itself",
+    ),
+)
 TURNTABLE_FPS = 30.0  # [1/s]
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from assets.file_access import atomic_write
+from commands.conditions import Condition
 from core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -24,6 +25,19 @@ EXAMPLES = (
     "study all.h5 --form form.html",
     "study all.h5 --answers answers_Ida_transform.json",
 )
+CONDITIONS = (
+    Condition(
+        ("--out", "--json"),
+        lambda args: args.form is None and not args.answers,
+        "is for the comparison: leave out --form and --answers",
+    ),
+    Condition(("--answers",), lambda args: args.form is None, "and --form do not go together"),
+    Condition(
+        ("--participant", "--setting"),
+        lambda args: args.form == "",
+        "belongs to --form, which asks in the terminal",
+    ),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "add answers that such a page has saved"
     parser.add_argument("--answers", type=Path, nargs="+", metavar="ANSWERS.json", help=text)
     text = "--form: who answers (default: asked)"
-    parser.add_argument("--participant", metavar="NAME", help=text, default=argparse.SUPPRESS)
+    parser.add_argument("--participant", metavar="NAME", help=text)
     text = "--form: the setting that it is about (default: asked)"
     parser.add_argument("--setting", choices=("physics", "transform"), help=text)
 

@@ -11,6 +11,7 @@ import numpy as np
 from assets.asset import Asset
 from assets.file_access import check_writable
 from assets.library import default_material, find_asset
+from commands.conditions import Condition
 from commands.options import add_arch, positive
 from core.errors import BadInput
 from core.material import Material
@@ -18,6 +19,9 @@ from core.runtime import start_taichi
 
 HELP = "drop a body with one stiffness after another: what each does, as a table and a strip of pictures"
 EXAMPLES = ("tune cat.h5 --from 3e3 --to 3e5 --out cat_tune.png",)
+CONDITIONS = (
+    Condition(("--from", "--to", "--steps"), lambda args: not args.young, "is for moduli that --young does not list"),
+)
 DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
 
@@ -45,7 +49,7 @@ def run(args: argparse.Namespace) -> None:
     start_taichi(args.arch)
     from display.headless.picture_strip import strip
     from display.headless.stiffness_sweep import drop_each
-    from display.picture import save_png
+    from display.picture import save_picture
     from display.run_stats import write_stats
 
     path = find_asset(args.asset)
@@ -70,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
             flush=True,
         )
         drops.append(d)
-    save_png(out, strip(path.stem, drops, drop_height))
+    save_picture(out, strip(path.stem, drops, drop_height))
     if args.json:
         write_stats(args.json, [d.row() for d in drops])
     print(f"wrote {out}", file=sys.stderr)

@@ -7,7 +7,8 @@ import itertools
 import sys
 from pathlib import Path
 
-from commands.options import AXES, SPLATS, add_arch, add_sort, positive, size
+from commands.conditions import Condition
+from commands.options import AXES, SPLATS, add_arch, add_sort, picture_name, positive, size
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
@@ -15,6 +16,9 @@ from render import MOVING_SORT
 HELP = "look at a splat file in a window"
 EXAMPLES = ("view cat.ply",)
 SIZE = (960, 540)  # [px] of a picture, and from which a window's first view is chosen
+CONDITIONS = (
+    Condition(("--frames",), lambda args: args.snapshot is None, "belongs to a window: --snapshot needs one"),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--up", choices=AXES, help="the file's up axis (default: guessed)")
     text = "picture size (default 960x540, of a window: the last one's)"
     parser.add_argument("--size", type=size, metavar="WxH", help=text)
-    parser.add_argument("--snapshot", type=Path, metavar="OUT.png", help="no window: write one picture")
-    add_sort(parser, MOVING_SORT, own=False)
+    parser.add_argument("--snapshot", type=picture_name, metavar="OUT.png", help="no window: write one picture")
+    add_sort(parser, MOVING_SORT)
     parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     add_arch(parser)
 

@@ -1,4 +1,4 @@
-"""Output of the finished picture: pixels on the host, a PNG, an OpenGL texture."""
+"""Output of the finished picture: pixels on the host, a picture file, an OpenGL texture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write
+from assets.file_access import PICTURES, atomic_write
 from core.errors import BadInput
 from display.window.cuda_gl_interop import CudaTexture, NoInterop
 
@@ -55,16 +55,26 @@ def side_by_side(pixels: np.ndarray, views: int) -> np.ndarray:
     return np.concatenate(np.split(pixels, views), axis=1) if views > 1 else pixels
 
 
-def save_png(path: str | Path, pixels: np.ndarray) -> None:
-    """Write RGBA or RGB pixels (H, W, 3|4) uint8 as an opaque PNG. Raises BadInput."""
+def save_picture(path: str | Path, pixels: np.ndarray) -> None:
+    """Write RGBA or RGB pixels (H, W, 3|4) uint8 as an opaque picture of the kind that the suffix says.
+
+    Raises BadInput.
+    """
     import cv2
 
     path = Path(path)
-    ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., 2::-1]))
+    check_picture_name(path)
+    ok, data = cv2.imencode(path.suffix.lower(), np.ascontiguousarray(pixels[..., 2::-1]))
     if not ok:
         raise BadInput(f"{path}: cannot encode a picture of {pixels.shape[1]}x{pixels.shape[0]} pixels")
     with atomic_write(path) as beside:
         beside.write_bytes(data.tobytes())
+
+
+def check_picture_name(path: Path) -> None:
+    """Raise BadInput for a suffix of no kind of picture that can be written."""
+    if path.suffix.lower() not in PICTURES:
+        raise BadInput(f"{path}: a picture's name ends in {', '.join(PICTURES[:-1])} or {PICTURES[-1]}")
 
 
 def fit(picture: tuple[int, int], frame: tuple[int, int]) -> tuple[int, int, int, int]:

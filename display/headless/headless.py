@@ -12,7 +12,7 @@ from assets.file_access import check_writable
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from display.headless.video import Video
-from display.picture import pixels_of, save_png, side_by_side
+from display.picture import check_picture_name, pixels_of, save_picture, side_by_side
 from display.protocol import Frame, WorldView
 from scenes.scene import Scene
 
@@ -25,9 +25,9 @@ class Headless:
     """A display: `for frame in headless.frames(world): world.step(frame); headless.present(world)`.
 
     Yields `frames` frames of 1/60 s from the scene's camera, in which the world's scripted hand plays if `scripted`.
-    `record` is an MP4 with every `every`-th frame, in real time; `snapshot` a PNG of frame `snapshot_frame` (from 0,
-    default the last). With `views=2` the pictures are stereo pairs, written side by side. Raises BadInput before the
-    first frame if a file cannot be written.
+    `record` is an MP4 with every `every`-th frame, in real time; `snapshot` a picture of frame `snapshot_frame`,
+    from 0, unless told the last. With `views=2` the pictures are stereo pairs, written side by side. Raises BadInput
+    before the first frame if a file cannot be written.
     """
 
     def __init__(
@@ -54,6 +54,7 @@ class Headless:
         if not 0 <= self.snapshot_frame < frames:
             raise BadInput(f"no frame {self.snapshot_frame} to take a picture of: there are {frames}")
         if self.snapshot:
+            check_picture_name(self.snapshot)
             check_writable(self.snapshot)
         self._every, self._video, self._index = every, None, 0
         if record:
@@ -99,7 +100,7 @@ class Headless:
                 if filmed:
                     self._video.write(pixels)
                 if kept:
-                    save_png(self.snapshot, pixels)
+                    save_picture(self.snapshot, pixels)
         world.timings.measure_exactly(True)  # from the second frame on; the first compiles
         world.timings.frame()
 

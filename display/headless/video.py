@@ -9,7 +9,7 @@ import numpy as np
 
 from assets.file_access import check_writable
 from core.errors import BadInput
-from display.picture import pixels_of
+from display.picture import pixels_of, side_by_side
 
 CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
 FILM_FPS = 30.0  # [1/s]
@@ -90,18 +90,19 @@ class Video:
 
 
 class FilmWriter:
-    """Film of a display of any frame rate and size: an MP4 of `width` x `height` [px] at FILM_FPS,
-    complete after `close`. Raises BadInput."""
+    """Film of a display of any frame rate and size: an MP4 at FILM_FPS of pictures of `width` x `height` [px], of
+    which the first `views` stand side by side, complete after `close`. Raises BadInput."""
 
-    def __init__(self, path: str | Path, width: int, height: int):
-        self.path, self.size = Path(path), (width, height)
-        self._video = Video(path, width, height, fps=FILM_FPS)
+    def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1):
+        self.path, self.size, self._views = Path(path), (views * width, height), views
+        self._video = Video(path, *self.size, fps=FILM_FPS)
 
     def add(self, world, time: float) -> None:
         """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over."""
         if self._video.count >= time * FILM_FPS:
             return
-        pixels = pixels_of(world.picture)[: world.picture_size[1]]  # of a headset's eyes the left one
+        pixels = pixels_of(world.picture)[: self._views * world.picture_size[1]]  # of a headset's eyes the left one
+        pixels = side_by_side(pixels, self._views)
         if (pixels.shape[1], pixels.shape[0]) != self.size:
             import cv2
 

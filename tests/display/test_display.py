@@ -14,7 +14,7 @@ import pytest
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.headless.headless import Progress
-from display.picture import fit, pixels_of, save_png, side_by_side
+from display.picture import fit, pixels_of, save_picture, side_by_side
 from display.protocol import Frame
 from display.run_stats import peak_memory_mb, run_stats, write_stats
 from display.timing import Timings
@@ -53,12 +53,12 @@ def test_pixels_are_rgba_with_the_top_row_first(ti_cpu):
 
 def test_png_holds_the_same_colours_and_no_transparency(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 255, (7, 5, 4), np.uint8)
-    save_png(tmp_path / "p.png", pixels)
+    save_picture(tmp_path / "p.png", pixels)
     read = cv2.imread(str(tmp_path / "p.png"), cv2.IMREAD_UNCHANGED)
     assert (read == pixels[..., 2::-1]).all() and read.shape[2] == 3
     assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
     with pytest.raises(BadInput, match=r"nowhere does not exist"):
-        save_png(tmp_path / "nowhere" / "p.png", pixels)
+        save_picture(tmp_path / "nowhere" / "p.png", pixels)
 
 
 def test_two_views_lie_side_by_side():

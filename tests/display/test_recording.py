@@ -11,9 +11,12 @@ import pytest
 
 import scenes
 import vrgs
+from commands.parser import parse
+from commands.play import open_display, open_film
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
+from display.headless.video import FILM_FPS, frame_count
 from display.protocol import (
     Duplicate,
     Frame,
@@ -32,7 +35,9 @@ from display.protocol import (
 from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
 from display.record.recording import VERSION, Recording
 from display.record.replay import Replay, fitted
+from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Touch
+from tests.support.fake_world import fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = perspective(64, 48, 0.9, look_at((0, 1, 2), (0, 0, 0)))
@@ -255,7 +260,7 @@ def build():
 
 
 def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, capsys, ti_cpu):
-    """A ring is taken from the floor and lifted; then the same from the recording, with other options than its own."""
+    """A ring is taken from the floor and lifted; then the same from the recording."""
     from display.world import World
 
     (tmp_path / "lift.py").write_text(SCENE, encoding="utf-8")
@@ -266,7 +271,7 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, caps
     said, ends = [], []
     for words in (
         ["--scene", "lift", "--frames", "24", "--record-input", str(file)],
-        ["--replay", str(file), "--snapshot", str(film), "--interaction", "transform"],
+        ["--replay", str(file), "--snapshot", str(film)],
     ):
         assert vrgs.main([*words, "--headless", "--arch", "cpu", "--size", "32x24"]) == 0
         said.append(capsys.readouterr().out)
@@ -274,11 +279,26 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, caps
         ends.append([state["x"], state["v"], worlds[-1].time])
     assert said == ["", "replayed 24 frames, largest difference 0 m\n"] and film.exists()
     assert all(np.array_equal(a, b) for a, b in zip(*ends, strict=True))
+    assert vrgs.main(["--replay", str(file), "--interaction", "transform", "--headless"]) == 2
+    assert "--interaction transform: the recording was made with physics" in capsys.readouterr().err
     replay = Replay.load(file)
     assert replay.about["interaction"] == "physics" and replay.version == VERSION
     assert any(f.hands[0].grip for f in replay.recorded)
     first, *_, last = (centroids[0, 1] for _, centroids in sorted(replay.states.items()))
     assert last > first + 0.02
+
+
+def test_the_film_of_a_replay_keeps_the_time_of_the_play(tmp_path, monkeypatch):
+    """Frames of a window are of any length: here 12 in a second."""
+    monkeypatch.setattr("display.headless.video.pixels_of", lambda picture: picture)
+    world = N(picture=np.zeros((24, 32, 4), np.uint8), picture_size=(32, 24), timings=Timings())
+    words = ["--replay", "play.h5", "--headless", "--record", str(tmp_path / "again.mp4"), "--size", "32x24"]
+    args = parse(words, "", print)
+    with open_display(args, fake_scene(), range(12)) as display, open_film(args, display) as film:
+        for frame in display.frames(world):
+            film.add(world, 5 * frame.time)
+            display.present(world)
+    assert frame_count(tmp_path / "again.mp4") == FILM_FPS
 
 
 def test_a_recording_of_the_first_version_keeps_the_material_of_its_time(tmp_path):

@@ -1,0 +1,131 @@
+"""The command line: each option acts or is refused in one line, before anything is read or started."""
+
+import pytest
+
+import vrgs
+from commands.parser import build_parser, parse
+from core.errors import BadInput
+
+PARSER = build_parser("", print)
+ALWAYS = {  # options that act whatever else is given; scenes check their own
+    None: "--help --scene --xr --headless --arch --interaction --embedding --sort --frames --record --snapshot --stats"
+    " --record-input --replay --study --seed --body --stage --material --detail",
+    "scenes": "--help",
+    "view": "--help --arch --size --snapshot --sort --up",
+    "render": "--help --antialias --arch --camera --out --sort --turntable",
+    "prepare": "--help --arch --force --out --quantised --scale --static --up",
+    "convert": "--help",
+    "bench": "--help --arch --json",
+    "figures": "--help --arch --out --quick",
+    "build": "--help --arch --detail --out",
+    "tune": "--help --arch --height --json --material --out --young",
+    "materials": "--help",
+    "check": "--help --arch --json --quick",
+    "study": "--help --form",
+}
+REFUSED = [  # a command line, and what is said about the option that would be ignored
+    ("--render-scale .5", "--render-scale belongs to --xr"),
+    ("--xr --size 320x180", "--size is not for --xr"),
+    ("--stereo", "--stereo belongs to --headless"),
+    ("--participant Ida", "--participant belongs to --study"),
+    ("--body a.h5 --up=-y", "--up is for a splat file"),
+    ("--body ring_red --scale 1", "--scale is for a splat file"),
+    ("--stage a.ply --vertices 9", "--vertices is for a splat file"),
+    ("--cells uniform", "--cells is for a splat file"),
+    ("--pieces", "--pieces is for a splat file"),
+    ("view a.ply --snapshot a.png --frames 3", "--frames belongs to a window"),
+    *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--up +y", "--elevation 3")),
+    *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--size 32x32", "--frames 3")),
+    *((f"prepare a --out b.h5 {o}", "belongs to --static") for o in ("--cell 1", "--cut 3")),
+    ("prepare a --out b.h5 --static --pieces", "--pieces belongs to bodies"),
+    *(
+        (f"prepare a --out b.h5 --static {o}", "with --static nothing is simulated")
+        for o in ("--vertices 9", "--cells uniform", "--material wood", "--mesher tetgen", "--no-report", "--rig r.glb")
+    ),
+    ("prepare a --out b.h5 --static --landmarks l.json", "with --static nothing is simulated"),
+    *(
+        (f"bench frame {o}", "belongs to bench")
+        for o in ("--detail paper", "--splats s", "--count 3", "--out o.png", "--sizes 3", "--asset a", "--acts drop")
+    ),
+    *(
+        (f"bench popping {o}", "belongs to bench")
+        for o in ("--materials wood", "--bodies d", "--frames 3", "--quick", "--gaussians 1.313M", "--size 32x32")
+    ),
+    *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--plot p.svg", "--from r.json")),
+    ("bench scaling --from r.json --rounds 3", "--from only reads"),
+    ("build --force", "--force belongs to --detail paper"),
+    *((f"tune a --young 1e4 {o}", "that --young does not list") for o in ("--from 1e3", "--to 1e5", "--steps 3")),
+    *((f"study s.h5 --form {o}", "is for the comparison") for o in ("--out p.html", "--json j.json")),
+    ("study s.h5 --form --answers a.json", "--answers and --form do not go together"),
+    ("study s.h5 --participant Ida", "--participant belongs to --form"),
+    ("study s.h5 --form f.html --setting physics", "--setting belongs to --form"),
+]
+
+
+def refusal(words: str) -> str:
+    """The message about a command line."""
+    with pytest.raises(BadInput) as error:
+        parse(words.split(), "", print)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("words, said", REFUSED, ids=[words for words, _ in REFUSED])
+def test_an_option_that_would_be_ignored_is_refused(words, said):
+    assert said in refusal(words)
+
+
+@pytest.mark.parametrize("name", [None, *PARSER.commands], ids=str)
+def test_each_option_acts_or_is_refused_somewhere(name):
+    """Whoever adds an option says here whether it always acts."""
+    parser = PARSER if name is None else PARSER.commands[name]
+    groups = [g for g in parser._action_groups if g.title == "options of scenes"]
+    of_scenes = {flag for group in groups for action in group._group_actions for flag in action.option_strings}
+    there = {flag for flag in parser._option_string_actions if flag.startswith("--")} - of_scenes
+    lines = [words for words, _ in REFUSED if (words.split()[0] if not words.startswith("-") else None) == name]
+    refused = {word.partition("=")[0] for words in lines for word in words.split() if word.startswith("--")}
+    assert there == set(ALWAYS[name].split()) | (refused & there)
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ("--detial paper", "there is no option --detial; --detail?"),
+        ("view --snapshto x.png foo.ply", "view has no option --snapshto; --snapshot?"),
+        ("--snapshto x.png view foo.ply", "view has no option --snapshto; --snapshot?"),
+        ("--stereo view a.ply", "view has no option --stereo"),
+        ("veiw a", "there is no command veiw; view?"),
+        ("cat.ply", "vrgs.py --scene sandbox --body cat.ply"),
+        ("view", "required: FILE; see vrgs.py view --help"),
+        ("scenes b", "b: is one too many"),
+        ("--size 3", "--size: '3' is not WIDTHxHEIGHT"),
+        ("--snapshot a.gif", "'a.gif' does not end in .png"),
+        ("--frames", "--frames: expected one argument"),
+        ("--re x", "ambiguous option: --re"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line_with_what_is_nearest(words, said):
+    assert said in refusal(words)
+
+
+@pytest.mark.parametrize(
+    "words", ["--size 320x180 view a.ply", "--si=320x180 --arch cpu view a.ply", "view a.ply --si 320x180"]
+)
+def test_options_before_a_command_are_the_command_s(words):
+    args = parse(words.split(), "", print)
+    assert args.size == (320, 180) and args.file.name == "a.ply" and "--size" in args.given
+
+
+def test_a_value_may_be_named_as_a_command():
+    """The scene "check" and the participant "view" are no commands."""
+    args = parse(["--scene", "check", "--study", "s.h5", "--participant", "view"], "", print)
+    assert (args.scene, args.participant) == ("check", "view")
+
+
+def test_the_last_of_two_options_counts_also_before_a_command():
+    assert parse(["--sort", "z", "view", "a.ply", "--sort", "radial"], "", print).sort == "radial"
+
+
+def test_the_program_ends_with_status_2(capsys):
+    assert vrgs.main(["--stereo"]) == 2
+    assert capsys.readouterr().err == "vrgs: --stereo belongs to --headless\n"

@@ -15,7 +15,7 @@ from core.camera import fitted
 from core.errors import BadInput
 from display.headless.video import FilmWriter
 from display.keep.output_place import output_path
-from display.picture import pixels_of, save_png
+from display.picture import pixels_of, save_picture
 from display.protocol import Film, Frame, TakePicture, WriteCamera, in_order
 
 CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
@@ -63,7 +63,7 @@ class Keeper:
         match command:
             case TakePicture(size):
                 path, pixels = output_path(self.scene, ".png"), full_picture(world, size)
-                self._write(path, lambda: save_png(path, pixels))
+                self._write(path, lambda: save_picture(path, pixels))
             case WriteCamera(size):
                 path = output_path(self.scene, "_camera.json")
                 cameras = [fitted(world.cameras[0], *(size or world.picture_size))]

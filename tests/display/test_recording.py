@@ -293,6 +293,7 @@ def test_the_film_of_a_replay_keeps_the_time_of_the_play(tmp_path, monkeypatch):
     monkeypatch.setattr("display.headless.video.pixels_of", lambda picture: picture)
     world = N(picture=np.zeros((24, 32, 4), np.uint8), picture_size=(32, 24), timings=Timings())
     words = ["--replay", "play.h5", "--headless", "--record", str(tmp_path / "again.mp4"), "--size", "32x24"]
+    words += ["--frames", "12"]
     args = parse(words, "", print)
     with open_display(args, fake_scene(), range(12)) as display, open_film(args, display) as film:
         for frame in display.frames(world):

@@ -8,7 +8,7 @@ import sys
 
 from commands.parser import parse
 from commands.play import open_session
-from core.errors import BadInput
+from core.errors import BadInput, Cancelled
 from core.runtime import is_out_of_memory
 
 
@@ -30,6 +30,8 @@ def main(argv: list[str] | None = None) -> int:
             raise
         print("vrgs: not enough memory; try a smaller picture or fewer Gaussians", file=sys.stderr)
         return 2
+    except Cancelled:
+        return 0
     except KeyboardInterrupt:
         print("vrgs: interrupted", file=sys.stderr)
         return 130
@@ -41,8 +43,9 @@ def main(argv: list[str] | None = None) -> int:
 def play(args) -> None:
     """Play a scene: in a window, in a headset, or headless with its scripted hand."""
     with open_session(args) as session:
-        world, display, film, recording = session.world, session.display, session.film, session.recording
+        display, film, recording = session.display, session.film, session.recording
         for frame in session.frames():  # time, cameras, hands, commands
+            world = session.world  # the user may open another scene
             world.step(frame)  # simulate, deform, shade, draw
             display.present(world)
             if film:

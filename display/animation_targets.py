@@ -64,6 +64,12 @@ class AnimationTargets:
         other.body = self.body if body is None else body
         return other
 
+    def placed_as(self, other: AnimationTargets) -> AnimationTargets:
+        """A copy at the place and time of another one, for its body."""
+        copied = self.at(other.time)
+        copied.world_from_body, copied.body = other.world_from_body, other.body
+        return copied
+
     def rebased(self, solver: Solver) -> AnimationTargets:
         """The animation relocated to where a hand has put the body while time stood still."""
         self._pose(solver)

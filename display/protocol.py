@@ -9,7 +9,7 @@ The loop of every display:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeVar
 
@@ -143,6 +143,35 @@ class WriteCamera:
     size: tuple[int, int] | None = None
 
 
+@dataclass(frozen=True)
+class OpenScene:
+    """Play another scene: named, with its options, and files of the user's as bodies and room."""
+
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    bodies: Sequence[str] = ()
+    stage: str | None = None
+
+
+@dataclass(frozen=True)
+class SwapRoom:
+    """Play the same scene in another room, a file; None: in its own."""
+
+    path: str | None
+
+
+@dataclass(frozen=True)
+class AddBody:
+    """Put a body made from a file over the play."""
+
+    path: str
+
+
+@dataclass(frozen=True)
+class CancelOpening:
+    """Give up what is being opened."""
+
+
 Command = (
     PlayDemo
     | Reset
@@ -161,7 +190,12 @@ Command = (
     | TakePicture
     | Film
     | WriteCamera
+    | OpenScene
+    | SwapRoom
+    | AddBody
+    | CancelOpening
 )
+OPENING = (OpenScene, SwapRoom, AddBody, CancelOpening)  # carried out by the session (commands/play.py), not the world
 ORDER = Command.__args__  # in which the commands of one frame are carried out
 C = TypeVar("C", bound=Command)
 
@@ -243,6 +277,9 @@ class WorldView(Protocol):
     film_seconds: float | None = None
     """Length of the film that is being written [s]; None: there is none."""
 
+    opening: str = ""
+    """Progress of what is being opened (`OpenScene` and the like), "" while nothing is."""
+
     score: int = 0
     message: str = ""
     """Score and message of the scene's game."""
@@ -297,7 +334,14 @@ class Display(Protocol):
         ...
 
     def loading(self, text: str, picture=None) -> None:
-        """Show a line of text while the world is made, over a picture as `WorldView.picture` once there is one."""
+        """Show a line of text while the world is made, over a picture as `WorldView.picture` once there is one.
+
+        Raises Cancelled if the user does not want to wait.
+        """
+        ...
+
+    def show_scene(self, scene: Scene, title: str) -> None:
+        """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         ...
 
     def frames(self, world: WorldView) -> Iterator[Frame]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -217,6 +217,14 @@ class World(WorldView):
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()
+
+    def adopt(self, snapshot: WorldSnapshot) -> None:
+        """Bring the state of another world of the same scene, which may be closed."""
+        self.restore(replace(snapshot, bodies=self.registry.adopted(snapshot.bodies)))
+
+    def close(self) -> None:
+        """Let go of all that the device holds, whoever still refers to this world, which cannot be used any more."""
+        del self.device, self.registry, self.editor
 
     def scripted_hands(self, time: float) -> list[Hand]:
         """Hands of the scene's scripted player at `time` [s]."""

@@ -147,6 +147,12 @@ class BodyRegistry:
         self.animations = [a.at(a.time) for a in snapshot.animations]
         self._show(snapshot.members)
 
+    def adopted(self, snapshot: BodiesSnapshot) -> BodiesSnapshot:
+        """The snapshot of another registry of the same bodies, with its animations on this device."""
+        own = {a.body: a for a in self.device.animations}
+        animations = tuple(own[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
+        return replace(snapshot, animations=animations)
+
     def warm_up(self) -> None:
         """Compile what the first edit needs; nothing is changed."""
         splats, first = self.device.splats, self.device.first

@@ -138,6 +138,10 @@ class GLWindow:
         """(width, height) in screen coordinates."""
         return self.glfw.get_window_size(self.handle)
 
+    def set_title(self, title: str) -> None:
+        """Show another title."""
+        self.glfw.set_window_title(self.handle, title)
+
     @property
     def closing(self) -> bool:
         """True once the user has asked to close the window."""

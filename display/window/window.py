@@ -9,6 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import project
+from core.errors import Cancelled
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines
@@ -64,6 +65,7 @@ class Window:
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
+        self._time = 0.0  # [s] of all frames
         self._dropped = 0.0  # [s] that have passed and were never simulated
         self._commands: list[Command] = []  # from the panel, for the next frame
         self._resized: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)  # the window's size, since when
@@ -109,12 +111,15 @@ class Window:
         return tuple(max(MIN_SIDE, side) for side in wanted)
 
     def loading(self, text: str, picture=None) -> None:
-        """Show a line of text during a long operation, over a picture or the last one; the window is empty before."""
+        """Show a line of text during a long operation, over a picture or the last one; the window is empty before.
+
+        Raises Cancelled if Esc was pressed or the window closed.
+        """
         from imgui_bundle import imgui
 
         if picture is not None:
             self._texture.upload(picture)
-        self._surface.begin()
+        events = self._surface.begin()
         area = imgui.get_io().display_size
         imgui.push_font(None, TITLE_SIZE)
         extent = imgui.calc_text_size(text)
@@ -129,11 +134,20 @@ class Window:
         self._texture.draw(self._surface.frame_size)
         self._surface.end()
         self._surface.swap()
+        if self._surface.closing or ("key", "escape", True) in events:
+            raise Cancelled(quits=self._surface.closing)
+
+    def show_scene(self, scene: Scene, title: str) -> None:
+        """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
+        self._surface.set_title(title)
+        self._panel.title = title
+        self._controls.let_go()
+        self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
+        self._commands = []
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits; slower where that cannot be kept up (display/clock.py)."""
-        time, last = 0.0, perf_counter()
-        orbit = self._controls.orbit
+        last, orbit = perf_counter(), self._controls.orbit
         while not (self._controls.quit or self._surface.closing):
             if self._surface.asleep():
                 world.timings.rest()
@@ -153,9 +167,9 @@ class Window:
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
             hands = self._controls.advance(self._camera, dt, running=running)
-            time += dt
+            self._time += dt
             self._camera = orbit.camera(self._camera.width, self._camera.height)
-            yield Frame(dt, time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)
+            yield Frame(dt, self._time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)
 
     def present(self, world: WorldView) -> None:
         """Show the world's picture, and the panel over it."""

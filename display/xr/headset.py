@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.camera import Camera
-from core.errors import BadInput
+from core.errors import BadInput, Cancelled
 from display.adaptive_resolution import DynamicResolution
 from display.clock import Clock
 from display.edit.selection_marker import marked
@@ -114,7 +114,16 @@ class Headset:
             raise BadInput(f"--xr: {runtime.name} begins no session ({type(e).__name__}); {WINDOW_INSTEAD}") from e
 
     def loading(self, text: str, picture=None) -> None:
-        """Show nothing: the runtime has its own waiting room until the first frame."""
+        """Show nothing: the runtime has its own waiting room until the next frame. Raises Cancelled if the mirror was
+        closed."""
+        if self._mirror.closing:
+            raise Cancelled(quits=True)
+
+    def show_scene(self, scene: Scene, title: str) -> None:
+        """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
+        self._player = Player(scene)
+        self._mirror.show_title(title)
+        self._commands = []
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames at the headset's rate until the user quits here or there."""

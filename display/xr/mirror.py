@@ -31,6 +31,11 @@ class Mirror:
         """Scale of a side of the headset's pictures, as the user has chosen; None: what holds the rate."""
         return self._panel.resolution
 
+    def show_title(self, title: str) -> None:
+        """Give window and panel another title."""
+        self._surface.set_title(title)
+        self._panel.title = title
+
     def show(self, world: WorldView) -> list[Command]:
         """Draw the picture that was last uploaded, and the panel; the panel's commands."""
         self._surface.begin()
@@ -54,6 +59,9 @@ class NoMirror:
         self.egl = EglContext()
         self.gl = self.egl.gl
         self.texture = PictureTexture(self.gl, views=views)
+
+    def show_title(self, title: str) -> None:
+        """No-op."""
 
     def show(self, world: WorldView) -> list[Command]:
         """No-op: there is no window, and no command."""

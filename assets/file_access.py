@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -69,6 +70,16 @@ def check_space(path: Path, bytes_needed: float) -> None:
     free = shutil.disk_usage(path.parent).free
     if free < bytes_needed:
         raise BadInput(f"{path}: the disk has {free / 1e6:.0f} MB left, about {bytes_needed / 1e6:.0f} MB are needed")
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder that can be written to, with those above it, unless it is there. Raises BadInput."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as e:
+        raise BadInput(f"{folder}: cannot be written to ({e.strerror})") from e
 
 
 @contextmanager

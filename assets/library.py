@@ -5,12 +5,17 @@ HDF5 is imported in the functions, since the command line lists the shipped asse
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import sys
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from assets.file_access import make_folder
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL, DEFAULT_MATERIAL, Material
 
@@ -117,4 +122,19 @@ def cached_asset(source: Path, options: dict) -> Path:
     with open(source, "rb") as f:
         while block := f.read(1 << 20):
             digest.update(block)
-    return cache_folder() / f"{source.stem}-{digest.hexdigest()[:16]}.h5"
+    name = f"{source.stem}-{digest.hexdigest()[:16]}.h5"
+    kept = cache_folder() / name
+    return kept if os.path.isfile(kept) else writable_cache(cache_folder()) / name  # Path.is_file may raise
+
+
+@cache
+def writable_cache(folder: Path) -> Path:
+    """The cache folder, made if need be; where it cannot be, a line says so, and it is one for this run alone."""
+    try:
+        make_folder(folder)
+        return folder
+    except BadInput as e:
+        print(f"vrgs: {e}: nothing is kept for the next time", file=sys.stderr, flush=True)
+    temporary = tempfile.mkdtemp(prefix="vrgs-")
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    return Path(temporary)

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from assets.file_access import atomic_write_all, check_writable
+from assets.file_access import atomic_write_all, check_writable, make_folder
 from bench.embedding_ablation import DEFORMATIONS, SCHEMES, arch, measure_ablation, prepared
 from bench.html_page import Section, Table, html_page
 from bench.twist import HEIGHTS, MATERIAL, TwistedBar, quarter_period
@@ -57,7 +57,7 @@ QUICK = Effort(("180 degrees",), 0.5 * np.pi, 0.35, (0.3, 0.1, 0.6), 0.1, 1, (16
 def run(args) -> None:
     """Run the command: make all figures, then write the page and its numbers. Raises BadInput."""
     effort = QUICK if args.quick else FULL
-    args.out.mkdir(parents=True, exist_ok=True)
+    make_folder(args.out)
     page, numbers = args.out / "figures.html", args.out / "figures.json"
     for file in (page, numbers):
         check_writable(file)

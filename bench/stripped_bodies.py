@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.asset import Asset
+from assets.file_access import make_folder
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from bench.implicit_shapes import SHAPES
@@ -53,7 +54,7 @@ def stripped_body(asset: str, vertices: int, folder: Path) -> Asset:
         raise BadInput(f"{asset}: neither a splat file nor a shape ({', '.join(SHAPES)}), and there is no {path}")
     kept = {"cage": body.cage, "sdf": body.sdf, "material": body.material}
     stripped = Asset(POINT, **kept, provenance={"made_by": made_by, "source": Path(asset).name})
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     stripped.save(path)
     return stripped
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from assets.file_access import make_folder
 from assets.library import SHIPPED_FOLDER, paper_folder
 from commands.conditions import Condition
 from commands.options import add_arch
@@ -47,9 +48,10 @@ def run(args: argparse.Namespace) -> None:
     if args.detail != "shipped" and args.out is None:
         raise BadInput(f"--detail {args.detail} needs --out: it would replace the shipped assets")
     detail = {"shipped": SHIPPED, "rough": ROUGH}[args.detail]
+    out = Path(args.out or SHIPPED_FOLDER)
+    make_folder(out)
     start_taichi(args.arch)
-    out, report = Path(args.out or SHIPPED_FOLDER), clock()
-    out.mkdir(parents=True, exist_ok=True)
+    report = clock()
     for name in names:
         asset = build_model(name, detail, report)
         path = out / f"{name}.h5"

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from assets.file_access import make_folder
 from assets.library import asset_sizes, find_asset, paper_folder, search_first
 from core.errors import BadInput
 from scenes import registry
@@ -58,7 +59,7 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     for part in left:
         if part.asset not in MODELS:
             raise BadInput(f"{part.asset}: no model makes it, so that {demo.name} cannot be built at another size")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     gaussians, vertices = demo.gaussians, demo.vertices
     for k, part in enumerate(left):
         path = folder / f"{part.asset}.h5"

@@ -13,6 +13,8 @@ from assets.file_access import check_writable
 from assets.library import default_material, find_asset
 from commands.conditions import Condition
 from commands.options import add_arch, positive
+from commands.play import is_asset
+from commands.prepare import cached_body
 from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi
@@ -27,7 +29,7 @@ DROP_HEIGHT_MIN = 0.1  # [m], without --height
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    parser.add_argument("asset", metavar="ASSET", help="a prepared asset, or a shipped one by name")
+    parser.add_argument("asset", metavar="ASSET", help="a prepared asset, a shipped one by name, or a splat file")
     young = {"type": positive(float), "metavar": "E"}
     parser.add_argument("--young", nargs="+", **young, help="Young's moduli to try [Pa]")
     parser.add_argument(
@@ -52,19 +54,21 @@ def run(args: argparse.Namespace) -> None:
     from display.picture import save_picture
     from display.run_stats import write_stats
 
-    path = find_asset(args.asset)
+    path, name = find_asset(args.asset), Path(args.asset).stem
+    if not is_asset(args.asset):
+        path = cached_body(path, args)
     asset = Asset.load(path)
     if asset.cage is None:
         raise BadInput(f"{args.asset}: has no cage to simulate (make one: python vrgs.py prepare)")
     youngs = args.young or np.geomspace(args.lowest, args.highest, args.steps).tolist()
-    out = args.out or Path(f"{path.stem}_tune.png")
+    out = args.out or Path(f"{name}_tune.png")
     for file in filter(None, (out, args.json)):
         check_writable(file)
-    material = Material.named(args.material) if args.material else default_material(args.asset)
+    material = Material.named(args.material) if args.material else default_material(str(path))
     height = np.ptp(asset.cage.vertices[:, 1])
     drop_height = args.height or float(max(DROP_HEIGHT_MIN, 0.5 * height))
     drops = []
-    print(f"{path.stem}, {100 * height:.1f} cm high, dropped from {drop_height:.2f} m")
+    print(f"{name}, {100 * height:.1f} cm high, dropped from {drop_height:.2f} m")
     print(f"{'young [Pa]':>10} {'compression':>12} {'rebound':>10} {'settled':>9} {'substeps':>9} {'dt [s]':>10}  path")
     for d in drop_each(path, asset.cage.vertices, material, youngs, drop_height):
         notes = ["" if d.at_rest else "still moving", "" if d.finite else "not finite"]
@@ -74,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
             flush=True,
         )
         drops.append(d)
-    save_picture(out, strip(path.stem, drops, drop_height))
+    save_picture(out, strip(name, drops, drop_height))
     if args.json:
         write_stats(args.json, [d.row() for d in drops])
     print(f"wrote {out}", file=sys.stderr)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import shutil
 import time
 import zipfile
@@ -62,7 +63,7 @@ class Checkpoints:
 
     def _read(self, name: str) -> dict[str, np.ndarray] | None:
         path = self.folder / f"{name}.npz" if self.folder else None
-        if path is None or not path.is_file():
+        if path is None or not os.path.isfile(path):  # Path.is_file may raise
             return None
         try:
             with np.load(path, allow_pickle=False) as file:

@@ -1,5 +1,6 @@
 """Asset library: shipped and user's assets, their materials, and the cache of prepared ones."""
 
+import os
 from dataclasses import replace
 
 import pytest
@@ -36,3 +37,16 @@ def test_a_prepared_file_is_kept_by_content_and_options(tmp_path, monkeypatch):
     assert cached_asset(tmp_path / "a.ply", {"vertices": 200}) != first
     (tmp_path / "a.ply").write_bytes(b"two")
     assert cached_asset(tmp_path / "a.ply", {"vertices": 100}) != first
+
+
+@pytest.mark.parametrize("there", ["a file", "a folder of none"])
+def test_without_a_cache_folder_a_line_says_so_once_and_nothing_is_kept(tmp_path, monkeypatch, capsys, there):
+    """The user's VRGS_CACHE may be a file, or lie where no folder can be made."""
+    (tmp_path / "a.ply").write_bytes(b"bytes of a splat")
+    (tmp_path / "file").write_bytes(b"")
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "file" if there == "a file" else "/proc/nowhere"))
+    first = cached_asset(tmp_path / "a.ply", {"vertices": 100})
+    assert cached_asset(tmp_path / "a.ply", {"vertices": 200}).parent == first.parent
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and os.environ["VRGS_CACHE"] in said
+    first.write_bytes(b"can be written")

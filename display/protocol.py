@@ -20,8 +20,10 @@ from core.material import Material
 from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Scene
 
+MIN_TIME_SCALE = 0.05  # slower, a frame moves nothing that can be seen
+
 # Commands: requests of the user between two frames. A body is named by its index; None is the selected body, the one
-# last held or pointed at.
+# last held or pointed at. A command of a drag is `continued` if it goes on with the last one: undo takes back the drag.
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,22 @@ class SetInteraction:
     """Choose what a grip does: deform and throw bodies, or move them rigidly while time stands still."""
 
     mode: Literal["physics", "transform"]
+
+
+@dataclass(frozen=True)
+class SetGravity:
+    """Let bodies fall with another acceleration [m/s^2]."""
+
+    gravity: tuple[float, float, float]
+    continued: bool = False
+
+
+@dataclass(frozen=True)
+class SetTimeScale:
+    """Let time pass more slowly: seconds of the world in a second of the user's, MIN_TIME_SCALE to 1."""
+
+    scale: float
+    continued: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,11 +106,22 @@ class Rotate:
 
 
 @dataclass(frozen=True)
+class Place:
+    """Move a body by an offset [m], and turn it by a quaternion (wxyz) about its centre; it comes to rest there."""
+
+    body: int | None
+    offset: tuple[float, float, float]
+    rotation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    continued: bool = False
+
+
+@dataclass(frozen=True)
 class SetMaterial:
     """Make a body of another material, given or named (core/material.py)."""
 
     body: int | None
     material: Material | str
+    continued: bool = False
 
 
 @dataclass(frozen=True)
@@ -177,11 +206,14 @@ Command = (
     | Reset
     | SetLight
     | SetInteraction
+    | SetGravity
+    | SetTimeScale
     | Select
     | Remove
     | Duplicate
     | Rescale
     | Rotate
+    | Place
     | SetMaterial
     | Undo
     | Redo
@@ -271,6 +303,12 @@ class WorldView(Protocol):
     recently_selected: bool = False
     """True if it was selected or changed within the last seconds."""
 
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Acceleration of what falls [m/s^2]."""
+
+    time_scale: float = 1.0
+    """Seconds of the world in a second of the user's."""
+
     notice: str = ""
     """Message about the last command, for some seconds."""
 
@@ -300,6 +338,10 @@ class WorldView(Protocol):
     def bodies(self) -> list[BodyState]:
         """The simulated bodies after the last frame."""
         return []
+
+    def material(self, body: int) -> tuple[Material, str]:
+        """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
+        raise IndexError(body)
 
     def pick(self, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int] | None:
         """Distance [m] along a ray to the nearest simulated body, and its index."""

@@ -10,19 +10,23 @@ from time import perf_counter
 import numpy as np
 
 from core.camera import Camera, look_at, perspective
+from core.material import Material
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
 from display.protocol import (
+    MIN_TIME_SCALE,
     Command,
     Frame,
     Pause,
     PlayDemo,
     Rescale,
     Reset,
+    SetGravity,
     SetInteraction,
     SetLight,
+    SetTimeScale,
     SingleStep,
     WorldView,
     last_of,
@@ -30,6 +34,7 @@ from display.protocol import (
 from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Scene
 
+MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's
 SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length
 
 
@@ -59,6 +64,7 @@ class World(WorldView):
         self.registry = BodyRegistry(self.device)
         self.editor = Editor(self, self.registry)
         self.paused = self.demo = self.moving = False
+        self.time_scale = 1.0
         self.time = 0.0  # [s] of simulation since the last reset
         self._owed = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
@@ -124,16 +130,17 @@ class World(WorldView):
 
     def _simulate(self, frame: Frame) -> None:
         """Step with the user's hands at the display's pace, or with the scripted ones in frames of SCRIPT_DT."""
+        passed, script_dt = frame.dt * self.time_scale, SCRIPT_DT * self.time_scale
         if not self.demo:
-            for dt, hands in frame_steps(frame.dt, frame.max_step, self._hands, frame.hands):
+            for dt, hands in frame_steps(passed, frame.max_step, self._hands, frame.hands):
                 self.registry.step(dt, hands)
-            self.time += frame.dt
+            self.time += passed
             return
-        self._owed += frame.dt
-        while self._owed >= SCRIPT_DT:
-            self._owed -= SCRIPT_DT
-            self.time += SCRIPT_DT
-            self.registry.step(SCRIPT_DT, self.scripted_hands(self.time))
+        self._owed += passed
+        while self._owed >= script_dt:
+            self._owed -= script_dt
+            self.time += script_dt
+            self.registry.step(script_dt, self.scripted_hands(self.time))
 
     def _two_hand_scaling(self) -> list[Command]:
         """Command that keeps the size given to a body by two hands, after they have let go."""
@@ -175,6 +182,13 @@ class World(WorldView):
         if light is not None and self.light is not None:
             self.editor.record("light")
             self.set_light(light.light)
+        gravity, time_scale = last_of(SetGravity, commands), last_of(SetTimeScale, commands)
+        if gravity is not None:
+            self.editor.record("gravity", gravity.continued)
+            self.set_gravity(gravity.gravity)
+        if time_scale is not None:
+            self.editor.record("time_scale", time_scale.continued)
+            self.set_time_scale(time_scale.scale)
         if interaction is not None:
             self.registry.rebase_animations()
             self.device.solver.interaction = interaction.mode
@@ -203,6 +217,14 @@ class World(WorldView):
         """Replace the light."""
         self.device.set_light(light)
         self._cast_shadow()
+
+    def set_gravity(self, gravity: tuple[float, float, float]) -> None:
+        """Let bodies fall with another acceleration [m/s^2]; it wakes those that sleep."""
+        self.device.solver.gravity = tuple(float(np.clip(g, -MAX_GRAVITY, MAX_GRAVITY)) for g in gravity)
+
+    def set_time_scale(self, scale: float) -> None:
+        """Let time pass more slowly, or as usual: 1."""
+        self.time_scale = float(np.clip(scale, MIN_TIME_SCALE, 1.0))
 
     def snapshot(self) -> WorldSnapshot:
         """The state now; hands count as open."""
@@ -261,6 +283,15 @@ class World(WorldView):
     def interaction(self) -> str:
         """ "physics" or "transform"."""
         return self.device.solver.interaction
+
+    @property
+    def gravity(self) -> tuple[float, float, float]:
+        """Acceleration of what falls [m/s^2]."""
+        return self.device.solver.gravity
+
+    def material(self, body: int) -> tuple[Material, str]:
+        """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
+        return self.registry.material(body)
 
     def bodies(self) -> list[BodyState]:
         """The simulated bodies after the last frame."""

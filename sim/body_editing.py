@@ -99,15 +99,15 @@ def rescaled(bodies: MovingBodies, i: int, factor: float, *, about=None) -> Movi
     return bodies.with_changed(i, model.scaled(factor), moved, shift)
 
 
-def displaced(bodies: MovingBodies, i: int, matrix: np.ndarray) -> MovingBodies:
-    """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn with it."""
+def displaced(bodies: MovingBodies, i: int, matrix: np.ndarray, *, rest: bool = False) -> MovingBodies:
+    """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn with it, or end with `rest`."""
     i, M = body_index(i, len(bodies.models)), np.asarray(matrix, np.float64)
     R, model = M[:3, :3], bodies.models[i]
     if M.shape != (4, 4) or not np.isfinite(M).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-6:
         raise BadInput(f"{model.body.name}: the matrix is not a rigid motion")
     x, v = bodies.motion_of(i)
     shift = x @ (R.T - np.eye(3)) + M[:3, 3]
-    return bodies.with_changed(i, model, motion(x + shift, v @ R.T), shift)
+    return bodies.with_changed(i, model, motion(x + shift, 0.0 * v if rest else v @ R.T), shift)
 
 
 def with_material(bodies: MovingBodies, i: int, material: Material) -> MovingBodies:

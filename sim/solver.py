@@ -307,9 +307,9 @@ class Solver:
         """
         self._change(body_editing.rescaled(self._moving_bodies(), i, factor, about=about))
 
-    def displace(self, i: int, matrix: np.ndarray) -> None:
-        """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn with it."""
-        self._change(body_editing.displaced(self._moving_bodies(), i, matrix))
+    def displace(self, i: int, matrix: np.ndarray, *, rest: bool = False) -> None:
+        """Move body i as it is by a rigid motion (4, 4) of the world; its velocities turn too, or `rest` ends them."""
+        self._change(body_editing.displaced(self._moving_bodies(), i, matrix, rest=rest))
 
     def set_material(self, i: int, material: Material) -> None:
         """Give body i another material."""

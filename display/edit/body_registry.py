@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from core.material import Material
+from core.material import MATERIALS, Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from scenes.scene import BodyState, Hand
@@ -26,10 +26,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Member:
-    """A body of the solver: the index of the scene's body that it looks like, and whether it is a copy of that."""
+    """A body of the solver: the index of the scene's body that it looks like, whether it is a copy of that, and the
+    name of the material that the user gave it last."""
 
     source: int
     copy: bool = False
+    material: str = ""
 
 
 @dataclass(frozen=True)
@@ -117,15 +119,29 @@ class BodyRegistry:
         by[:3, 3] = (1.0 - factor) * about
         self._move_animation(k, by)
 
-    def displace(self, k: int, by: np.ndarray) -> None:
-        """Move a body by a rigid transform (4, 4)."""
-        self.device.solver.displace(k, by)
+    def displace(self, k: int, by: np.ndarray, *, rest: bool = False) -> None:
+        """Move a body by a rigid transform (4, 4); `rest`: it stands still then."""
+        self.device.solver.displace(k, by, rest=rest)
         self._move_animation(k, by)
 
-    def set_material(self, k: int, material: Material) -> None:
-        """Make a body of another material."""
-        self._with_capacity(lambda: self.device.solver.set_material(k, material))
-        self._show(self.members)
+    def set_material(self, k: int, material: Material | str) -> None:
+        """Make a body of another material, given or named."""
+        given = material if isinstance(material, Material) else Material.named(str(material))
+        self._with_capacity(lambda: self.device.solver.set_material(k, given))
+        members = list(self.members)
+        members[k] = replace(members[k], material=members[k].material if given is material else str(material))
+        self._show(tuple(members))
+
+    def material(self, k: int) -> tuple[Material, str]:
+        """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
+        body = self.device.solver.body_models[k].body
+        if body.rigid:
+            return body.material, "rigid"
+        own = self._scene_models[self.members[k].source].body.material
+        known = {**MATERIALS, "": own}
+        base = self.members[k].material
+        name = base or next((name for name, material in MATERIALS.items() if material == own), "own material")
+        return body.material, name if body.material == known[base] else f"{name}, changed"
 
     def reset(self) -> None:
         """The scene's own bodies at their start, and no others."""

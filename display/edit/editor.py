@@ -18,6 +18,7 @@ from display.edit.undo_stack import Step, UndoStack
 from display.protocol import (
     Command,
     Duplicate,
+    Place,
     Redo,
     Remove,
     Rescale,
@@ -29,9 +30,11 @@ from display.protocol import (
 )
 from scenes.scene import BodyState, Hand
 
-DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it
-EDITS = (Select, Remove, Duplicate, Rescale, Rotate, SetMaterial, Undo, Redo)
-SELECTING = (Select, Duplicate, Rescale, Rotate, SetMaterial)  # after these the selected body is marked
+DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it; others say
+EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, SetMaterial, Undo, Redo)
+SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
+SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
+FARTHEST = 100.0  # [m] that a body can be moved at once
 COPY_GAP = 0.01  # [m] between a body and its copy
 SCALE_MIN, SCALE_MAX = 0.2, 5.0  # size of a body in multiples of its first one
 SCALE_ROUNDING = 1e-6  # a factor this near to 1 changes nothing
@@ -91,8 +94,10 @@ class Editor:
                 self._rescale(self._index(body), factor)
             case Rotate(body, rotation):
                 self._rotate(self._index(body), rotation)
-            case SetMaterial(body, material):
-                self._set_material(self._index(body), material)
+            case Place(body, offset, rotation, continued):
+                self._place(self._index(body), offset, rotation, continued)
+            case SetMaterial(body, material, continued):
+                self._set_material(self._index(body), material, continued)
             case Undo():
                 self._return(self.history.back(self._present), "Nothing to undo.")
             case Redo():
@@ -107,9 +112,9 @@ class Editor:
             raise BadInput(f"There is no body {k}.")
         return int(k)
 
-    def _edit(self, action: str, edit: Callable[[], T], select: int | None = None) -> T:
+    def _edit(self, action: str, edit: Callable[[], T], select: int | None = None, continued: bool = False) -> T:
         """Record the state, carry out an edit of the registry, and let the world see it."""
-        before = self._before(action)
+        before = self._before(action, continued)
         self.selected = self.selected if select is None else select
         result = edit()
         self._record(action, before)
@@ -139,11 +144,8 @@ class Editor:
         self._edit("rescale", lambda: self._bodies.rescale(k, factor, fixed), select=k)
 
     def _rotate(self, k: int, rotation) -> None:
-        q = np.asarray(rotation, np.float64)
-        if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
-            raise BadInput(f"A body cannot be turned by {rotation}.")
         body, by = self._world.bodies()[k], np.eye(4)
-        by[:3, :3] = matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
+        by[:3, :3] = rotation_matrix(rotation)
         by[:3, 3] = body.centroid - by[:3, :3] @ body.centroid
         if not body.held:  # a body that stands on a table still does
             solver = self._bodies.device.solver
@@ -151,20 +153,27 @@ class Editor:
             by[1, 3] += body.low[1] - (solver.snapshot()["x"][first:last] @ by[1, :3] + by[1, 3]).min()
         self._edit("rotate", lambda: self._bodies.displace(k, by), select=k)
 
-    def _set_material(self, k: int, material: Material | str) -> None:
-        material = material if isinstance(material, Material) else Material.named(str(material))
-        self._edit("material", lambda: self._bodies.set_material(k, material), select=k)
+    def _place(self, k: int, offset, rotation, continued: bool) -> None:
+        offset, body, by = np.asarray(offset, np.float64), self._world.bodies()[k], np.eye(4)
+        if offset.shape != (3,) or not (np.linalg.norm(offset) < FARTHEST):
+            raise BadInput(f"A body cannot be moved by {offset.tolist()}.")
+        by[:3, :3] = rotation_matrix(rotation)
+        by[:3, 3] = body.centroid + offset - by[:3, :3] @ body.centroid
+        self._edit("place", lambda: self._bodies.displace(k, by, rest=True), select=k, continued=continued)
+
+    def _set_material(self, k: int, material: Material | str, continued: bool) -> None:
+        self._edit("material", lambda: self._bodies.set_material(k, material), select=k, continued=continued)
 
     # history
 
-    def record(self, action: str) -> None:
+    def record(self, action: str, continued: bool = False) -> None:
         """Remember the state before this action; a drag, a command in each frame, is one action."""
-        self._record(action, self._before(action))
+        self._record(action, self._before(action, continued))
 
-    def _before(self, action: str) -> Step | None:
+    def _before(self, action: str, continued: bool = False) -> Step | None:
         """The state before an action; None if it continues the last one."""
         last, frame = self._last_action
-        if action == last and self._frame - frame <= DRAG_GAP.get(action, -1):
+        if action == last and (continued or self._frame - frame <= DRAG_GAP.get(action, -1)):
             return None
         return self._step(action)
 
@@ -175,8 +184,8 @@ class Editor:
 
     def _step(self, action: str) -> Step:
         """The present state, as a step that takes this action back."""
-        if action == "light":
-            return Step("light", self._world.light)
+        if action in SETTINGS:
+            return Step(action, getattr(self._world, action))
         snapshot = self._world.snapshot()
         solver = snapshot.bodies.solver
         sizes = {id(a): a.nbytes for a in solver.values() if isinstance(a, np.ndarray)}
@@ -193,8 +202,8 @@ class Editor:
         self._last_action = ("", 0)
         if step is None:
             self.notice.tell(nothing)
-        elif step.action == "light":
-            self._world.set_light(step.state)
+        elif step.action in SETTINGS:
+            getattr(self._world, f"set_{step.action}")(step.state)
         else:
             snapshot, self.selected = step.state
             self._world.restore(snapshot)
@@ -216,6 +225,14 @@ class Editor:
             self.selected = grasped[0]
             if step is not None:
                 self._record("grab", step)
+
+
+def rotation_matrix(rotation) -> np.ndarray:
+    """Matrix (3, 3) of a quaternion (wxyz) of any length. Raises BadInput."""
+    q = np.asarray(rotation, np.float64)
+    if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
+        raise BadInput(f"A body cannot be turned by {rotation}.")
+    return matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
 
 
 def copy_offset(k: int, bodies: list[BodyState]) -> np.ndarray:

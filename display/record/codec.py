@@ -29,11 +29,14 @@ KEYS = {  # of the commands that change the world
     "reset": protocol.Reset,
     "light": protocol.SetLight,
     "interaction": protocol.SetInteraction,
+    "gravity": protocol.SetGravity,
+    "time_scale": protocol.SetTimeScale,
     "select": protocol.Select,
     "remove": protocol.Remove,
     "duplicate": protocol.Duplicate,
     "rescale": protocol.Rescale,
     "rotate": protocol.Rotate,
+    "place": protocol.Place,
     "material": protocol.SetMaterial,
     "undo": protocol.Undo,
     "redo": protocol.Redo,
@@ -46,13 +49,16 @@ NAMES = {kind: key for key, kind in KEYS.items()}
 def to_text(frame: int, commands: Sequence[Command]) -> str:
     """One line of JSON: {"frame": 12, "pause": true, "rescale": [3, 1.25]}; commands that write files are left out.
 
-    A command without fields is true, one with one field is its value, one with more a list; Light and Material are
-    {"Light": {field: value}}.
+    A command without fields is true, one with one field is its value, one with more a list, without the last ones that
+    have their default values; Light and Material are {"Light": {field: value}}.
     """
     values = {}
     for command in (c for c in commands if type(c) in NAMES):
-        fields = [getattr(command, f.name) for f in dataclasses.fields(command)]
-        values[NAMES[type(command)]] = True if not fields else fields[0] if len(fields) == 1 else fields
+        fields = dataclasses.fields(command)
+        given = [getattr(command, f.name) for f in fields]
+        while len(given) > 1 and given[-1] == fields[len(given) - 1].default:
+            given.pop()
+        values[NAMES[type(command)]] = True if not fields else given[0] if len(fields) == 1 else given
     return json.dumps({"frame": frame, **values}, default=_plain)
 
 
@@ -88,7 +94,9 @@ def _command(kind: type, value) -> list[Command]:
     if not types:
         return [kind()] if _checked(value, bool) else []
     values = [value] if len(types) == 1 else value
-    return [kind(*(_checked(v, t) for v, t in zip(values, types.values(), strict=True)))]
+    if not isinstance(values, list) or len(values) > len(types):
+        raise ValueError
+    return [kind(*(_checked(v, t) for v, t in zip(values, types.values(), strict=False)))]  # TypeError: too few
 
 
 def _types(kind: type) -> dict[str, type]:

@@ -203,10 +203,11 @@ class Controls:
         self.hand.drop()
         self.drag = self._button = None
 
-    def advance(self, camera: Camera, dt: float, *, running: bool = True) -> list[Hand]:
-        """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run."""
+    def advance(self, camera: Camera, dt: float, *, running: bool = True, pace: float = 1.0) -> list[Hand]:
+        """Walk for `dt` [s] and return the mouse's hand, if it grips. It waits while the world does not run, and moves
+        at its `pace`: seconds of the world in one of the user's."""
         if self._walking:
             right, up, forward = np.sum([WALK_KEYS[name] for name in self._walking], axis=0)
             speed = max(MIN_WALK_SPEED, WALK_RATE * self.orbit.distance) * (RUN_FACTOR if self._shift else 1.0)
             self.orbit.move(right * speed * dt, up * speed * dt, forward * speed * dt)
-        return self.hand.hands(camera, dt if running else 0.0)
+        return self.hand.hands(camera, dt if running else 0.0, pace)

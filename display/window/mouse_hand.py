@@ -28,6 +28,7 @@ class MouseHand:
         self.position = np.zeros(3)
         self._u = self._v = self._depth = 0.0
         self._radius = Hand.reach
+        self._pace = 1.0
         self._fresh = self._given = False  # did the grip just begin; was there a hand in the last frame
         self._remaining: float | None = None  # [s] of the grip after the release, None before it
         self._velocity = np.zeros(3)  # of the throw
@@ -59,15 +60,17 @@ class MouseHand:
         self._velocity = clamp_length((goal - start) / (end - begin), MAX_SPEED)
         if np.linalg.norm(self._velocity) < MIN_THROW_SPEED:
             return self.drop()
-        self._remaining = FOLLOW_THROUGH
+        self._remaining = min(FOLLOW_THROUGH / self._pace, THROW_WINDOW)  # the solver's throw is of the world's time
 
     def drop(self) -> None:
         """Let go at once."""
         self.gripping, self._remaining = False, None
 
-    def hands(self, camera: Camera, dt: float) -> list[Hand]:
+    def hands(self, camera: Camera, dt: float, pace: float = 1.0) -> list[Hand]:
         """The hand after `dt` [s], where it closes in on the cursor or follows through; none when it is open.
 
+        `pace`: seconds of the world in one of the user's. The hand moves in the world's time, but a throw is as fast
+        as the cursor was in the user's.
         A grip begins with a hand that was not there before, so it never seems to come from elsewhere.
         """
         if self._remaining is not None and self._remaining <= 0.0:
@@ -76,16 +79,21 @@ class MouseHand:
             self._given = False
             return []
         if self._remaining is not None:
-            self._remaining -= dt
-            self.position = self.position + self._velocity * dt
+            self._remaining -= dt * pace
+            self.position = self.position + self._velocity * dt * pace
         elif dt > 0.0:
-            self._follow(self._goal(camera), dt)
+            self._pace = pace
+            goal = self._goal(camera)
+            self._follow(goal, dt * pace)
+            self._note_goal(goal, dt)
         self._fresh, self._given = False, True
         return [Hand(position=tuple(map(float, self.position)), grip=True, reach=self._radius)]
 
     def _follow(self, goal: np.ndarray, dt: float) -> None:
         step = (goal - self.position) * (1.0 - np.exp(-dt / FOLLOW_TIME))
         self.position = self.position + clamp_length(step, MAX_SPEED * dt)
+
+    def _note_goal(self, goal: np.ndarray, dt: float) -> None:
         self._clock += dt
         self._goals.append((self._clock, goal))
         while len(self._goals) > 2 and self._clock - self._goals[0][0] > THROW_WINDOW:

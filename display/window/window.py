@@ -166,7 +166,7 @@ class Window:
             pause = last_of(Pause, commands)
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
-            hands = self._controls.advance(self._camera, dt, running=running)
+            hands = self._controls.advance(self._camera, dt, running=running, pace=world.time_scale)
             self._time += dt
             self._camera = orbit.camera(self._camera.width, self._camera.height)
             yield Frame(dt, self._time, [orbit.camera(*world.picture_size)], hands, commands, max_step=MAX_STEP)

@@ -1,5 +1,7 @@
 """Copies, sizes, turns and undo in a running world: bodies and picture stay one, the scene's game does not notice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,17 +10,21 @@ from core.camera import look_at, perspective
 from display.edit.body_registry import FULL_NOTICE as FULL
 from display.picture import pixels_of
 from display.protocol import (
+    MIN_TIME_SCALE,
     Duplicate,
     Frame,
+    Place,
     Redo,
     Remove,
     Rescale,
     Reset,
     Rotate,
     Select,
+    SetGravity,
     SetInteraction,
     SetLight,
     SetMaterial,
+    SetTimeScale,
     Undo,
 )
 from scenes.dining_table import RING_MATERIAL as RUBBER
@@ -96,7 +102,9 @@ def shared(ti_cpu) -> Play:
 
 @pytest.fixture
 def play(shared) -> Play:
-    shared.do(Reset(), SetInteraction("physics"), SetLight(shared.world.scene.light))
+    world = shared.world
+    shared.do(Reset(), SetInteraction("physics"), SetLight(world.scene.light))
+    shared.do(SetGravity(world.scene.gravity), SetTimeScale(1.0))
     shared.world.editor.history.done.clear()
     shared.world.editor.history.undone.clear()
     shared.do(Select(None))
@@ -129,6 +137,10 @@ def test_a_world_at_rest_draws_nothing_and_undo_finds_it_asleep(play, monkeypatc
     play.step()
     assert world.stats()["asleep"] == 2
     equal(motion, play.motion())
+    play.step(5, SetGravity((0.0, 1.0, 0.0)))  # wakes all
+    assert world.stats()["asleep"] == 0 and min(b.velocity[1] for b in world.bodies()) > 0.0
+    play.do(Undo())
+    assert world.gravity == world.scene.gravity
 
 
 def test_undo_of_a_move_brings_back_motion_picture_and_score_bit_for_bit(play):
@@ -275,6 +287,59 @@ def test_a_drag_is_one_action_two_keys_are_two(play):
     assert_allclose(play.world.device.solver.body_models[RED].shape.factor, 1.02**4)
 
 
+def test_a_drag_of_a_slider_is_one_action_however_long_it_rests(play):
+    world, materials = play.world, [replace(RUBBER, young=1e5 + 1e4 * k) for k in range(3)]
+    for k in range(3):
+        play.do(SetMaterial(RED, materials[k], k > 0))
+        play.step(3)
+    for k in range(3):
+        play.do(SetGravity((0.0, -1.0 - k, 0.0), k > 0))
+        play.step(3)
+    assert [s.action for s in world.editor.history.done] == ["material", "gravity"]
+    play.do(Undo())
+    assert world.gravity == world.scene.gravity and world.material(RED)[0] == materials[2]
+    play.do(Undo())
+    assert world.material(RED)[0] == RUBBER
+
+
+def test_materials_are_named_and_what_is_changed_is_said(play):
+    world = play.world
+    assert world.material(RED) == (RUBBER, "silicone")
+    play.do(SetMaterial(RED, replace(RUBBER, friction=0.1)))
+    assert world.material(RED)[1] == "silicone, changed" and world.material(BLUE)[1] == "silicone"
+    play.do(SetMaterial(RED, "jelly"))
+    play.do(Duplicate(RED))
+    assert world.material(RED)[1] == world.material(2)[1] == "jelly"
+    play.do(SetMaterial(2, replace(world.material(2)[0], young=9e3)))
+    assert world.material(2)[1] == "jelly, changed"
+    play.do(Undo())
+    assert world.material(2)[1] == "jelly"
+
+
+def test_time_passes_more_slowly(play):
+    world = play.world
+    play.do(SetTimeScale(0.25))
+    play.step(4)
+    assert_allclose(world.time, 2 * DT)  # one frame of the fixture, and a quarter of four
+    play.do(SetTimeScale(0.0))
+    assert world.time_scale == MIN_TIME_SCALE
+    play.do(Undo())
+    assert world.time_scale == 0.25
+
+
+def test_a_body_is_put_elsewhere_and_rests_there(play):
+    play.step(2)
+    before = play.world.bodies()[RED]
+    half_turn = (0.0, 0.0, 0.0, 1.0)
+    for k in range(4):
+        play.do(Place(RED, (0.0, 0.1, 0.05), half_turn if k == 0 else (1.0, 0.0, 0.0, 0.0), k > 0))
+    after = play.world.bodies()[RED]
+    assert_allclose(after.centroid - before.centroid, (0.0, 0.4, 0.2), atol=1e-4)
+    assert_allclose(after.axis, -before.axis, atol=1e-3)
+    assert_allclose(after.velocity, 0.0, atol=1e-6)
+    assert [s.action for s in play.world.editor.history.done] == ["place"]
+
+
 def test_reset_gives_the_scene_and_can_be_taken_back(play):
     start = play.motion()
     play.do(Duplicate(RED))
@@ -365,6 +430,8 @@ def test_when_the_room_is_used_up_it_is_said_and_nothing_changes(play):
         [Rescale(0, 0.0)],
         [Rescale(0, float("nan"))],
         [Rotate(0, (0.0, 0.0, 0.0, 0.0))],
+        [Place(0, (float("nan"), 0.0, 0.0))],
+        [Place(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))],
         [SetMaterial(0, "unobtainium")],
         [Duplicate(None)],
         [Select(9)],

@@ -21,14 +21,17 @@ from display.protocol import (
     Duplicate,
     Frame,
     Pause,
+    Place,
     PlayDemo,
     Rescale,
     Reset,
     Rotate,
     Select,
+    SetGravity,
     SetInteraction,
     SetLight,
     SetMaterial,
+    SetTimeScale,
     SingleStep,
     Undo,
 )
@@ -152,7 +155,12 @@ def test_commands_come_back_as_they_were_and_others_are_refused():
     commands = [Reset(), SetInteraction("transform"), SetLight(Light((0.0, 1.0, 2.0), kind="directional"))]
     commands += [Duplicate(None), Select(3), Rescale(None, 1.5), Rotate(2, (1.0, 0.0, 0.0, 0.0))]
     commands += [SetMaterial(0, Material(1e4, 0.3, 900.0)), Undo(), PlayDemo(False)]
+    commands += [SetGravity((0.0, -1.6, 0.0)), SetTimeScale(0.5, True), Place(1, (0.0, 0.1, 0.0), continued=True)]
     assert from_text(to_text(7, commands)) == (7, commands)
+    assert from_text('{"frame": 7, "material": [0, "jelly"]}') == (
+        7,
+        [SetMaterial(0, "jelly")],
+    )  # as it was before drags
     assert from_text(to_text(7, [Rescale(np.int64(2), np.float64(1.5))])) == (7, [Rescale(2, 1.5)])
     for text in (
         "", "3", "{}", "[" * 100_000, '{"frame": 1.5}', '{"frame": 1, "select": -1}',
@@ -161,6 +169,8 @@ def test_commands_come_back_as_they_were_and_others_are_refused():
         '{"frame": 1, "light": {"Light": {"colour": 1}}}',
         '{"frame": 1, "light": {"Light": {"position": [1, 2]}}}', '{"frame": 1, "rescale": [1, NaN]}',
         '{"frame": 1, "rotate": [1, [1, 2, 3]]}', '{"frame": 1, "material": [1, 5]}',
+        '{"frame": 1, "gravity": [0, -1, 0]}', '{"frame": 1, "place": [1]}',
+        '{"frame": 1, "time_scale": [1, true, 2]}',
     ):  # fmt: skip
         with pytest.raises(BadInput):
             from_text(text)

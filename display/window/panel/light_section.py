@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from display import protocol
 from display.protocol import Command, WorldView
 from display.window.panel.section import Section
-from display.window.panel.widgets import choice, width_of
+from display.window.panel.widgets import Sliders, choice
 
+HUNDREDTHS = {"shadow": ("strength", 100.0, "%"), "edge": ("softness", 20.0, "cm")}  # field, largest, unit
 RANGE = 4.0  # [m] of the sliders around the scene's target
 
 
@@ -18,6 +17,10 @@ class LightSection(Section):
     """The scene's light."""
 
     title = "Light"
+    open = False
+
+    def __init__(self):
+        self._sliders = Sliders()
 
     def shown(self, world: WorldView) -> bool:
         """True of worlds with a light."""
@@ -25,28 +28,17 @@ class LightSection(Section):
 
     def draw(self, world: WorldView) -> list[Command]:
         """Draw the sliders; the changed light."""
-        from imgui_bundle import imgui
-
         light = world.light
         kind = choice(["Point", "Directional"], light.kind.capitalize()).lower()
-        low, high = np.array(world.scene.target) - RANGE, np.array(world.scene.target) + RANGE
-        gap = imgui.get_style().item_inner_spacing.x
-        imgui.push_item_width(width_of(3, gap))
-        position = list(light.position)
-        for axis, name in enumerate("xyz"):
-            if axis:
-                imgui.same_line(0, gap)
-            label, form = f"##light {name}", f"{name} %.2f m"
-            _, position[axis] = imgui.slider_float(label, position[axis], low[axis], high[axis], form)
-        imgui.pop_item_width()
-        imgui.push_item_width(width_of(2, gap))
-        _, strength = imgui.slider_float("##strength", light.strength, 0.0, 1.0, "shadow %.2f")
-        imgui.same_line(0, gap)
-        _, softness = imgui.slider_float("##softness", 100 * light.softness, 0.0, 20.0, "edge %.1f cm")
-        imgui.pop_item_width()
-        before = [*light.position, light.strength, 100 * light.softness]
-        if kind == light.kind and np.allclose([*position, strength, softness], before):
-            return []
-        position = tuple(map(float, position))
-        changed = replace(light, kind=kind, position=position, strength=strength, softness=softness / 100)
-        return [protocol.SetLight(changed)]
+        changed = light if kind == light.kind else replace(light, kind=kind)
+        for axis, (name, middle) in enumerate(zip("xyz", world.scene.target, strict=True)):
+            at = light.position[axis]
+            moved = self._sliders.draw(name, at, middle - RANGE, middle + RANGE, f"{at:.2f} m")
+            if moved is not None:
+                changed = replace(changed, position=(*light.position[:axis], moved[0], *light.position[axis + 1 :]))
+        for name, (field, high, unit) in HUNDREDTHS.items():
+            value = 100.0 * getattr(light, field)
+            moved = self._sliders.draw(name, value, 0.0, high, f"{value:.3g} {unit}")
+            if moved is not None:
+                changed = replace(changed, **{field: moved[0] / 100.0})
+        return [] if changed is light else [protocol.SetLight(changed)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from display.protocol import Command, WorldView
-from display.window.panel.edit_section import EditSection
+from display.window.panel.body_section import BodySection
 from display.window.panel.keys_section import KeysSection
 from display.window.panel.light_section import LightSection
 from display.window.panel.performance_section import PerformanceSection
@@ -11,7 +11,8 @@ from display.window.panel.play_section import PlaySection
 from display.window.panel.score_line import draw_score
 from display.window.panel.section import Section
 from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE, WIDTH, apply_theme
-from display.window.panel.widgets import pixels
+from display.window.panel.widgets import pixels, text_right
+from display.window.panel.world_section import WorldSection
 
 
 class Panel:
@@ -22,8 +23,15 @@ class Panel:
 
     def __init__(self, title: str, scale: float):
         self.title = title
-        self._edit, self._performance = EditSection(), PerformanceSection()
-        self.sections: list[Section] = [PlaySection(), self._edit, LightSection(), self._performance, KeysSection()]
+        self._body, self._performance = BodySection(), PerformanceSection()
+        self.sections: list[Section] = [
+            PlaySection(),
+            self._body,
+            WorldSection(),
+            LightSection(),
+            self._performance,
+            KeysSection(),
+        ]
         self._visible = False
         apply_theme(scale)
 
@@ -39,8 +47,8 @@ class Panel:
 
     @property
     def edits(self) -> bool:
-        """True while the cursor is among the edits."""
-        return self._visible and self._edit.hovered
+        """True while the cursor is among the edits of a body."""
+        return self._visible and self._body.hovered
 
     def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
         """Draw one frame of the panel and of the score; the commands that the user gives."""
@@ -72,7 +80,9 @@ class Panel:
 
         if section.title:
             imgui.set_next_item_open(section.open)
+            imgui.push_style_var(imgui.StyleVar_.frame_padding, (pixels(4), pixels(2)))
             section.open = imgui.collapsing_header(section.title)
+            imgui.pop_style_var()
         section.hovered = False
         if not section.open:
             return []
@@ -86,14 +96,12 @@ class Panel:
         from imgui_bundle import imgui
 
         imgui.push_font(None, TITLE_SIZE)
-        imgui.text(self.title)
+        imgui.text(self.title.split(": ")[-1].replace("_", " "))  # the window has all of it
         imgui.pop_font()
         rate = f"{self._performance.fps:.0f} fps"
         imgui.same_line()
-        space = imgui.get_content_region_avail().x - imgui.calc_text_size(rate).x
-        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
         imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))  # onto the title's base line
-        imgui.text_colored(ACCENT, rate)
+        text_right(rate, ACCENT)
         imgui.dummy((0, pixels(2)))
         for file, role in world.scene.cast:
             imgui.push_text_wrap_pos(0.0)

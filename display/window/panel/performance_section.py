@@ -22,6 +22,7 @@ class PerformanceSection(Section):
     """
 
     title = "Performance"
+    open = False
 
     def __init__(self):
         self.resolution: float | None = None

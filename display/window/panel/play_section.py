@@ -1,4 +1,4 @@
-"""The panel's first section: pause, step, reset, and what a grip does."""
+"""The panel's first section: pause, step, reset, undo, the demonstration, and what a grip does."""
 
 from __future__ import annotations
 
@@ -24,12 +24,17 @@ class PlaySection(Section):
 
     def draw(self, world: WorldView) -> list[Command]:
         """Draw the buttons; their commands."""
-        pause = "Resume" if world.paused else "Pause"
-        pressed = button_grid({pause: "(Space)", "Step": "A single frame (N).", "Reset": "The scene anew (R)."}, 3)
+        pause, watch = "Resume" if world.paused else "Pause", "Stop" if world.demo else "Watch"
+        tips = {pause: "(Space)", "Step": "A single frame (N).", "Reset": "The scene anew (R)."}
+        tips |= {"Undo": "Take the last change back (Ctrl+Z).", "Redo": "(Ctrl+Y)"}
+        tips |= {watch: "A demonstration (P)."} if world.scene.game is not None else {}
         commands: list[Command] = {
             pause: [protocol.Pause(not world.paused)],
             "Step": [protocol.Pause(True), protocol.SingleStep()],
             "Reset": [protocol.Reset()],
-        }.get(pressed, [])
+            "Undo": [protocol.Undo()],
+            "Redo": [protocol.Redo()],
+            watch: [protocol.PlayDemo(not world.demo)],
+        }.get(button_grid(tips, 3), [])
         chosen = choice(list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS).lower()
         return commands + ([protocol.SetInteraction(chosen)] if chosen != world.interaction else [])

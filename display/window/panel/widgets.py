@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 from display.window.panel.theme import ACCENT, ON_ACCENT, QUIET
+
+KNOB = (0.86, 0.88, 0.91, 1.0)  # of a slider
+TRACK = (1.0, 1.0, 1.0, 0.14)
 
 
 def pixels(length: float) -> float:
@@ -69,6 +73,93 @@ def table_row(name: str, *values: str, colour: tuple[float, ...] | None = None) 
     imgui.text_colored(QUIET, name)
     for value in values:
         imgui.table_next_column()
-        space = imgui.get_content_region_avail().x - imgui.calc_text_size(value).x
-        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
-        imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), value)
+        text_right(value, colour)
+
+
+class Sliders:
+    """Sliders under their names and values: nothing covers a number. Ctrl+click types one, a right click resets it.
+
+    They know whether a change goes on with the last one, so that a drag can be undone as one.
+    """
+
+    def __init__(self):
+        self._changed: set[str] = set()  # since the mouse went down on them
+
+    def draw(
+        self,
+        name: str,
+        value: float,
+        low: float,
+        high: float,
+        shown: str,
+        *,
+        usual: float | None = None,
+        log: bool = False,
+        tip: str = "",
+    ) -> tuple[float, bool] | None:
+        """Draw a slider of `value`, which the user reads as `shown`; `usual` is what a right click sets.
+
+        Returns the new value and whether this change goes on with the last one, or None.
+        """
+        from imgui_bundle import imgui
+
+        flags = imgui.SliderFlags_
+        imgui.text_colored(QUIET, name)
+        imgui.same_line()
+        text_right(shown)
+        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() - imgui.get_style().item_spacing.y)
+        imgui.push_style_var_y(imgui.StyleVar_.frame_padding, 0.0)
+        clear = (imgui.Col_.frame_bg, imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active)
+        for colour in (*clear, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active):
+            imgui.push_style_color(colour, (0.0, 0.0, 0.0, 0.0))
+        imgui.set_next_item_width(-1)
+        kind = flags.always_clamp | flags.no_round_to_format | (flags.logarithmic if log else 0)
+        changed, new = imgui.slider_float(f"##{name}", value, low, high, "", kind)
+        imgui.pop_style_color(5)
+        imgui.pop_style_var()
+        if not (imgui.is_item_active() and imgui.get_io().want_text_input):
+            draw_track(fraction_of(value, low, high, log))
+        if imgui.is_item_activated():
+            self._changed.discard(name)
+        if imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right) and usual not in (None, value):
+            self._changed.discard(name)
+            return usual, False
+        if tip:
+            imgui.set_item_tooltip(tip)
+        new = float(f"{new:.3g}")  # as many digits as one reads
+        if not changed or new == value:
+            return None
+        continued = name in self._changed
+        self._changed.add(name)
+        return new, continued
+
+
+def fraction_of(value: float, low: float, high: float, log: bool) -> float:
+    """Place of a value between the ends of a slider, 0 to 1."""
+    if log:
+        value, low, high = math.log(max(value, low)), math.log(low), math.log(high)
+    return min(max((value - low) / (high - low), 0.0), 1.0)
+
+
+def draw_track(fraction: float) -> None:
+    """Draw line and knob of the slider that was the last item."""
+    from imgui_bundle import imgui
+
+    draw_list, low, high = imgui.get_window_draw_list(), imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    busy = imgui.is_item_active()
+    radius, half = pixels(6 if busy or imgui.is_item_hovered() else 5), pixels(1.5)
+    y, left, right = 0.5 * (low.y + high.y), low.x + pixels(6), high.x - pixels(6)
+    x = left + fraction * (right - left)
+    colour = ACCENT if busy else KNOB
+    draw_list.add_rect_filled((left, y - half), (right, y + half), imgui.get_color_u32(TRACK), half)
+    draw_list.add_rect_filled((left, y - half), (x, y + half), imgui.get_color_u32((*colour[:3], 0.6)), half)
+    draw_list.add_circle_filled((x, y), radius, imgui.get_color_u32(colour))
+
+
+def text_right(text: str, colour: tuple[float, ...] | None = None) -> None:
+    """Draw a text flush right."""
+    from imgui_bundle import imgui
+
+    space = imgui.get_content_region_avail().x - imgui.calc_text_size(text).x
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
+    imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), text)

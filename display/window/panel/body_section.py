@@ -1,0 +1,128 @@
+"""The panel's section of the selected body: its material, live, and edits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from core.material import MATERIALS, Material
+from display import protocol
+from display.edit.edit_steps import EDITS
+from display.protocol import Command, WorldView
+from display.window.panel.section import Section
+from display.window.panel.theme import QUIET
+from display.window.panel.widgets import Sliders, button_grid, width_of
+
+BUTTONS = {
+    "Copy": (EDITS["copy"], "A copy above it (C)."),
+    "Remove": (EDITS["remove"], "(Del)"),
+    "Turn": (EDITS["turn"], "About the vertical (, and .)."),
+    "Smaller": (EDITS["smaller"], "(-)"),
+    "Larger": (EDITS["larger"], "(+)"),
+}
+NOTHING = "Take hold of a body to change it."
+
+
+@dataclass(frozen=True)
+class Property:
+    """A number of a material that has a slider, from `low` to `high`; `shown` writes it with its unit."""
+
+    field: str
+    name: str
+    low: float
+    high: float
+    shown: Callable[[float], str]
+    tip: str
+    log: bool = False
+    rigid: bool = False  # rigid bodies have it too
+
+
+def pascals(value: float) -> str:
+    """A modulus [Pa] with a prefix: "30 kPa"."""
+    for factor, unit in ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa")):
+        if value >= 0.9995 * factor:
+            return f"{value / factor:.3g} {unit}"
+    return f"{value:.3g} Pa"
+
+
+PROPERTIES = (
+    Property("young", "stiffness", 1e3, 1e8, pascals, "Young's modulus [Pa]: jelly 5 kPa, rubber 2 MPa.", log=True),
+    Property(
+        "density", "density", 10.0, 5000.0, lambda x: f"{x:,.4g} kg/m\u00b3", "Water has 1,000.", log=True, rigid=True
+    ),
+    Property("friction", "friction", 0.0, 2.0, lambda x: f"{x:.2f}", "Coefficient: ice 0.05, rubber 1.", rigid=True),
+    Property(
+        "damping",
+        "damping",
+        0.0,
+        50.0,
+        lambda x: f"{x:.1f} /s",
+        "Rate at which vibrations lose their energy.",
+        log=False,
+    ),
+)
+
+
+class BodySection(Section):
+    """Material and edits of the body that was last held or pointed at."""
+
+    title = "Body"
+
+    def __init__(self):
+        self._sliders = Sliders()
+
+    def shown(self, world: WorldView) -> bool:
+        """True of worlds with bodies."""
+        return world.editable
+
+    def draw(self, world: WorldView) -> list[Command]:
+        """Draw sliders, the list of materials and buttons; their commands."""
+        from imgui_bundle import imgui
+
+        bodies, k = world.bodies(), world.selected
+        if k is None or k >= len(bodies):
+            imgui.push_text_wrap_pos(0.0)
+            imgui.text_colored(QUIET, NOTHING)
+            imgui.pop_text_wrap_pos()
+            return []
+        material, name = world.material(k)
+        imgui.align_text_to_frame_padding()
+        imgui.text(bodies[k].name)
+        imgui.same_line(width_of(2))
+        commands = self._materials(k, name)
+        commands += self._properties(k, material, rigid=name == "rigid")
+        pressed = button_grid({name: tip for name, (_, tip) in BUTTONS.items()}, 3)
+        return commands + ([] if pressed is None else [BUTTONS[pressed][0]])
+
+    def _materials(self, k: int, current: str) -> list[Command]:
+        """Draw the list of materials; the command that chooses one."""
+        from imgui_bundle import imgui
+
+        commands: list[Command] = []
+        imgui.set_next_item_width(-1)
+        if imgui.begin_combo("##material", current):
+            for name, material in MATERIALS.items():
+                if imgui.selectable(f"{name}, {pascals(material.young)}", name == current)[0]:
+                    commands.append(protocol.SetMaterial(k, name))
+            imgui.end_combo()
+        return commands
+
+    def _properties(self, k: int, material: Material, *, rigid: bool) -> list[Command]:
+        """Draw a slider for each number of the material; the command of the one that is moved."""
+        commands: list[Command] = []
+        for p in PROPERTIES:
+            value = getattr(material, p.field)
+            if rigid and not p.rigid:
+                continue
+            moved = self._sliders.draw(p.name, value, p.low, p.high, p.shown(value), log=p.log, tip=p.tip)
+            if moved is not None:
+                commands.append(protocol.SetMaterial(k, changed(material, p.field, moved[0]), continued=moved[1]))
+        return commands
+
+
+def changed(material: Material, field: str, value: float) -> Material:
+    """A material with another number; what slides keeps its ratio to the friction of what sticks."""
+    if field == "friction" and material.kinetic_friction is not None:
+        ratio = material.kinetic_friction / material.friction if material.friction > 0.0 else 1.0
+        return replace(material, friction=value, kinetic_friction=ratio * value)
+    return replace(material, **{field: value})

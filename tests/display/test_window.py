@@ -175,7 +175,7 @@ def test_editing_keys_and_buttons_reach_the_world(session):
         session.until(lambda f, c=command, n=before: any(c in g["commands"] for g in session.frames()[n:]))
     assert session.frames()[-1]["eye"] == [0, 0, 3]  # no key walks
     before = len(session.frames())
-    session.screen.click(54, 156)
+    session.screen.click(58, 98)
     session.until(lambda f: any("undo" in g["commands"] for g in session.frames()[before:]))
     session.screen.mouse_move(*FREE)
 
@@ -186,15 +186,26 @@ def test_the_panel_has_the_mouse_while_it_is_under_it(session):
     session.until(lambda f: f["paused"])
     session.screen.click(64, 69)
     session.until(lambda f: not f["paused"])
-    session.screen.click(215, 98)
+    session.screen.click(182, 127)
     session.until(lambda f: f["interaction"] == "transform")
-    session.screen.click(88, 98)
+    session.screen.click(77, 127)
     session.until(lambda f: f["interaction"] == "physics")
-    session.screen.drag((64, 294), (30, 294), seconds=0.3)  # the slider of the light's x
+    session.screen.click(80, 225)  # unfolds the light's sliders, of which the first is that of x
+    session.after(5)
+    session.screen.drag((148, 292), (60, 292), seconds=0.3)
     lit = session.until(lambda f: f["light"][0] < -2.0)
     assert lit["eye"] == [0, 0, 3] and not lit["grip"]
     session.screen.wheel(2)
     assert session.after()["eye"] == [0, 0, 3]
+    session.screen.wheel(5)  # back to the top of the panel
+    session.screen.key_down("ctrl")
+    session.screen.click(100, 292)
+    session.screen.key_up("ctrl")
+    session.after(3)
+    session.screen.do("type", "--", "1.25")
+    session.screen.key("Return")
+    session.until(lambda f: f["light"][0] == 1.25)
+    session.screen.click(80, 225)
 
 
 def test_the_picture_takes_the_size_of_the_window(session):

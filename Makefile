@@ -2,13 +2,14 @@
 # make test   set everything up and run the tests
 # make soak   run the long tests, then 30 simulated minutes of random handling (hours)
 # make build  rebuild the shipped assets from code
+# make binary make the program one executable file, dist/vrgs, and play with it in a bare chroot
 # make lint   check style
 # make clean  remove the virtual environment and caches
 
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 
-.PHONY: play test soak build lint clean
+.PHONY: play test soak build binary lint clean
 
 play: $(VENV)/.ready
 	@$(PYTHON) vrgs.py --scene ring_toss
@@ -20,8 +21,12 @@ soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 -m long
 	@$(PYTHON) -m bench.soak --minutes 30
 
-build: $(VENV)/.ready
+build: $(VENV)/.ready-build
 	$(PYTHON) vrgs.py build
+
+binary: $(VENV)/.ready-binary
+	@$(PYTHON) -m PyInstaller --noconfirm --log-level ERROR installer/vrgs.spec
+	@sh installer/play_in_chroot.sh dist/vrgs || [ $$? = 77 ]
 
 lint: $(VENV)/.ready-tests
 	$(PYTHON) -m ruff check .
@@ -32,9 +37,17 @@ $(VENV)/.ready: requirements.txt setup.sh
 	@sh setup.sh $(VENV) requirements.txt
 	@touch $@
 
-$(VENV)/.ready-tests: requirements.txt requirements-dev.txt setup.sh
-	@sh setup.sh $(VENV) requirements-dev.txt xvfb xdotool libgl1-mesa-dri ffmpeg
+$(VENV)/.ready-build: $(VENV)/.ready requirements-build.txt
+	@sh setup.sh $(VENV) requirements-build.txt libusb-1.0-0
+	@touch $@
+
+$(VENV)/.ready-binary: requirements.txt requirements-binary.txt setup.sh
+	@sh setup.sh $(VENV) requirements-binary.txt binutils libpython3-dev
 	@touch $(VENV)/.ready $@
 
+$(VENV)/.ready-tests: requirements.txt requirements-build.txt requirements-dev.txt setup.sh
+	@sh setup.sh $(VENV) requirements-dev.txt libusb-1.0-0 xvfb xdotool libgl1-mesa-dri ffmpeg
+	@touch $(VENV)/.ready $(VENV)/.ready-build $@
+
 clean:
-	rm -rf $(VENV) .pytest_cache .ruff_cache
+	rm -rf $(VENV) .pytest_cache .ruff_cache build dist

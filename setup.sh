@@ -8,10 +8,12 @@ shift 2
 
 if command -v dpkg-query >/dev/null 2>&1; then
     missing=
-    # For Python, open3d and the window.
-    for p in python3-venv libusb-1.0-0 libgomp1 libgl1 libegl1 libx11-6 libxcursor1 libxi6 libxinerama1 libxrandr2 "$@"; do
+    # For Python and the window.
+    for p in python3-venv libgomp1 libgl1 libegl1 libx11-6 libxcursor1 libxi6 libxinerama1 libxrandr2 "$@"; do
         # A Python with its own venv module needs no package for it.
         [ "$p" = python3-venv ] && python3 -c 'import ensurepip, venv' 2>/dev/null && continue
+        # A Python of the user's own has its own library.
+        [ "$p" = libpython3-dev ] && [ "$(command -v python3)" != /usr/bin/python3 ] && continue
         dpkg-query -W -f '${Status}' "$p" 2>/dev/null | grep -q 'ok installed' || missing="$missing $p"
     done
     if [ -n "$missing" ]; then

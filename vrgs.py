@@ -6,16 +6,24 @@ from __future__ import annotations
 import os
 import sys
 
-from commands.parser import parse
-from commands.play import open_session
-from core.errors import BadInput, Cancelled
-from core.runtime import is_out_of_memory
-
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    try:
+        return run(sys.argv[1:] if argv is None else argv)
+    except KeyboardInterrupt:
+        print("vrgs: interrupted", file=sys.stderr)
+        return 130
+
+
+def run(argv: list[str]) -> int:
+    """Run one command. What it imports is imported here, where an interrupt is told in a line."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
-    argv = sys.argv[1:] if argv is None else argv
+    from commands.parser import parse
+    from core.errors import BadInput, Cancelled
+    from core.program import as_called
+    from core.runtime import is_out_of_memory
+
     for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
             argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
@@ -23,7 +31,7 @@ def main(argv: list[str] | None = None) -> int:
         args = parse(argv, __doc__, play)
         return args.run(args) or 0
     except BadInput as e:
-        print(f"vrgs: {' '.join(str(e).split())}", file=sys.stderr)
+        print(f"vrgs: {as_called(' '.join(str(e).split()))}", file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as e:
         if not is_out_of_memory(e):
@@ -32,9 +40,6 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     except Cancelled:
         return 0
-    except KeyboardInterrupt:
-        print("vrgs: interrupted", file=sys.stderr)
-        return 130
     except BrokenPipeError:  # `vrgs.py scenes | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -42,6 +47,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def play(args) -> None:
     """Play a scene: in a window, in a headset, or headless with its scripted hand."""
+    from commands.play import open_session
+
     with open_session(args) as session:
         display, film, recording = session.display, session.film, session.recording
         for frame in session.frames():  # time, cameras, hands, commands
@@ -59,4 +66,8 @@ def play(args) -> None:
 
 
 if __name__ == "__main__":
+    if getattr(sys, "frozen", False):  # the one-file program also starts as a process of its own, for `check`
+        from multiprocessing import freeze_support
+
+        freeze_support()
     sys.exit(main())

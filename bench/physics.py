@@ -5,11 +5,8 @@ Bar: 1 x 0.2 x 0.2 m, 10 x 2 x 2 cells, density 1000 kg/m^3. Every measurement r
 or ">=" for a bound; Taichi must be initialised.
 """
 
-import subprocess
-import sys
-import tempfile
 from itertools import pairwise
-from pathlib import Path
+from multiprocessing import get_context
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +16,7 @@ import taichi as ti
 from bench.sample_meshes import box
 from bench.setups import strain_energy
 from core.material import RAYLEIGH_FREQUENCY, Material
+from core.runtime import start_taichi
 from core.tetmesh import tet_volumes
 from scenes.scene import Plane
 from sim.soft_body import SoftBody
@@ -351,16 +349,15 @@ def agreement_positions(contacts: bool) -> np.ndarray:
     return end["x"].astype(np.float64) + end["x_lo"]
 
 
+def agreement_positions_on_cpu(contacts: bool) -> np.ndarray:
+    start_taichi("cpu")
+    return agreement_positions(contacts)
+
+
 def positions_of_another_process(contacts: bool) -> np.ndarray:
     """The result of `agreement_positions` on the CPU. Taichi runs on one kind of device per process."""
-    program = (
-        "import sys; import numpy as np; from core.runtime import start_taichi; from bench import physics;"
-        f"start_taichi('cpu'); np.save(sys.argv[1], physics.agreement_positions({contacts}))"
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder, "x.npy")
-        subprocess.run([sys.executable, "-c", program, str(out)], cwd=Path(__file__).resolve().parents[1], check=True)
-        return np.load(out)
+    with get_context("spawn").Pool(1) as pool:
+        return pool.apply(agreement_positions_on_cpu, (contacts,))
 
 
 ALL = (free_fall, statics, vibration, decay, spinning_bar, recovery)

@@ -12,6 +12,7 @@ from assets.library import SHIPPED_FOLDER, paper_folder
 from commands.conditions import Condition
 from commands.options import add_arch
 from core.errors import BadInput
+from core.open3d_package import check_open3d
 from core.runtime import start_taichi
 
 HELP = "build the modelled assets from code"
@@ -35,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Build the assets `args.names` (all, if there are none) into `args.out`. Raises BadInput."""
+    check_open3d("build")
     if args.detail == "paper":
         build_paper(args.names, args.out, args.arch, force=args.force)
         return

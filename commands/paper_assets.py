@@ -10,6 +10,7 @@ from pathlib import Path
 from assets.file_access import make_folder
 from assets.library import asset_sizes, find_asset, paper_folder, search_first
 from core.errors import BadInput
+from core.open3d_package import check_open3d
 from scenes import registry
 from scenes.paper_demos import PaperDemo
 from scenes.scene import Scene
@@ -54,6 +55,7 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     from assets.asset import Asset
     from studio.catalogue import MODELS, build_model
 
+    check_open3d("build")
     search_first(None)
     left = parts_of(registry.load(demo.scene, **demo.options))
     for part in left:

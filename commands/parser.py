@@ -27,6 +27,7 @@ from commands import (
 )
 from commands.conditions import check_conditions
 from core.errors import BadInput
+from core.program import VERSION, as_called
 
 COMMANDS = {
     "scenes": scenes,
@@ -49,6 +50,12 @@ class Parser(argparse.ArgumentParser):
     parsers of the commands by name."""
 
     commands: dict[str, Parser] = {}
+
+    def format_usage(self) -> str:
+        return as_called(super().format_usage())
+
+    def format_help(self) -> str:
+        return as_called(super().format_help())
 
     def error(self, message: str) -> None:
         """Raise BadInput."""
@@ -79,6 +86,7 @@ def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -
     """The parser of all commands; `run_play` runs without one."""
     formatter = argparse.RawDescriptionHelpFormatter
     parser = Parser(prog="vrgs.py", description=summary, epilog=play.EXAMPLES, formatter_class=formatter)
+    parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
     parser.set_defaults(run=run_play)
     play.add_arguments(parser)
     commands = parser.add_subparsers(metavar="COMMAND", title="commands (vrgs.py COMMAND --help)")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from assets.file_access import atomic_write
 from commands.conditions import Condition
 from core.errors import BadInput
+from core.program import as_called
 
 if TYPE_CHECKING:
     from display.study.comparison import Comparison
@@ -62,7 +63,8 @@ def run(args: argparse.Namespace) -> None:
 
         with atomic_write(args.form) as beside:
             beside.write_text(form_page(), encoding="utf-8")
-        print(f"wrote {args.form}; what it saves is added by: vrgs.py study {args.files[0]} --answers FILE.json")
+        add = as_called(f"vrgs.py study {args.files[0]} --answers FILE.json")
+        print(f"wrote {args.form}; what it saves is added by: {add}")
     elif args.form is not None or args.answers:
         add_answers(args)
     else:

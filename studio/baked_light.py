@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
+from core.open3d_package import open3d
 from studio.light_sources import LightSources
 from studio.shapes import Surface
 from studio.surface_sampling import Surfels, Viewer
@@ -41,8 +42,7 @@ class BakedLight:
         albedo: np.ndarray,
         rng: np.random.Generator,
     ):
-        import open3d as o3d
-
+        o3d = open3d("baked light")
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
         self._sources, self._viewer = sources, viewer

@@ -19,6 +19,7 @@ import numpy as np
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.open3d_package import check_open3d, open3d
 from core.tetmesh import boundary_surface, face_components, positively_oriented, tet_volumes
 from prepare.cage.cage_generation import EXACT_VERTICES, Stuffed, check_count, fault, fitted
 from prepare.cage.device_locator import fraction_inside
@@ -49,6 +50,7 @@ def interpreter() -> str:
 
 def check_installed() -> None:
     """Raise BadInput, with a remedy, unless TetGen can be run."""
+    check_open3d("--mesher tetgen")
     probe = "import sys, importlib.util; sys.exit(importlib.util.find_spec('tetgen') is None)"
     try:
         missing = subprocess.run([interpreter(), "-I", "-c", probe], capture_output=True, timeout=60).returncode != 0
@@ -63,8 +65,7 @@ def decimated(vertices: np.ndarray, faces: np.ndarray, triangles: int) -> tuple[
 
     Raises MeshFailed where the result is not a closed manifold or intersects itself: TetGen fills no such surface.
     """
-    import open3d as o3d
-
+    o3d = open3d("--mesher tetgen")
     mesh = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(np.ascontiguousarray(vertices, np.float64)),
         o3d.utility.Vector3iVector(np.ascontiguousarray(faces, np.int32)),

@@ -1,0 +1,67 @@
+"""The program's version, how it names itself, and an interrupt of its start."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import core.program as program
+import vrgs
+from core.program import VERSION, as_called
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(
+    ("started", "one_file", "words"),
+    [
+        ("vrgs.py", False, "python vrgs.py"),
+        ("/usr/local/bin/vrgs", False, "vrgs"),
+        (r"vrgs.exe", False, "vrgs"),
+        ("/home/me/vrgs-0.1", True, "vrgs"),
+        ("/usr/lib/python3/site-packages/pytest/__main__.py", False, "python vrgs.py"),
+    ],
+)
+def test_texts_begin_commands_as_the_user_does(monkeypatch, started, one_file, words):
+    monkeypatch.setattr(sys, "argv", [started])
+    monkeypatch.setattr(sys.modules["__main__"], "__spec__", None)
+    monkeypatch.setattr(program, "ONE_FILE", one_file)
+    assert as_called("python vrgs.py --scene ring_toss") == f"{words} --scene ring_toss"
+    assert as_called("see vrgs.py scenes") == f"see {words.removeprefix('python ')} scenes"
+
+
+def test_as_a_module_its_help_begins_every_line_with_that(tmp_path):
+    command = [sys.executable, "-m", "vrgs", "convert", "--help"]
+    run = subprocess.run(
+        command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert run.stdout.startswith("usage: python -m vrgs convert") and "vrgs.py" not in run.stdout
+
+
+def test_version_and_errors(monkeypatch, capsys):
+    monkeypatch.setattr(program, "ONE_FILE", True)
+    with pytest.raises(SystemExit):
+        vrgs.main(["--version"])
+    assert capsys.readouterr().out == f"vrgs {VERSION}\n"
+    assert vrgs.main(["--scene"]) == 2
+    said = capsys.readouterr().err
+    assert "see vrgs --help" in said and "vrgs.py" not in said
+    assert vrgs.main(["build", "ring_red"]) == 2
+    assert "open3d, which this executable leaves out" in capsys.readouterr().err
+
+
+def test_an_interrupt_while_it_imports_is_told_in_a_line():
+    """Every import is preceded by an interrupt; the first is met where the program imports its own modules."""
+    code = (
+        "import os, signal, sys, vrgs\n"
+        "class Interrupt:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt())\n"
+        "sys.exit(vrgs.main(['scenes']))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert (run.returncode, run.stdout, run.stderr) == (128 + signal.SIGINT, "", "vrgs: interrupted\n")

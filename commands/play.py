@@ -70,17 +70,11 @@ SECONDS = 5  # [s] of a headless play of a scene without a game
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of playing."""
-    parser.add_argument("--scene", default="ring_toss", metavar="NAME", help="demo to play (see: vrgs.py scenes)")
+    add_scene_arguments(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--xr", action="store_true", help="play in a headset")
     where.add_argument("--headless", action="store_true", help="no window: the scene's scripted hand plays")
-    add_arch(parser)
-    text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
-    parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)
-    text = "how Gaussians follow the cage"
-    parser.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help=text)
     add_sort(parser, MOVING_SORT)
-    parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     text = "picture size (default 960x540, of a window: the last one's)"
     parser.add_argument("--size", type=size, metavar="WxH", help=text)
     text = "--xr: factor of the width and height that the headset recommends"
@@ -99,6 +93,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--study", type=Path, metavar="OUT.h5", help=text)
     text = "--study: who plays; a name for each, by which both settings are compared"
     parser.add_argument("--participant", metavar="NAME", help=text)
+
+
+def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say what is played, and how long."""
+    parser.add_argument("--scene", default="ring_toss", metavar="NAME", help="demo to play (see: vrgs.py scenes)")
+    add_arch(parser)
+    text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
+    parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)
+    text = "how Gaussians follow the cage"
+    parser.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help=text)
+    parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     text = "splat file or prepared asset to play with; several times: in the scene's roles, in their order"
     parser.add_argument("--body", metavar="FILE", action="append", help=text)

@@ -44,7 +44,7 @@ def sh_basis(directions: np.ndarray, count: int = 16) -> np.ndarray:
 
 
 def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Rotate coefficients (N, K, 3) with their object by `rotation` (3, 3).
+    """Rotate coefficients (N, K, 3) with their object by `rotation` (3, 3), or each by its own (N, 3, 3).
 
     The turned object shows in direction d what it showed in R^T d. Each band is closed under rotation, so
     least squares over a few dozen directions gives the matrix exactly.
@@ -55,6 +55,20 @@ def rotate_sh(sh: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     k = np.arange(64) + 0.5  # Fibonacci sphere
     polar, azimuth = np.arccos(1 - 2 * k / 64), np.pi * (1 + 5**0.5) * k
     d = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], 1)
+    if np.ndim(rotation) == 3:
+        return _rotate_each(sh, np.asarray(rotation, np.float64), d)
     matrix = np.linalg.lstsq(sh_basis(d, count), sh_basis(d @ np.asarray(rotation, np.float64), count), rcond=None)[0]
     by_channel = np.kron(matrix.T, np.eye(3))  # mostly zeros, yet one matrix product is fastest
     return (sh.reshape(len(sh), -1) @ by_channel).astype(np.float32).reshape(sh.shape)
+
+
+def _rotate_each(sh: np.ndarray, rotations: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Rotate coefficients (N, K, 3), each by its own rotation (N, 3, 3), by least squares over directions d (D, 3)."""
+    count, out = sh.shape[1], np.empty(sh.shape, np.float32)
+    inverse = np.linalg.pinv(sh_basis(d, count))
+    for begin in range(0, len(sh), 4096):  # 35 MB at once
+        some = slice(begin, begin + 4096)
+        turned = d @ rotations[some]  # R^T d of each, (n, D, 3)
+        basis = sh_basis(turned.reshape(-1, 3), count).reshape(*turned.shape[:2], count)
+        out[some] = inverse @ (basis @ sh[some])
+    return out

@@ -36,7 +36,7 @@ NO_GAUSSIANS = Gaussians.of(*(np.zeros((0, k)) for k in (3, 4, 3)), np.zeros(0),
 class DeviceScene:
     """Solver, embedding, splats, shadow map and renderer of a scene, with capacity for copies of its bodies.
 
-    The splats hold the static Gaussians, then the props', then those of the bodies, from `first` on.
+    The splats hold the `still` static Gaussians, then the props', then those of the bodies, from `first` on.
 
     views      1 (mono) or 2 (stereo)
     depth      let the picture hold depth in place of alpha
@@ -61,6 +61,7 @@ class DeviceScene:
         static, moving, animated = load_bodies(scene)
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
+        self.still = len(still)
         self.first = len(still) + sum(len(s.gaussians) for s in props)
         first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
         self.gaussian_counts = [len(embedded.gaussians) for _, embedded in moving]  # of each body of the scene

@@ -78,6 +78,11 @@ class BodyRegistry:
         up = np.array([0.0, 1.0, 0.0])
         return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
 
+    def gaussian_span(self, k: int) -> tuple[int, int]:
+        """Begin and end of a body's Gaussians among the splats."""
+        begins = self._begins(self.members)
+        return begins[k], begins[k + 1]
+
     def step(self, dt: float, hands: list[Hand]) -> None:
         """Advance all bodies by dt [s]; `hands` are the poses at its end."""
         for animation in self.animations:

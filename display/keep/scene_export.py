@@ -1,0 +1,172 @@
+"""A running scene as files for other programs: its Gaussians as they are drawn now, its cages, its surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from assets.formats.surface_obj import write_surfaces
+from assets.formats.vtu import write_vtu
+from assets.gaussians import Gaussians
+from assets.splat_files import WRITERS, kind_to_write, write_gaussians
+from core.errors import BadInput
+from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
+from core.spherical_harmonics import C0, rotate_sh
+from core.tetmesh import tet_volumes
+from display.world import World
+from sim.body_model import BodyModel
+from sim.elastic.time_step import lame
+
+OPACITY_EDGE = 1e-7  # to 0 and 1: a logit is finite
+FLATTEST = 1e-7  # of a Gaussian's largest variance: what float32 covariances resolve
+CAGES = {".vtu", ".obj"}
+
+
+def export_suffix(path: str | Path) -> str:
+    """What kind of file a name asks for: a suffix of CAGES, or a key of WRITERS. Raises BadInput."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in CAGES and suffix not in WRITERS:
+        raise BadInput(f"{path}: cannot write {suffix!r}; written are {', '.join([*WRITERS, *sorted(CAGES)])}")
+    return suffix if suffix in CAGES else kind_to_write(path)
+
+
+def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool = True) -> Callable[[], None]:
+    """Read a world, as it is now, for a file of the kind of its name; returns what writes it.
+
+    body     only this one; None: all, and of a splat file the room too
+    shadows  let a splat file's colours be as dark as they are shown
+
+    Raises BadInput, now or when it is written.
+    """
+    suffix = export_suffix(path)
+    if suffix in CAGES:
+        bodies = moving_bodies(world, body)
+        return lambda: write_cages(path, bodies, suffix)
+    shown = ShownGaussians.read(world, body)
+    return lambda: write_gaussians(path, shown.gaussians(shadows=shadows))
+
+
+@dataclass(frozen=True)
+class ShownGaussians:
+    """What the device holds of N Gaussians, see render/splats.py: mean (N, 3), cov (N, 6), opacity (N,), sh (N, K, 3),
+    rotation (N, 4), visibility (N,)."""
+
+    mean: np.ndarray
+    cov: np.ndarray
+    opacity: np.ndarray
+    sh: np.ndarray
+    rotation: np.ndarray
+    visibility: np.ndarray
+
+    @classmethod
+    def read(cls, world: World, body: int | None) -> ShownGaussians:
+        """The Gaussians of room and bodies as the last picture showed them, without hands; or those of a body."""
+        device, splats = world.device, world.device.splats
+        spans = [(0, device.still), (device.first, splats.count)]
+        if body is not None:
+            spans = [world.registry.gaussian_span(body)]
+        which = np.concatenate([np.arange(*span) for span in spans])
+        if len(which) == 0:
+            raise BadInput("there is nothing to export: the scene has no Gaussians")
+        opacity, sh = splats.read(0, splats.count)
+        fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
+        mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
+        return cls(mean, cov, opacity[which], sh[which], rotation, visibility)
+
+    def gaussians(self, *, shadows: bool) -> Gaussians:
+        """The same as a splat: axes from covariances, harmonics turned into the world.
+
+        In shadow, v (1/2 + SH) = 1/2 + SH' with SH' = v SH + (v - 1) / 2 in degree 0.
+        """
+        xx, xy, xz, yy, yz, zz = self.cov.astype(np.float64).T
+        variances, axes = np.linalg.eigh(np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3))
+        axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
+        largest = np.maximum(variances[:, 2:], 1e-16)
+        log_scales = 0.5 * np.log(np.maximum(variances, FLATTEST * largest))
+        opacity = np.clip(self.opacity.astype(np.float64), OPACITY_EDGE, 1 - OPACITY_EDGE)
+        sh = self.sh.copy()
+        turned = (np.abs(self.rotation[:, 0]) < 1.0 - 1e-7) & (sh[:, 1:] != 0).any((1, 2))
+        sh[turned] = rotate_sh(sh[turned], matrices_from_quaternions(self.rotation[turned]))
+        if shadows:
+            sh *= self.visibility[:, None, None]
+            sh[:, 0] += (0.5 / C0) * (self.visibility[:, None] - 1.0)
+        logit = np.log(opacity / (1 - opacity))
+        return Gaussians.of(self.mean, quaternions_from_matrices(axes), log_scales, logit, sh)
+
+
+@dataclass(frozen=True)
+class MovingBody:
+    """A body as it is: its model, and positions [m] and velocities [m/s] of its vertices, (V, 3) float64."""
+
+    model: BodyModel
+    index: int
+    x: np.ndarray
+    v: np.ndarray
+
+
+def moving_bodies(world: World, body: int | None) -> list[MovingBody]:
+    """All simulated bodies, or one."""
+    solver = world.device.solver
+    state, begin = solver.snapshot(), solver.vertex_offset
+    x, v = (state[high].astype(np.float64) + state[low] for high, low in (("x", "x_lo"), ("v", "v_lo")))
+    bodies = [
+        MovingBody(model, k, x[begin[k] : begin[k + 1]], v[begin[k] : begin[k + 1]])
+        for k, model in enumerate(solver.body_models)
+        if body in (None, k)
+    ]
+    if not bodies:
+        raise BadInput("there is nothing to export: the scene has no bodies with a cage")
+    return bodies
+
+
+def write_cages(path: Path, bodies: Sequence[MovingBody], suffix: str) -> None:
+    """Write the surfaces as .obj, or the tets as .vtu, with the fields of `cage_fields`. Raises BadInput."""
+    if suffix == ".obj":
+        write_surfaces(
+            path, [(f"{Path(b.model.body.name).stem}_{b.index}", b.x, b.model.shape.surface) for b in bodies]
+        )
+        return
+    first = np.cumsum([0, *(len(b.x) for b in bodies)])
+    fields = [cage_fields(b) for b in bodies]
+    point_fields, cell_fields = (
+        {name: np.concatenate([f[kind][name] for f in fields]) for name in fields[0][kind]} for kind in (0, 1)
+    )
+    tets = np.concatenate([b.model.shape.solid + k for b, k in zip(bodies, first, strict=False)])
+    points = np.concatenate([b.x for b in bodies])
+    write_vtu(path, points, tets, point_fields=point_fields, cell_fields=cell_fields)
+
+
+def cage_fields(body: MovingBody) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Fields of vertices and of tets.
+
+    displacement  from the rest shape where it fits best [m];   velocity [m/s]
+    body          index;   volume_ratio  J = det F, 1 at rest;   von_mises_stress  of the Cauchy stress [Pa], 0 if rigid
+    """
+    model, x, shape = body.model, body.x, body.model.shape
+    rest, tets = shape.vertices, shape.solid
+    weights = model.mass
+    centre, c = np.average(x, axis=0, weights=weights), np.average(rest, axis=0, weights=weights)
+    R = best_fit_rotation(((x - centre) * weights[:, None]).T @ (rest - c))
+    ratio = tet_volumes(x, tets) / tet_volumes(rest, tets)
+    stress = np.zeros(len(tets))
+    if not shape.rigid:
+        edges = np.swapaxes(x[tets][:, 1:] - x[tets][:, :1], 1, 2)
+        stress = von_mises(edges @ shape.inverse, *lame(model.material))
+    points = {"displacement": x - ((rest - c) @ R.T + centre), "velocity": body.v}
+    return points, {"body": np.full(len(tets), body.index), "volume_ratio": ratio, "von_mises_stress": stress}
+
+
+def von_mises(F: np.ndarray, mu: float, lam: float) -> np.ndarray:
+    """Von Mises stress [Pa] of the Cauchy stress P F^T / J of deformation gradients F (T, 3, 3), (T,).
+
+    P as in sim/elastic/energy.py.
+    """
+    J, I1 = np.linalg.det(F), (F**2).sum((1, 2))
+    cofactor = np.cross(F[:, :, [1, 2, 0]], F[:, :, [2, 0, 1]], axis=1)
+    P = (mu * (1 - 2 * np.maximum(1 - I1, 0)))[:, None, None] * F + (lam * (J - 1) - mu)[:, None, None] * cofactor
+    sigma = P @ np.swapaxes(F, 1, 2) / np.where(np.abs(J) < 1e-6, 1e-6, J)[:, None, None]
+    deviator = sigma - np.trace(sigma, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
+    return np.sqrt(1.5 * (deviator**2).sum((1, 2)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,18 +21,16 @@ from commands.options import (
     render_scale,
     size,
 )
+from commands.prepared import is_asset, prepared_bodies, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
 
 if TYPE_CHECKING:
-    from display.headless.video import FilmWriter
+    from commands.play_session import Session
     from display.keep.keeper import Keeper
-    from display.protocol import Display, Frame
-    from display.record.recording import Recording
+    from display.protocol import Display
     from display.record.replay import Replay
-    from display.study.study_log import StudyLog
-    from display.world import World
     from scenes.scene import Scene
 
 EXAMPLES = """examples:
@@ -118,55 +115,11 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene_options(parser)
 
 
-class Session:
-    """A play: the world, its display, and its outputs. Created by `open_session`."""
-
-    def __init__(
-        self,
-        args,
-        world: World,
-        display: Display,
-        film: FilmWriter | None,
-        recording: Recording | None,
-        study: StudyLog | None,
-        replay: Replay | None,
-        keeper: Keeper,
-    ):
-        self.world, self.display, self.film, self.recording, self.study = world, display, film, recording, study
-        self.keeper = keeper
-        self._args, self._replay, self._count = args, replay, 0
-
-    def frames(self) -> Iterator[Frame]:
-        """The display's frames, or the recorded ones, as many as wanted; noted by the recording."""
-        args = self._args
-        if self._replay:
-            frames = self._replay.frames(self.display, self.world, paced=not args.headless)
-        else:
-            frames = self.display.frames(self.world)
-        for frame in itertools.islice(frames, None if args.headless else args.frames):  # Headless counts for itself
-            yield frame if self.recording is None else self.recording.note(frame)
-            self._count += 1
-
-    def report(self) -> None:
-        """Print and write the results of the play."""
-        from display.run_stats import run_stats, write_stats
-
-        args, world = self._args, self.world
-        if self._replay:
-            print(self._replay.report())
-        if args.stats:
-            write_stats(args.stats, run_stats(world, self._count))
-        if args.snapshot and not args.headless:
-            from display.picture import pixels_of, save_picture
-
-            save_picture(args.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
-        if args.headless:
-            print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
-
-
 @contextlib.contextmanager
 def open_session(args: argparse.Namespace) -> Iterator[Session]:
     """Open all that the options request, closed at the end. Raises BadInput before any long operation."""
+    from commands.play_session import Outputs, Session
+
     replay = open_replay(args)
     scene = load_scene(args, replay)
     with (
@@ -177,24 +130,27 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         open_keeper(args) as keeper,
     ):
         start_taichi(args.arch, args.seed)
-        from display.start_progress import start_progress
-        from display.world import World
-
-        width, height = display.size
         options = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
         options |= {"depth": bool(args.xr and display.depth), "fingers": bool(args.xr)}
         if replay:
             options = replay.world_options(options)
-        views, props = 2 if args.stereo or args.xr else 1, display.props() if args.xr else []
-        with start_progress(display.loading):
-            world = World(scene, width=width, height=height, views=views, props=props, **options)
-            if not args.headless:
-                world.draw_start()
-                display.loading("", world.picture)
-                world.warm_up()
-        if recording:
-            recording.begin(args, options)
-        yield Session(args, world, display, film, recording, study, replay, keeper)
+        views = {"views": 2 if args.stereo or args.xr else 1, "props": display.props() if args.xr else []}
+        outputs = Outputs(film, recording, study, keeper)
+        kept = {
+            "replay": replay,
+            "load": lambda args: load_scene(args, None),
+            "title": title_of,
+            "options": options | views,
+        }
+        with Session(args, scene, display, outputs, **kept) as session:
+            if recording:
+                recording.begin(args, options)
+            yield session
+
+
+def title_of(args: argparse.Namespace) -> str:
+    """Title of the window."""
+    return f"VR-GS: {args.scene}"
 
 
 def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
@@ -282,7 +238,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         from display.xr.headset import Headset
 
         marks = not args.record  # markers do not belong in a film
-        return Headset(scene, title=f"VR-GS: {args.scene}", scale=args.render_scale, marks=marks)
+        return Headset(scene, title=title_of(args), scale=args.render_scale, marks=marks)
     if not args.headless:
         from display.window.gl_window import has_display
 
@@ -292,7 +248,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
 
             width, height = args.size or (None, None)
             kept = {"preferences": Preferences.of_user(), "name": args.scene}
-            return Window(scene, title=f"VR-GS: {args.scene}", width=width, height=height, **kept)
+            return Window(scene, title=title_of(args), width=width, height=height, **kept)
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")
@@ -317,48 +273,3 @@ def open_film(args: argparse.Namespace, display: Display):
     from display.headless.video import FilmWriter
 
     return contextlib.closing(FilmWriter(args.record, *display.size, views=2 if args.stereo else 1))
-
-
-def prepared_bodies(args: argparse.Namespace) -> list[str]:
-    """The asset of each --body: an asset as it is, a splat prepared and cached.
-
-    Where no number of vertices is asked for, args.vertices becomes that of the only splat, or theirs in a list.
-    """
-    if not args.body:
-        return []
-    splats = [name for name in args.body if not is_asset(name)]
-    asked = args.vertices if isinstance(args.vertices, list) else [args.vertices] * len(splats)
-    if len(asked) != len(splats):
-        raise BadInput(f"there are numbers of vertices for {len(asked)} bodies, not for {len(splats)}")
-    made = {}
-    for k, name in enumerate(splats):
-        made[name], asked[k] = prepared_body(Path(name), args, asked[k])
-    if splats:
-        args.vertices = asked[0] if len(asked) == 1 else asked
-    return [made.get(name, name) for name in args.body]
-
-
-def is_asset(name: str) -> bool:
-    """Tell whether a body or room is an asset already: a shipped one, or an .h5 file."""
-    from assets.library import SHIPPED_FOLDER
-
-    return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"
-
-
-def prepared_body(path: Path, args: argparse.Namespace, vertices: int | None) -> tuple[str, int]:
-    """The asset of a splat file, and its number of vertices."""
-    from commands.prepare import cached_body
-
-    if not path.is_file():
-        raise BadInput(f"{path}: no such file")
-    own = argparse.Namespace(**{**vars(args), "vertices": vertices})
-    return str(cached_body(path, own)), own.vertices
-
-
-def prepared_stage(args: argparse.Namespace) -> str | None:
-    """The asset of --stage: an asset as it is, a splat prepared and cached."""
-    if args.stage is None or is_asset(args.stage):
-        return args.stage
-    from commands.prepare import cached_environment
-
-    return str(cached_environment(Path(args.stage), args))

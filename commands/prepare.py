@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 
 from assets.file_access import file_size
-from assets.library import cache_folder, cached_asset
 from commands.conditions import Condition
 from commands.options import SPLATS, add_arch, add_preparation, positive
+from commands.prepared import cached_body, cached_environment, is_animated, suited
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.runtime import start_taichi
@@ -25,14 +25,22 @@ CONDITIONS = (
         lambda args: not args.static,
         "belongs to bodies; with --static nothing is simulated",
     ),
+    Condition(
+        ("--cell", "--cut", "--material", "--mesher", "--rig", "--landmarks", "--no-report", "--force", "--quantised"),
+        lambda args: not args.cache,
+        "belongs to --out",
+    ),
+    Condition(("--up", "--scale"), lambda args: not (args.cache and args.static), "belongs to --out"),
 )
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 2, 2  # of what `cached_body` and `cached_environment` make
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
-    parser.add_argument("--out", type=Path, required=True, metavar="ASSET.h5")
+    where = parser.add_mutually_exclusive_group(required=True)
+    where.add_argument("--out", type=Path, metavar="ASSET.h5")
+    text = "keep it where --body and --stage look for it, so that a play begins at once"
+    where.add_argument("--cache", action="store_true", help=text)
     parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="animate a standing person by this rig's motion")
     text = "positions of the person's joints (default: guessed)"
     parser.add_argument("--landmarks", type=Path, metavar="L.json", help=text)
@@ -58,6 +66,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Prepare a body, or with --static an environment, after a check of where its files go. Raises BadInput."""
+    if args.cache:
+        print((cached_environment if args.static else cached_body)(args.splats, args))
+        return
     from prepare.environment.environment_pipeline import EnvironmentOptions
     from prepare.pipeline import Options
     from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
@@ -95,73 +106,3 @@ def run(args: argparse.Namespace) -> None:
     files = {"rig": args.rig, "landmarks": args.landmarks, "quantised": args.quantised}
     prepare_file(args.splats, out, options, vertices=vertices, **files, pictures=True, page=bool(reports))
     print(f"wrote {out}" + (f" and {reports[0]}" if reports else ""))
-
-
-def is_animated(splats: Path, rig: Path | None = None) -> bool:
-    """True if the body made of these files moves by itself."""
-    return rig is not None or Path(splats).suffix.lower() == ".glb"
-
-
-def suited(vertices: int) -> str:
-    """The line that says which number of vertices was chosen."""
-    import taichi as ti
-
-    return f"a cage of {vertices} vertices, as suits a {'GPU' if ti.cfg.arch == ti.cuda else 'CPU'} (--vertices N)"
-
-
-def cached_body(splats: Path, args: argparse.Namespace) -> Path:
-    """The asset prepared from a splat file with the options; made now unless it is in the cache. Raises BadInput.
-
-    Without args.vertices as many as suit the device are taken; then it becomes that number.
-    """
-    from prepare.prepared_files import device_vertices
-
-    chosen: tuple[int, ...] = ()
-    if not args.vertices:
-        start_taichi(args.arch, args.seed)
-        chosen = device_vertices(animated=is_animated(splats))
-    key = {"vertices": args.vertices or chosen, "scale": args.scale, "up": args.up}
-    key |= {} if args.cells == "adaptive" else {"cells": args.cells}
-    key |= {"pieces": True} if args.pieces else {}
-    out = cached_asset(splats, key | {"version": BODY_CACHE_VERSION})
-    if not out.is_file():
-        from prepare.pipeline import Options
-        from prepare.prepared_files import prepare_file
-
-        _begin(splats, out, args)
-        adaptive = args.cells == "adaptive"
-        options = Options(args.vertices or chosen[0], args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
-        prepare_file(splats, out, options, vertices=chosen)
-    if chosen:
-        args.vertices = wanted_vertices(out)
-        print(f"{splats.name}: {suited(args.vertices)}", flush=True)
-    return out
-
-
-def wanted_vertices(path: Path) -> int:
-    """Number of vertices that an asset of `prepare` was asked for. Raises BadInput."""
-    from assets.hdf5 import open_hdf5
-
-    with open_hdf5(path) as file:
-        try:
-            return int(file.json("", "provenance")["options"]["vertices"])
-        except (KeyError, TypeError, ValueError) as e:
-            raise file.error("does not say how many vertices it was prepared with") from e
-
-
-def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
-    """The environment prepared from a splat file; made now unless it is in the cache. Raises BadInput."""
-    file_size(splats)
-    out = cached_asset(splats, {"stage": ENVIRONMENT_CACHE_VERSION})
-    if not out.is_file():
-        from prepare.prepared_files import prepare_environment_file
-
-        _begin(splats, out, args)
-        prepare_environment_file(splats, out)
-    return out
-
-
-def _begin(splats: Path, out: Path, args: argparse.Namespace) -> None:
-    start_taichi(args.arch, args.seed)
-    kept = f" (once; kept as {out})" if out.parent == cache_folder() else ""
-    print(f"preparing {splats.name}{kept}", flush=True)

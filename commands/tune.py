@@ -13,8 +13,7 @@ from assets.file_access import check_writable
 from assets.library import default_material, find_asset
 from commands.conditions import Condition
 from commands.options import add_arch, positive
-from commands.play import is_asset
-from commands.prepare import cached_body
+from commands.prepared import cached_body, is_asset
 from core.errors import BadInput
 from core.material import Material
 from core.runtime import start_taichi

@@ -16,6 +16,7 @@ from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.morton import morton_order
 from display.animation_targets import AnimationTargets
+from display.edit.added_body import pieces_of
 from display.scene_bodies import load_bodies
 from render import MOVING_SORT
 from render.renderer import Renderer
@@ -24,8 +25,10 @@ from render.skinned_props import Skin, SkinnedProps
 from render.splats import Splats
 from scenes.scene import Light, Scene
 from sim.capacity import MAX_BODIES, Capacity
+from sim.contact.contact_samples import MAX_SAMPLES
 from sim.embedding import BodySpan, Embedding, PackedBody
-from sim.solver import Solver
+from sim.rigid.rigid_body import RigidBody
+from sim.solver import SoftBody, Solver
 
 # Capacity for vertices and Gaussians of bodies, in multiples of the scene's own. Memory is cheap, and a loop skips what
 # is not used; fields that had to grow at the first copy would be others, for which all kernels are compiled again.
@@ -42,6 +45,7 @@ class DeviceScene:
     depth      let the picture hold depth in place of alpha
     fingers    let finger capsules (`Hand.touch`) push the bodies
     props      skinned Gaussians that `place_props` moves, those that cast no shadow first
+    reserve    assets of bodies for which there is capacity besides
     """
 
     def __init__(
@@ -56,9 +60,11 @@ class DeviceScene:
         depth: bool = False,
         fingers: bool = False,
         props: Sequence[Skin] = (),
+        reserve: Sequence[str] = (),
     ):
         self.scene, self.light, self.picture_size, self.views = scene, scene.light, picture_size, views
         static, moving, animated = load_bodies(scene)
+        reserved = [piece for asset in reserve for piece in pieces_of(asset)]
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
         self.still = len(still)
@@ -67,7 +73,8 @@ class DeviceScene:
         self.gaussian_counts = [len(embedded.gaussians) for _, embedded in moving]  # of each body of the scene
         self.splats = Splats(
             concatenate([still, *(s.gaussians for s in props), *(embedded.gaussians for _, embedded in moving)]),
-            capacity=self.first + math.ceil(HEADROOM * sum(self.gaussian_counts)),
+            capacity=self.first
+            + max(math.ceil(HEADROOM * sum(self.gaussian_counts)), 2 * sum(len(p.part.gaussians) for p in reserved)),
         )
         self.props = SkinnedProps(self.splats, props, len(still)) if props else None
         self.solver = Solver(
@@ -78,10 +85,11 @@ class DeviceScene:
             iterations=scene.iterations,
             collision_passes=scene.collision_passes,
             interaction=interaction,
-            capacity=Capacity(bodies=MAX_BODIES, factor=HEADROOM) if moving else None,
+            capacity=capacity_for([piece.body for piece in reserved]) if moving else None,
             fingers=fingers,
         )
-        self.embedding = self._embed([embedded for _, embedded in moving], embedding) if moving else None
+        parts = [embedded for _, embedded in moving], [piece.part for piece in reserved]
+        self.embedding = self._embed(*parts, embedding) if moving else None
         self.animations = [
             AnimationTargets(k, *placed, moving[k][0].vertices, self.solver) for k, placed in animated.items()
         ]
@@ -97,13 +105,14 @@ class DeviceScene:
             still=len(still),
         )
 
-    def _embed(self, bodies: list, scheme: str) -> Embedding:
+    def _embed(self, bodies: list, reserve: list, scheme: str) -> Embedding:
         begins = self.first + np.cumsum([0, *self.gaussian_counts])
         placed = [
             replace(body, vertex_offset=v, gaussian_offset=int(g))
             for body, v, g in zip(bodies, self.solver.vertex_offset, begins, strict=False)
         ]
-        return Embedding(placed, scheme=scheme, with_rotation=self.splats.coefficients > 1, headroom=HEADROOM)
+        rotates = self.splats.coefficients > 1
+        return Embedding(placed, scheme=scheme, with_rotation=rotates, headroom=HEADROOM, reserve=reserve)
 
     def show(self, spans: list[BodySpan], packed: list[PackedBody], count: int) -> None:
         """Embed these spans, and draw only the first `count` Gaussians."""
@@ -142,3 +151,19 @@ class DeviceScene:
         """Draw pictures of another size [px] from now on."""
         self.picture_size = (width, height)
         self.renderer.resize(width, height)
+
+
+def capacity_for(reserve: Sequence[SoftBody | RigidBody]) -> Capacity:
+    """Capacity for copies of a scene's bodies, and for these bodies besides.
+
+    Twice as much as these need: where the scene's own need more than that, a quarter of HEADROOM times theirs is more.
+    """
+    return Capacity(
+        bodies=MAX_BODIES,
+        factor=HEADROOM,
+        vertices=2 * sum(len(b.vertices) for b in reserve),
+        tets=2 * sum(len(b.tets) for b in reserve),
+        triangles=2 * sum(len(b.surface) for b in reserve),
+        samples=2 * sum(max(MAX_SAMPLES, len(b.vertices)) for b in reserve),
+        nodes=2 * sum(b.sdf.values.size for b in reserve if b.sdf is not None),
+    )

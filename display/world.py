@@ -52,15 +52,16 @@ class World(WorldView):
     """A running scene. `step` it with each frame; then `picture` is the view of the frame's cameras.
 
     width, height  of one view's picture [px]
+    reserve        assets of bodies for which there must be capacity, so that `add_body` can add them
     options        of the DeviceScene: views, interaction, embedding, sort, depth, fingers, props
     """
 
     editable = True
 
-    def __init__(self, scene: Scene, *, width: int, height: int, **options):
-        self.scene = scene
+    def __init__(self, scene: Scene, *, width: int, height: int, reserve: Sequence[str] = (), **options):
+        self.scene, self.reserve = scene, tuple(reserve)
         self.timings = Timings()
-        self.device = DeviceScene(scene, (width, height), **options)
+        self.device = DeviceScene(scene, (width, height), reserve=reserve, **options)
         self.registry = BodyRegistry(self.device)
         self.editor = Editor(self, self.registry)
         self.paused = self.demo = self.moving = False
@@ -239,6 +240,13 @@ class World(WorldView):
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()
+
+    def add_body(self, asset: str, name: str = "") -> None:
+        """Put a body made of an asset over the play, under a name; it can be undone.
+
+        Raises BadInput: CapacityError where a world with `reserve` for it is needed.
+        """
+        self.editor.add(asset, name)
 
     def adopt(self, snapshot: WorldSnapshot) -> None:
         """Bring the state of another world of the same scene, which may be closed."""

@@ -1,6 +1,7 @@
 """Two-level embedding: the cage carries the local tetrahedra, these carry the Gaussians (VR-GS, Sec. 4.3.2)."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
@@ -44,7 +45,8 @@ class Embedding:
 
     `scheme="one-level"` is the paper's ablation: gradient and weights of the tet that holds the centre.
     Without `with_rotation` (colours of SH degree 0) no polar rotation is computed. The capacity is `headroom`
-    times what `bodies` need. Raises BadInput if a local tetrahedron is flat.
+    times what `bodies` need, and at least twice what those of `reserve` do. Raises BadInput if a local tetrahedron is
+    flat.
     """
 
     def __init__(
@@ -54,15 +56,16 @@ class Embedding:
         scheme: str = "two-level",
         with_rotation: bool = True,
         headroom: float = 1.0,
+        reserve: Sequence[EmbeddedBody] = (),
     ) -> None:
         if scheme not in ("two-level", "one-level"):
             raise ValueError(f"scheme must be two-level or one-level, not {scheme!r}")
-        self.with_rotation = with_rotation
+        self.with_rotation, self.scheme = with_rotation, scheme
         self.spans: list[BodySpan] = []
         self.count = 0  # Gaussians
         self._starts: list[tuple[int, int]] = [(0, 0)]  # first slice and slot of each span, and the ends
         packed = [pack(b, scheme) for b in bodies]
-        self._allocate(packed, headroom)
+        self._allocate(packed, headroom, [pack(b, scheme) for b in reserve])
         self.load([BodySpan(k, b.vertex_offset, b.gaussian_offset) for k, b in enumerate(bodies)], packed)
 
     def deform(self, x, mean, cov, rotation=None) -> None:
@@ -124,14 +127,19 @@ class Embedding:
                 if ti.static(self.with_rotation):
                     rotation[g] = polar_quaternion(F)
 
-    def _allocate(self, packed: list[PackedBody], headroom: float) -> None:
+    def packed(self, body: EmbeddedBody) -> PackedBody:
+        """A body as this embedding takes it."""
+        return pack(replace(body, vertex_offset=0, gaussian_offset=0), self.scheme)
+
+    def _allocate(self, packed: list[PackedBody], headroom: float, reserve: list[PackedBody]) -> None:
         """Allocate fields of rounded sizes, so that scenes of similar size share their compiled kernels."""
         slices, slots = sum(p.slices for p in packed), sum(p.slots for p in packed)
         self.fields = None
         if slices == 0:
             return
-        self.slice_capacity = round_up_capacity(int(np.ceil(headroom * slices)))
-        self.slot_capacity = round_up_capacity(int(np.ceil(headroom * slots)))
+        reserved = 2 * sum(p.slices for p in reserve), 2 * sum(p.slots for p in reserve)
+        self.slice_capacity = round_up_capacity(max(int(np.ceil(headroom * slices)), reserved[0]))
+        self.slot_capacity = round_up_capacity(max(int(np.ceil(headroom * slots)), reserved[1]))
         self.fields = f = FieldGroup()  # as the arrays of PackedBody
         self.target = f.scalar(self.slice_capacity * SLICE_LANES, dtype=ti.i32)
         self.anchor = f.scalar(self.slice_capacity * SLICE_LANES, dtype=ti.i32)

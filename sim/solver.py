@@ -284,7 +284,14 @@ class Solver:
 
     def add(self, body: SoftBody | RigidBody) -> int:
         """Add a body at its start; return its index."""
-        return self._change(body_editing.added(self._moving_bodies(), body))
+        return self.add_all([body])
+
+    def add_all(self, bodies: Sequence[SoftBody | RigidBody]) -> int:
+        """Add bodies at their start, all or none; return the index of the first."""
+        edited = self._moving_bodies()
+        for body in bodies:
+            edited = body_editing.added(edited, body)
+        return self._change(edited) - len(bodies) + 1
 
     def remove(self, i: int) -> None:
         """Remove body i; a hand that holds it opens, and the later bodies move up by one."""

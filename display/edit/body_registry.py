@@ -6,7 +6,7 @@ each of the scene's bodies is read back; without edits nothing of this costs any
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -15,9 +15,10 @@ import numpy as np
 from core.material import MATERIALS, Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
+from display.edit.added_body import Piece, fitted_harmonics
 from scenes.scene import BodyState, Hand
-from sim.capacity import CapacityError
-from sim.embedding import BodySpan
+from sim.capacity import MAX_BODIES, CapacityError
+from sim.embedding import BodySpan, PackedBody
 
 FULL_NOTICE = "There is no capacity for that: remove something first."
 REMOVED_X = 1e3  # [m] where the game sees a body that was removed
@@ -54,8 +55,9 @@ class BodyRegistry:
         self.animations = [a.at(0.0) for a in device.animations]
         self._scene_models = device.solver.body_models
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self._scene_models)))
-        self._packed: list[dict] | None = None
+        self._packed: list[PackedBody] | None = None
         self._looks: list[tuple[np.ndarray, np.ndarray]] = []
+        self._added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
 
     @property
     def changed(self) -> bool:
@@ -95,6 +97,39 @@ class BodyRegistry:
             self.animations = [a.rebased(self.device.solver) for a in self.animations]
 
     # edits
+
+    def add(self, pieces: Sequence[Piece]) -> int:
+        """Let the pieces of an asset join; returns the index of the first."""
+        sources = self._sources_of(pieces)
+        members = (*self.members, *(Member(source, copy=True) for source in sources))
+
+        def add() -> int:
+            if len(members) > MAX_BODIES:
+                raise CapacityError("too many bodies")
+            self._check(members)
+            return self.device.solver.add_all([piece.body for piece in pieces])
+
+        first = self._with_capacity(add)
+        for k, piece in enumerate(pieces):
+            if piece.animation is not None:
+                led = piece.placed, piece.animation, piece.body.vertices
+                self.animations.append(AnimationTargets(first + k, *led, self.device.solver))
+        self._show(members)
+        return first
+
+    def _sources_of(self, pieces: Sequence[Piece]) -> list[int]:
+        """Indices of what these pieces look like, which is kept on the host."""
+        self._read()
+        asset = pieces[0].placed.asset
+        if asset not in self._added:
+            device, first = self.device, len(self._packed)
+            for piece in pieces:
+                self._packed.append(device.embedding.packed(piece.part))
+                sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
+                self._looks.append((piece.part.gaussians.opacities.astype(np.float32), sh))
+                device.gaussian_counts.append(len(piece.part.gaussians))
+            self._added[asset] = list(range(first, first + len(pieces)))
+        return self._added[asset]
 
     def remove(self, k: int) -> None:
         """Remove a body."""

@@ -11,6 +11,7 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from display.edit.added_body import pieces_of, put_over
 from display.edit.body_registry import BodyRegistry
 from display.edit.notice import Notice
 from display.edit.selection_marker import MARKED_SECONDS
@@ -120,6 +121,14 @@ class Editor:
         self._record(action, before)
         self._world.refresh()
         return result
+
+    def add(self, asset: str, name: str) -> None:
+        """Put a body made of an asset over the play. Raises BadInput: CapacityError where a larger world is needed."""
+        if not self._bodies.members:
+            raise BadInput("Nothing can be added to a scene without bodies.")
+        pieces = put_over(pieces_of(asset, name), self._world.scene, self._world.bodies())
+        self.selected = self._edit("add", lambda: self._bodies.add(pieces))
+        self._selected_until = monotonic() + MARKED_SECONDS
 
     def _remove(self, k: int) -> None:
         self._edit("remove", lambda: self._bodies.remove(k))

@@ -146,9 +146,12 @@ class Controls:
 
     # the actions of key_bindings.py that concern the window alone, or the camera
 
-    def escape(self, press: Press) -> None:
-        """Quit."""
+    def escape(self, press: Press) -> list[Command]:
+        """Give up what is being opened, or else quit."""
+        if press.world.opening:
+            return [protocol.CancelOpening()]
         self.quit = True
+        return []
 
     def toggle_panel(self, press: Press) -> None:
         """Show the panel, or hide it."""

@@ -45,8 +45,8 @@ class PanelContent:
         says_score = not world.score or str(world.score) in world.message.split()
         return cls(
             message=f"{world.score}   {world.message}" if world.message and not says_score else world.message,
-            note=note if panel.placing else world.notice or note,
-            warns=bool(world.notice or panel.placing),
+            note=note if panel.placing else world.opening or world.notice or note,
+            warns=bool(world.opening or world.notice or panel.placing),
             rate=f"{world.timings.recent_fps():.0f} fps",
             lit=frozenset(name for name, on in lit.items() if on),
             hovered=panel.hovered.name if panel.hovered else None,

@@ -12,7 +12,7 @@ from assets.asset import Asset
 from assets.gaussians import concatenate
 from assets.splat_files import write_gaussians
 from assets.up_axis import robust_bounds
-from commands.prepare import cached_body, wanted_vertices
+from commands.prepared import cached_body, wanted_vertices
 from core.errors import BadInput
 from prepare.pipeline import Options
 from prepare.prepared_files import DEVICE_VERTICES, device_vertices, prepare_file

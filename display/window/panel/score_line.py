@@ -8,11 +8,11 @@ from display.window.panel.widgets import pixels
 
 
 def draw_score(world: WorldView, left: float) -> None:
-    """Draw score, message and notice at the top: in the middle, or right of `left` [px] in a small window."""
+    """Draw score, message, notice and the progress of what is opened at the top: in the middle, or right of `left` [px] in a small window."""
     from imgui_bundle import imgui
 
     game = world.scene.game if world.editable else None
-    if game is None and not world.notice:
+    if game is None and not (world.notice or world.opening):
         return
     score, message = ("", "") if game is None else (str(world.score or ""), world.message)
     if score in message.split():  # the game says it itself
@@ -30,4 +30,6 @@ def draw_score(world: WorldView, left: float) -> None:
         imgui.text(message)
     if world.notice:
         imgui.text_colored(ACCENT, world.notice)
+    if world.opening:
+        imgui.text_colored(ACCENT, world.opening)
     imgui.end()

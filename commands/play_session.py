@@ -1,0 +1,244 @@
+"""A play from its first frame to its last: the frames of a display, in one world after another."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from commands.opening import Opening
+from core.errors import BadInput, Cancelled
+from core.runtime import end_taichi, is_out_of_memory, start_taichi
+from display.protocol import OPENING, AddBody, CancelOpening, Display, Frame, OpenScene, SwapRoom, in_order
+
+if TYPE_CHECKING:
+    from display.headless.video import FilmWriter
+    from display.keep.keeper import Keeper
+    from display.record.recording import Recording
+    from display.record.replay import Replay
+    from display.study.study_log import StudyLog
+    from display.world import World, WorldSnapshot
+    from scenes.scene import Scene
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What a play leaves behind; None: not wanted."""
+
+    film: FilmWriter | None
+    recording: Recording | None
+    study: StudyLog | None
+    keeper: Keeper
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A world that is to replace the present one.
+
+    args      of the command line, as if the world had been asked for there
+    reserve   assets of bodies for which it must have capacity
+    joins     name of the last of `reserve`, a body that joins the present state; "": the scene begins anew
+    """
+
+    args: argparse.Namespace
+    scene: Scene
+    reserve: tuple[str, ...] = ()
+    joins: str = ""
+
+
+class Session:
+    """The world, its display and its outputs. Use it in a `with`, which ends what is being opened.
+
+    args     the command's options, which change with the scene
+    load     gives the scene of such options, `title` the window's
+    options  of a World, besides its size
+    """
+
+    def __init__(
+        self,
+        args: argparse.Namespace,
+        scene: Scene,
+        display: Display,
+        outputs: Outputs,
+        *,
+        replay: Replay | None,
+        load: Callable[[argparse.Namespace], Scene],
+        title: Callable[[argparse.Namespace], str],
+        options: dict,
+    ):
+        self.args, self.display, self.replay = args, display, replay
+        self.film, self.recording, self.study = outputs.film, outputs.recording, outputs.study
+        self.keeper = outputs.keeper
+        self._load, self._title, self._options, self._count = load, title, options, 0
+        self._opening: Opening | None = None
+        self._planned: Planned | None = None
+        self.world = self._make(scene)
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self._end_opening()
+
+    def frames(self) -> Iterator[Frame]:
+        """The display's frames, or the recorded ones, as many as wanted; noted by the recording."""
+        for frame in itertools.islice(self._frames(), None if self.args.headless else self.args.frames):
+            yield frame if self.recording is None else self.recording.note(frame)
+            self._count += 1
+
+    def report(self) -> None:
+        """Print and write the results of the play."""
+        from display.run_stats import run_stats, write_stats
+
+        args, world = self.args, self.world
+        if self.replay:
+            print(self.replay.report())
+        if args.stats:
+            write_stats(args.stats, run_stats(world, self._count))
+        if args.snapshot and not args.headless:
+            from display.picture import pixels_of, save_picture
+
+            save_picture(args.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
+        if args.headless:
+            print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
+
+    # one world after another
+
+    def _frames(self) -> Iterator[Frame]:
+        """Frames of each world, without the commands that ask for another one, which are carried out here."""
+        while True:
+            shown = self.replay.frames if self.replay else self.display.frames
+            frames = shown(self.display, self.world, paced=not self.args.headless) if self.replay else shown(self.world)
+            for frame in frames:
+                requests = [c for c in in_order(frame.commands) if isinstance(c, OPENING)]
+                frame.commands = [c for c in frame.commands if not isinstance(c, OPENING)]
+                yield frame
+                for request in requests:
+                    self._take(request)
+                self._advance_opening()
+                if self._planned is not None:
+                    break
+            else:
+                return
+            frames.close()
+            del frame, frames  # which refer to the world
+            self._replace_world()
+
+    def _take(self, request) -> None:
+        """Begin to open what the user asks for."""
+        if isinstance(request, CancelOpening):
+            if self._opening is not None:
+                self.world.tell("Cancelled.")
+            self._end_opening()
+            return
+        outputs = {"a recording": self.recording, "a study": self.study, "a replay": self.replay}
+        running = next((name for name, output in outputs.items() if output is not None), None)
+        if running is not None:  # its file names one scene, with which it begins
+            self.world.tell(f"Nothing else can be opened during {running}.")
+            return
+        self._end_opening()
+        try:
+            self._opening = Opening(request, self.args)
+        except BadInput as e:
+            self.world.tell(str(e))
+
+    def _end_opening(self) -> None:
+        if self._opening is not None:
+            self._opening.close()
+            self._opening, self.world.opening = None, ""
+
+    def _advance_opening(self) -> None:
+        """Go on with what is being opened; once it is ready, add the body, or plan another world."""
+        opening = self._opening
+        if opening is None:
+            return
+        try:
+            if not opening.poll():
+                self.world.opening = opening.text
+                return
+            self._carry_out(opening)
+        except BadInput as e:
+            self.world.tell(str(e))
+        self._end_opening()
+
+    def _carry_out(self, opening: Opening) -> None:
+        from display.scene_bodies import load_bodies
+        from sim.capacity import CapacityError
+
+        match opening.request:
+            case AddBody() as request:
+                asset, name = opening.body(), Path(request.path).stem
+                try:
+                    self.world.add_body(asset, name)
+                except CapacityError:
+                    if asset in self.world.reserve:
+                        raise
+                    self._planned = Planned(self.args, self.world.scene, (*self.world.reserve, asset), name)
+            case OpenScene() | SwapRoom():
+                scene = self._load(opening.args)
+                load_bodies(scene)  # a file that cannot be used is found while the present world still plays
+                self._planned = Planned(opening.args, scene)
+
+    def _replace_world(self) -> None:
+        """Make the planned world in place of the present one; if that fails, the present one again."""
+        planned, self._planned = self._planned, None
+        before = self.args, self.world.scene, self.world.reserve, self._state()
+        self.world.close()
+        problem = ""
+        try:
+            self._remake(planned.args, planned.scene, planned.reserve)
+        except Cancelled as e:
+            if e.quits:
+                raise
+            problem = "Cancelled."
+        except BadInput as e:
+            problem = str(e)
+        except (MemoryError, RuntimeError) as e:
+            if not is_out_of_memory(e):
+                raise
+            problem = "There is not enough memory for that."
+        if problem:
+            args, scene, reserve, state = before
+            self._remake(args, scene, reserve)
+            self._resume(state)
+            self.world.tell(problem)
+        elif planned.joins:
+            self._resume(before[-1])
+            self.world.add_body(planned.reserve[-1], planned.joins)
+
+    def _state(self) -> tuple[WorldSnapshot, object, bool]:
+        return self.world.snapshot(), self.world.light, self.world.paused
+
+    def _resume(self, state) -> None:
+        snapshot, light, paused = state
+        self.world.adopt(snapshot)
+        self.world.paused = paused
+        if light is not None:
+            self.world.set_light(light)
+
+    def _remake(self, args: argparse.Namespace, scene: Scene, reserve: Sequence[str]) -> None:
+        """Start Taichi anew, and in it this world: so the device has all its memory back, and kernels, whose names in
+        the cache count the fields before theirs, are found there."""
+        end_taichi()
+        start_taichi(args.arch, args.seed)
+        self.args, self.keeper.scene = args, args.scene
+        self.display.show_scene(scene, self._title(args))
+        self.world = self._make(scene, reserve)
+
+    def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
+        """The world of a scene, ready to play, with a report of the progress."""
+        from display.start_progress import start_progress
+        from display.world import World
+
+        width, height = self.display.size
+        with start_progress(self.display.loading):
+            world = World(scene, width=width, height=height, reserve=reserve, **self._options)
+            if not self.args.headless:
+                world.draw_start()
+                self.display.loading("", world.picture)
+                world.warm_up()
+        return world

@@ -230,6 +230,7 @@ def test_the_command_checks_its_names_first(tmp_path):
         run(argparse.Namespace(
             splats=tmp_path / splats, out=tmp_path / out, force=force, vertices=300, scale=None, up=None, material=None,
             no_report=no_report, mesher="stuffing", static=False, cell=None, cut=None,
+            cache=False,
         ))  # fmt: skip
 
     with pytest.raises(BadInput, match=r"none\.ply: no such file"):

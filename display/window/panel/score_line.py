@@ -8,7 +8,8 @@ from display.window.panel.widgets import pixels
 
 
 def draw_score(world: WorldView, left: float) -> None:
-    """Draw score, message, notice and the progress of what is opened at the top: in the middle, or right of `left` [px] in a small window."""
+    """Draw score, message, notice, and the progress of what is being opened, at the top: in the middle, or right of
+    `left` [px] in a small window."""
     from imgui_bundle import imgui
 
     game = world.scene.game if world.editable else None

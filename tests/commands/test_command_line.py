@@ -13,7 +13,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "scenes": "--help",
     "view": "--help --arch --size --snapshot --sort --up",
     "render": "--help --antialias --arch --camera --out --sort --turntable",
-    "prepare": "--help --arch --force --out --quantised --scale --static --up",
+    "prepare": "--help --arch --out",
     "convert": "--help",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
@@ -42,6 +42,8 @@ REFUSED = [  # a command line, and what is said about the option that would be i
         (f"prepare a --out b.h5 --static {o}", "with --static nothing is simulated")
         for o in ("--vertices 9", "--cells uniform", "--material wood", "--mesher tetgen", "--no-report", "--rig r.glb")
     ),
+    *((f"prepare a --cache {o}", "belongs to --out") for o in ("--force", "--quantised", "--static --up +y")),
+    ("prepare a --cache --static --scale 1", "--scale belongs to --out"),
     ("prepare a --out b.h5 --static --landmarks l.json", "with --static nothing is simulated"),
     *(
         (f"bench frame {o}", "belongs to bench")

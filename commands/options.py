@@ -23,6 +23,13 @@ def size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
+def port(text: str) -> int:
+    """Number of a TCP port; 0: any that suits."""
+    if not (text.isdecimal() and int(text) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
+    return int(text)
+
+
 def positive(kind: type) -> Callable[[str], float]:
     """The type of numbers of a kind, int or float, above zero."""
 

@@ -17,6 +17,7 @@ from commands.options import (
     add_scene_options,
     add_sort,
     picture_name,
+    port,
     positive,
     render_scale,
     size,
@@ -38,6 +39,7 @@ EXAMPLES = """examples:
   python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
   python vrgs.py --xr --record-input play.h5            play in a headset, and keep what you do
+  python vrgs.py --web                                  play in a browser: for machines without a display
   python vrgs.py --replay play.h5                       see it again; with --headless --record play.mp4: film it
   python vrgs.py scenes                                 list the demos
   python vrgs.py view cat.ply                           look at a splat from all sides
@@ -55,6 +57,7 @@ CONDITIONS = (
     Condition(("--render-scale",), lambda args: args.xr, "belongs to --xr; elsewhere: --size"),
     Condition(("--size",), lambda args: not args.xr, "is not for --xr: a headset says what it takes; --render-scale"),
     Condition(("--stereo",), lambda args: args.headless, "belongs to --headless"),
+    Condition(("--host",), lambda args: args.web is not None, "belongs to --web"),
     Condition(("--participant",), lambda args: args.study, "belongs to --study OUT.h5"),
     Condition(
         ("--up", "--scale", "--vertices", "--cells", "--pieces"),
@@ -71,6 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--xr", action="store_true", help="play in a headset")
     where.add_argument("--headless", action="store_true", help="no window: the scene's scripted hand plays")
+    text = "play in a browser; prints the address (default port: 8090, or the next free one)"
+    where.add_argument("--web", type=port, nargs="?", const=0, metavar="PORT", help=text)
+    text = "--web: address to listen on (default 127.0.0.1: this machine alone)"
+    parser.add_argument("--host", metavar="ADDRESS", help=text)
     add_sort(parser, MOVING_SORT)
     text = "picture size (default 960x540, of a window: the last one's)"
     parser.add_argument("--size", type=size, metavar="WxH", help=text)
@@ -212,11 +219,12 @@ def open_study(args: argparse.Namespace, scene: Scene):
     from display.study.study_log import StudyLog
 
     options = args.options or {}
+    device = "headset" if args.xr else "headless" if args.headless else "window" if args.web is None else "browser"
     return StudyLog(
         args.study,
         participant=(args.participant or "").strip(),
         task=" ".join([args.scene, *(f"{key}={value}" for key, value in sorted(options.items()))]),
-        device="headset" if args.xr else "headless" if args.headless else "window",
+        device=device,
         about={"options": options, "roles": {role: file for file, role in scene.cast}},
     )
 
@@ -229,11 +237,17 @@ def open_keeper(args: argparse.Namespace) -> Keeper:
 
 
 def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
-    """The headset, the window, or, with --headless or without a screen, the files."""
+    """The headset, the browser, the window, or, with --headless or without a screen, the files."""
     for file in filter(None, (args.stats, args.snapshot)):
         from assets.file_access import check_writable
 
         check_writable(file)
+    if args.web is not None:
+        from display.preferences import Preferences
+        from display.web.browser import Browser
+
+        options = {"host": args.host, "port": args.web, "size": args.size, "name": args.scene}
+        return Browser(scene, title=title_of(args), preferences=Preferences.of_user(), **options)
     if args.xr:
         from display.xr.headset import Headset
 
@@ -252,7 +266,8 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")
-        print(f"no display: the scripted hand plays; writing {args.record} and {args.snapshot}", file=sys.stderr)
+        files = f"{args.record} and {args.snapshot}"
+        print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
     from display.headless.headless import Headless
 
     frames = args.frames or round(FPS * (scene.game.duration if scene.game else SECONDS))

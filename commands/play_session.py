@@ -98,7 +98,8 @@ class Session:
         if self.replay:
             print(self.replay.report())
         if args.stats:
-            write_stats(args.stats, run_stats(world, self._count))
+            web = {} if args.web is None else {"web": self.display.stats()}
+            write_stats(args.stats, run_stats(world, self._count) | web)
         if args.snapshot and not args.headless:
             from display.picture import pixels_of, save_picture
 

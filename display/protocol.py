@@ -227,6 +227,7 @@ Command = (
     | AddBody
     | CancelOpening
 )
+SIZED = (TakePicture, Film, WriteCamera)  # about the whole picture, however small it is drawn at the moment
 OPENING = (OpenScene, SwapRoom, AddBody, CancelOpening)  # carried out by the session (commands/play.py), not the world
 ORDER = Command.__args__  # in which the commands of one frame are carried out
 C = TypeVar("C", bound=Command)

@@ -22,7 +22,7 @@ class Trial:
     """Record of a participant's play of a task. Times are in the world's time without pauses [s].
 
     setting     "physics", "transform" or "mixed"
-    device      "window", "headset" or "headless"
+    device      "window", "headset", "browser" or "headless"
     about       options of the scene, roles of the user's bodies
     seconds     until the goal was reached, or else until the end
     first_grip  until something was held; NaN: never

@@ -10,6 +10,7 @@ from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 
 WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
 NAMED = ["home", "escape", "space", "delete", *(f"f{k}" for k in range(1, 13))]
+PLACES = frozenset([*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"])
 SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
 
 
@@ -22,6 +23,12 @@ def key_name(place: str | None, printed: str) -> str | None:
     if printed.isascii() and printed.isalpha():
         return None if printed in WALKING else printed
     return place  # other alphabets
+
+
+def chord_name(place: str | None, printed: str, *, down: bool, ctrl: bool) -> str | None:
+    """As `key_name`, after "ctrl+" where a key goes down with that; then letters are as printed."""
+    name = printed if ctrl and printed.isascii() and printed.isalpha() else key_name(place, printed)
+    return f"ctrl+{name}" if name is not None and ctrl and down and name != "shift" else name
 
 
 def import_glfw():
@@ -80,8 +87,7 @@ class GLWindow:
         """Queue the events: they are handled in order, once a frame, when ImGui knows what the cursor is over."""
         glfw, add = self.glfw, self._events.append
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
-        places = [*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"]
-        keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in places}
+        keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in PLACES}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
         keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus"}
 
@@ -90,9 +96,9 @@ class GLWindow:
                 return
             printed = (glfw.get_key_name(code, scancode) or "").lower()
             down, ctrl = action == glfw.PRESS, mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER)
-            name = printed if ctrl and printed.isascii() and printed.isalpha() else key_name(keys.get(code), printed)
+            name = chord_name(keys.get(code), printed, down=down, ctrl=bool(ctrl))
             if name is not None:
-                add(("key", f"ctrl+{name}" if ctrl and down and name != "shift" else name, down))
+                add(("key", name, down))
 
         cursor = glfw.get_cursor_pos(self.handle)  # as of the last event: by now it may be elsewhere
 

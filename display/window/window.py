@@ -15,7 +15,7 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Film, Frame, Pause, SingleStep, TakePicture, WorldView, WriteCamera, last_of
+from display.protocol import SIZED, Command, Frame, Pause, SingleStep, WorldView, last_of
 from display.window.controls import Controls
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
@@ -27,7 +27,6 @@ from scenes.scene import BodyState, Scene
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 DEFAULT_SIZE = (960, 540)  # in screen coordinates
-SIZED = (TakePicture, Film, WriteCamera)  # commands about the whole picture, however small it is drawn at the moment
 MIN_SIDE = 16  # [px] of a picture
 
 

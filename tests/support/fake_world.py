@@ -1,7 +1,8 @@
 """A world of one ball before a coloured sky, cheap enough to test displays with.
 
-Run as a program it opens the real window, or the headset, on it and logs each frame, one JSON a line:
-    python tests/support/fake_world.py LOG.jsonl [--size W H] [--frames N] [--xr]
+Run as a program it opens the real window, the headset or the server of a page on it and logs each frame, one JSON a
+line:
+    python tests/support/fake_world.py LOG.jsonl [--size W H] [--frames N] [--xr | --web]
 """
 
 import argparse
@@ -156,7 +157,7 @@ class FakeWorld(BallWorld):
 
     def resize(self, width: int, height: int) -> None:
         self.picture = ti.ndarray(ti.u32, (self.views * height, width))
-        self.picture_size = (width, height)
+        self.picture_size, self._drawn = (width, height), None
 
     def step(self, frame) -> None:
         self.apply(frame.commands)
@@ -167,6 +168,10 @@ class FakeWorld(BallWorld):
 
     def draw(self, cameras) -> None:
         self.cameras, height = cameras, self.picture_size[1]
+        seen = [(c.world_to_camera.tobytes(), c.fx, *self.ball, *self.light.position) for c in self.cameras]
+        if seen == self._drawn:
+            return
+        self._drawn, self.pictures = seen, self.pictures + 1
         with self.timings.stage("render"):
             for view, camera in enumerate(self.cameras):
                 assert (camera.width, camera.height) == self.picture_size
@@ -182,6 +187,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(960, 540))
     parser.add_argument("--frames", type=int, default=10**9)
     parser.add_argument("--xr", action="store_true")
+    parser.add_argument("--web", action="store_true")
     args = parser.parse_args()
 
     ti.init(arch=ti.cpu, log_level=ti.WARN, **COMPILER_OPTIONS)
@@ -196,7 +202,8 @@ def main() -> None:
             if world.steps >= args.frames:
                 break
             time.sleep(max(0.0, PERIOD - (time.perf_counter() - begin)))
-    print(json.dumps({"fps": world.timings.fps, **world.timings.as_dict()}))
+    web = {"web": display.stats()} if args.web else {}
+    print(json.dumps({"fps": world.timings.fps, **world.timings.as_dict(), **web}))
 
 
 def open_display(scene: Scene, args):
@@ -204,6 +211,10 @@ def open_display(scene: Scene, args):
         from display.xr.headset import Headset
 
         return Headset(scene, title="Ball")
+    if args.web:
+        from display.web.browser import Browser
+
+        return Browser(scene, title="Ball")
     from display.window.window import Window
 
     return Window(scene, title="Ball", width=args.size[0], height=args.size[1])
@@ -227,6 +238,7 @@ def record(frame, world) -> dict:
         "paused": world.paused,
         "interaction": world.interaction,
         "steps": world.steps,
+        "pictures": world.pictures,
         "light": world.light.position,
     }
 

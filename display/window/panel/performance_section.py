@@ -54,8 +54,7 @@ class PerformanceSection(Section):
             imgui.end_table()
         for line in self._frame_lines:
             imgui.text_colored(QUIET, line)
-        names = [name for name in ("gaussians", "vertices", "tets", "substeps") if name in self._stats]
-        counts = [f"{self._stats[name]:,} {name}" for name in names]
+        counts = count_texts(self._stats)
         for first in range(0, len(counts), 2):
             imgui.text_colored(QUIET, ", ".join(counts[first : first + 2]))
         return []
@@ -69,3 +68,8 @@ def frame_lines(timings: Timings) -> list[str]:
     if timings.dropped >= 0.1:
         lines.append(f"{timings.dropped:.1f} s left out: too slow for real time")
     return lines
+
+
+def count_texts(stats: dict) -> list[str]:
+    """Counts of a world as they are shown: "12,345 gaussians"."""
+    return [f"{stats[name]:,} {name}" for name in ("gaussians", "vertices", "tets", "substeps") if name in stats]

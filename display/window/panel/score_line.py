@@ -15,9 +15,7 @@ def draw_score(world: WorldView, left: float) -> None:
     game = world.scene.game if world.editable else None
     if game is None and not (world.notice or world.opening):
         return
-    score, message = ("", "") if game is None else (str(world.score or ""), world.message)
-    if score in message.split():  # the game says it itself
-        score = ""
+    score, message = score_and_message(world)
     half = 0.5 * imgui.calc_text_size(f"{score}   {message}".strip()).x
     middle = max(0.5 * imgui.get_io().display_size.x, left + pixels(3 * MARGIN) + half)
     imgui.set_next_window_pos((middle, pixels(MARGIN)), 0, (0.5, 0.0))
@@ -34,3 +32,11 @@ def draw_score(world: WorldView, left: float) -> None:
     if world.opening:
         imgui.text_colored(ACCENT, world.opening)
     imgui.end()
+
+
+def score_and_message(world: WorldView) -> tuple[str, str]:
+    """Score and message of the game as they are shown; "" for a score that the message says."""
+    if world.scene.game is None:
+        return "", ""
+    score, message = str(world.score or ""), world.message
+    return "" if score in message.split() else score, message

@@ -1,0 +1,317 @@
+"""The display in a browser: pictures go to a page as JPEG, its mouse, keys and fingers come back."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from time import perf_counter, sleep
+
+import numpy as np
+
+from core.errors import Cancelled
+from display.adaptive_resolution import WindowResolution
+from display.clock import catch_up_limit
+from display.picture import fit, pixels_of
+from display.preferences import Preferences, read_bookmarks
+from display.protocol import SIZED, Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.web.page_server import LOOPBACK, PageServer
+from display.web.page_state import first_words, overlay, world_state
+from display.web.picture_flow import STILL_QUALITY
+from display.window.controls import Controls
+from display.window.gl_window import PLACES, chord_name
+from display.window.mouse_hand import MouseHand
+from display.window.orbit_camera import OrbitCamera
+from display.window.panel.body_section import BUTTONS
+from display.window.panel.performance_section import RESOLUTIONS, count_texts, frame_lines
+from scenes.scene import Scene
+
+PERIOD = 1 / 60  # [s] of a frame at least
+REST_PERIOD = 1 / 20  # [s] of a frame in which nothing moves, and the longest wait for a page to take a picture
+MAX_STEP = 1 / 20  # [s] of simulation at once
+SIZE = (960, 540)  # [px] before a page tells its own
+MAX_PIXELS = 1920 * 1080  # of a picture
+MIN_SIDE = 16  # [px] of a picture
+CODES = {"ShiftLeft": "shift", "ShiftRight": "shift", "NumpadAdd": "plus", "NumpadSubtract": "minus"}
+TOLD_INTERVAL, READ_INTERVAL = 0.1, 0.5  # [s] between two states of the panel, and two readings of the timings
+
+
+class Browser:
+    """A display: `for frame in browser.frames(world): world.step(frame); browser.present(world)`.
+
+    host, port   to listen on; port 0: the default one, or the next free one
+    size         largest (width, height) [px] of the picture; None: the page's, up to MAX_PIXELS
+    preferences  keep the views of the scene of that `name` from one start to the next
+
+    Prints the address to open. Frames end with Ctrl-C or a signal to terminate; a page cannot end them. Raises BadInput
+    if it cannot listen. Close it, or use it in a `with`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        title: str = "VR-GS",
+        host: str | None = None,
+        port: int = 0,
+        size: tuple[int, int] | None = None,
+        preferences: Preferences | None = None,
+        name: str = "",
+    ):
+        self._preferences, self._name = preferences or Preferences(), name
+        self._largest = size
+        self._server = PageServer(host or LOOPBACK, port, first_words(title, scene), encode)
+        self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
+        self._controls.bookmarks = read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
+        self._resolution, self._scale_name = WindowResolution(), "Auto"  # the name of what a page has chosen
+        self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
+        self._last_view: bytes | None = None  # the camera's pose in the last frame
+        self._cursor = (0.0, 0.0)  # [px] of the camera
+        self._near = False  # the pointer is among the edits
+        self._dropped = 0.0  # [s] that have passed and were never simulated
+        self._waited = 0.0  # [s] in this frame for a page to take a picture
+        self._busy = True  # something moves, or may
+        self._quit = self._started = False
+        self._handlers: dict = {}  # of signals, before ours
+        self._time = 0.0  # [s] of all frames
+        self._picture, self._shown = 0, None  # number of the picture, and which one of which world it is
+        self._start: np.ndarray | None = None  # pixels of the first picture, while the world is made
+        self._told = self._read = -READ_INTERVAL
+        print(f"Open {self._server.address}", flush=True)
+        if host not in (None, LOOPBACK, "localhost", "::1"):
+            print("Anyone who has this address can play; the connection is not encrypted.", file=sys.stderr, flush=True)
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Say goodbye to the pages. Further calls do nothing."""
+        self._server.close()
+        for kind, handler in self._handlers.items():
+            signal.signal(kind, handler)
+        self._handlers.clear()
+
+    @property
+    def _full(self) -> tuple[int, int]:
+        """(width, height) [px] of the picture in full: the player's page, no larger than it may be."""
+        player = self._server.player
+        wanted = player.size if player is not None and player.size is not None else self._largest or SIZE
+        if self._largest is not None and (wanted[0] > self._largest[0] or wanted[1] > self._largest[1]):
+            wanted = fit(wanted, self._largest)[2:]
+        scale = min(1.0, (MAX_PIXELS / (wanted[0] * wanted[1])) ** 0.5)
+        return tuple(max(MIN_SIDE, int(side * scale)) for side in wanted)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) [px] of the picture that suits the page now."""
+        scale, full = RESOLUTIONS[self._scale_name], self._full
+        wanted = self._resolution.size(full) if scale is None else (round(side * scale) for side in full)
+        return tuple(max(MIN_SIDE, side) for side in wanted)
+
+    def loading(self, text: str, picture=None) -> None:
+        """Show a line of text during a long operation, over a picture or the last one.
+
+        Raises Cancelled where the program is to end, and where Esc is pressed while another scene is opened.
+        """
+        if picture is not None:
+            self._start = pixels_of(picture).copy()
+            self._picture += 1
+        if self._start is not None:
+            self._server.show(self._picture, [], lambda: self._start, still=True)
+        self._server.tell({"loading": text})
+        escapes = [event for event in self._server.take() if event[:2] == ("key", "Escape") and event[3]]
+        if self._quit or (self._started and escapes):
+            raise Cancelled(quits=self._quit)
+
+    def show_scene(self, scene: Scene, title: str) -> None:
+        """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
+        self._server.greet(first_words(title, scene))
+        self._controls.let_go()
+        self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
+
+    def frames(self, world: WorldView) -> Iterator[Frame]:
+        """Frames in real time until the program is to end; slower where that cannot be kept up (display/clock.py).
+
+        There are none while nobody sees a page, and few while nothing moves.
+        """
+        last, self._start, self._started = perf_counter(), None, True
+        self._listen_to_signals()
+        while not self._quit:
+            if not self._server.watched:
+                self._controls.let_go()
+                world.timings.rest()
+                self._server.wait(REST_PERIOD)
+                last = perf_counter()
+                continue
+            self._pace(last, world)
+            now = perf_counter()
+            seconds, last = now - last, now
+            cost = world.simulation_cost
+            dt = min(seconds, catch_up_limit(cost))
+            self._dropped += 0.0 if cost is None else seconds - dt
+            commands = self._handle(self._server.take(), world)
+            pause = last_of(Pause, commands)
+            paused = world.paused if pause is None else pause.on
+            running = not paused or last_of(SingleStep, commands) is not None
+            hands = self._controls.advance(self._camera, dt, running=running)
+            self._time += dt
+            moving = self._camera_moved() or world.moving
+            self._busy = moving or bool(commands or hands)
+            self._resolution.note(now, seconds, self._drawing(world), moving=moving)
+            if world.picture_size != self.size:
+                world.resize(*self.size)
+            camera = self._controls.orbit.camera(*world.picture_size)
+            yield Frame(dt, self._time, [camera], hands, commands, max_step=MAX_STEP)
+
+    def _pace(self, last: float, world: WorldView) -> None:
+        """Wait until the next frame is due, `last` [s] being the time of the one before."""
+        if not self._busy:
+            world.timings.rest()
+            self._server.wait(last + REST_PERIOD - perf_counter())
+        begin = perf_counter()
+        self._server.wait(last + REST_PERIOD - begin, for_picture=True)
+        self._waited = perf_counter() - begin
+        sleep(max(0.0, last + PERIOD - perf_counter()))
+
+    def _listen_to_signals(self) -> None:
+        """Let Ctrl-C, or a signal to terminate, end the frames, so that all files are finished; a second one does not
+        wait for that."""
+        if self._handlers or threading.current_thread() is not threading.main_thread():  # which alone may listen
+            return
+
+        def end(*_) -> None:
+            if self._quit:
+                raise KeyboardInterrupt
+            self._quit = True
+
+        self._handlers = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}
+
+    def present(self, world: WorldView) -> None:
+        """Send the world's picture to the pages that take one now, and what the panel shows."""
+        with world.timings.stage("present"):
+            shown, self._shown = self._shown, (id(world), world.pictures)
+            self._picture += shown != self._shown
+            hand = self._controls.hand.position if self._controls.drag == "grab" else None
+            strokes = overlay(world, self._camera, hand, near=self._near)
+            still = self._resolution.still and world.picture_size == self.size
+            self._server.show(self._picture, strokes, lambda: pixels_of(world.picture).copy(), still=still)
+            self._tell(world)
+        world.timings.measure_exactly(self._server.details)
+        world.timings.frame(dropped=self._dropped)
+
+    def _tell(self, world: WorldView) -> None:
+        """Tell the pages what their panels show, not more often than that can be read."""
+        now = perf_counter()
+        if now - self._told >= TOLD_INTERVAL:
+            self._told = now
+            drag = {"grabbing": self._controls.drag == "grab"}
+            self._server.tell(world_state(world) | drag)
+        if now - self._read >= READ_INTERVAL:
+            self._read = now
+            timings = world.timings
+            numbers = {"fps": round(timings.recent_fps()) if self._busy else None, "resolution": self._scale_name}
+            if self._server.details:
+                stages = [[name, f"{median:.2f}", f"{worst:.2f}"] for name, median, worst in timings.recent()]
+                numbers |= {"stages": stages, "lines": frame_lines(timings), "counts": count_texts(world.stats())}
+            self._server.tell(numbers)
+
+    def _camera_moved(self) -> bool:
+        """True if the camera is not where it was in the last frame; takes note of where it is."""
+        self._camera = self._controls.orbit.camera(*self._full)
+        before, self._last_view = self._last_view, (self._camera.width, self._camera.world_to_camera.tobytes())
+        return before != self._last_view
+
+    def _drawing(self, world: WorldView) -> float:
+        """Part of a frame's time that fewer pixels shorten [s]: drawing, and waiting for the page to take a picture."""
+        return world.timings.latest("shadow", "render", "present") + self._waited
+
+    def _handle(self, events: list[tuple], world: WorldView) -> list[Command]:
+        """Hand the player's messages to the controls; the commands of keys and panel."""
+        controls, commands = self._controls, []
+        for kind, *what in events:
+            if kind == "move":
+                self._move(*what)
+            elif kind == "button":
+                name, down, *position = what
+                self._move(*position)
+                if down:
+                    controls.press(name, *self._cursor, self._camera, world)
+                else:
+                    controls.release(name)
+            elif kind == "wheel":
+                controls.wheel(*what)
+            elif kind == "pinch":
+                self._pinch(*what)
+            elif kind == "key":
+                commands += self._key(*what, world)
+            elif kind in ("blur", "left"):
+                controls.let_go()
+            elif kind == "edits":
+                (self._near,) = what
+            elif kind == "resolution":
+                (self._scale_name,) = what
+            elif kind == "edit":
+                commands.append(BUTTONS[what[0]][0])
+            elif kind == "command":
+                commands += what
+        controls.note(commands)
+        self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
+        commands += controls.place_light(world, *self._cursor, self._camera)
+        return [replace(c, size=self._full) if isinstance(c, SIZED) else c for c in commands]
+
+    def _move(self, u: float, v: float) -> None:
+        """Move the cursor to (u, v), in fractions of the picture."""
+        before, self._cursor = self._cursor, (u * self._camera.width, v * self._camera.height)
+        self._controls.move(self._cursor[0] - before[0], self._cursor[1] - before[1], self._camera)
+
+    def _pinch(self, notches: float, du: float, dv: float) -> None:
+        """Two fingers: what one of them holds goes nearer or farther, else the camera goes, and is shifted."""
+        controls = self._controls
+        if controls.drag != "grab":
+            controls.release("left")  # the first finger began to turn the view
+            controls.pan(du * self._camera.width, dv * self._camera.height, self._camera)
+        controls.wheel(notches)
+
+    def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
+        """A key that goes down or up; its commands."""
+        name = pressed_key(code, printed, down=down, ctrl=ctrl)
+        commands = [] if name is None else self._controls.key(name, down, world, *self._cursor, self._camera)
+        self._controls.quit = False  # a page does not end the program
+        return commands
+
+    def stats(self) -> dict:
+        """What went to the pages, for `--stats`: latency from the oldest input that a picture is the first to show."""
+        flows = self._server.flows
+        latencies = 1e3 * np.concatenate([[], *(flow.latencies for flow in flows)])
+        intervals = np.concatenate([[], *(flow.intervals for flow in flows)])
+        return {
+            "pages": len(flows),
+            "frames_sent": sum(flow.frames for flow in flows),
+            "bytes_sent": sum(flow.bytes for flow in flows),
+            "fps": len(intervals) / float(intervals.sum()) if len(intervals) else 0.0,
+            "latency_ms": float(np.median(latencies)) if len(latencies) else None,
+            "latency_95_ms": float(np.percentile(latencies, 95)) if len(latencies) else None,
+            "latency_samples": len(latencies),
+        }
+
+
+def pressed_key(code: str, key: str, *, down: bool, ctrl: bool) -> str | None:
+    """Name of a key for the controls, from `code` and `key` of a KeyboardEvent; None: none of ours."""
+    place = CODES.get(code) or code.removeprefix("Key").removeprefix("Digit").lower()
+    place = place if place in PLACES or place in CODES.values() else None
+    return chord_name(place, key.lower() if len(key) == 1 else "", down=down, ctrl=ctrl)
+
+
+def encode(pixels: np.ndarray, quality: int) -> bytes:
+    """JPEG of RGBA pixels (H, W, 4) uint8; in full colour resolution if the quality is that of still pictures."""
+    import cv2
+
+    full, half = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420
+    sampling = full if quality >= STILL_QUALITY else half
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
+    return cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGR), options)[1].tobytes()

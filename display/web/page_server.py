@@ -1,0 +1,368 @@
+"""A web server for the page and its sockets, in a thread of its own. Knows nothing of worlds.
+
+Whoever has the token of the address gets the page; anyone else gets status 403 and nothing more. The first page plays,
+further ones watch.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import hmac
+import json
+import logging
+import secrets
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from pathlib import Path
+from string import Template
+from time import perf_counter
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+from core.errors import BadInput
+from display.web.page_messages import MESSAGE_BYTES, STAMPED, read_message
+from display.web.picture_flow import STILL_QUALITY, PictureFlow
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_PORT = 8090
+PORTS_TRIED = 20  # from the default one on, if no port is asked for
+MAX_PAGES = 16
+MESSAGES_PER_SECOND, BURST = 400, 800  # of a page: a mouse, keys and answers take 200
+MAX_EVENTS = 4000  # that wait while kernels are compiled
+PING_INTERVAL = 2.0  # [s] between measurements of a connection's delay
+CLOSE_PATIENCE = 2.0  # [s] for the goodbyes at the end
+POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
+SOURCES = "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data: blob:; connect-src 'self'"
+POLICY = SOURCES + "; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+FOLDER = Path(__file__).parent
+
+
+@dataclass(eq=False)
+class Page:
+    """A page that is open somewhere, and what goes to it. `size` [px] is None before it is known."""
+
+    connection: object
+    flow: PictureFlow = field(default_factory=PictureFlow)
+    size: tuple[int, int] | None = None
+    hidden: bool = False
+    details: bool = False
+    stamp: float | None = None  # of the oldest input that no picture has shown [ms of the page's clock]
+    told: dict = field(default_factory=dict)  # what it knows of the state
+    pinged: float | None = None  # [s] when the ping without an answer went out
+    allowance: float = BURST  # messages that it may send at once
+    heard: float = field(default_factory=perf_counter)  # [s] when the last one came
+
+    def may_speak(self, now: float) -> bool:
+        """Count a message against what a page may send."""
+        self.allowance = min(BURST, self.allowance + (now - self.heard) * MESSAGES_PER_SECOND) - 1.0
+        self.heard = now
+        return self.allowance >= 0.0
+
+
+class PageServer:
+    """Serves until `close`. `address` is the URL with the token. Raises BadInput if it cannot listen there.
+
+    hello   what a page is told first
+    encode  bytes of the pixels (H, W, 4) uint8 RGBA in a quality
+    """
+
+    def __init__(self, host: str, port: int, hello: dict, encode: Callable[[np.ndarray, int], bytes]):
+        self._hello, self._encode, self._token = hello, encode, secrets.token_urlsafe(24)
+        self._changed = threading.Condition()  # guards what follows
+        self._pages: list[Page] = []  # the first one plays
+        self._events: deque[tuple] = deque()
+        self.flows: list[PictureFlow] = []  # of all pages so far
+        self._socket = listen(host, port)
+        self._loop = asyncio.new_event_loop()
+        self._ended = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="page server", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """The URL to open, on this machine or through a tunnel."""
+        host, port = self._socket.getsockname()[:2]
+        host = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        return f"http://{host}:{port}/?token={self._token}"
+
+    def close(self) -> None:
+        """Say goodbye to the pages and stop. Further calls do nothing."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join(CLOSE_PATIENCE)
+
+    # for the display, in its thread
+
+    @property
+    def player(self) -> Page | None:
+        """The page that plays; None if there is none."""
+        with self._changed:
+            return self._pages[0] if self._pages else None
+
+    @property
+    def watched(self) -> bool:
+        """Does anyone see a page?"""
+        with self._changed:
+            return any(not page.hidden for page in self._pages)
+
+    @property
+    def details(self) -> bool:
+        """Does a page show the timings?"""
+        with self._changed:
+            return any(page.details for page in self._pages)
+
+    def wait(self, seconds: float, *, for_picture: bool = False) -> None:
+        """Wait for an event of the player, or until a page takes the next picture, `seconds` at most."""
+
+        def due() -> bool:
+            if for_picture:
+                return any(page.flow.ready for page in self._pages[:1])
+            return bool(self._events)
+
+        with self._changed:
+            self._changed.wait_for(due, seconds)
+
+    def take(self) -> list[tuple]:
+        """The player's messages since the last call, without stamps; ("left",) where another page plays from now on."""
+        with self._changed:
+            events = list(self._events)
+            self._events.clear()
+            stamps = [what[-1] for name, *what in events if name in STAMPED]
+            if stamps and self._pages and self._pages[0].stamp is None:
+                self._pages[0].stamp = stamps[0]
+        return [event[:-1] if event[0] in STAMPED else event for event in events]
+
+    def show(self, picture: int, overlay: list, copy: Callable[[], np.ndarray], *, still: bool) -> None:
+        """Send a picture to the pages that take one now and do not have it.
+
+        picture  its number; overlay: strokes over it; copy: gives its pixels, (H, W, 4) uint8 RGBA
+        still    nothing moves: it goes out in full quality, again if need be
+        """
+        due, others = [], []
+        with self._changed:
+            now = perf_counter()
+            for page in self._pages:
+                quality = STILL_QUALITY if still else page.flow.quality
+                seen, seen_quality = page.flow.last
+                if seen == picture and not (still and seen_quality < quality):
+                    others.append(page)
+                elif page.flow.ready and not page.hidden:
+                    due.append((page, quality, {"n": page.flow.send(now, picture, quality), "stamp": page.stamp}))
+                    page.stamp, page.told["overlay"] = None, overlay
+        for page in others:
+            self._tell(page, {"overlay": overlay})
+        if due:
+            self._call(self._deliver, copy(), overlay, due)
+
+    def greet(self, hello: dict) -> None:
+        """Let this be what pages are told first, those that are open too."""
+        with self._changed:
+            self._hello, pages = hello, list(self._pages)
+        for page in pages:
+            self._call(send, page, json.dumps(hello))
+
+    def tell(self, state: dict) -> None:
+        """Tell each page what it does not know of the state yet."""
+        with self._changed:
+            pages = list(self._pages)
+        for page in pages:
+            self._tell(page, state)
+
+    def _tell(self, page: Page, state: dict) -> None:
+        news = {key: value for key, value in state.items() if key not in page.told or page.told[key] != value}
+        if news:
+            page.told |= news
+            self._call(send, page, json.dumps(news))
+
+    def _call(self, function: Callable, *arguments) -> None:
+        """Let the server's thread do something, if it still runs."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(function, *arguments)
+
+    # in the server's thread
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        self._loop.run_until_complete(self._serve())
+        self._loop.close()
+
+    async def _serve(self) -> None:
+        from websockets.asyncio.server import serve
+
+        silent = logging.getLogger("vrgs.web")  # strangers' faulty requests are no news
+        silent.addHandler(logging.NullHandler())
+        silent.propagate = False
+        options = {"compression": None, "max_size": MESSAGE_BYTES, "server_header": None, "logger": silent}
+        async with serve(self._attend, sock=self._socket, process_request=self._answer, close_timeout=1, **options):
+            await self._ended.wait()
+
+    def _answer(self, connection, request):
+        """The answer to a request over HTTP; None: it becomes a socket."""
+        try:
+            url, origin = urlsplit(request.path), request.headers.get("Origin")
+            token = parse_qs(url.query).get("token", [""])[0]
+            known = hmac.compare_digest(token.encode(), self._token.encode())
+            here = origin is None or urlsplit(origin).netloc == request.headers.get("Host")  # a page of another site
+        except (ValueError, LookupError):
+            known = here = False
+        if not known or not here:
+            return response(connection, HTTPStatus.FORBIDDEN)
+        if url.path == "/":
+            return page_response(connection, self._hello["title"])
+        if url.path != "/socket":
+            return response(connection, HTTPStatus.NOT_FOUND)
+        with self._changed:
+            full = len(self._pages) >= MAX_PAGES
+        return response(connection, HTTPStatus.SERVICE_UNAVAILABLE) if full else None
+
+    async def _attend(self, connection) -> None:
+        """Serve a page as long as its socket is open."""
+        from websockets.exceptions import ConnectionClosed
+
+        page = Page(connection)
+        send(page, json.dumps(self._hello))
+        with self._changed:
+            self._pages.append(page)
+            self.flows.append(page.flow)
+            self._changed.notify_all()
+        self._assign_roles()
+        pings = asyncio.ensure_future(self._measure_delay(page))
+        try:
+            async for message in connection:
+                self._receive(page, message)
+        except BadInput as e:
+            await connection.close(POLICY_VIOLATION, str(e))
+        except ConnectionClosed:
+            pass
+        finally:
+            pings.cancel()
+            with self._changed:
+                if page is self._pages[0]:
+                    self._change_player()
+                self._pages.remove(page)
+            self._assign_roles()
+
+    def _change_player(self) -> None:
+        """Forget what the player has sent: another page plays from now on."""
+        self._events.clear()
+        self._events.append(("left",))
+        self._changed.notify_all()
+
+    def _assign_roles(self) -> None:
+        with self._changed:
+            for k, page in enumerate(self._pages):
+                send(page, json.dumps({"role": "watch" if k else "play", "pages": len(self._pages)}))
+
+    async def _measure_delay(self, page: Page) -> None:
+        """Send small messages where no picture is in their way."""
+        while True:
+            with self._changed:
+                if page.flow.idle and page.pinged is None:
+                    page.pinged = perf_counter()
+                    send(page, json.dumps({"ping": page.flow.frames}))
+            await asyncio.sleep(PING_INTERVAL)
+
+    def _receive(self, page: Page, message: str | bytes) -> None:
+        """Take a message of a page. Raises BadInput if it is malformed or one too many."""
+        now = perf_counter()
+        if not page.may_speak(now):
+            raise BadInput("too many messages")
+        name, *values = read_message(message)
+        with self._changed:
+            if name == "shown":
+                number, milliseconds = values
+                if not page.flow.shown(number, now, None if milliseconds is None else milliseconds / 1e3):
+                    raise BadInput("no such picture")
+            elif name == "pong":
+                if page.pinged is not None and values[0] == page.flow.frames:  # no picture went between them
+                    page.flow.note_delay(now - page.pinged)
+                page.pinged = None
+            elif name == "size":
+                page.size = (values[0], values[1])
+            elif name == "hidden":
+                (page.hidden,) = values
+            elif name == "details":
+                (page.details,) = values
+            elif name == "take":
+                if page is not self._pages[0]:
+                    self._change_player()
+                    self._pages.remove(page)
+                    self._pages.insert(0, page)
+            elif page is self._pages[0]:
+                self._queue((name, *values))
+            self._changed.notify_all()
+        if name == "take":
+            self._assign_roles()
+
+    def _queue(self, event: tuple) -> None:
+        """Keep an event for the display; of moves that follow each other the last one, with the stamp of the first."""
+        if event[0] == "move" and self._events and self._events[-1][0] == "move":
+            event = (*event[:-1], self._events.pop()[-1])
+        if len(self._events) >= MAX_EVENTS:
+            raise BadInput("too many messages")
+        self._events.append(event)
+
+    def _deliver(self, pixels: np.ndarray, overlay: list, due: Sequence[tuple[Page, int, dict]]) -> None:
+        """Encode a picture once for each quality, and send it: the length of a JSON header, the header, the JPEG."""
+        encoded: dict[int, bytes] = {}
+        for page, quality, header in due:
+            if quality not in encoded:
+                encoded[quality] = self._encode(pixels, quality)
+            head = json.dumps({**header, "overlay": overlay}).encode()
+            data = struct.pack("<I", len(head)) + head + encoded[quality]
+            with self._changed:
+                page.flow.count(len(data))
+            send(page, data)
+
+
+def send(page: Page, message: str | bytes) -> None:
+    """Put a message on its way; nothing if the socket closes. In the server's thread."""
+    from websockets.asyncio.server import broadcast
+
+    broadcast([page.connection], message)
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket; port 0: the default one, or the next free one. Raises BadInput."""
+    ports = [port] if port else [*range(DEFAULT_PORT, DEFAULT_PORT + PORTS_TRIED)]
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    for one in ports:
+        try:
+            return socket.create_server((host, one), family=family)
+        except OSError as e:
+            if e.errno == errno.EADDRINUSE:
+                continue
+            raise BadInput(f"cannot listen on {host}, port {one} ({e.strerror or e})") from e
+    taken = f"port {port} is taken" if port else f"the ports {ports[0]} to {ports[-1]} are taken"
+    raise BadInput(f"{taken}: choose another one with --web PORT")
+
+
+def response(connection, status: HTTPStatus, body: str = "", kind: str = "text/plain", **headers: str):
+    """A whole answer over HTTP."""
+    answer = connection.respond(status, body)
+    del answer.headers["Content-Type"]
+    answer.headers["Content-Type"] = f"{kind}; charset=utf-8"
+    answer.headers["Cache-Control"] = "no-store"
+    answer.headers["X-Content-Type-Options"] = "nosniff"
+    answer.headers["Referrer-Policy"] = "no-referrer"
+    for name, value in headers.items():
+        answer.headers[name.replace("_", "-")] = value
+    return answer
+
+
+def page_response(connection, title: str):
+    """The page with its style and its script in it, so that one answer is all there is to get."""
+    from html import escape
+
+    nonce = secrets.token_urlsafe(12)
+    style, script = ((FOLDER / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    page = Template((FOLDER / "page.html").read_text(encoding="utf-8"))
+    body = page.substitute(title=escape(title), style=style, script=script, nonce=nonce)
+    return response(connection, HTTPStatus.OK, body, "text/html", Content_Security_Policy=POLICY.format(nonce))

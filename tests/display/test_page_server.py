@@ -1,0 +1,182 @@
+"""The server of the page in this process: who gets in, who plays, and what it bears."""
+
+import contextlib
+import http.client
+import json
+import socket
+import time
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from core.errors import BadInput
+from display.web import page_server
+from display.web.browser import encode
+from display.web.page_server import PageServer, listen
+from tests.support.page_client import PageClient, socket_address
+
+GREY = np.full((90, 160, 4), 128, np.uint8)
+
+
+@pytest.fixture
+def server():
+    server = PageServer("127.0.0.1", 0, {"title": "<Ball>"}, encode)
+    yield server
+    server.close()
+
+
+def answer(server, path: str, **headers) -> tuple[int, bytes]:
+    """Status and body of a GET."""
+    connection = http.client.HTTPConnection(urlsplit(server.address).netloc, timeout=20)
+    with contextlib.closing(connection):
+        connection.request("GET", path, headers=headers)
+        response = connection.getresponse()
+        return response.status, response.read()
+
+
+def wait(condition, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_the_page_is_whole_and_asks_nothing_of_the_network(server):
+    token = urlsplit(server.address).query
+    status, body = answer(server, f"/?{token}")
+    text = body.decode()
+    assert status == 200 and "<title>&lt;Ball&gt;</title>" in text and "function connect()" in text
+    assert "$" + "title" not in text and 'src="' not in text and 'rel="stylesheet"' not in text
+    assert "http" not in text.replace("http://www.w3.org/2000/svg", "").replace('"https:"', "")
+
+
+@pytest.mark.parametrize("path", ["/", "/?token=", "/?token=wrong", "/socket", "/page.js", "//", "/%00", "/?token=%ff"])
+def test_without_the_token_there_is_nothing(server, path):
+    assert answer(server, path) == (403, b"")
+
+
+def test_a_socket_takes_the_token_and_a_page_of_this_server(server):
+    address = socket_address(server.address)
+    for wrong in (address[:-1], address.partition("?")[0]):
+        with pytest.raises(InvalidStatus, match="403"):
+            connect(wrong)
+    for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "http://["):
+        with pytest.raises(InvalidStatus, match="403"):
+            PageClient(server.address, origin=origin)
+    with PageClient(server.address) as page, PageClient(server.address, origin=None) as other:
+        page.until(lambda: page.state.get("pages") == 2)
+        other.until(lambda: other.state.get("role") == "watch")
+    assert answer(server, f"/other?{urlsplit(address).query}")[0] == 404
+
+
+def test_the_first_page_plays_another_may_take_over_and_the_next_one_follows(server):
+    with PageClient(server.address) as first, PageClient(server.address) as second:
+        first.until(lambda: first.state.get("role") == "play")
+        second.until(lambda: second.state.get("role") == "watch")
+        second.send("wheel", 1, 5)  # of a watcher: nothing
+        first.send("wheel", 2, 5)
+        first.send("move", 0.1, 0.2, 6)
+        first.send("move", 0.3, 0.4, 7)  # of moves the last one counts
+        wait(lambda: len(server._events) == 2)
+        assert server.take() == [("wheel", 2.0), ("move", 0.3, 0.4)]
+
+        first.send("wheel", 3, 8)  # sent before, and not to be carried out after
+        wait(lambda: server._events)
+        second.send("take")
+        first.until(lambda: first.state["role"] == "watch")
+        second.until(lambda: second.state["role"] == "play")
+        assert server.take() == [("left",)]
+        second.socket.close()
+        first.until(lambda: first.state["role"] == "play" and first.state["pages"] == 1)
+        assert server.take() == [("left",)]
+    wait(lambda: server.player is None and not server.watched)
+
+
+@pytest.mark.parametrize("message", ["nonsense", '["shown", 99, null]', b"\x00", "x" * 5000])
+def test_a_malformed_message_closes_its_own_connection_alone(server, message, capfd):
+    with PageClient(server.address) as good, PageClient(server.address) as bad:
+        good.until(lambda: good.state.get("pages") == 2)
+        bad.socket.send(message)
+        with pytest.raises(ConnectionClosed):
+            bad.during(20.0)
+        assert bad.socket.close_code in (1008, 1009)
+        good.until(lambda: good.state["pages"] == 1)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_flood_closes_its_connection(server):
+    with PageClient(server.address) as page, pytest.raises(ConnectionClosed):
+        for _ in range(100):
+            page.socket.send(json.dumps(["blur"]))
+        page.until(lambda: page.state)
+        for _ in range(5000):
+            page.socket.send(json.dumps(["blur"]))
+        page.during(20.0)
+
+
+def test_there_is_room_for_some_pages_and_no_more(server, monkeypatch):
+    monkeypatch.setattr(page_server, "MAX_PAGES", 2)
+    with PageClient(server.address), PageClient(server.address):
+        wait(lambda: len(server.flows) == 2)
+        with pytest.raises(InvalidStatus, match="503"):
+            PageClient(server.address)
+
+
+def test_garbage_on_the_port_does_no_harm(server, capfd):
+    for garbage in (b"\x00" * 100, b"POST / HTTP/1.1\r\n\r\n", b"GET " + b"a" * 20_000 + b"\r\n\r\n", b""):
+        with socket.create_connection(server._socket.getsockname(), timeout=20) as raw:
+            raw.sendall(garbage)
+            if garbage:
+                raw.shutdown(socket.SHUT_WR)
+                while raw.recv(4096):
+                    pass
+    assert answer(server, "/") == (403, b"")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_picture_goes_out_once_then_in_full_quality_and_only_as_answers_come(server):
+    with PageClient(server.address, answers=False) as page:
+        page.until(lambda: page.state.get("role"))
+        for number in (1, 1, 2, 3):
+            server.show(number, [], lambda: GREY, still=False)
+        page.until(lambda: page.pictures)
+        assert page.during(0.2) == 0  # the first one is not answered yet
+        page.answers = True
+        page.send("shown", page.pictures[0][0]["n"], 20.0)
+        wait(lambda: server.player.flow.ready)
+        server.show(3, [], lambda: GREY, still=False)
+        page.until(lambda: len(page.pictures) == 2)
+        wait(lambda: server.player.flow.ready)
+        server.show(3, [], lambda: GREY, still=False)  # it has that
+        server.show(3, [[0.5, 0.5]], lambda: GREY, still=True)
+        page.until(lambda: len(page.pictures) == 3)
+        wait(lambda: server.player.flow.ready)
+        server.show(3, [], lambda: GREY, still=True)  # other strokes alone: no picture
+        page.until(lambda: page.state.get("overlay") == [])
+        assert len(page.pictures) == 3
+        (_, moving, pixels), (header, still, _) = page.pictures[1:]
+        assert still >= moving and header["overlay"] == [[0.5, 0.5]] and np.abs(pixels.astype(int) - 128).max() < 3
+        assert list(server.flows[0].latencies) == [0.02] and server.flows[0].frames == 3
+
+
+def test_a_port_that_is_taken_is_told_and_the_default_one_has_followers(server):
+    with pytest.raises(BadInput, match="is taken"):
+        listen("127.0.0.1", server._socket.getsockname()[1])
+    with contextlib.closing(listen("127.0.0.1", 0)) as one, contextlib.closing(listen("127.0.0.1", 0)) as other:
+        assert one.getsockname()[1] < other.getsockname()[1]
+    with pytest.raises(BadInput, match="cannot listen on"):
+        listen("no.such.host.invalid", 0)
+
+
+def test_pages_are_told_when_the_play_ends():
+    server = PageServer("127.0.0.1", 0, {"title": "Ball"}, encode)
+    with PageClient(server.address) as page:
+        page.until(lambda: page.state.get("role"))
+        server.close()
+        server.close()
+        with pytest.raises(ConnectionClosed):
+            page.during(20.0)
+        assert page.socket.close_code == 1001

@@ -253,4 +253,5 @@ def read_animation(file: Hdf5Reader) -> Animation:
 def _normalized(q: np.ndarray) -> np.ndarray:
     """Undo float32's rounding of unit quaternions (..., 4); others stay, and are refused by the check."""
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(np.abs(norm - 1) < 1e-5, q / np.where(norm > 0, norm, 1.0), q)
+    near = np.abs(norm - 1) < 1e-5  # NaN compares false
+    return np.where(near, q / np.where(near, norm, 1.0), q)

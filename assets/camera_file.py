@@ -59,7 +59,8 @@ def _camera(path: Path, index: int, item) -> Camera:
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise BadInput(f"{where}: world_to_camera must be 4x4 and finite")
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+    unit = np.abs(rotation).max() < 2  # products of greater ones may overflow
+    if not unit or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise BadInput(f"{where}: the rotation in world_to_camera is not orthonormal")
     if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 1e-6:
         raise BadInput(f"{where}: the last row of world_to_camera is not 0 0 0 1 (is it transposed?)")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
+import secrets
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from core.errors import BadInput
@@ -15,7 +18,9 @@ from core.errors import BadInput
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")  # suffixes of pictures that are written
 UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
 UNPACK_RATIO = 200  # and this many times its own size: splats deflate 1.1 to 20 times, constant grids about 1,000
-LOCK_PATIENCE = 10.0  # [s] after which a lock was left by a program that was killed: writing takes a fraction of one
+LOCK_PATIENCE = 10.0  # [s] for which other programs that write the same file are waited for: a fraction of one is usual
+LOCK_PERIOD = 0.02  # [s] between two tries
+STALE_AGE = 600.0  # [s] since a temporary file was last written to; its program was killed
 
 
 def unpack_bound(size: int) -> int:
@@ -53,7 +58,7 @@ def open_input(path: Path) -> Iterator:
 
 def check_writable(path: Path, part: Path | None = None, *, bytes_needed: float = 0.0) -> None:
     """Check, before any time is spent, that a file can be written by way of `part` beside it. Raises BadInput."""
-    part = part or path.with_name(f".{path.name}.part")
+    part = part or part_beside(path)
     if path.is_dir():
         raise BadInput(f"{path}: is a folder")
     try:
@@ -82,6 +87,20 @@ def make_folder(folder: Path) -> None:
         raise BadInput(f"{folder}: cannot be written to ({e.strerror})") from e
 
 
+def part_beside(path: Path, suffix: str = "") -> Path:
+    """Name for a file beside `path` to be written first: another one each time, hidden on most systems."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.part{suffix}")
+
+
+def remove_stale_parts(path: Path) -> None:
+    """Remove what killed programs have left beside `path` of `part_beside`."""
+    pattern = re.compile(rf"\.{re.escape(path.name)}\.[0-9a-f]{{8}}\.part(\.\w+)?")
+    with suppress(OSError):
+        for found in os.scandir(path.parent):
+            if pattern.fullmatch(found.name) and time.time() - found.stat().st_mtime > STALE_AGE:
+                Path(found.path).unlink(missing_ok=True)
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Yield a name beside `path` to write to; that file replaces `path` only if the block succeeds."""
@@ -90,7 +109,8 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         raise BadInput(f"{path}: is a folder, not a file")
     if not path.parent.is_dir():
         raise BadInput(f"{path}: the folder {path.parent} does not exist")
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    remove_stale_parts(path)
+    beside = part_beside(path)
     try:
         yield beside
         os.replace(beside, path)
@@ -118,25 +138,52 @@ def atomic_write_all(*paths: str | Path) -> Iterator[list[Path]]:
 def locked(path: Path, *, patience: float | None = None) -> Iterator[None]:
     """Keep other programs from changing the file meanwhile; they are waited for, `patience` [s] at most.
 
-    Raises BadInput.
+    The system holds the lock, and gives it back if the program is killed. Raises BadInput.
     """
-    patience = LOCK_PATIENCE if patience is None else patience
     lock, waited = path.with_name(f".{path.name}.lock"), 0.0
-    while True:
-        try:
-            os.close(os.open(lock, os.O_CREAT | os.O_EXCL))
-            break
-        except FileExistsError:
-            if waited >= patience:
-                lock.unlink(missing_ok=True)
-            time.sleep(0.05)
-            waited += 0.05
-        except OSError as e:
-            raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
+    patience = LOCK_PATIENCE if patience is None else patience
+    while (held := _try_lock(path, lock)) is None:
+        if waited >= patience:
+            raise BadInput(f"{path}: another program has been writing it for {patience:g} s")
+        time.sleep(LOCK_PERIOD)
+        waited += LOCK_PERIOD
     try:
         yield
     finally:
-        lock.unlink(missing_ok=True)
+        if sys.platform == "win32":  # where an open file cannot be removed
+            os.close(held)
+            with suppress(OSError):
+                lock.unlink()
+        else:
+            lock.unlink(missing_ok=True)
+            os.close(held)
+
+
+def _try_lock(path: Path, lock: Path) -> int | None:
+    """Descriptor of the lock's file, None if another program has it. Raises BadInput."""
+    try:
+        descriptor = os.open(lock, os.O_CREAT | os.O_RDWR)
+    except PermissionError as e:
+        if sys.platform == "win32" and lock.exists():  # it is being removed
+            return None
+        raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
+    except OSError as e:
+        raise BadInput(f"{path}: cannot write here ({e.strerror})") from e
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.stat(lock).st_ino != os.fstat(descriptor).st_ino:
+                raise FileNotFoundError  # its last holder has removed it; there is another one by that name
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 def unused_name(path: Path) -> Path:

@@ -21,6 +21,7 @@ from core.errors import BadInput
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
 HEAP = b"GCOL\1\0\0\0"  # eight bytes: no chance match in a file of less than an exabyte
+CHUNK_ENTRY_MIN = 8  # [bytes] of a stored chunk's entry in the index: its address
 TEXT_MAX = 1 << 20  # [characters] of a text attribute
 
 
@@ -100,6 +101,9 @@ class Hdf5Reader:
         self._unpack_left -= size
         if self._unpack_left < 0 or chunk > max(size, UNPACK_BASE):
             raise self.error(f"{name} claims {max(size, chunk)} bytes, more than a file of {self._size} bytes may hold")
+        chunks = int(np.prod([-(-n // c) for n, c in zip(data.shape, data.chunks or (), strict=False)], dtype=object))
+        if chunks * CHUNK_ENTRY_MIN > self._size:  # HDF5 searches for each, also for those that were never written
+            raise self.error(f"{name} claims {chunks} chunks, more than a file of {self._size} bytes may hold")
         if h5py.h5z.FILTER_DEFLATE in filters and size:
             self._check_chunks(name, data, chunk)
 

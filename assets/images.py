@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -81,7 +83,8 @@ def decode_image(data: bytes, *, alpha: bool = False) -> np.ndarray | None:
     log.setLogLevel(log.LOG_LEVEL_SILENT)  # OpenCV would print what the caller reports
     mode = cv2.IMREAD_UNCHANGED if alpha else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+        with without_stderr():
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     except cv2.error:
         return None
     finally:
@@ -91,6 +94,19 @@ def decode_image(data: bytes, *, alpha: bool = False) -> np.ndarray | None:
     if alpha and pixels.shape[2] == 3:
         pixels = np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)])
     return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+
+
+@contextlib.contextmanager
+def without_stderr() -> Iterator[None]:
+    """Discard what C libraries write: libpng and libjpeg name each defect of an image."""
+    with open(os.devnull, "wb") as nothing:
+        kept = os.dup(2)
+        os.dup2(nothing.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def thumbnail_of(picture: np.ndarray) -> np.ndarray:

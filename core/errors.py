@@ -4,8 +4,13 @@
 class BadInput(Exception):
     """Input that cannot be used. Its message is one line that names the object and the defect.
 
-    `vrgs.py` prints it without a traceback and exits with status 2.
+    `vrgs.py` prints it without a traceback and exits with status 2. What a file says may be part of it: line breaks and
+    all else that cannot be printed are escaped.
     """
+
+    def __init__(self, message: object = ""):
+        text = str(message)
+        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in text))
 
 
 class Cancelled(Exception):

@@ -29,7 +29,7 @@ from assets.file_access import atomic_write, locked, unused_name
 from core.errors import BadInput
 
 SIZE_MAX = 1 << 20  # [bytes]; more was not written by this program
-LOCK_PATIENCE = 0.5  # [s] of a frame at most, after which a lock was left by a program that was killed
+LOCK_PATIENCE = 0.5  # [s] of a frame at most, for which another program is waited for
 T = TypeVar("T")
 
 

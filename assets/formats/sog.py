@@ -29,6 +29,7 @@ from core.errors import BadInput
 
 META_MAX = 1 << 20  # [bytes] of a meta.json; codebooks of 256 numbers take some kilobytes
 COUNT_MAX = 1 << 28  # 16,384 x 16,384, the largest WebP image
+NAME_MAX = 255  # [characters] of a file's name, on most file systems
 LARGEST_MIN = 252  # alpha of a quaternion whose w is left out
 PALETTE_WIDTH = 64  # palette entries in a row
 ZIP_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -124,7 +125,8 @@ class Images:
         if not isinstance(files, list) or len(files) <= index or not isinstance(files[index], str):
             raise BadInput(f"{self.path}: meta.json names no image {index + 1} of {name}")
         file = files[index]
-        if file in ("", ".", "..") or set(file) & set("/\\:") or not file.isprintable():
+        strange = set(file) & set("/\\:") or not file.isprintable() or len(file) > NAME_MAX
+        if file in ("", ".", "..") or strange:
             raise BadInput(f"{self.path}: meta.json names {file[:60]!r}, which is no file beside it")
         data, where = self._load(file), f"{self.path}: {file}"
         header = read_image_header(data)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, part_beside, remove_stale_parts
 from core.errors import BadInput
 from display.picture import pixels_of, side_by_side
 
@@ -28,7 +28,8 @@ class Video:
         if self.path.suffix.lower() != ".mp4":
             raise BadInput(f"{self.path}: a video's name must end in .mp4")
         self.size = (width + width % 2, height + height % 2)  # codecs halve the colours' resolution
-        self._part = self.path.with_name(f".{self.path.stem}.part.mp4")
+        remove_stale_parts(self.path)
+        self._part = part_beside(self.path, ".mp4")
         check_writable(self.path, self._part, bytes_needed=BYTES_PER_PIXEL * width * height * frames)
         self._codec, self._writer = self._first_codec(), None
 

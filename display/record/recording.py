@@ -67,8 +67,8 @@ class Recording:
         self.path = Path(path)
         self.part = self.path.with_name(f"{self.path.name}.part")
         if self.part.exists():
-            raise BadInput(f"{self.part} was left by an interrupted session: play it with --replay, or remove it")
-        check_writable(self.path, self.part)
+            raise BadInput(f"{self.part} {why_it_is_there(self.part)}")
+        check_writable(self.path)
         self.about: dict = {}
         self.frames = 0
         self._world, self._dt = None, 0.0  # of the last frame
@@ -76,7 +76,10 @@ class Recording:
         self._new: dict[str, list] = {name: [] for name in DATASETS}
         self._since = self._written = 0.0  # [s] of recorded time
         self._writer, self._closed = ThreadPoolExecutor(1), False
-        self._file = h5py.File(self.part, "w")
+        try:
+            self._file = h5py.File(self.part, "x")  # only if it is not there: another session may begin at this moment
+        except OSError as e:
+            raise BadInput(f"{self.part}: cannot be written ({' '.join(str(e).split())[:100]})") from e
         self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
         for name, (shape, kind) in DATASETS.items():
             rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
@@ -204,6 +207,17 @@ class Recording:
             return
         if self._since > 0.0 or new["states/frame"][-1:] != [self.frames - 1]:
             self._state(self._world)
+
+
+def why_it_is_there(part: Path) -> str:
+    """The reason why there is a part already: the system locks a file that HDF5 writes."""
+    try:
+        h5py.File(part, "r", locking=True).close()
+    except BlockingIOError:
+        return "is being written by another session"
+    except OSError:
+        pass  # damaged: to be looked at by the user
+    return "was left by an interrupted session: play it with --replay, or remove it"
 
 
 def plain(value):

@@ -33,6 +33,7 @@ from display.study.trial import MIXED, SETTINGS, Trial
 FORMAT, VERSION = "vrgs-study", 1
 FLOATS = ("seconds", "first_grip", "goal", "hand_path", "body_path")
 INTEGERS = ("completed", "grips", "throws", "frames")
+NUMBER_MAX = 1e12  # of seconds, metres and scores: what is computed of them stays finite
 TEXTS = ("participant", "task", "setting", "device", "started")
 
 
@@ -63,8 +64,12 @@ def read_trials(file: Hdf5Reader) -> list[Trial]:
     scores = np.stack([file.floats(f"scores/{name}", (None,), np.float64) for name in ("time", "value")], axis=1)
     ends = np.cumsum(integers["scores"])
     required = np.stack([floats[name] for name in ("seconds", "hand_path", "body_path")])
-    if not (np.isfinite(required).all() and (required >= 0).all() and np.isfinite(scores).all()):
-        raise file.error("a number of a trial is not finite or negative")
+    others = np.concatenate([scores.ravel(), *(floats[name] for name in ("first_grip", "goal"))])
+    sound = (
+        (required >= 0).all() and np.isfinite(scores).all() and (np.abs(others[~np.isnan(others)]) < NUMBER_MAX).all()
+    )
+    if not (sound and (required < NUMBER_MAX).all()):  # NaN compares false
+        raise file.error(f"a number of a trial is not finite, negative, or beyond {NUMBER_MAX:g}")
     if (ends[-1] if len(ends) else 0) != len(scores):
         raise file.error("the scores do not belong to the trials")
     trials = []

@@ -1,0 +1,353 @@
+"""Readers of files from users, with sound samples of what they read and mutations of these.
+
+A case is a target, a seed and a number: `mutated(target, seed, number, folder)` is always the same file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.hdf5_mutations import inside_hdf5
+from tests.fuzz.mutations import (
+    BYTES,
+    JSON,
+    TEXT,
+    Files,
+    Mutation,
+    inside_gzip,
+    inside_zip,
+    mutated_json,
+    several,
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader.
+
+    samples  sound files, made in a folder; the first name of each is what is read
+    read     read a file and use it as the program would; raises BadInput, and nothing else
+    inside   mutations of what the file holds, tried as often as those of its bytes; made in a folder
+    """
+
+    name: str
+    samples: Callable[[Path], list[Files]]
+    read: Callable[[Path], object]
+    inside: Callable[[Path], list[Mutation]] = lambda folder: []
+
+
+def mutated(target: Target, seed: int, number: int, folder: Path) -> Files:
+    """The files of a case."""
+    rng = np.random.default_rng([seed, zlib.crc32(target.name.encode()), number])
+    samples = sound_samples(target.name, folder)
+    files = dict(samples[rng.integers(len(samples))])
+    inside = target.inside(folder)
+    outside = BYTES + (TEXT if rng.random() < 0.5 else [])
+    return several(inside if inside and rng.random() < 0.6 else outside)(rng, files)
+
+
+@functools.cache
+def sound_samples(name: str, folder: Path) -> list[Files]:
+    """The samples of a target, made once a process; all of them are read without an error."""
+    target, found = TARGETS[name], []
+    for files in target.samples(folder):
+        for entry, data in files.items():
+            (folder / entry).write_bytes(data)
+        target.read(folder / next(iter(files)))
+        found.append(files)
+        for entry in files:
+            (folder / entry).unlink()
+    return found
+
+
+def saved(folder: Path, name: str, save: Callable[[Path], object]) -> Files:
+    """The file that `save` writes."""
+    path = folder / name
+    save(path)
+    data = path.read_bytes()
+    path.unlink()
+    return {name: data}
+
+
+def silent(line: str) -> None:
+    """Take a report."""
+
+
+# splats
+
+
+def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
+    """Samples of a splat format."""
+
+    def samples(folder: Path) -> list[Files]:
+        from assets.splat_files import write_gaussians
+        from tests.support import splat_encoders as encode
+        from tests.support.samples import some_gaussians
+
+        g = some_gaussians(14, 1)
+        match suffix:
+            case ".ply":
+                text = np.array(list(encode.properties(g).values())).T
+                forms = [encode.ply_bytes(encode.properties(some_gaussians(9, d))) for d in (0, 3)]
+                forms += [encode.compressed_bytes(some_gaussians(270, 1)), encode.compressed_bytes(g, order=">")]
+                names = encode.properties(g)
+                head = ["ply", "format ascii 1.0", f"element vertex {len(g)}", *(f"property float {n}" for n in names)]
+                lines = [" ".join(f"{v:.5g}" for v in row) for row in text]
+                forms.append("\n".join([*head, "end_header", *lines, ""]).encode())
+            case ".splat":
+                forms = [encode.splat_bytes(g)]
+            case ".ksplat":
+                forms = [encode.ksplat_bytes([some_gaussians(20, 1)], level) for level in (0, 1, 2)]
+            case ".spz":
+                version_3 = saved(folder, "s.spz", lambda path: write_gaussians(path, g))["s.spz"]
+                forms = [version_3, encode.spz_4_bytes(version_3)]
+                forms.append(encode.spz_bytes(1, b"\0\0\0\x3c\0\0", rotation=b"\x80" * 3))
+            case _:
+                forms = [encode.zipped(encode.sog_files(g, version)) for version in (1, 2)]
+        return [{f"splat{suffix}": data} for data in forms]
+
+    return samples
+
+
+def unzipped_sog(folder: Path) -> list[Files]:
+    """A SOG as a folder."""
+    from tests.support.samples import some_gaussians
+    from tests.support.splat_encoders import sog_files
+
+    return [sog_files(some_gaussians(14, 1), version) for version in (1, 2)]
+
+
+def read_splat(path: Path) -> None:
+    """Read a splat; all that is read can be drawn."""
+    from assets.splat_files import read_gaussians
+
+    read_gaussians(path, silent).check(str(path))
+
+
+def inside_gzip_only(rng: np.random.Generator, files: Files) -> Files:
+    """As `inside_gzip`, where the file is one."""
+    data = next(iter(files.values()))
+    return (inside_gzip if data[:2] == b"\x1f\x8b" else several(BYTES))(rng, files)
+
+
+def inside_sog(rng: np.random.Generator, files: Files) -> Files:
+    """The meta.json or the images of a SOG mutated."""
+    if "meta.json" in files and rng.random() < 0.5:
+        return files | {"meta.json": mutated_json(rng, files["meta.json"])}
+    return several(BYTES)(rng, files)
+
+
+# HDF5
+
+
+def asset_samples(folder: Path) -> list[Files]:
+    """Assets of both versions of the format: bodies with all that they may have, and a stage."""
+    from tests.fuzz.sample_assets import moving_body, some_stage
+
+    made = [(moving_body(), False), (moving_body(), True), (some_stage(), False), (some_stage(), True)]
+    return [saved(folder, "asset.h5", lambda path, a=a, q=q: a.save(path, quantised=q)) for a, q in made]
+
+
+def read_asset(path: Path) -> None:
+    """Load an asset in each of the ways of the program."""
+    from assets.asset import Asset
+    from assets.environment import Environment
+    from assets.library import animated_height, asset_material, asset_sizes, cage_vertices, default_material
+    from core.errors import BadInput
+
+    for look in (asset_sizes, asset_material, animated_height, cage_vertices, default_material, Environment.load):
+        try:
+            look(str(path))
+        except BadInput as e:
+            assert "\n" not in str(e)
+    asset = Asset.load(path)
+    if asset.animation is not None:
+        asset.animation.matrices(0.3)
+
+
+def recording_samples(folder: Path) -> list[Files]:
+    """A recording with hands, cameras and every kind of command."""
+    from tests.fuzz.sample_plays import record_some
+
+    return [saved(folder, "play.h5", record_some)]
+
+
+def read_recording(path: Path) -> None:
+    """Load a recording, and take over its options."""
+    from display.record.recording import OPTIONS
+    from display.record.replay import Replay
+
+    replay = Replay.load(path)
+    replay.set_options(argparse.Namespace(**dict.fromkeys(OPTIONS), arch=None))
+    replay.world_options({})
+
+
+def study_samples(folder: Path) -> list[Files]:
+    """A study of two participants with answers, and an empty one."""
+    from display.study.study_file import Study, write_study
+    from tests.fuzz.sample_plays import some_study
+
+    return [saved(folder, "study.h5", lambda path, s=s: write_study(path, s)) for s in (some_study(), Study())]
+
+
+def read_and_compare_study(path: Path) -> None:
+    """Read a study, compare what it holds, make the page."""
+    from commands.study import overview, table
+    from display.study.comparison import compare_answers, compare_trials
+    from display.study.study_file import read_study
+    from display.study.study_page import page
+
+    study = read_study(path)
+    rows = [*compare_trials(study), *compare_answers(study)]
+    list(table(rows))
+    page(study, rows, overview(study))
+
+
+# JSON and others
+
+
+def json_samples(name: str, *values) -> Callable[[Path], list[Files]]:
+    """JSON files."""
+    return lambda folder: [{name: json.dumps(value).encode()} for value in values]
+
+
+CAMERA = {"width": 16, "height": 8, "fx": 20, "fy": 20.5, "cx": 8, "cy": -4, "world_to_camera": np.eye(4).tolist()}
+ANSWERS = {"format": "vrgs-answers", "participant": "Ida", "setting": "physics", "answers": {"realism": 6, "ease": 0}}
+LANDMARKS = {
+    "head_top": [0, 1.7, 0.0],
+    "held": [{"by": "left_hand", "center": [0.3, 1, 0], "radius": 0.1}],
+    "joints": {"Hips": "pelvis"},
+}
+
+
+def read_camera_file(path: Path) -> None:
+    """Read a CAM.json."""
+    from assets.camera_file import read_cameras
+
+    read_cameras(path)
+
+
+def read_questionnaire(path: Path) -> None:
+    """Read answers of the questionnaire's page."""
+    from display.study.questionnaire import read_answers_file
+
+    read_answers_file(path, "now")
+
+
+def read_landmark_file(path: Path) -> None:
+    """Read the landmarks of a rig."""
+    from prepare.rig.landmarks import read_landmarks
+
+    read_landmarks(path)
+
+
+def glb_samples(folder: Path) -> list[Files]:
+    """A skinned bar with a motion and a texture."""
+    from tests.support.glb import bar, packed
+
+    builder, scene = bar()
+    return [{"rig.glb": packed(json.dumps(scene).encode(), builder.binary)}]
+
+
+def inside_glb(rng: np.random.Generator, files: Files) -> Files:
+    """The JSON or the buffer of a .glb mutated, in a sound container."""
+    from tests.support.glb import packed
+
+    ((name, data),) = files.items()
+    size = int.from_bytes(data[12:16], "little")
+    text, binary = data[20 : 20 + size], data[28 + size :]
+    if rng.random() < 0.7:
+        text = mutated_json(rng, text)
+    else:
+        binary = several(BYTES)(rng, {"": binary})[""]
+    return {name: packed(text, binary)}
+
+
+def read_skinned_glb(path: Path) -> None:
+    """Read the rig and the mesh of a .glb."""
+    from assets.formats.gltf_skin import read_mesh, read_rig
+
+    rig, file, skin = read_rig(path)
+    read_mesh(file, skin, len(rig.joints))
+
+
+def image_samples(folder: Path) -> list[Files]:
+    """Small images of all kinds."""
+    import cv2
+
+    pixels = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
+    kinds = (".png", ".jpg", ".webp")
+    return [{f"image{kind}": cv2.imencode(kind, pixels)[1].tobytes()} for kind in kinds]
+
+
+def read_image(path: Path) -> None:
+    """The size of an image, its pixels, and whether it may be a thumbnail."""
+    from assets.formats.gltf import PIXELS_MAX
+    from assets.images import check_thumbnail, decode_image, read_image_header
+    from core.errors import BadInput
+
+    data = path.read_bytes()
+    header = read_image_header(data)
+    if header is not None and 0 < header.width * header.height <= PIXELS_MAX:
+        decode_image(data)
+    try:
+        check_thumbnail(np.frombuffer(data, np.uint8), str(path))
+    except BadInput as e:
+        assert "\n" not in str(e)
+
+
+def checkpoint_samples(folder: Path) -> list[Files]:
+    """A kept step of a preparation."""
+    from prepare.checkpoints import arrays_of
+    from tests.support.samples import some_gaussians
+
+    arrays = arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20})
+
+    def save(path: Path) -> None:
+        with open(path, "wb") as file:
+            np.savez(file, **arrays)
+
+    return [saved(folder, "step.npz", save)]
+
+
+def read_checkpoint(path: Path) -> None:
+    """Take up a kept step: its arrays, or it is made again; the pipeline bears these errors of what they hold."""
+    from prepare.checkpoints import Checkpoints, gaussians_of
+
+    checkpoints = Checkpoints()
+    checkpoints.folder = path.parent
+    arrays = checkpoints.step(path.stem, lambda: {})
+    with contextlib.suppress(LookupError, TypeError, ValueError):  # then the pipeline begins anew
+        gaussians_of(arrays)[0].check(str(path))
+
+
+HDF5: Callable[[Path], list[Mutation]] = lambda folder: [inside_hdf5(folder)]  # noqa: E731
+TARGETS = {
+    target.name: target
+    for target in (
+        Target("ply", splat_samples(".ply"), read_splat),
+        Target("splat", splat_samples(".splat"), read_splat),
+        Target("ksplat", splat_samples(".ksplat"), read_splat),
+        Target("spz", splat_samples(".spz"), read_splat, lambda folder: [inside_gzip_only]),
+        Target("sog", splat_samples(".sog"), read_splat, lambda folder: [inside_zip(inside_sog)]),
+        Target("meta.json", unzipped_sog, read_splat, lambda folder: [inside_sog]),
+        Target("asset", asset_samples, read_asset, HDF5),
+        Target("recording", recording_samples, read_recording, HDF5),
+        Target("study", study_samples, read_and_compare_study, HDF5),
+        Target("camera", json_samples("cam.json", CAMERA, [CAMERA, CAMERA]), read_camera_file, lambda folder: JSON),
+        Target("answers", json_samples("answers.json", ANSWERS), read_questionnaire, lambda folder: JSON),
+        Target("landmarks", json_samples("l.json", LANDMARKS), read_landmark_file, lambda folder: JSON),
+        Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
+        Target("image", image_samples, read_image),
+        Target("checkpoint", checkpoint_samples, read_checkpoint, lambda folder: [inside_zip(several(BYTES))]),
+    )
+}

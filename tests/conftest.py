@@ -7,6 +7,8 @@ import pytest
 
 from tests.support.runtime import runtime
 
+os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # also in programs that tests start
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

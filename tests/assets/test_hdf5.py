@@ -4,7 +4,6 @@ import zlib
 
 import h5py
 import numpy as np
-import pytest
 
 from assets.file_access import UNPACK_BASE
 from tests.assets.test_asset import edited, put, refused, some_asset

@@ -16,9 +16,9 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import SIZED, Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.protocol import SIZED, Command, Frame, OpenScene, Pause, SetLight, SingleStep, WorldView, last_of
 from display.web.page_server import LOOPBACK, PageServer
-from display.web.page_state import first_words, overlay, world_state
+from display.web.page_state import first_words, overlay, sliders_of, world_state
 from display.web.picture_flow import STILL_QUALITY
 from display.window.controls import Controls
 from display.window.gl_window import PLACES, chord_name
@@ -26,6 +26,7 @@ from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.body_section import BUTTONS
 from display.window.panel.performance_section import RESOLUTIONS, count_texts, frame_lines
+from display.window.panel.slider import readable
 from scenes.scene import Scene
 
 PERIOD = 1 / 60  # [s] of a frame at least
@@ -255,6 +256,12 @@ class Browser:
                 (self._near,) = what
             elif kind == "resolution":
                 (self._scale_name,) = what
+            elif kind == "slide":
+                commands += self._slide(*what, world)
+            elif kind == "light":
+                commands += [] if world.light is None else [SetLight(replace(world.light, kind=what[0].lower()))]
+            elif kind == "open":
+                commands.append(OpenScene(*what))
             elif kind == "edit":
                 commands.append(BUTTONS[what[0]][0])
             elif kind == "command":
@@ -276,6 +283,11 @@ class Browser:
             controls.release("left")  # the first finger began to turn the view
             controls.pan(du * self._camera.width, dv * self._camera.height, self._camera)
         controls.wheel(notches)
+
+    def _slide(self, section: str, name: str, value: float, continued: bool, world: WorldView) -> list[Command]:
+        """A slider of the panel is moved; its command."""
+        moved = [slider for slider in sliders_of(world, section) if slider.name == name]
+        return [s.command(readable(min(max(value, s.low), s.high)), continued) for s in moved]
 
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
         """A key that goes down or up; its commands."""

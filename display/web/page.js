@@ -8,10 +8,7 @@ const RESIZE_DELAY = 150;  // [ms] without a change of the page's size before th
 const PIXELS_PER_NOTCH = 100;  // of a wheel
 const PINCH_PER_NOTCH = 1.1;  // of the fingers' distance
 const HINT_SECONDS = 20;
-const SLIDERS = [  // name, label, unit, low, high, step; places are relative to the scene's target
-  ["x", "x", "m", null, null, 0.01], ["y", "y", "m", null, null, 0.01], ["z", "z", "m", null, null, 0.01],
-  ["strength", "shadow", "", 0, 1, 0.01], ["softness", "edge", "m", 0, 0.2, 0.001],
-];
+const SLIDER_STEPS = 1000;
 
 let socket = null, hello = null, ended = "";
 let state = {};  // what the program has told
@@ -200,6 +197,12 @@ function key(event, down) {
     if (down && !event.repeat) togglePanel();
     return;
   }
+  if (event.code === "F2" && hello) {
+    event.preventDefault();
+    if (down && get("panel").hidden) togglePanel();
+    get("scenes").focus();
+    return;
+  }
   const pressing = /^(BUTTON|SUMMARY)$/.test(event.target.tagName) && ["Space", "Enter"].includes(event.code);
   const sliding = event.target.type === "range" && event.key.startsWith("Arrow");
   if (writing || pressing || sliding || LEFT_ALONE.includes(event.key) || !hello) return;
@@ -251,24 +254,16 @@ function togglePanel() {
 }
 
 function build() {
-  document.title = hello.title;
+  document.title = get("title").textContent = hello.title;
+  const playing = Object.keys(hello.scenes).find((name) => hello.title.endsWith(`: ${name}`));
+  get("scenes").replaceChildren(...Object.entries(hello.scenes).map(([name, about]) =>
+    Object.assign(new Option(name.replaceAll("_", " "), name, false, name === playing), { title: about })));
   get("cast").textContent = hello.cast.join("; ");
   choice("interaction", Object.assign(Object.keys(hello.interactions), { tips: hello.interactions }),
     (name) => command("interaction", name.toLowerCase()));
-  choice("light-kind", ["Point", "Directional"], (name) => setLight({ kind: name.toLowerCase() }));
+  choice("light-kind", ["Point", "Directional"], (name) => send("light", name));
   choice("resolution", hello.resolutions, (name) => { send("resolution", name); mark("resolution", name); });
   get("edits").replaceChildren(...Object.entries(hello.edits).map(([name, tip]) => button(name, tip, () => send("edit", name))));
-  get("material").replaceChildren(new Option("Material", ""), ...hello.materials.map((name) => new Option(name, name)));
-  get("sliders").replaceChildren(...SLIDERS.map(([name, label, unit, low, high, step]) => {
-    const axis = "xyz".indexOf(name), row = document.createElement("label");
-    const input = Object.assign(document.createElement("input"), { type: "range", id: `light-${name}`, step });
-    input.min = axis < 0 ? low : hello.light_centre[axis] - hello.light_range;
-    input.max = axis < 0 ? high : hello.light_centre[axis] + hello.light_range;
-    input.oninput = () => { slide(); showSlider(name, unit); };
-    const text = Object.assign(document.createElement("span"), { textContent: label, className: "quiet" });
-    row.append(text, input, Object.assign(document.createElement("output"), { id: `value-${name}` }));
-    return row;
-  }));
   const touch = matchMedia("(pointer: coarse)").matches;
   const gestures = touch ? [["One finger", "grab a body, release to throw; else turn around the scene"],
     ["Two fingers", "apart or together: nearer and farther; side by side: shift the view"],
@@ -280,18 +275,44 @@ function build() {
   if (!touch) hint.append("   ·   ", bold("P"), " demonstration");
 }
 
-function showSlider(name, unit) {
-  const value = Number(get(`light-${name}`).value);
-  get(`value-${name}`).textContent = name === "softness" ? `${(100 * value).toFixed(1)} cm` : `${value.toFixed(2)} ${unit}`;
+// A slider has whole steps from 0; the program's values are between low and high, in equal ratios if it is logarithmic.
+function valueOf(slider, step) {
+  const part = step / SLIDER_STEPS;
+  return slider.log ? slider.low * (slider.high / slider.low) ** part : slider.low + (slider.high - slider.low) * part;
 }
 
-function setLight(change) {
-  if (state.light) command("light", { Light: { ...state.light, ...change } });
+function stepOf(slider, value) {
+  const part = slider.log ? Math.log(Math.max(value, slider.low) / slider.low) / Math.log(slider.high / slider.low)
+    : (value - slider.low) / (slider.high - slider.low);
+  return Math.round(SLIDER_STEPS * part);
 }
 
-function slide() {  // all of the sliders: the last of several changes in a frame counts
-  const value = (name) => Number(get(`light-${name}`).value);
-  setLight({ position: ["x", "y", "z"].map(value), strength: value("strength"), softness: value("softness") });
+function makeSlider(section) {
+  const row = document.createElement("label"), input = document.createElement("input");
+  Object.assign(input, { type: "range", min: 0, max: SLIDER_STEPS, step: 1 });
+  row.append(document.createElement("span"), document.createElement("output"), input);
+  let continued = false;
+  input.onpointerdown = () => { continued = false; };
+  input.oninput = () => {
+    send("slide", section, row.slider.name, valueOf(row.slider, Number(input.value)), continued);
+    continued = input.matches(":active");
+  };
+  row.ondblclick = () => { if (row.slider.usual !== null) send("slide", section, row.slider.name, row.slider.usual, false); };
+  return row;
+}
+
+function showSliders(section, sliders) {
+  const list = get(`sliders-${section}`);
+  while (list.children.length > sliders.length) list.lastChild.remove();
+  while (list.children.length < sliders.length) list.append(makeSlider(section));
+  sliders.forEach((slider, k) => {
+    const row = list.children[k], [name, shown, input] = row.children;
+    row.slider = slider;
+    row.title = slider.tip;
+    name.textContent = slider.name;
+    shown.textContent = slider.shown;
+    if (!input.matches(":active")) input.value = stepOf(slider, slider.value);
+  });
 }
 
 get("menu").onclick = togglePanel;
@@ -303,10 +324,10 @@ get("undo").onclick = () => command("undo", true);
 get("redo").onclick = () => command("redo", true);
 get("demo").onclick = () => command("demo", !state.demo);
 get("material").onchange = (event) => {
-  if (event.target.value) command("material", [null, event.target.value]);
-  event.target.value = "";
+  command("material", [null, event.target.value]);
   stage.focus();
 };
+get("scenes").onchange = (event) => { send("open", event.target.value); stage.focus(); };
 get("performance").ontoggle = () => send("details", get("performance").open && !get("panel").hidden);
 get("edit").onpointerenter = () => send("edits", true);
 get("edit").onpointerleave = () => send("edits", false);
@@ -318,19 +339,19 @@ get("panel").addEventListener("click", (event) => {
 
 function take(news) {
   if ("ping" in news) send("pong", news.ping);
-  if ("title" in news) { hello = news; build(); }
+  if ("title" in news) { hello = news; build(); }  // also when another scene is opened
   if ("overlay" in news) { marks = news.overlay; drawStrokes(); }
   Object.assign(state, news);
   if ("loading" in news) say(news.loading);
   if ("role" in news || "pages" in news) showRole();
-  if ("message" in news || "score" in news || "notice" in news) {
+  if ("message" in news || "score" in news || "notice" in news || "opening" in news) {
     get("score").textContent = state.score;
     get("message").textContent = state.message;
-    get("notice").textContent = state.notice;
-    get("line").hidden = !(state.score || state.message || state.notice);
+    get("notice").textContent = state.opening || state.notice;
+    get("line").hidden = !(state.score || state.message || state.notice || state.opening);
   }
   if ("editable" in news) {
-    get("play").hidden = get("edit").hidden = !state.editable;
+    get("play").hidden = get("edit").hidden = get("world").hidden = !state.editable;
     get("hint").hidden = !state.editable || state.role !== "play" || get("hint").classList.contains("gone");
     setTimeout(() => get("hint").classList.add("gone"), HINT_SECONDS * 1000);
   }
@@ -343,27 +364,24 @@ function take(news) {
     get("selected").classList.toggle("quiet", !state.selected);
     get("material").hidden = get("edits").hidden = !state.selected;
   }
-  if ("light" in news) showLight();
+  if ("material" in news && state.material) {
+    const names = hello.materials.includes(state.material) ? hello.materials : [state.material, ...hello.materials];
+    get("material").replaceChildren(...names.map((name) => new Option(name, name, false, name === state.material)));
+  }
+  if ("light" in news) { get("light").hidden = !state.light; mark("light-kind", state.light); }
+  if ("sliders" in news) Object.entries(state.sliders).forEach(([section, sliders]) => showSliders(section, sliders));
   if ("fps" in news) get("fps").textContent = state.fps === null ? "at rest" : `${state.fps} fps`;
   if ("resolution" in news) mark("resolution", state.resolution);
   if ("stages" in news) rows("stages", [["ms", "median", "worst"], ...state.stages]);
   if ("lines" in news || "counts" in news) get("numbers").textContent = [...(state.lines || []), (state.counts || []).join(", ")].join("\n");
+  if ("film" in news) {
+    const seconds = String((state.film || 0) % 60).padStart(2, "0");
+    get("film").textContent = `${Math.floor((state.film || 0) / 60)}:${seconds}`;
+    get("film").hidden = state.film === null;
+  }
   if ("grabbing" in news) {
     stage.classList.toggle("grabbing", state.grabbing);
     if (state.grabbing) get("hint").classList.add("gone");
-  }
-}
-
-function showLight() {
-  get("light").hidden = !state.light;
-  if (!state.light) return;
-  mark("light-kind", state.light.kind === "point" ? "Point" : "Directional");
-  const values = { strength: state.light.strength, softness: state.light.softness };
-  state.light.position.forEach((value, axis) => { values["xyz"[axis]] = value; });
-  for (const [name, , unit] of SLIDERS) {
-    const input = get(`light-${name}`);
-    if (!input.matches(":active")) input.value = values[name];
-    showSlider(name, unit);
   }
 }
 
@@ -377,5 +395,4 @@ function showRole() {
 
 place();
 connect();
-get("light").open = innerWidth >= 900 && innerHeight >= 700;  // all of the panel is to be seen
 if (innerWidth >= 900) togglePanel();

@@ -16,7 +16,10 @@
 | ["details", on] | the timings are on view |
 | ["edits", on] | the pointer is among the edits |
 | ["resolution", name] | a name of RESOLUTIONS |
+| ["slide", section, name, value, continued] | a slider of the panel; whether it goes on with the last change |
+| ["light", kind] | "Point" or "Directional" |
 | ["edit", name] | a button of the panel's section of the body |
+| ["open", name] | another scene |
 | ["command", {name: value}] | one of COMMANDS, as in recordings |
 """
 
@@ -29,6 +32,7 @@ from collections.abc import Callable
 from core.errors import BadInput
 from display.protocol import Command
 from display.record.codec import from_text
+from display.web.page_state import SECTIONS
 from display.window.panel.body_section import BUTTONS
 from display.window.panel.performance_section import RESOLUTIONS
 
@@ -36,8 +40,9 @@ MESSAGE_BYTES = 4096  # of one message: none of ours has more than a few hundred
 SIDE_MAX = 16_384  # [px] of a page
 FAR = 4.0  # pictures away from its corner: a captured pointer leaves the page, but not for long
 NOTCHES_MAX = 50.0  # of a wheel at once
-TEXT_MAX = 40  # characters of the name of a key
-COMMANDS = ("demo", "reset", "light", "interaction", "material", "undo", "redo", "pause", "step")  # none names a file
+SLIDER_MAX = 1e12  # in any unit
+TEXT_MAX = 40  # characters of the name of a key, a slider or a scene
+COMMANDS = ("demo", "reset", "interaction", "material", "undo", "redo", "pause", "step")  # none names a file
 
 
 def number(low: float, high: float) -> Callable:
@@ -68,7 +73,7 @@ def side(value) -> int:
 
 
 def text(value) -> str:
-    """A check for the name of a key."""
+    """A check for a short text."""
     if not isinstance(value, str) or len(value) > TEXT_MAX:
         raise ValueError
     return value
@@ -106,6 +111,9 @@ CHECKS: dict[str, tuple[Callable, ...]] = {
     "edits": (SWITCH,),
     "resolution": (one_of(*RESOLUTIONS),),
     "edit": (one_of(*BUTTONS),),
+    "light": (one_of("Point", "Directional"),),
+    "slide": (one_of(*SECTIONS), text, number(-SLIDER_MAX, SLIDER_MAX), SWITCH),
+    "open": (text,),
     "command": (command,),
 }
 STAMPED = ("move", "button", "wheel", "pinch", "key")  # the last value is the stamp

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from core.camera import Camera, project
@@ -12,21 +10,31 @@ from display.edit.selection_marker import marked, marker_lines
 from display.protocol import WorldView
 from display.run_stats import plain
 from display.window.key_bindings import BY_CHORD, help_rows
-from display.window.panel import body_section, light_section, performance_section, play_section, score_line
+from display.window.panel import (
+    body_section,
+    light_section,
+    performance_section,
+    play_section,
+    score_line,
+    world_section,
+)
+from display.window.panel.slider import Slider
+from scenes import registry
 from scenes.scene import Scene
+
+SECTIONS = {"body": body_section.sliders, "world": world_section.sliders, "light": light_section.sliders}
 
 
 def first_words(title: str, scene: Scene) -> dict:
     """What a page is told first: what does not change."""
     return {
         "title": title,
+        "scenes": {demo.name: demo.summary for demo in registry.demos() if demo.build is not None},
         "cast": [f"{file} is {role}" for file, role in scene.cast],
         "interactions": play_section.INTERACTIONS,
         "edits": {name: tip for name, (_, tip) in body_section.BUTTONS.items()},
         "materials": list(MATERIALS),
         "resolutions": list(performance_section.RESOLUTIONS),
-        "light_centre": list(map(float, scene.target)),
-        "light_range": light_section.RANGE,
         "keys": help_rows(scene.light is not None),
         "ctrl_keys": [chord.rpartition("+")[2] for chord in BY_CHORD if chord.startswith("ctrl+")],
     }
@@ -35,6 +43,7 @@ def first_words(title: str, scene: Scene) -> dict:
 def world_state(world: WorldView) -> dict:
     """What the panel shows; cheap enough for every frame."""
     bodies, selected = world.bodies(), world.selected
+    known = selected is not None and selected < len(bodies)
     score, message = score_line.score_and_message(world)
     return {
         "loading": "",
@@ -47,9 +56,28 @@ def world_state(world: WorldView) -> dict:
         "notice": world.notice,
         "opening": world.opening,
         "film": None if world.film_seconds is None else int(world.film_seconds),
-        "selected": bodies[selected].name if selected is not None and selected < len(bodies) else None,
-        "light": plain(asdict(world.light)) if world.light is not None else None,
+        "selected": bodies[selected].name if known else None,
+        "material": world.material(selected)[1] if known else None,
+        "light": None if world.light is None else world.light.kind.capitalize(),
+        "sliders": {section: [described(one) for one in sliders_of(world, section)] for section in SECTIONS},
     }
+
+
+def sliders_of(world: WorldView, section: str) -> list[Slider]:
+    """The sliders of a section of the panel; none where it has nothing to show."""
+    selected = world.selected
+    shown = {
+        "body": world.editable and selected is not None and selected < len(world.bodies()),
+        "world": world.editable,
+        "light": world.light is not None,
+    }
+    return SECTIONS[section](world) if shown[section] else []
+
+
+def described(slider: Slider) -> dict:
+    """A slider without its command."""
+    fields = ("name", "value", "low", "high", "shown", "usual", "log", "tip")
+    return {field: plain(getattr(slider, field)) for field in fields}
 
 
 def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, *, near: bool) -> list:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from core.material import MATERIALS, Material
 from display import protocol
 from display.edit.edit_steps import EDITS
 from display.protocol import Command, WorldView
 from display.window.panel.section import Section
+from display.window.panel.slider import Slider
 from display.window.panel.theme import QUIET
 from display.window.panel.widgets import Sliders, button_grid, width_of
 
@@ -85,12 +87,11 @@ class BodySection(Section):
             imgui.text_colored(QUIET, NOTHING)
             imgui.pop_text_wrap_pos()
             return []
-        material, name = world.material(k)
+        _, name = world.material(k)
         imgui.align_text_to_frame_padding()
         imgui.text(bodies[k].name)
         imgui.same_line(width_of(2))
-        commands = self._materials(k, name)
-        commands += self._properties(k, material, rigid=name == "rigid")
+        commands = self._materials(k, name) + self._sliders.draw(sliders(world))
         pressed = button_grid({name: tip for name, (_, tip) in BUTTONS.items()}, 3)
         return commands + ([] if pressed is None else [BUTTONS[pressed][0]])
 
@@ -107,17 +108,30 @@ class BodySection(Section):
             imgui.end_combo()
         return commands
 
-    def _properties(self, k: int, material: Material, *, rigid: bool) -> list[Command]:
-        """Draw a slider for each number of the material; the command of the one that is moved."""
-        commands: list[Command] = []
-        for p in PROPERTIES:
-            value = getattr(material, p.field)
-            if rigid and not p.rigid:
-                continue
-            moved = self._sliders.draw(p.name, value, p.low, p.high, p.shown(value), log=p.log, tip=p.tip)
-            if moved is not None:
-                commands.append(protocol.SetMaterial(k, changed(material, p.field, moved[0]), continued=moved[1]))
-        return commands
+
+def sliders(world: WorldView) -> list[Slider]:
+    """A slider for each number of the selected body's material."""
+    k = world.selected
+    material, name = world.material(k)
+    return [
+        Slider(
+            p.name,
+            getattr(material, p.field),
+            p.low,
+            p.high,
+            p.shown(getattr(material, p.field)),
+            partial(set_property, k, material, p.field),
+            log=p.log,
+            tip=p.tip,
+        )
+        for p in PROPERTIES
+        if p.rigid or name != "rigid"
+    ]
+
+
+def set_property(k: int, material: Material, field: str, value: float, continued: bool) -> protocol.SetMaterial:
+    """The command that gives body k a material with another number."""
+    return protocol.SetMaterial(k, changed(material, field, value), continued=continued)
 
 
 def changed(material: Material, field: str, value: float) -> Material:

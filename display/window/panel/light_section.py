@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from display import protocol
 from display.protocol import Command, WorldView
 from display.window.panel.section import Section
+from display.window.panel.slider import Slider
 from display.window.panel.widgets import Sliders, choice
+from scenes.scene import Light
 
 HUNDREDTHS = {"shadow": ("strength", 100.0, "%"), "edge": ("softness", 20.0, "cm")}  # field, largest, unit
 RANGE = 4.0  # [m] of the sliders around the scene's target
@@ -30,15 +33,28 @@ class LightSection(Section):
         """Draw the sliders; the changed light."""
         light = world.light
         kind = choice(["Point", "Directional"], light.kind.capitalize()).lower()
-        changed = light if kind == light.kind else replace(light, kind=kind)
-        for axis, (name, middle) in enumerate(zip("xyz", world.scene.target, strict=True)):
-            at = light.position[axis]
-            moved = self._sliders.draw(name, at, middle - RANGE, middle + RANGE, f"{at:.2f} m")
-            if moved is not None:
-                changed = replace(changed, position=(*light.position[:axis], moved[0], *light.position[axis + 1 :]))
-        for name, (field, high, unit) in HUNDREDTHS.items():
-            value = 100.0 * getattr(light, field)
-            moved = self._sliders.draw(name, value, 0.0, high, f"{value:.3g} {unit}")
-            if moved is not None:
-                changed = replace(changed, **{field: moved[0] / 100.0})
-        return [] if changed is light else [protocol.SetLight(changed)]
+        commands = [] if kind == light.kind else [protocol.SetLight(replace(light, kind=kind))]
+        return commands + self._sliders.draw(sliders(world))
+
+
+def sliders(world: WorldView) -> list[Slider]:
+    """Those of the light's place, and of the strength and edge of its shadow."""
+    light, made = world.light, []
+    for axis, (name, middle) in enumerate(zip("xyz", world.scene.target, strict=True)):
+        at = light.position[axis]
+        made.append(Slider(name, at, middle - RANGE, middle + RANGE, f"{at:.2f} m", partial(moved, light, axis)))
+    for name, (field, high, unit) in HUNDREDTHS.items():
+        value = 100.0 * getattr(light, field)
+        made.append(Slider(name, value, 0.0, high, f"{value:.3g} {unit}", partial(shaded, light, field)))
+    return made
+
+
+def moved(light: Light, axis: int, value: float, continued: bool) -> protocol.SetLight:
+    """The command that moves a light along an axis to `value` [m]."""
+    position = (*light.position[:axis], value, *light.position[axis + 1 :])
+    return protocol.SetLight(replace(light, position=position))
+
+
+def shaded(light: Light, field: str, hundredths: float, continued: bool) -> protocol.SetLight:
+    """The command that changes a light's field to a number of hundredths."""
+    return protocol.SetLight(replace(light, **{field: hundredths / 100.0}))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from display.protocol import Command
+from display.window.panel.slider import Slider, readable
 from display.window.panel.theme import ACCENT, ON_ACCENT, QUIET
 
 KNOB = (0.86, 0.88, 0.91, 1.0)  # of a slider
@@ -85,48 +87,39 @@ class Sliders:
     def __init__(self):
         self._changed: set[str] = set()  # since the mouse went down on them
 
-    def draw(
-        self,
-        name: str,
-        value: float,
-        low: float,
-        high: float,
-        shown: str,
-        *,
-        usual: float | None = None,
-        log: bool = False,
-        tip: str = "",
-    ) -> tuple[float, bool] | None:
-        """Draw a slider of `value`, which the user reads as `shown`; `usual` is what a right click sets.
+    def draw(self, sliders: Sequence[Slider]) -> list[Command]:
+        """Draw sliders; the commands of those that are moved."""
+        moved = [(slider, self._draw(slider)) for slider in sliders]
+        return [slider.command(*change) for slider, change in moved if change is not None]
 
-        Returns the new value and whether this change goes on with the last one, or None.
-        """
+    def _draw(self, slider: Slider) -> tuple[float, bool] | None:
+        """Draw a slider. Returns the new value and whether this change goes on with the last one, or None."""
         from imgui_bundle import imgui
 
-        flags = imgui.SliderFlags_
+        flags, name, value, usual = imgui.SliderFlags_, slider.name, slider.value, slider.usual
         imgui.text_colored(QUIET, name)
         imgui.same_line()
-        text_right(shown)
+        text_right(slider.shown)
         imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() - imgui.get_style().item_spacing.y)
         imgui.push_style_var_y(imgui.StyleVar_.frame_padding, 0.0)
         clear = (imgui.Col_.frame_bg, imgui.Col_.frame_bg_hovered, imgui.Col_.frame_bg_active)
         for colour in (*clear, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active):
             imgui.push_style_color(colour, (0.0, 0.0, 0.0, 0.0))
         imgui.set_next_item_width(-1)
-        kind = flags.always_clamp | flags.no_round_to_format | (flags.logarithmic if log else 0)
-        changed, new = imgui.slider_float(f"##{name}", value, low, high, "", kind)
+        kind = flags.always_clamp | flags.no_round_to_format | (flags.logarithmic if slider.log else 0)
+        changed, new = imgui.slider_float(f"##{name}", value, slider.low, slider.high, "", kind)
         imgui.pop_style_color(5)
         imgui.pop_style_var()
         if not (imgui.is_item_active() and imgui.get_io().want_text_input):
-            draw_track(fraction_of(value, low, high, log))
+            draw_track(fraction_of(value, slider.low, slider.high, slider.log))
         if imgui.is_item_activated():
             self._changed.discard(name)
         if imgui.is_item_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.right) and usual not in (None, value):
             self._changed.discard(name)
             return usual, False
-        if tip:
-            imgui.set_item_tooltip(tip)
-        new = float(f"{new:.3g}")  # as many digits as one reads
+        if slider.tip:
+            imgui.set_item_tooltip(slider.tip)
+        new = readable(new)
         if not changed or new == value:
             return None
         continued = name in self._changed

@@ -7,6 +7,7 @@ import numpy as np
 from display import protocol
 from display.protocol import MIN_TIME_SCALE, Command, WorldView
 from display.window.panel.section import Section
+from display.window.panel.slider import Slider
 from display.window.panel.widgets import Sliders
 
 GRAVITY_MAX = 20.0  # [m/s^2] of the slider: twice the earth's
@@ -32,16 +33,34 @@ class WorldSection(Section):
 
     def draw(self, world: WorldView) -> list[Command]:
         """Draw both sliders; the commands of the one that is moved."""
-        commands: list[Command] = []
-        usual = np.array(world.scene.gravity)
-        strength = float(np.linalg.norm(world.gravity))
-        tip = f"{TIPS['gravity']} {RESET_TIP}"
-        options = {"usual": float(np.linalg.norm(usual)), "tip": tip}
-        moved = self._sliders.draw("gravity", strength, 0.0, GRAVITY_MAX, f"{strength:.2f} m/s\u00b2", **options)
-        if moved is not None:
-            direction = usual / np.linalg.norm(usual) if usual.any() else np.array([0.0, -1.0, 0.0])
-            commands.append(protocol.SetGravity(tuple((moved[0] * direction).tolist()), continued=moved[1]))
-        pace, tip = world.time_scale, f"{TIPS['time']} {RESET_TIP}"
-        shown = "as it is" if pace == 1.0 else f"{pace:.2g} x"
-        moved = self._sliders.draw("time", pace, MIN_TIME_SCALE, 1.0, shown, usual=1.0, log=True, tip=tip)
-        return commands + ([] if moved is None else [protocol.SetTimeScale(moved[0], continued=moved[1])])
+        return self._sliders.draw(sliders(world))
+
+
+def sliders(world: WorldView) -> list[Slider]:
+    """Those of gravity and of the pace of time."""
+    usual = np.array(world.scene.gravity)
+    direction = usual / np.linalg.norm(usual) if usual.any() else np.array([0.0, -1.0, 0.0])
+    strength, pace = float(np.linalg.norm(world.gravity)), world.time_scale
+    return [
+        Slider(
+            "gravity",
+            strength,
+            0.0,
+            GRAVITY_MAX,
+            f"{strength:.2f} m/s\u00b2",
+            lambda x, continued: protocol.SetGravity(tuple((x * direction).tolist()), continued=continued),
+            usual=float(np.linalg.norm(usual)),
+            tip=f"{TIPS['gravity']} {RESET_TIP}",
+        ),
+        Slider(
+            "time",
+            pace,
+            MIN_TIME_SCALE,
+            1.0,
+            "as it is" if pace == 1.0 else f"{pace:.2g} x",
+            lambda x, continued: protocol.SetTimeScale(x, continued=continued),
+            usual=1.0,
+            log=True,
+            tip=f"{TIPS['time']} {RESET_TIP}",
+        ),
+    ]

@@ -262,7 +262,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
 
             width, height = args.size or (None, None)
             kept = {"preferences": Preferences.of_user(), "name": args.scene}
-            return Window(scene, title=title_of(args), width=width, height=height, **kept)
+            return Window(scene, title=title_of(args), width=width, height=height, hint=replay is None, **kept)
         args.headless = True
         args.record = args.record or Path(f"{args.scene}.mp4")
         args.snapshot = args.snapshot or Path(f"{args.scene}.png")

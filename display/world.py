@@ -67,6 +67,7 @@ class World(WorldView):
         self.paused = self.demo = self.moving = False
         self.time_scale = 1.0
         self.time = 0.0  # [s] of simulation since the last reset
+        self._demo_from = self.interaction  # in which mode the demo began
         self._owed = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
@@ -115,6 +116,9 @@ class World(WorldView):
 
     def _advance(self, frame: Frame) -> bool:
         """Simulate the frame; returns whether anything has moved."""
+        if self.demo and any(hand is not None and hand.grip for hand in frame.hands):
+            self._end_demo()
+            frame = replace(frame, hands=[])  # open for this frame, so that they do not take over what the script holds
         before = None if self.demo else self.editor.before_step(frame.hands)
         begin = perf_counter()
         with self.timings.stage("simulate"):
@@ -138,10 +142,12 @@ class World(WorldView):
             self.time += passed
             return
         self._owed += passed
-        while self._owed >= script_dt:
+        while self._owed >= script_dt and self.demo:
             self._owed -= script_dt
             self.time += script_dt
             self.registry.step(script_dt, self.scripted_hands(self.time))
+            if self.scene.game is None or self.time >= self.scene.game.duration:
+                self._end_demo()
 
     def _two_hand_scaling(self) -> list[Command]:
         """Command that keeps the size given to a body by two hands, after they have let go."""
@@ -175,8 +181,10 @@ class World(WorldView):
         """Carry out the commands of a frame in their order (display/protocol.py)."""
         demo, light = last_of(PlayDemo, commands), last_of(SetLight, commands)
         interaction, pause = last_of(SetInteraction, commands), last_of(Pause, commands)
-        if demo is not None:
-            self.demo = demo.on
+        if demo is not None and demo.on:
+            self.demo, self._demo_from = True, self.interaction
+        elif demo is not None or last_of(Reset, commands) is not None:
+            self._end_demo()
         if last_of(Reset, commands) is not None or (demo is not None and demo.on):  # a script begins at the beginning
             self.editor.record("reset")
             self.reset()
@@ -191,11 +199,20 @@ class World(WorldView):
             self.editor.record("time_scale", time_scale.continued)
             self.set_time_scale(time_scale.scale)
         if interaction is not None:
-            self.registry.rebase_animations()
-            self.device.solver.interaction = interaction.mode
+            self._set_interaction(interaction.mode)
         self.editor.apply(commands)
         if pause is not None:
             self.paused = pause.on
+
+    def _end_demo(self) -> None:
+        """Let the user's hands play again, in the mode in which they did."""
+        if self.demo:
+            self.demo = False
+            self._set_interaction(self._demo_from)
+
+    def _set_interaction(self, mode: str) -> None:
+        self.registry.rebase_animations()
+        self.device.solver.interaction = mode
 
     def reset(self) -> None:
         """Put the scene's own bodies at their start, remove all others, and restart the game."""
@@ -234,7 +251,7 @@ class World(WorldView):
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         """Bring a state back; a demo ends."""
-        self.demo = False
+        self._end_demo()
         self.registry.restore(snapshot.bodies)
         self.time, self._owed = snapshot.time, snapshot.owed
         if self.scene.game is not None:

@@ -7,6 +7,7 @@ hand. Bodies in a hand are not marked. Films and headless pictures have no marke
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,6 +47,12 @@ def marker_lines(body: BodyState, camera: Camera) -> list[tuple[tuple[float, flo
         if a is not None and b is not None:
             lines.append((a, b, FAR_OPACITY if view_depth(camera, start) > middle + 0.1 * thickness else 1.0))
     return lines
+
+
+def scaled(body: BodyState, factor: float) -> BodyState:
+    """A body as large as it will be, about its centre."""
+    low, high = (body.centroid + factor * (np.asarray(corner) - body.centroid) for corner in (body.low, body.high))
+    return replace(body, low=low, high=high)
 
 
 def marked(world, *, near: bool) -> BodyState | None:

@@ -25,6 +25,7 @@ RUN_FACTOR = 3.0  # walking speed with Shift
 WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
+GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
 ENDING_DRAGS = (protocol.Reset, protocol.PlayDemo, protocol.Undo, protocol.Redo, protocol.Remove)
 
 
@@ -42,13 +43,16 @@ class Press:
 class Controls:
     """State of mouse and keys: one drag at a time, keys held. Positions in picture pixels.
 
-    `drag` is "grab", "turn", "look", "pan" or None, `panel` whether the panel is on view, `quit` whether to end.
+    `drag` is "grab", "turn", "look", "pan" or None, `panel` whether the panel is on view, `help` whether the list of
+    keys is, `gizmo` which one is (GIZMOS), `quit` whether to end.
     """
 
     def __init__(self, orbit: OrbitCamera, hand: MouseHand):
         self.orbit, self.hand = orbit, hand
         self.drag: str | None = None
         self.panel = True
+        self.help = False
+        self.gizmo: str | None = None
         self.quit = False
         self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
@@ -147,11 +151,37 @@ class Controls:
     # the actions of key_bindings.py that concern the window alone, or the camera
 
     def escape(self, press: Press) -> list[Command]:
-        """Give up what is being opened, or else quit."""
-        if press.world.opening:
+        """End the first of these that is: the drag, the list of keys, what is being opened, the gizmo, the
+        demonstration; else the play."""
+        if self.drag is not None:
+            self._drop()
+        elif self.help:
+            self.help = False
+        elif press.world.opening:
             return [protocol.CancelOpening()]
-        self.quit = True
+        elif self.gizmo is not None:
+            self.gizmo = None
+        elif press.world.demo:
+            return [protocol.PlayDemo(False)]
+        else:
+            self.quit = True
         return []
+
+    def toggle_help(self, press: Press) -> None:
+        """Show the list of mouse and keys, or hide it."""
+        self.help = not self.help
+
+    def next_gizmo(self, press: Press) -> list[Command]:
+        """Show the gizmo of the body under the cursor, or of the selected one: move, turn, scale, none."""
+        self.gizmo = GIZMOS[(GIZMOS.index(self.gizmo) + 1) % len(GIZMOS)]
+        if self.gizmo != GIZMOS[1]:
+            return []
+        select = self._aimed(protocol.Select(press.world.selected), press)
+        if select.body is None:
+            self.gizmo = None
+            press.world.tell("Point at a body, or hold one, to move it.")
+            return []
+        return [select]
 
     def toggle_panel(self, press: Press) -> None:
         """Show the panel, or hide it."""

@@ -63,7 +63,7 @@ BINDINGS = (
     KeyBinding(("r",), "reset the scene", protocol.Reset(), bodies=True),
     KeyBinding(
         ("t",),
-        "physics or transform: what a grip does",
+        "physics or transform",
         lambda world: [protocol.SetInteraction("transform" if world.interaction == "physics" else "physics")],
         bodies=True,
     ),
@@ -78,6 +78,7 @@ BINDINGS = (
     KeyBinding(("period",), "turn it to the right", EDITS["turn"], bodies=True),
     KeyBinding(("shift+comma",), "tilt it away", "tilt_away", bodies=True),
     KeyBinding(("shift+period",), "tilt it towards you", "tilt_towards", bodies=True),
+    KeyBinding(("g",), "gizmo: move, turn, scale, off", "next_gizmo", bodies=True),
     KeyBinding(("l",), "the light follows the cursor", text="L (hold)", bodies=True),
     KeyBinding(DIGITS, "go to a view that was kept", "go_to_bookmark", text="1 ... 9"),
     KeyBinding(tuple(f"ctrl+{digit}" for digit in DIGITS), "keep this view", "keep_bookmark", text="Ctrl+1 ... 9"),
@@ -85,7 +86,8 @@ BINDINGS = (
     KeyBinding(("shift+f12",), "write the camera, for vrgs.py render", protocol.WriteCamera()),
     KeyBinding(("f9",), "film: begin, finish", lambda world: [protocol.Film(world.film_seconds is None)]),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
-    KeyBinding(("escape",), "quit", "escape"),
+    KeyBinding(("h",), "this list", "toggle_help"),
+    KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),
 )
 BY_CHORD = {chord: binding for binding in BINDINGS for chord in binding.keys}
 

@@ -12,14 +12,16 @@ from core.camera import project
 from core.errors import Cancelled
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
-from display.edit.selection_marker import COLOUR, marked, marker_lines
+from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import SIZED, Command, Frame, Pause, SingleStep, WorldView, last_of
 from display.window.controls import Controls
+from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
+from display.window.panel.first_hint import FirstHint
 from display.window.panel.panel import Panel
 from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from scenes.scene import BodyState, Scene
@@ -27,15 +29,18 @@ from scenes.scene import BodyState, Scene
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 DEFAULT_SIZE = (960, 540)  # in screen coordinates
+HOVER_PERIOD = 0.05  # [s] between two looks for the body under the cursor
+HOVER_OPACITY = 0.5  # of its corners
 MIN_SIDE = 16  # [px] of a picture
 
 
 class Window:
     """A display: `for frame in window.frames(world): world.step(frame); window.present(world)`.
 
-    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel and
-    the views of the scene of that `name` from one start to the next; `size` is the picture's. Raises BadInput without a
-    display or OpenGL 3.3. Close it (or use it in a `with`), so that the screen is given back.
+    `width` and `height` are in screen coordinates, by default those of `preferences`, which keep size, place, panel
+    and the views of the scene of that `name` from one start to the next; `size` is the picture's. Raises BadInput
+    without a display or OpenGL 3.3. `hint`: the user plays, and is told how to begin. Close it (or use it in a
+    `with`), so that the screen is given back.
     """
 
     def __init__(
@@ -47,6 +52,7 @@ class Window:
         height: int | None = None,
         preferences: Preferences | None = None,
         name: str = "",
+        hint: bool = True,
         vsync: bool = True,
     ):
         self._preferences, self._name = preferences or Preferences(), name
@@ -54,6 +60,9 @@ class Window:
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
         self._panel = Panel(title, self._surface.scale)
+        self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
+        self._hovered_at: tuple[float, float] | None = None  # with the cursor there
+        self._hovered: tuple[int | None, float] = (None, 0.0)  # body under the cursor, and when [s] it was looked for
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.panel = self._preferences.get("panel.open", True)
@@ -65,6 +74,7 @@ class Window:
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
         self._time = 0.0  # [s] of all frames
+        self._busy = False  # does anything move
         self._dropped = 0.0  # [s] that have passed and were never simulated
         self._commands: list[Command] = []  # from the panel, for the next frame
         self._resized: tuple[tuple[int, int], float] = (self._surface.frame_size, 0.0)  # the window's size, since when
@@ -159,7 +169,8 @@ class Window:
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             drawing = world.timings.latest("shadow", "render", "present")
-            self._resolution.note(now, seconds, drawing, moving=self._camera_moved() or world.moving)
+            self._busy = self._camera_moved() or world.moving
+            self._resolution.note(now, seconds, drawing, moving=self._busy)
             self._resize(now, world)
             commands = self._handle(events, world)
             pause = last_of(Pause, commands)
@@ -175,17 +186,22 @@ class Window:
         with world.timings.stage("present"):
             self._texture.upload(world.picture)
             self._texture.draw(self._surface.frame_size)
-            self._commands = self._panel.draw(world, visible=self._controls.panel)
-            if self._controls.drag == "grab":
+            controls, panel = self._controls, self._panel
+            panel.help = controls.help
+            self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
+            controls.help = panel.help
+            if controls.drag == "grab":
                 self._draw_hand()
-            elif (body := marked(world, near=self._panel.edits)) is not None:
-                self._draw_marker(body)
+            else:
+                self._draw_markers(world)
+            if self._hint is not None:
+                self._hint.draw(world, done=world.demo or controls.drag == ("grab" if world.editable else "turn"))
             if world.film_seconds is not None:
                 self._draw_film_mark(world.film_seconds)
             self._surface.end()
         self._surface.swap()
         world.timings.measure_exactly(self._panel.details)
-        world.timings.frame(dropped=self._dropped)
+        world.timings.frame(missed=None if self._busy else 0, dropped=self._dropped)  # at rest nobody misses a picture
 
     def _camera_moved(self) -> bool:
         """True if the last frame's camera differed from the one before it."""
@@ -220,7 +236,7 @@ class Window:
                 self._cursor = self._to_picture(*position)
                 if not down:
                     controls.release(name)
-                elif not io.want_capture_mouse:
+                elif not (io.want_capture_mouse or self._gizmo.over):
                     controls.press(name, *self._cursor, self._camera, world)
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
@@ -247,13 +263,49 @@ class Window:
         left, top, width, height = fit((self._camera.width, self._camera.height), self._surface.window_size)
         return left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
 
-    def _draw_marker(self, body: BodyState) -> None:
+    def _draw_gizmo(self, world: WorldView) -> list[Command]:
+        """Draw the gizmo of the selected body; its commands."""
+        kind, k, bodies = self._controls.gizmo, world.selected, world.bodies()
+        if kind is None or k is None or k >= len(bodies) or bodies[k].held:
+            self._gizmo.hide()
+            return []
+        area = fit((self._camera.width, self._camera.height), self._surface.window_size)
+        commands = self._gizmo.draw(kind, bodies[k], k, self._camera, area)
+        if self._gizmo.scaling != 1.0:
+            self._draw_marker(scaled(bodies[k], self._gizmo.scaling))
+        return commands
+
+    def _draw_markers(self, world: WorldView) -> None:
+        """Draw corners around the body that is to be marked, and fainter ones around that under the cursor."""
+        body, under = marked(world, near=self._panel.edits), self._under_cursor(world)
+        if body is not None:
+            self._draw_marker(body)
+        if under is not None and not under.held and (body is None or under is not body):
+            self._draw_marker(under, HOVER_OPACITY)
+
+    def _under_cursor(self, world: WorldView) -> BodyState | None:
+        """The body that a press of the button would take, looked for when something moves, but not in each frame."""
+        from imgui_bundle import imgui
+
+        io, controls = imgui.get_io(), self._controls
+        free = controls.drag is None and not (io.want_capture_mouse or self._gizmo.over or world.demo)
+        if not (free and world.editable and imgui.is_mouse_pos_valid()):
+            self._hovered, self._hovered_at = (None, 0.0), None
+            return None
+        now = perf_counter()
+        if now - self._hovered[1] > HOVER_PERIOD and (self._busy or self._cursor != self._hovered_at):
+            hit, self._hovered_at = world.pick(*self._camera.ray(*self._cursor)), self._cursor
+            self._hovered = (None if hit is None else hit[1], now)
+        bodies, k = world.bodies(), self._hovered[0]
+        return bodies[k] if k is not None and k < len(bodies) else None
+
+    def _draw_marker(self, body: BodyState, strength: float = 1.0) -> None:
         """Draw corners around a body; those behind it are fainter."""
         from imgui_bundle import imgui
 
         draw_list, scale = imgui.get_background_draw_list(), self._surface.scale
         for start, end, opacity in marker_lines(body, self._camera):
-            a, b = self._from_picture(start), self._from_picture(end)
+            a, b, opacity = self._from_picture(start), self._from_picture(end), strength * opacity
             for colour, width in (((0.0, 0.0, 0.0, 0.35 * opacity), 4.0), ((*COLOUR, opacity), 2.0)):
                 draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
 

@@ -264,6 +264,32 @@ def test_keys_become_commands(controls, world):
     assert controls.quit
 
 
+def test_escape_ends_what_has_begun_and_quits_only_if_nothing_has(controls, world):
+    world.demo, controls.help, controls.gizmo = True, True, "turn"
+    controls.press("left", *CENTRE, CAMERA, world)
+    assert key(controls, "escape", world) == [] and controls.drag is None and not controls.hand.gripping
+    assert controls.help
+    assert key(controls, "escape", world) == [] and not controls.help and controls.gizmo
+    assert key(controls, "escape", world) == [] and controls.gizmo is None
+    assert key(controls, "escape", world) == [protocol.PlayDemo(False)] and not controls.quit
+    world.demo = False
+    assert key(controls, "escape", world) == [] and controls.quit
+
+
+def test_the_gizmo_is_that_of_the_body_under_the_cursor_else_of_the_selected_one(controls, world):
+    told = []
+    world.tell = told.append
+    assert key(controls, "g", world) == [] and controls.gizmo is None and told  # the sky, and nothing selected
+    assert key(controls, "g", world, CENTRE) == [protocol.Select(0)] and controls.gizmo == "move"
+    kinds = []
+    for _ in range(3):
+        assert key(controls, "g", world, CENTRE) == []
+        kinds.append(controls.gizmo)
+    assert kinds == ["turn", "scale", None]
+    world.selected = 0
+    assert key(controls, "g", world) == [protocol.Select(0)]
+
+
 def test_reset_lets_go_of_what_is_held(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     key(controls, "r", world)

@@ -14,6 +14,7 @@ from display.protocol import (
     Duplicate,
     Frame,
     Place,
+    PlayDemo,
     Redo,
     Remove,
     Rescale,
@@ -325,6 +326,21 @@ def test_time_passes_more_slowly(play):
     assert world.time_scale == MIN_TIME_SCALE
     play.do(Undo())
     assert world.time_scale == 0.25
+
+
+@pytest.mark.parametrize("end", ["script", "grip", "reset", "key"])
+def test_a_demonstration_ends_with_its_script_a_grip_or_a_reset(play, monkeypatch, end):
+    world, grip = play.world, Hand((0.15, 0.02, 0.08), grip=True)
+    monkeypatch.setattr(world.scene.game, "duration", 4.5 * DT)
+    monkeypatch.setattr(world.scene.game, "interaction", lambda time: "transform", raising=False)
+    play.do(PlayDemo(True))
+    play.step(4)
+    assert world.demo and world.interaction == "transform"
+    play.step(2, *{"script": [], "grip": [grip], "reset": [Reset()], "key": [PlayDemo(False)]}[end])
+    assert not world.demo and world.interaction == "physics"
+    play.step(2, *([grip] if end == "grip" else []))
+    assert world.bodies()[BLUE].held == (end == "grip")
+    assert play.world.time < 9 * DT if end != "reset" else play.world.time < 5 * DT
 
 
 def test_a_body_is_put_elsewhere_and_rests_there(play):

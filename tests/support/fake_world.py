@@ -16,8 +16,21 @@ import taichi as ti
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
-from display.protocol import Pause, Reset, SetInteraction, SetLight, SingleStep, WorldView, in_order, last_of
+from display.protocol import (
+    Pause,
+    Place,
+    Reset,
+    Select,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    SingleStep,
+    WorldView,
+    in_order,
+    last_of,
+)
 from display.record.codec import NAMES
 from display.timing import Timings
 from scenes.scene import BodyState, Light, Scene
@@ -94,7 +107,11 @@ class BallWorld(WorldView):
 
     def reset(self) -> None:
         self.ball, self.velocity, self.offset = np.zeros(3), np.zeros(3), None  # from the hand that holds it
+        self.stuff = MATERIALS["silicone"], "silicone"
         self.scene.game.reset()
+
+    def material(self, body: int):
+        return self.stuff
 
     def apply(self, commands) -> None:
         for command in in_order(commands):
@@ -105,6 +122,12 @@ class BallWorld(WorldView):
                     self.light = light
                 case SetInteraction(mode):
                     self.interaction = mode
+                case Select(body):
+                    self.selected = body
+                case Place(_, offset):
+                    self.ball, self.velocity = self.ball + offset, np.zeros(3)
+                case SetMaterial(_, material):
+                    self.stuff = material, "silicone, changed"
                 case Pause(on):
                     self.paused = on
 
@@ -240,6 +263,8 @@ def record(frame, world) -> dict:
         "steps": world.steps,
         "pictures": world.pictures,
         "light": world.light.position,
+        "material": [world.stuff[0].young, world.stuff[1]],
+        "selected": world.selected,
     }
 
 

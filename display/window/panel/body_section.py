@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 from core.material import MATERIALS, Material
 from display import protocol
@@ -13,7 +14,7 @@ from display.protocol import Command, WorldView
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.theme import QUIET
-from display.window.panel.widgets import Sliders, button_grid, width_of
+from display.window.panel.widgets import Sliders, button_grid, pixels, shortened, width_of
 
 BUTTONS = {
     "Copy": (EDITS["copy"], "A copy above it (C)."),
@@ -77,6 +78,13 @@ class BodySection(Section):
         """True of worlds with bodies."""
         return world.editable
 
+    def label(self, world: WorldView) -> str:
+        """The body's name, once one is selected."""
+        bodies, k = world.bodies(), world.selected
+        return (
+            self.title if k is None or k >= len(bodies) else shortened(called(bodies[k].name), width_of(1) - pixels(40))
+        )
+
     def draw(self, world: WorldView) -> list[Command]:
         """Draw sliders, the list of materials and buttons; their commands."""
         from imgui_bundle import imgui
@@ -88,9 +96,6 @@ class BodySection(Section):
             imgui.pop_text_wrap_pos()
             return []
         _, name = world.material(k)
-        imgui.align_text_to_frame_padding()
-        imgui.text(bodies[k].name)
-        imgui.same_line(width_of(2))
         commands = self._materials(k, name) + self._sliders.draw(sliders(world))
         pressed = button_grid({name: tip for name, (_, tip) in BUTTONS.items()}, 3)
         return commands + ([] if pressed is None else [BUTTONS[pressed][0]])
@@ -105,6 +110,8 @@ class BodySection(Section):
             for name, material in MATERIALS.items():
                 if imgui.selectable(f"{name}, {pascals(material.young)}", name == current)[0]:
                     commands.append(protocol.SetMaterial(k, name))
+            if imgui.is_key_pressed(imgui.Key.escape):
+                imgui.close_current_popup()
             imgui.end_combo()
         return commands
 
@@ -132,6 +139,11 @@ def sliders(world: WorldView) -> list[Slider]:
 def set_property(k: int, material: Material, field: str, value: float, continued: bool) -> protocol.SetMaterial:
     """The command that gives body k a material with another number."""
     return protocol.SetMaterial(k, changed(material, field, value), continued=continued)
+
+
+def called(name: str) -> str:
+    """A body's name for the user: of an asset from a file, that of the file."""
+    return Path(name).stem.replace("_", " ")
 
 
 def changed(material: Material, field: str, value: float) -> Material:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from display.protocol import Command, WorldView
 from display.window.panel.body_section import BodySection
-from display.window.panel.keys_section import KeysSection
+from display.window.panel.help_card import draw_help
 from display.window.panel.light_section import LightSection
 from display.window.panel.performance_section import PerformanceSection
 from display.window.panel.play_section import PlaySection
@@ -18,7 +18,8 @@ from display.window.panel.world_section import WorldSection
 class Panel:
     """The panel of an ImGui context, which it themes; `draw` returns the user's commands for the world.
 
-    `sections` are drawn from top to bottom, each under its title.
+    `sections` are drawn from top to bottom, each under its title. `help` is whether the card of mouse and keys is on
+    view.
     """
 
     def __init__(self, title: str, scale: float):
@@ -30,9 +31,8 @@ class Panel:
             WorldSection(),
             LightSection(),
             self._performance,
-            KeysSection(),
         ]
-        self._visible = False
+        self._visible = self.help = False
         apply_theme(scale)
 
     @property
@@ -54,7 +54,10 @@ class Panel:
         """Draw one frame of the panel and of the score; the commands that the user gives."""
         self._visible = visible
         draw_score(world, pixels(WIDTH + 3 * MARGIN) if visible else 0.0)
-        return self._draw(world) if visible else []
+        commands = self._draw(world) if visible else []
+        if self.help:
+            self.help = not draw_help(bodies=world.editable)
+        return commands
 
     def _draw(self, world: WorldView) -> list[Command]:
         from imgui_bundle import imgui
@@ -81,7 +84,7 @@ class Panel:
         if section.title:
             imgui.set_next_item_open(section.open)
             imgui.push_style_var(imgui.StyleVar_.frame_padding, (pixels(4), pixels(2)))
-            section.open = imgui.collapsing_header(section.title)
+            section.open = imgui.collapsing_header(f"{section.label(world)}###{section.title}")
             imgui.pop_style_var()
         section.hovered = False
         if not section.open:
@@ -101,7 +104,12 @@ class Panel:
         rate = f"{self._performance.fps:.0f} fps"
         imgui.same_line()
         imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))  # onto the title's base line
-        text_right(rate, ACCENT)
+        button = imgui.get_frame_height() + imgui.get_style().item_spacing.x
+        text_right(rate, ACCENT, button)
+        imgui.same_line()
+        imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() - pixels(2))
+        self.help ^= imgui.button("?", (imgui.get_frame_height(), 0))
+        imgui.set_item_tooltip("Mouse and keys (H).")
         imgui.dummy((0, pixels(2)))
         for file, role in world.scene.cast:
             imgui.push_text_wrap_pos(0.0)

@@ -20,6 +20,10 @@ class Section:
         """True if this world has a use for the section."""
         return True
 
+    def label(self, world: WorldView) -> str:
+        """Text of the header: the title unless it says more."""
+        return self.title
+
     def draw(self, world: WorldView) -> list[Command]:
         """Draw the content; the commands that the user gives."""
         raise NotImplementedError

@@ -7,6 +7,7 @@ from pathlib import Path
 ACCENT = (0.98, 0.66, 0.24, 1.0)
 ON_ACCENT = (0.08, 0.08, 0.08, 1.0)
 FILMING = (0.93, 0.16, 0.14, 1.0)
+TEXT = (0.93, 0.94, 0.96, 1.0)
 QUIET = (0.66, 0.69, 0.74, 1.0)
 TEXT_SIZE = 15.0  # [px] at a display scale of 1
 TITLE_SIZE = 20.0
@@ -40,7 +41,7 @@ def apply_theme(scale: float) -> None:
     style.font_scale_dpi = scale
     colours = imgui.Col_
     for name, colour in {
-        colours.text: (0.93, 0.94, 0.96, 1.0),
+        colours.text: TEXT,
         colours.text_disabled: QUIET,
         colours.window_bg: (0.07, 0.08, 0.10, 0.86),
         colours.popup_bg: (0.09, 0.10, 0.13, 0.97),

@@ -149,10 +149,22 @@ def draw_track(fraction: float) -> None:
     draw_list.add_circle_filled((x, y), radius, imgui.get_color_u32(colour))
 
 
-def text_right(text: str, colour: tuple[float, ...] | None = None) -> None:
-    """Draw a text flush right."""
+def shortened(text: str, width: float) -> str:
+    """A text that is no wider than this [px]: the middle of a longer one is left out."""
     from imgui_bundle import imgui
 
-    space = imgui.get_content_region_avail().x - imgui.calc_text_size(text).x
+    kept = len(text)
+    short = text
+    while kept > 2 and imgui.calc_text_size(short).x > width:
+        kept -= 1
+        short = f"{text[: (kept + 1) // 2]}...{text[len(text) - kept // 2 :]}"
+    return short
+
+
+def text_right(text: str, colour: tuple[float, ...] | None = None, beside: float = 0.0) -> None:
+    """Draw a text flush right, so that `beside` [px] are left there."""
+    from imgui_bundle import imgui
+
+    space = imgui.get_content_region_avail().x - imgui.calc_text_size(text).x - beside
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(space, 0.0))
     imgui.text_colored(colour or imgui.get_style().color_(imgui.Col_.text), text)

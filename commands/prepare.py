@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--landmarks", type=Path, metavar="L.json", help=text)
     add_preparation(parser)
     *others, last = MATERIALS
-    text = f"{', '.join(others)} or {last} (default plush, with a rig flesh)"
+    text = f"{', '.join(others)} or {last} (default plush, stiffer where a slender shape needs it; with a rig flesh)"
     parser.add_argument("--material", metavar="NAME", help=text)
     text = "the splat is a room or garden to play in"
     parser.add_argument("--static", action="store_true", help=text)

@@ -10,7 +10,7 @@ from assets.library import cache_folder, cached_asset
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 2, 2  # of what `cached_body` and `cached_environment` make
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 3, 2  # of what `cached_body` and `cached_environment` make
 
 
 def prepared_bodies(args: argparse.Namespace) -> list[str]:

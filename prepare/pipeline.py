@@ -36,9 +36,10 @@ from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, vol
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.cleaning import clean, clean_components
+from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
 
-VERSION = 4  # of the pipeline's results; raise it when the same splat would give another asset
+VERSION = 5  # of the pipeline's results; raise it when the same splat would give another asset
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -50,7 +51,7 @@ class Options:
     vertices  of the cage, met within 15 %
     scale     largest extent [m]; None: the file's if a hand could hold that, else 0.25
     up        axis of the file that points up, "+x" to "-z"; None: guessed
-    material  a name of core.material; None: plush
+    material  a name of core.material; None: plush, stiffened where the shape needs it (prepare/own_weight.py)
     mesher    a name of component_cages.MESHERS; stuffing makes the cage where another fails
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone
@@ -151,10 +152,14 @@ def prepare(
         "counts": counts,
         "figures": figures,
     }
+    if options.material is None:
+        material, provenance["material"] = suitable_material(cage.vertices, cage.tets)
+    else:
+        material = Material.named(options.material)
     for solid in solids if look else ():
         look(solid)
     progress("contact", 1.0)
-    return Asset(g, cage, embedded, grid, Material.named(options.material or DEFAULT_MATERIAL), provenance)
+    return Asset(g, cage, embedded, grid, material, provenance)
 
 
 def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress) -> dict[str, np.ndarray]:

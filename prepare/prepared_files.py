@@ -16,6 +16,7 @@ from assets.images import thumbnail_of
 from assets.splat_files import read_gaussians
 from assets.up_axis import describe_guess
 from core.errors import BadInput
+from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
@@ -153,6 +154,7 @@ def summary(provenance: dict) -> list[str]:
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
+        *([own_weight.described(provenance["material"])] if "material" in provenance else ()),
         *(described(animation) if animation else ()),
     ]
 

@@ -137,4 +137,5 @@ def writable_cache(folder: Path) -> Path:
         print(f"vrgs: {e}: nothing is kept for the next time", file=sys.stderr, flush=True)
     temporary = tempfile.mkdtemp(prefix="vrgs-")
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    os.environ["VRGS_CACHE"] = temporary  # also of the programs that this one starts
     return Path(temporary)

@@ -9,7 +9,7 @@ from pathlib import Path
 from assets.file_access import check_writable
 from commands.conditions import Condition
 from commands.options import positive
-from commands.play import add_scene_arguments, open_session
+from commands.play import PREPARATION, add_scene_arguments, open_session
 from core.errors import BadInput
 
 HELP = "write a scene as it is in play: splats, cages, surfaces, or a sequence of them"
@@ -22,6 +22,9 @@ EXAMPLES = (
 KINDS = ("ply", "compressed.ply", "spz", "splat", "vtu", "obj")
 CONDITIONS = (
     Condition(("--format",), lambda args: is_folder(args.out), "is for a folder: a file's name says its kind"),
+    Condition(("--every",), lambda args: is_folder(args.out), "is for a sequence: --out must be a folder"),
+    Condition(("--no-shadows",), lambda args: kind_of(args) not in ("vtu", "obj"), "is for splats, not for cages"),
+    PREPARATION,
 )
 
 
@@ -39,6 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     unused = {"xr": False, "headless": True, "stereo": False, "sort": "z", "size": (16, 16), "render_scale": 1.0}
     unused |= dict.fromkeys(("record", "snapshot", "stats", "record_input", "study", "participant"))
     parser.set_defaults(**unused)
+
+
+def kind_of(args: argparse.Namespace) -> str:
+    """The kind of file that is asked for."""
+    return args.format if is_folder(args.out) else args.out.suffix.lower().lstrip(".")
 
 
 def is_folder(path: Path) -> bool:
@@ -74,8 +82,6 @@ def run(args: argparse.Namespace) -> None:
 def check_out(args: argparse.Namespace, sequence: bool) -> None:
     """Make the folder of a sequence, or check that the file can be written. Raises BadInput."""
     if not sequence:
-        if args.every is not None:
-            raise BadInput(f"--every asks for a sequence: --out must be a folder, not {args.out}")
         check_writable(args.out)
         return
     try:

@@ -53,17 +53,18 @@ EXAMPLES = """examples:
 """
 FPS = 60  # [1/s] of a headless play
 SIZE = (960, 540)  # [px] of a headless play
+PREPARATION = Condition(
+    ("--up", "--scale", "--vertices", "--cells", "--pieces"),
+    lambda args: args.replay or not all(map(is_asset, args.body or ())),
+    "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
+)
 CONDITIONS = (
     Condition(("--render-scale",), lambda args: args.xr, "belongs to --xr; elsewhere: --size"),
     Condition(("--size",), lambda args: not args.xr, "is not for --xr: a headset says what it takes; --render-scale"),
     Condition(("--stereo",), lambda args: args.headless, "belongs to --headless"),
     Condition(("--host",), lambda args: args.web is not None, "belongs to --web"),
     Condition(("--participant",), lambda args: args.study, "belongs to --study OUT.h5"),
-    Condition(
-        ("--up", "--scale", "--vertices", "--cells", "--pieces"),
-        lambda args: args.replay or not all(map(is_asset, args.body or ())),
-        "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
-    ),
+    PREPARATION,
 )
 SECONDS = 5  # [s] of a headless play of a scene without a game
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from assets.file_access import file_size
-from assets.library import cache_folder, cached_asset
+from assets.library import cached_asset
 from core.errors import BadInput
 from core.runtime import start_taichi
 
@@ -142,5 +142,4 @@ def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
 
 def _begin(splats: Path, out: Path, args: argparse.Namespace) -> None:
     start_taichi(args.arch, args.seed)
-    kept = f" (once; kept as {out})" if out.parent == cache_folder() else ""
-    print(f"preparing {splats.name}{kept}", flush=True)
+    print(f"preparing {splats.name} (once; kept as {out})", flush=True)

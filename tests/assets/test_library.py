@@ -1,6 +1,5 @@
 """Asset library: shipped and user's assets, their materials, and the cache of prepared ones."""
 
-import os
 from dataclasses import replace
 
 import pytest
@@ -44,9 +43,10 @@ def test_without_a_cache_folder_a_line_says_so_once_and_nothing_is_kept(tmp_path
     """The user's VRGS_CACHE may be a file, or lie where no folder can be made."""
     (tmp_path / "a.ply").write_bytes(b"bytes of a splat")
     (tmp_path / "file").write_bytes(b"")
-    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "file" if there == "a file" else "/proc/nowhere"))
+    folder = str(tmp_path / "file" if there == "a file" else "/proc/nowhere")
+    monkeypatch.setenv("VRGS_CACHE", folder)
     first = cached_asset(tmp_path / "a.ply", {"vertices": 100})
     assert cached_asset(tmp_path / "a.ply", {"vertices": 200}).parent == first.parent
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and os.environ["VRGS_CACHE"] in said
+    assert said.count("\n") == 1 and folder in said
     first.write_bytes(b"can be written")

@@ -8,9 +8,11 @@ from core.errors import BadInput
 
 PARSER = build_parser("", print)
 ALWAYS = {  # options that act whatever else is given; scenes check their own
-    None: "--help --scene --xr --headless --arch --interaction --embedding --sort --frames --record --snapshot --stats"
-    " --record-input --replay --study --seed --body --stage --material --detail",
+    None: "--help --version --web --scene --xr --headless --arch --interaction --embedding --sort --frames --record"
+    " --snapshot --stats --record-input --replay --study --seed --body --stage --material --detail",
     "scenes": "--help",
+    "export": "--help --scene --arch --interaction --embedding --frames --seed --body --stage --material --detail"
+    " --replay --out --only",
     "view": "--help --arch --size --snapshot --sort --up",
     "render": "--help --antialias --arch --camera --out --sort --turntable",
     "prepare": "--help --arch --out",
@@ -27,6 +29,13 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("--render-scale .5", "--render-scale belongs to --xr"),
     ("--xr --size 320x180", "--size is not for --xr"),
     ("--stereo", "--stereo belongs to --headless"),
+    ("--host ::1", "--host belongs to --web"),
+    *((f"export --out a.ply {o}", "is for a splat") for o in ("--up +y", "--scale 1", "--vertices 9", "--pieces")),
+    ("export --out a.ply --cells uniform", "is for a splat"),
+    ("export --out a.ply --format spz", "--format is for a folder"),
+    ("export --out a.ply --every 3", "--every is for a sequence"),
+    ("export --out a.vtu --no-shadows", "--no-shadows is for splats"),
+    ("prepare a.ply --cache --quantised", "--quantised belongs to --out"),
     ("--participant Ida", "--participant belongs to --study"),
     ("--body a.h5 --up=-y", "--up is for a splat file"),
     ("--body ring_red --scale 1", "--scale is for a splat file"),

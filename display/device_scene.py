@@ -26,6 +26,7 @@ from render.splats import Splats
 from scenes.scene import Light, Scene
 from sim.capacity import MAX_BODIES, Capacity
 from sim.contact.contact_samples import MAX_SAMPLES
+from sim.contact.line_of_sight import LineOfSight
 from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody, Solver
@@ -77,9 +78,11 @@ class DeviceScene:
             + max(math.ceil(HEADROOM * sum(self.gaussian_counts)), 2 * sum(len(p.part.gaussians) for p in reserved)),
         )
         self.props = SkinnedProps(self.splats, props, len(still)) if props else None
+        obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
+        self.sight = LineOfSight(obstacles)
         self.solver = Solver(
             [body for body, _ in moving],
-            [*scene.colliders, *(grid for _, grids in static for grid in grids)],
+            obstacles,
             gravity=scene.gravity,
             substep=scene.substep,
             iterations=scene.iterations,

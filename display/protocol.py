@@ -345,7 +345,11 @@ class WorldView(Protocol):
         raise IndexError(body)
 
     def pick(self, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int] | None:
-        """Distance [m] along a ray to the nearest simulated body, and its index."""
+        """Distance [m] along a ray to the nearest simulated body, and its index; None if the room hides it."""
+        return None
+
+    def ground(self, point: np.ndarray) -> float | None:
+        """Height [m] of table or floor below a point; None if there is none near."""
         return None
 
     def tell(self, text: str) -> None:

@@ -323,8 +323,13 @@ class World(WorldView):
         return self._bodies
 
     def pick(self, origin, direction) -> tuple[float, int] | None:
-        """Distance [m] along a ray to the nearest simulated body, and its index."""
-        return self.device.solver.pick(origin, direction)
+        """Distance [m] along a ray to the nearest simulated body, and its index; None behind the room."""
+        hit = self.device.solver.pick(origin, direction)
+        return None if hit is None or self.device.sight.hides(origin, direction, hit[0]) else hit
+
+    def ground(self, point) -> float | None:
+        """Height [m] of the room below a point; None: there is none near."""
+        return self.device.sight.ground(point)
 
     @property
     def selected(self) -> int | None:

@@ -19,6 +19,7 @@ from scenes.scene import Hand
 ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
 LOOK_GAIN = 1.5  # head turn against the angle that the cursor passes over
 PUSH_PER_NOTCH = 0.06  # of the hand's depth, for one notch of the wheel
+EYE_CLEARANCE = 0.05  # [m] over table or floor, below which a drag does not take the eye; walking does
 WALK_RATE = 0.8  # [1/s] walking speed in distances to the target
 MIN_WALK_SPEED = 0.5  # [m/s], so that a near target does not stop the walk
 RUN_FACTOR = 3.0  # walking speed with Shift
@@ -56,6 +57,7 @@ class Controls:
         self.quit = False
         self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
+        self._lowest: float | None = None  # [m] to which a drag takes the eye down
         self._walking: set[str] = set()
         self._shift = False
         self._light_cursor: tuple | None = None  # where the light was put last, while its key is down
@@ -71,6 +73,8 @@ class Controls:
             self.drag = "pan"
         else:
             self.drag = "look" if button == "right" else "turn"
+            ground = world.ground(self.orbit.target)
+            self._lowest = None if ground is None else ground + EYE_CLEARANCE
 
     def _grab(self, u: float, v: float, camera: Camera, world: WorldView) -> bool:
         hit = world.pick(*camera.ray(u, v))
@@ -98,7 +102,7 @@ class Controls:
         elif self.drag == "grab":
             self.hand.drag(du, dv)
         elif self.drag == "turn":
-            self.orbit.turn(-du * angle, dv * angle)
+            self.orbit.turn(-du * angle, dv * angle, self._lowest)
         elif self.drag == "look":  # as in games: the view goes with the mouse; "turn" and "pan" drag the scene
             self.orbit.look(-LOOK_GAIN * du / camera.fx, -LOOK_GAIN * dv / camera.fy)
         elif self.drag == "pan":

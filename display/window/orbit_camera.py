@@ -36,9 +36,17 @@ class OrbitCamera:
         steepness = np.tan(0.5 * self.fov_y) * max(1.0, height / width)
         return perspective(width, height, float(2.0 * np.arctan(steepness)), look_at(self.eye, self.target))
 
-    def turn(self, yaw: float, pitch: float) -> None:
-        """Orbit the target: angles [rad], positive to the right of the target and upwards."""
-        self.eye = self.target + turn_vector(self.eye - self.target, yaw, pitch)
+    def turn(self, yaw: float, pitch: float, lowest: float | None = None) -> None:
+        """Orbit the target: angles [rad], positive to the right of the target and upwards.
+
+        The eye goes no lower than `lowest` [m], or than it is already.
+        """
+        offset = self.eye - self.target
+        if lowest is not None:
+            height = min(lowest - self.target[1], offset[1])
+            least, now = np.arcsin(np.clip(np.array([height, offset[1]]) / self.distance, -1.0, 1.0))
+            pitch = max(pitch, least - now)
+        self.eye = self.target + turn_vector(offset, yaw, pitch)
 
     def look(self, yaw: float, pitch: float) -> None:
         """Turn the head: angles [rad], positive to the left and upwards."""

@@ -54,6 +54,27 @@ def test_orbit_turns_around_the_target_and_stays_upright():
     assert_allclose(right[1], 0.0, atol=1e-12)  # level horizon
 
 
+def test_an_orbit_stops_at_the_ground_unless_the_eye_is_below_it_already():
+    orbit = OrbitCamera((0, 1, 3), (0, 0.5, 0), 0.9)
+    before = orbit.distance
+    orbit.turn(0.3, -2.0, lowest=0.2)
+    assert_allclose([orbit.eye[1], orbit.distance], [0.2, before])
+    orbit.turn(0.3, 0.1, lowest=0.2)
+    assert orbit.eye[1] > 0.3  # up again at once
+    orbit.eye = np.array([0.0, -1.0, 2.0])
+    orbit.turn(0.3, -0.2, lowest=0.2)
+    assert_allclose(orbit.eye[1], -1.0)
+    orbit.turn(0.0, 0.2, lowest=0.2)
+    assert orbit.eye[1] > -0.9
+
+
+def test_a_drag_goes_no_lower_than_the_table(controls, world):
+    world.ground = lambda point: -0.4
+    controls.press("left", *SKY, CAMERA, world)
+    controls.move(0.0, -170.0, CAMERA)
+    assert controls.orbit.eye[1] == pytest.approx(-0.35)
+
+
 def test_look_keeps_the_eye_and_turns_left_for_positive_yaw():
     orbit = OrbitCamera((0, 0, 3), (0, 0, 0), 0.9)
     orbit.look(0.3, 0.1)

@@ -199,13 +199,37 @@ def test_the_panel_has_the_mouse_while_it_is_under_it(session):
     assert session.after()["eye"] == [0, 0, 3]
     session.screen.wheel(5)  # back to the top of the panel
     session.screen.key_down("ctrl")
+    session.after(3)
     session.screen.click(100, 292)
+    session.after(3)
     session.screen.key_up("ctrl")
     session.after(3)
     session.screen.do("type", "--", "1.25")
     session.screen.key("Return")
     session.until(lambda f: f["light"][0] == 1.25)
     session.screen.click(80, 225)
+
+
+def test_the_gizmo_moves_the_body_under_the_cursor_and_escape_puts_it_away(session):
+    session.screen.mouse_move(*BALL)
+    session.after()
+    session.screen.key("g")
+    session.until(lambda f: f["selected"] == 0)
+    session.after()
+    before = len(session.frames())
+    handle = (BALL[0] + 36, BALL[1])  # the arrow along x
+    session.screen.drag(handle, (handle[0] + 80, handle[1]), seconds=0.5)
+    moved = session.until(lambda f: f["ball"][0] > 0.2)
+    assert moved["eye"] == [0, 0, 3] and not moved["held"] and abs(moved["ball"][1]) < 1e-6
+    assert any("place" in f["commands"] for f in session.frames()[before:])
+    session.screen.key("Escape")
+    session.after()
+    session.screen.key("h")  # the card of keys, which lies over all
+    session.after()
+    session.screen.key("Escape")
+    session.after()
+    session.screen.drag(FREE, (FREE[0] - 100, FREE[1]), seconds=0.3)
+    session.until(lambda f: f["eye"][0] > 0.5)
 
 
 def test_the_picture_takes_the_size_of_the_window(session):

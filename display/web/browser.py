@@ -132,6 +132,7 @@ class Browser:
     def show_scene(self, scene: Scene, title: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._server.greet(first_words(title, scene))
+        self._server.tell({"loading": f"Loading {title}"})
         self._controls.let_go()
         self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
 

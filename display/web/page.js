@@ -8,6 +8,7 @@ const RESIZE_DELAY = 150;  // [ms] without a change of the page's size before th
 const PIXELS_PER_NOTCH = 100;  // of a wheel
 const PINCH_PER_NOTCH = 1.1;  // of the fingers' distance
 const HINT_SECONDS = 20;
+const PANEL_ROUNDING = 14;  // [px] of its corners, under which the picture goes on
 const SLIDER_STEPS = 1000;
 
 let socket = null, hello = null, ended = "";
@@ -28,6 +29,7 @@ function connect() {
   socket.onmessage = (event) => typeof event.data === "string" ? take(JSON.parse(event.data)) : arrive(event.data);
   socket.onclose = (event) => {
     state = {};
+    get("controls").hidden = get("performance").hidden = true;
     get("role").hidden = get("line").hidden = true;
     if (event.code === 1001) ended = "The play has ended.";
     say(ended || (hello ? "The connection is lost. Trying again …" : "No answer. Trying again …"));
@@ -67,12 +69,19 @@ function show(bitmap, head) {
   send("shown", head.n, head.stamp === null ? null : Math.max(0, performance.now() - head.stamp));
 }
 
+function area() {  // what the page has for the picture [px]: on a telephone, what the panel leaves
+  const panel = get("panel");
+  const below = !panel.hidden && matchMedia("(max-width: 560px)").matches;
+  return { width: innerWidth, height: innerHeight - (below ? panel.offsetHeight - PANEL_ROUNDING : 0) };
+}
+
 function frame() {  // rectangle of the picture in the page: as large as its shape allows
-  const scale = Math.min(innerWidth / shape.width, innerHeight / shape.height);
+  const { width: wide, height: high } = area();
+  const scale = Math.min(wide / shape.width, high / shape.height);
   const width = shape.width * scale, height = shape.height * scale;
-  const close = Math.abs(width - innerWidth) < 0.02 * innerWidth && Math.abs(height - innerHeight) < 0.02 * innerHeight;
-  if (close) return { left: 0, top: 0, width: innerWidth, height: innerHeight };  // sides are rounded to pixels
-  return { left: (innerWidth - width) / 2, top: (innerHeight - height) / 2, width, height };
+  const close = Math.abs(width - wide) < 0.02 * wide && Math.abs(height - high) < 0.02 * high;
+  if (close) return { left: 0, top: 0, width: wide, height: high };  // sides are rounded to pixels
+  return { left: (wide - width) / 2, top: (high - height) / 2, width, height };
 }
 
 function place() {
@@ -109,13 +118,16 @@ function drawStrokes() {
 
 let resizing = 0;
 function sendSize() {
-  send("size", Math.max(1, Math.round(innerWidth * devicePixelRatio)), Math.max(1, Math.round(innerHeight * devicePixelRatio)));
+  const { width, height } = area();
+  send("size", Math.max(1, Math.round(width * devicePixelRatio)), Math.max(1, Math.round(height * devicePixelRatio)));
 }
-addEventListener("resize", () => {
+function resize() {
   place();
   clearTimeout(resizing);
   resizing = setTimeout(sendSize, RESIZE_DELAY);
-});
+}
+addEventListener("resize", resize);
+new ResizeObserver(resize).observe(get("panel"));
 document.addEventListener("visibilitychange", () => send("hidden", document.hidden));
 
 // ---------------------------------------------------------------- mouse and fingers
@@ -264,6 +276,9 @@ function build() {
   choice("light-kind", ["Point", "Directional"], (name) => send("light", name));
   choice("resolution", hello.resolutions, (name) => { send("resolution", name); mark("resolution", name); });
   get("edits").replaceChildren(...Object.entries(hello.edits).map(([name, tip]) => button(name, tip, () => send("edit", name))));
+  mark("interaction", state.interaction);
+  mark("resolution", state.resolution);
+  mark("light-kind", state.light);
   const touch = matchMedia("(pointer: coarse)").matches;
   const gestures = touch ? [["One finger", "grab a body, release to throw; else turn around the scene"],
     ["Two fingers", "apart or together: nearer and farther; side by side: shift the view"],
@@ -351,6 +366,7 @@ function take(news) {
     get("line").hidden = !(state.score || state.message || state.notice || state.opening);
   }
   if ("editable" in news) {
+    get("controls").hidden = get("performance").hidden = false;
     get("play").hidden = get("edit").hidden = get("world").hidden = !state.editable;
     get("hint").hidden = !state.editable || state.role !== "play" || get("hint").classList.contains("gone");
     setTimeout(() => get("hint").classList.add("gone"), HINT_SECONDS * 1000);

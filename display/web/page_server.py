@@ -37,6 +37,7 @@ MAX_PAGES = 16
 MESSAGES_PER_SECOND, BURST = 400, 800  # of a page: a mouse, keys and answers take 200
 MAX_EVENTS = 4000  # that wait while kernels are compiled
 PING_INTERVAL = 2.0  # [s] between measurements of a connection's delay
+PING_TIMEOUT = 60.0  # [s]; compilation of a large kernel may keep this thread waiting for some
 CLOSE_PATIENCE = 2.0  # [s] for the goodbyes at the end
 POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 SOURCES = "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data: blob:; connect-src 'self'"
@@ -200,7 +201,8 @@ class PageServer:
         silent.addHandler(logging.NullHandler())
         silent.propagate = False
         options = {"compression": None, "max_size": MESSAGE_BYTES, "server_header": None, "logger": silent}
-        async with serve(self._attend, sock=self._socket, process_request=self._answer, close_timeout=1, **options):
+        options |= {"close_timeout": 1, "ping_timeout": PING_TIMEOUT}
+        async with serve(self._attend, sock=self._socket, process_request=self._answer, **options):
             await self._ended.wait()
 
     def _answer(self, connection, request):

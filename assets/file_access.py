@@ -101,6 +101,14 @@ def remove_stale_parts(path: Path) -> None:
                 Path(found.path).unlink(missing_ok=True)
 
 
+def reason_of(error: Exception) -> str:
+    """What the system said to a failed call, in a few words; HDF5 hides it in a long text."""
+    number = re.search(r"errno = (\d+)", str(error))
+    if number:
+        return os.strerror(int(number[1]))
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:100]
+
+
 @contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
     """Yield a name beside `path` to write to; that file replaces `path` only if the block succeeds."""
@@ -115,7 +123,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
         yield beside
         os.replace(beside, path)
     except OSError as e:
-        raise BadInput(f"{path}: cannot be written ({e.strerror or e})") from e
+        raise BadInput(f"{path}: cannot be written ({reason_of(e)})") from e
     finally:
         beside.unlink(missing_ok=True)
 

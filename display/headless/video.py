@@ -14,6 +14,7 @@ from display.picture import pixels_of, side_by_side
 CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
 FILM_FPS = 30.0  # [1/s]
 BYTES_PER_PIXEL = 0.05  # of a busy picture; measured 0.02 on noise and waves that move
+SPACE_MIN = 1e6  # [bytes] without which no codec can even begin
 
 
 class Video:
@@ -30,7 +31,7 @@ class Video:
         self.size = (width + width % 2, height + height % 2)  # codecs halve the colours' resolution
         remove_stale_parts(self.path)
         self._part = part_beside(self.path, ".mp4")
-        check_writable(self.path, self._part, bytes_needed=BYTES_PER_PIXEL * width * height * frames)
+        check_writable(self.path, self._part, bytes_needed=max(BYTES_PER_PIXEL * width * height * frames, SPACE_MIN))
         self._codec, self._writer = self._first_codec(), None
 
     def _open(self, codec: str):

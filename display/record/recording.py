@@ -31,7 +31,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from assets.file_access import check_writable
+from assets.file_access import check_writable, reason_of
 from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Command, Frame
@@ -79,7 +79,7 @@ class Recording:
         try:
             self._file = h5py.File(self.part, "x")  # only if it is not there: another session may begin at this moment
         except OSError as e:
-            raise BadInput(f"{self.part}: cannot be written ({' '.join(str(e).split())[:100]})") from e
+            raise BadInput(f"{self.part}: cannot be written ({reason_of(e)})") from e
         self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
         for name, (shape, kind) in DATASETS.items():
             rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
@@ -177,7 +177,7 @@ class Recording:
                     data[-len(rows) :] = np.array(rows, DATASETS[name][1])
             self._file.flush()
         except (OSError, RuntimeError) as e:
-            print(f"{self.path}: nothing more is recorded ({' '.join(str(e).split())[:100]})", file=sys.stderr)
+            print(f"{self.path}: nothing more is recorded ({reason_of(e)})", file=sys.stderr)
             self._file = None
 
     def flush(self) -> None:

@@ -79,6 +79,8 @@ def decode_image(data: bytes, *, alpha: bool = False) -> np.ndarray | None:
     """
     import cv2
 
+    if data.startswith(PNG_SIGNATURE) and not _png_lengths_fit(data):
+        return None  # OpenCV allocates what a chunk claims
     log, level = cv2.utils.logging, cv2.utils.logging.getLogLevel()
     log.setLogLevel(log.LOG_LEVEL_SILENT)  # OpenCV would print what the caller reports
     mode = cv2.IMREAD_UNCHANGED if alpha else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -146,6 +148,14 @@ def check_thumbnail(png: np.ndarray, where: str) -> None:
         raise BadInput(f"{where}: the thumbnail's pixels are damaged") from e
     if len(unpacked) != size:
         raise BadInput(f"{where}: the thumbnail's pixels are not {size} bytes")
+
+
+def _png_lengths_fit(data: bytes) -> bool:
+    """Check that no chunk claims to be longer than the file."""
+    at = len(PNG_SIGNATURE)
+    while at + 12 <= len(data) and data[at + 4 : at + 8] != b"IEND":
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return at <= len(data)
 
 
 def _png_chunks(data: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:

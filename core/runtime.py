@@ -9,9 +9,11 @@ import textwrap
 import weakref
 from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
 from types import SimpleNamespace
 
 from core.errors import BadInput
+from core.kernel_cache import mend_kernel_cache
 
 # Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
 # few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
@@ -31,6 +33,8 @@ def start_taichi(arch: str | None = None, seed: int = 0) -> None:
 
     if impl.get_runtime().prog is not None:
         return
+    cache_folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or impl.default_cfg().offline_cache_file_path
+    mend_kernel_cache(Path(cache_folder))
     ti.set_logging_level(ti.ERROR)  # a machine without CUDA is nothing to warn of
     cuda = arch != "cpu" and is_arch_supported(ti.cuda)
     if arch == "cuda" and not cuda:

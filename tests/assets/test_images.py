@@ -44,3 +44,11 @@ def test_damaged_pixels_are_told_from_sound_ones(suffix, capfd):
     assert decode_image(data[: len(data) // 3]) is None and decode_image(b"") is None
     assert decode_image(struct.pack("<I", 7) * 9) is None
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_chunk_that_claims_gigabytes_is_damage():
+    """OpenCV would allocate them."""
+    data = encoded(".png")
+    at = data.index(b"IDAT") - 4
+    assert decode_image(data[:at] + b"\xff\xff\xff\x00" + data[at + 4 :]) is None
+    assert decode_image(data + bytes(7)) is not None

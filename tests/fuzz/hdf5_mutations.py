@@ -204,7 +204,8 @@ def change_json_lines(rng: np.random.Generator, file: h5py.File) -> None:
     if not texts:
         return change_attribute(rng, file)
     name = any_of(rng, texts)
-    lines = bytes(file[name][()].astype(np.uint8)).splitlines()
+    with np.errstate(invalid="ignore"):
+        lines = bytes(np.asarray(file[name][()] if file[name].shape else 0).astype(np.uint8)).splitlines()
     if not lines:
         lines = [json_text(hard_value(rng))]
     k = int(rng.integers(len(lines)))
@@ -227,7 +228,8 @@ def inside_hdf5(folder: Path) -> Mutation:
         with h5py.File(path, "r+") as file:
             for _ in range(rng.choice([1, 2, 3], p=[0.7, 0.2, 0.1])):
                 if names(file, h5py.Dataset):
-                    any_of(rng, CHANGES)(rng, file)
+                    with contextlib.suppress(UnicodeEncodeError):  # a text that was none before
+                        any_of(rng, CHANGES)(rng, file)
         found = {name: path.read_bytes()}
         path.unlink()
         return found

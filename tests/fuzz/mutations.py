@@ -254,14 +254,14 @@ def entry(name: str, data: bytes, method: int = zipfile.ZIP_STORED) -> Entry:
 
 def zipped(found: list[Entry]) -> bytes:
     """A ZIP archive of entries, which may lie (APPNOTE.TXT, 4.3)."""
-    body, central = b"", b""
+    body, central = bytearray(), bytearray()
     for e in found:
         name = e.name.encode()
         about = struct.pack("<5H3I2H", 20, 0, e.method, 0, 33, e.crc, len(e.packed), e.size, len(name), 0)
         central += b"PK\1\2" + struct.pack("<H", 20) + about + struct.pack("<3H2I", 0, 0, 0, 0, len(body)) + name
         body += b"PK\3\4" + about + name + e.packed
     end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, len(found), len(found), len(central), len(body), 0)
-    return body + central + end
+    return bytes(body + central + end)
 
 
 @functools.cache

@@ -1,0 +1,122 @@
+"""Taichi's cache of compiled kernels after programs that were killed, disks that failed, and two programs at once."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.kernel_cache import ENTRY, HEADER_SIZE, INDEX, KEY_SIZE, LOCK, LOCK_AGE, is_sound_index, mend_kernel_cache
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def index(count: int) -> bytes:
+    """An index as Taichi 1.7.4 writes it."""
+    entries = np.zeros(count, ENTRY)
+    entries["length"] = entries["length_2"] = KEY_SIZE
+    entries["key"] = entries["key_2"] = [f"T{k:064x}".encode() for k in range(count)]
+    size = HEADER_SIZE + count * ENTRY.itemsize
+    numbers = (np.uint64(size), *np.array([1, 7, 4], np.uint16), np.uint64(5000), np.uint64(count))
+    return b"".join(n.tobytes() for n in numbers) + entries.tobytes()
+
+
+def test_a_damaged_index_is_told_from_a_sound_one():
+    assert is_sound_index(index(0)) and is_sound_index(index(9))
+    good = index(5)
+    assert not any(is_sound_index(good[:n]) for n in (0, 7, 29, 30, 200, len(good) - 1))
+    for at in (
+        0,
+        22,
+        HEADER_SIZE,
+        HEADER_SIZE + 8,
+        HEADER_SIZE + 20,
+        HEADER_SIZE + 8 + KEY_SIZE,
+        len(good) - ENTRY.itemsize,
+    ):
+        for bit in (0, 3, 7):
+            bad = bytearray(good)
+            bad[at] ^= 1 << bit
+            assert not is_sound_index(bytes(bad)), (at, bit)
+    assert is_sound_index(good[:8] + b"\2\0\0\0\0\0" + good[14:])  # another version's: not ours to judge
+
+
+def test_a_lock_that_was_left_and_a_damaged_index_go(tmp_path):
+    mend_kernel_cache(tmp_path / "none")
+    (tmp_path / INDEX).write_bytes(index(3))
+    (tmp_path / LOCK).touch()
+    mend_kernel_cache(tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [LOCK, INDEX]  # a program may be writing just now
+    os.utime(tmp_path / LOCK, (0, time.time() - 2 * LOCK_AGE))
+    mend_kernel_cache(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == [INDEX]
+    (tmp_path / INDEX).write_bytes(index(3)[:-1])
+    mend_kernel_cache(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+PROGRAM = """
+import sys, time
+from core.runtime import start_taichi
+start_taichi("cpu")
+import taichi as ti
+a, compiled = ti.field(ti.f32, 50), 0.0
+def kernel(k):
+    @ti.kernel
+    def add():
+        for i in a:
+            a[i] = ti.sin(k * 0.1 + i) * a[i] * 0 + k
+    return add
+for k in range(int(sys.argv[1]), int(sys.argv[2])):
+    kernel(k)()
+    assert a[3] == k
+    print(k, flush=True)
+"""
+
+
+def program(folder: Path, first: int, last: int) -> subprocess.Popen:
+    """A program that compiles kernels, or takes them from the cache, and runs them."""
+    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder)}
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(first), str(last)], cwd=ROOT, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def sound_end(process: subprocess.Popen) -> None:
+    """Wait for a program that must end well."""
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err[-2000:]
+
+
+@pytest.mark.long
+def test_programs_start_whatever_was_left_in_the_cache(tmp_path):
+    sound_end(program(tmp_path, 0, 4))
+    written = (tmp_path / INDEX).read_bytes()
+    assert is_sound_index(written), "Taichi writes what we read"
+    rng = np.random.default_rng(0)
+    for trial in range(8):
+        damaged = bytearray(written)
+        for at in rng.integers(0, len(damaged), 3):
+            damaged[at] ^= 1 << rng.integers(8)
+        (tmp_path / INDEX).write_bytes(damaged)
+        if trial % 2:
+            for kernel in tmp_path.glob("*.tic"):
+                kernel.write_bytes(kernel.read_bytes()[: rng.integers(kernel.stat().st_size)])
+        sound_end(program(tmp_path, 0, 4))
+
+
+@pytest.mark.long
+def test_two_programs_compile_at_once_and_one_is_killed(tmp_path):
+    for trial in range(6):
+        one, two = program(tmp_path, 0, 12), program(tmp_path, 6, 18)
+        one.stdout.readline()
+        time.sleep(0.3 * trial)
+        one.send_signal(signal.SIGKILL)
+        one.wait()
+        sound_end(two)
+        sound_end(program(tmp_path, 0, 18))

@@ -60,11 +60,11 @@ def test_a_lock_that_was_left_and_a_damaged_index_go(tmp_path):
 
 
 PROGRAM = """
-import sys, time
+import sys
 from core.runtime import start_taichi
 start_taichi("cpu")
 import taichi as ti
-a, compiled = ti.field(ti.f32, 50), 0.0
+a = ti.field(ti.f32, 50)
 def kernel(k):
     @ti.kernel
     def add():
@@ -80,9 +80,11 @@ for k in range(int(sys.argv[1]), int(sys.argv[2])):
 
 def program(folder: Path, first: int, last: int) -> subprocess.Popen:
     """A program that compiles kernels, or takes them from the cache, and runs them."""
-    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder)}
+    source = folder.with_suffix(".py")  # Taichi reads the text of kernels
+    source.write_text(PROGRAM)
+    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder), "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, str(first), str(last)], cwd=ROOT, env=environment, text=True,
+        [sys.executable, str(source), str(first), str(last)], cwd=ROOT, env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
 

@@ -114,6 +114,17 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
             print(f"vrgs: {scenes}: {uses[0][1].flag} means something else already: rename it", file=sys.stderr)
 
 
+def add_scene_file_options(parser: argparse.ArgumentParser, scene_file: str) -> None:
+    """Add the options of a scene file, which is run; one that other scenes have as well is there already."""
+    from scenes import registry
+
+    found = registry.demo(scene_file)
+    for option in () if found is None else found.options:
+        if option.flag not in parser._option_string_actions:
+            kept = {"dest": option.name, "action": SetSceneOption, "metavar": "X", "help": option.choice_text}
+            parser.add_argument(option.flag, **kept)
+
+
 class SetSceneOption(argparse.Action):
     """Keep the text of a scene's option in the dict `options`."""
 

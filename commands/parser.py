@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from commands import (
@@ -27,8 +27,10 @@ from commands import (
     view,
 )
 from commands.conditions import check_conditions
+from commands.options import add_scene_file_options
 from core.errors import BadInput
 from core.program import VERSION, as_called
+from scenes.registry import is_scene_file
 
 COMMANDS = {
     "scenes": scenes,
@@ -70,6 +72,9 @@ def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace]
     Options before a command are those of the command, and must be known to it.
     """
     parser = build_parser(summary, run_play)
+    if (scene_file := scene_file_in(argv)) is not None:
+        for taker in (parser, parser.commands["export"]):
+            add_scene_file_options(taker, scene_file)
     at = command_position(parser, argv)
     name = None if at is None else argv[at]
     if name is not None:
@@ -82,6 +87,13 @@ def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace]
     args.given = given
     check_conditions(args, given, getattr(module, "CONDITIONS", ()))
     return args
+
+
+def scene_file_in(argv: Sequence[str]) -> str | None:
+    """The scene file that a command line names, whose options it may set; None if there is none."""
+    pairs = zip(argv, [*argv[1:], ""], strict=True)
+    values = (word.partition("=")[2] or after for word, after in pairs if word.partition("=")[0] == "--scene")
+    return next(filter(is_scene_file, values), None)
 
 
 def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> Parser:

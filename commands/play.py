@@ -26,6 +26,7 @@ from commands.prepared import is_asset, prepared_bodies, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
+from scenes.registry import is_scene_file, label
 
 if TYPE_CHECKING:
     from commands.play_session import Session
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
-  python vrgs.py --scene sandbox --body cat.ply         drop your own splat on the table
+  python vrgs.py --body cat.ply                         drop your own splat on the table
+  python vrgs.py --scene my_scene.py                    play a scene file of yours (docs/writing_a_scene.md)
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
   python vrgs.py --xr --record-input play.h5            play in a headset, and keep what you do
   python vrgs.py --web                                  play in a browser: for machines without a display
@@ -102,7 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what is played, and how long."""
-    parser.add_argument("--scene", default="ring_toss", metavar="NAME", help="demo to play (see: vrgs.py scenes)")
+    text = "demo to play (see: vrgs.py scenes), or your own scene file, which is run (default ring_toss; with --body "
+    parser.add_argument("--scene", default="ring_toss", metavar="NAME|FILE.py", help=f"{text}sandbox)")
     add_arch(parser)
     text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
     parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)
@@ -128,6 +131,8 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
     """Open all that the options request, closed at the end. Raises BadInput before any long operation."""
     from commands.play_session import Outputs, Session
 
+    if args.body and "--scene" not in getattr(args, "given", ("--scene",)):
+        args.scene = "sandbox"
     replay = open_replay(args)
     scene = load_scene(args, replay)
     with (
@@ -158,7 +163,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
 
 def title_of(args: argparse.Namespace) -> str:
     """Title of the window."""
-    return f"VR-GS: {args.scene}"
+    return f"VR-GS: {label(args.scene)}"
 
 
 def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
@@ -195,9 +200,11 @@ def open_replay(args: argparse.Namespace) -> Replay | None:
         raise BadInput("--replay is seen in a window or with --headless: leave out --xr")
     from display.record.replay import Replay
 
-    replay = Replay.load(args.replay)
+    replay, named = Replay.load(args.replay), args.scene
     asked = {flag: getattr(args, flag[2:], None) for flag in getattr(args, "given", ())}
     replay.set_options(args)
+    if is_scene_file(args.scene) and args.scene != named:  # a program, which no recording starts
+        raise BadInput(f"{args.replay}: was played in a scene file; name it too: --scene {args.scene}")
     for flag, value in asked.items():
         if value != getattr(args, flag[2:], None):
             raise BadInput(f"{flag} {value}: the recording was made with {getattr(args, flag[2:])}, which stays")
@@ -224,7 +231,7 @@ def open_study(args: argparse.Namespace, scene: Scene):
     return StudyLog(
         args.study,
         participant=(args.participant or "").strip(),
-        task=" ".join([args.scene, *(f"{key}={value}" for key, value in sorted(options.items()))]),
+        task=" ".join([label(args.scene), *(f"{key}={value}" for key, value in sorted(options.items()))]),
         device=device,
         about={"options": options, "roles": {role: file for file, role in scene.cast}},
     )
@@ -234,7 +241,7 @@ def open_keeper(args: argparse.Namespace) -> Keeper:
     """What writes the files that the user asks for in play."""
     from display.keep.keeper import Keeper
 
-    return Keeper(args.scene)
+    return Keeper(label(args.scene))
 
 
 def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
@@ -262,11 +269,11 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
             from display.window.window import Window
 
             width, height = args.size or (None, None)
-            kept = {"preferences": Preferences.of_user(), "name": args.scene}
+            kept = {"preferences": Preferences.of_user(), "name": label(args.scene)}
             return Window(scene, title=title_of(args), width=width, height=height, hint=replay is None, **kept)
         args.headless = True
-        args.record = args.record or Path(f"{args.scene}.mp4")
-        args.snapshot = args.snapshot or Path(f"{args.scene}.png")
+        args.record = args.record or Path(f"{label(args.scene)}.mp4")
+        args.snapshot = args.snapshot or Path(f"{label(args.scene)}.png")
         files = f"{args.record} and {args.snapshot}"
         print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
     from display.headless.headless import Headless

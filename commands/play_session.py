@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING
 from commands.opening import Opening
 from core.errors import BadInput, Cancelled
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
-from display.protocol import OPENING, AddBody, CancelOpening, Display, Frame, OpenScene, SwapRoom, in_order
+from display.protocol import OPENING, AddBody, CancelOpening, Command, Display, Frame, OpenScene, SwapRoom
+from scenes.registry import label
 
 if TYPE_CHECKING:
     from display.headless.video import FilmWriter
@@ -75,6 +77,7 @@ class Session:
         self.keeper = outputs.keeper
         self._load, self._title, self._options, self._count = load, title, options, 0
         self._opening: Opening | None = None
+        self._requests: deque[Command] = deque()  # what is opened after that
         self._planned: Planned | None = None
         self.world = self._make(scene)
 
@@ -115,7 +118,7 @@ class Session:
             shown = self.replay.frames if self.replay else self.display.frames
             frames = shown(self.display, self.world, paced=not self.args.headless) if self.replay else shown(self.world)
             for frame in frames:
-                requests = [c for c in in_order(frame.commands) if isinstance(c, OPENING)]
+                requests = [c for c in frame.commands if isinstance(c, OPENING)]
                 frame.commands = [c for c in frame.commands if not isinstance(c, OPENING)]
                 yield frame
                 for request in requests:
@@ -141,19 +144,24 @@ class Session:
         if running is not None:  # its file names one scene, with which it begins
             self.world.tell(f"Nothing else can be opened during {running}.")
             return
-        self._end_opening()
-        try:
-            self._opening = Opening(request, self.args)
-        except BadInput as e:
-            self.world.tell(str(e))
+        if not isinstance(request, AddBody):  # which waits for its turn
+            self._end_opening()
+        self._requests.append(request)
 
     def _end_opening(self) -> None:
+        """Give up what is being opened, and what waits."""
         if self._opening is not None:
             self._opening.close()
-            self._opening, self.world.opening = None, ""
+        self._opening, self.world.opening = None, ""
+        self._requests.clear()
 
     def _advance_opening(self) -> None:
         """Go on with what is being opened; once it is ready, add the body, or plan another world."""
+        if self._opening is None and self._requests:
+            try:
+                self._opening = Opening(self._requests.popleft(), self.args)
+            except BadInput as e:
+                self.world.tell(str(e))
         opening = self._opening
         if opening is None:
             return
@@ -164,7 +172,7 @@ class Session:
             self._carry_out(opening)
         except BadInput as e:
             self.world.tell(str(e))
-        self._end_opening()
+        self._opening, self.world.opening = None, ""
 
     def _carry_out(self, opening: Opening) -> None:
         from display.scene_bodies import load_bodies
@@ -226,8 +234,8 @@ class Session:
         the cache count the fields before theirs, are found there."""
         end_taichi()
         start_taichi(args.arch, args.seed)
-        self.args, self.keeper.scene = args, args.scene
-        self.display.show_scene(scene, self._title(args))
+        self.args, self.keeper.scene = args, label(args.scene)
+        self.display.show_scene(scene, self._title(args), label(args.scene))
         self.world = self._make(scene, reserve)
 
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:

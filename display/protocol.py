@@ -387,7 +387,7 @@ class Display(Protocol):
         """
         ...
 
-    def show_scene(self, scene: Scene, title: str) -> None:
+    def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         ...
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from assets.library import default_material
-from core.errors import BadInput
 from scenes.garden import BACKGROUND, colliders, furniture, room, sun
 from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
 from scenes.scripted_throw import ease
@@ -92,10 +92,8 @@ class Manipulation:
         assert np.abs(np.array([bodies[0].low, bodies[0].high]) - self.rest).max() < BACK, "it is not in its place"
 
 
-def build(animal: str = "fox") -> Scene:
-    """`animal` is one of ANIMALS. Raises BadInput."""
-    if animal not in ANIMALS:
-        raise BadInput(f"{animal}: no such animal; there are {', '.join(ANIMALS)}")
+def build(animal: Literal["fox", "bear", "horse"] = "fox") -> Scene:
+    """`animal` is one of ANIMALS."""
     height, fixed, parts, young = ANIMALS[animal]
     soft = replace(default_material(animal), young=young)
     far = EYE_DISTANCE * max(height, 0.6)

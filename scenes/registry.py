@@ -1,19 +1,27 @@
-"""The demos by name: every module of this package with a function `build` is one."""
+"""The demos by name: every module of this package with a function `build` is one, and so is a scene file by its path.
+
+A scene file is a program: only a path that the user has written on the command line comes here.
+"""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import inspect
 import pkgutil
+import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import scenes
+from assets.file_access import file_size
 from core.errors import BadInput
 from scenes.scene_options import SceneOption, options_of
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a module that has it is taken for a scene
     from scenes.scene import Scene
 
 
@@ -29,11 +37,14 @@ class Demo:
 
 
 def demo(name: str) -> Demo | None:
-    """The demo in a module of this package; None for one that neither has `build` nor uses Scene: others share it."""
+    """The demo in a module of this package, or in a file; None for a module that neither has `build` nor uses Scene:
+    others share it."""
     try:
-        module = importlib.import_module(f"scenes.{name}")
+        module = module_of_file(Path(name)) if is_scene_file(name) else importlib.import_module(f"scenes.{name}")
+    except BadInput as e:
+        return Demo(name, fault=str(e).removeprefix(f"{name}: "))
     except Exception as e:  # a user's file may fail in any way; the other demos can be played all the same
-        return Demo(name, fault=" ".join(f"{type(e).__name__}: {e}".split()))
+        return Demo(name, fault=fault_of(e, name))
     build, scene_type = vars(module).get("build"), vars(module).get("Scene")
     if build is None and (scene_type is None or scene_type.__module__ == module.__name__):
         return None
@@ -44,6 +55,59 @@ def demo(name: str) -> Demo | None:
     except Exception as e:  # type hints are evaluated
         return Demo(name, fault=" ".join(f"{e}".split()))
     return Demo(name, (module.__doc__ or "(no description)").strip().splitlines()[0], build, options=options)
+
+
+def is_scene_file(name: str) -> bool:
+    """True for the path of a scene file, False for the name of a demo of this package."""
+    return name.endswith(".py")
+
+
+def label(name: str) -> str:
+    """The name of a scene for titles and files: of a scene file its own without the folder."""
+    return Path(name).stem if is_scene_file(name) else name
+
+
+def module_of_file(path: Path):
+    """The module in a scene file, which is run. It may import its neighbours."""
+    file_size(path)
+    name = f"scene_file_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look for it there
+    folder = str(path.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(folder)
+    return module
+
+
+def fault_of(error: Exception, name: str) -> str:
+    """An error of a scene file in one line, with the number of the file's line in which it arose."""
+    text = " ".join(f"{type(error).__name__}: {getattr(error, 'msg', None) or error}".split())
+    line = getattr(error, "lineno", None) if isinstance(error, SyntaxError) else None
+    for frame in traceback.extract_tb(error.__traceback__):
+        if is_scene_file(name) and Path(frame.filename) == Path(name):
+            line = frame.lineno
+    return text if line is None else f"line {line}: {text}"
+
+
+def built(found: Demo, values: dict) -> Scene:
+    """The scene that `build` makes. Raises BadInput, also for an error in the scene file of a user's."""
+    from scenes.scene import Scene
+
+    try:
+        scene = found.build(**values)
+    except BadInput:
+        raise
+    except Exception as e:
+        if not is_scene_file(found.name):
+            raise
+        raise BadInput(f"{found.name}: {fault_of(e, found.name)}") from e
+    if not isinstance(scene, Scene):
+        raise BadInput(f"{found.name}: build gives no Scene but {type(scene).__name__}")
+    return scene
 
 
 def demos() -> list[Demo]:
@@ -76,11 +140,16 @@ def load(
 
     Raises BadInput, also for what the scene does not take.
     """
-    found = demo(name) if name in {m.name for m in pkgutil.iter_modules(scenes.__path__)} else None
+    there = is_scene_file(name) or name in {m.name for m in pkgutil.iter_modules(scenes.__path__)}
+    found = demo(name) if there else None
+    if found is None and is_scene_file(name):
+        raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
     if found is None:
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:
-        raise BadInput(f"the scene {name} cannot be played: {found.fault}")
+        raise BadInput(
+            f"{name}: {found.fault}" if is_scene_file(name) else f"the scene {name} cannot be played: {found.fault}"
+        )
     taken = inspect.signature(found.build).parameters
     known = {option.name: option for option in found.options}
     values = {}
@@ -98,7 +167,7 @@ def load(
         values["material"] = material
     elif material is not None and not assets:
         raise BadInput(f"the scene {name} takes no --material without --body")
-    scene = found.build(**values)
+    scene = built(found, values)
     if not resize:
         scene = replace(scene, roles=tuple(replace(role, resize=False) for role in scene.roles))
     return with_users(scene, name, played, assets[len(played) :], material, stage)

@@ -5,6 +5,7 @@ An animated body cannot be carried off: beside it lies a ring to throw at it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from scenes.scripted_throw import Throw
 
 START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 GAP = 0.04  # [m] between bodies side by side
+ROW_WIDTH = 1.4  # [m] of the table of 1.6 m; what finds no place in a row falls from above it
 RING = "ring_red"  # thrown at an animated body
 RING_SCALE_PER_METRE = 2.2  # size of the ring, in multiples of the ring toss's, for each metre of that body's height
 
@@ -107,19 +109,33 @@ def build(body: tuple[str, ...] = (RING,), material: str | None = None) -> Scene
 
 def side_by_side(assets: tuple[str, ...], material: str | None, start: Vec3) -> list[Body]:
     """Bodies in a row from left to right, dropped from the height of `start`, or dancing on the table; a single one is
-    at `start`."""
+    at `start`. More than a row holds are in further rows above it."""
     bodies = [Body(asset, body_material(asset, material, animated_height(asset))) for asset in assets]
     if len(bodies) == 1:
         return [replace(bodies[0], position=start)]
     boxes = [bounds(body.asset, body) for body in bodies]
-    widths = [high[0] - low[0] for low, high in boxes]
-    left = start[0] - 0.5 * (sum(widths) + GAP * (len(bodies) - 1))
-    placed = []
-    for body, (low, _), width in zip(bodies, boxes, widths, strict=True):
-        foot = start[1] if animated_height(body.asset) is None else TABLE_TOP
-        placed.append(replace(body, position=(float(left - low[0]), float(foot - low[1]), start[2])))
-        left += width + GAP
+    placed, foot = [], start[1]
+    for row in rows_of([high[0] - low[0] for low, high in boxes]):
+        left = start[0] - 0.5 * (sum(boxes[k][1][0] - boxes[k][0][0] for k in row) + GAP * (len(row) - 1))
+        for k in row:
+            low, high = boxes[k]
+            at = foot if animated_height(assets[k]) is None else TABLE_TOP
+            placed.append(replace(bodies[k], position=(float(left - low[0]), float(at - low[1]), start[2])))
+            left += high[0] - low[0] + GAP
+        foot += max(boxes[k][1][1] - boxes[k][0][1] for k in row) + GAP
     return placed
+
+
+def rows_of(widths: Sequence[float]) -> list[list[int]]:
+    """Indices of bodies of these widths [m] in rows of at most ROW_WIDTH, in their order."""
+    rows, used = [[]], 0.0
+    for k, width in enumerate(widths):
+        if rows[-1] and used + width > ROW_WIDTH:
+            rows.append([])
+            used = 0.0
+        rows[-1].append(k)
+        used += width + GAP
+    return rows
 
 
 def body_material(body: str, name: str | None, height: float | None) -> Material:

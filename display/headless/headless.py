@@ -47,7 +47,7 @@ class Headless:
         if frames < 1:
             raise BadInput(f"cannot run {frames} frames: at least one is needed")
         self.size, self.views, self.count, self._scripted = (width, height), views, frames, scripted
-        self.show_scene(scene, "")
+        self.show_scene(scene, "", "")
         self.snapshot = Path(snapshot) if snapshot else None
         self.snapshot_frame = frames - 1 if snapshot_frame is None else snapshot_frame
         if not 0 <= self.snapshot_frame < frames:
@@ -74,7 +74,7 @@ class Headless:
     def loading(self, text: str, picture=None) -> None:
         """Show nothing: the terminal does."""
 
-    def show_scene(self, scene: Scene, title: str) -> None:
+    def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Film another scene with its own camera."""
         camera = perspective(*self.size, scene.fov_y, look_at(scene.eye, scene.target))
         self.cameras = [camera] if self.views == 1 else stereo_pair(camera)

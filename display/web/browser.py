@@ -129,7 +129,7 @@ class Browser:
         if self._quit or (self._started and escapes):
             raise Cancelled(quits=self._quit)
 
-    def show_scene(self, scene: Scene, title: str) -> None:
+    def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._server.greet(first_words(title, scene))
         self._server.tell({"loading": f"Loading {title}"})

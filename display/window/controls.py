@@ -54,6 +54,8 @@ class Controls:
         self.panel = True
         self.help = False
         self.gizmo: str | None = None
+        self.menu = self.asks_file = False
+        self.dialog = None  # that asks something
         self.quit = False
         self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
@@ -155,12 +157,16 @@ class Controls:
     # the actions of key_bindings.py that concern the window alone, or the camera
 
     def escape(self, press: Press) -> list[Command]:
-        """End the first of these that is: the drag, the list of keys, what is being opened, the gizmo, the
-        demonstration; else the play."""
+        """End the first of these that is: the drag, the list of keys, a menu or dialog, what is being opened, the
+        gizmo, the demonstration; else the play."""
         if self.drag is not None:
             self._drop()
         elif self.help:
             self.help = False
+        elif self.menu or self.dialog is not None:
+            self.menu = False
+            if self.dialog is not None:
+                self.dialog.close()
         elif press.world.opening:
             return [protocol.CancelOpening()]
         elif self.gizmo is not None:
@@ -186,6 +192,14 @@ class Controls:
             press.world.tell("Point at a body, or hold one, to move it.")
             return []
         return [select]
+
+    def toggle_menu(self, press: Press) -> None:
+        """Show the menu of scenes, or hide it."""
+        self.menu = not self.menu
+
+    def ask_file(self, press: Press) -> None:
+        """Let the user choose a file."""
+        self.asks_file = True
 
     def toggle_panel(self, press: Press) -> None:
         """Show the panel, or hide it."""

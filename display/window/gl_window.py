@@ -54,7 +54,7 @@ class GLWindow:
     """One open window; `gl` is its context (moderngl). Raises BadInput without a display or without OpenGL 3.3.
 
     Events are ("key", name, down), ("button", "left"|"right"|"middle", down, x, y), ("move", x, y),
-    ("wheel", notches) and ("blur",), positions in screen coordinates (not pixels on every platform).
+    ("wheel", notches), ("drop", paths) and ("blur",), positions in screen coordinates (not pixels on every platform).
     """
 
     def __init__(self, title: str, width: int, height: int, *, vsync: bool):
@@ -120,6 +120,7 @@ class GLWindow:
         glfw.set_cursor_pos_callback(self.handle, move)
         glfw.set_scroll_callback(self.handle, lambda window, dx, dy: add(("wheel", dy)))
         glfw.set_window_focus_callback(self.handle, focus)
+        glfw.set_drop_callback(self.handle, lambda window, paths: add(("drop", list(paths))))
 
     def _start_imgui(self) -> float:
         """Start ImGui; its callbacks call ours in turn. Returns the scale of text and widgets, 1 as usual."""

@@ -85,6 +85,8 @@ BINDINGS = (
     KeyBinding(("f12",), "write the picture", protocol.TakePicture()),
     KeyBinding(("shift+f12",), "write the camera, for vrgs.py render", protocol.WriteCamera()),
     KeyBinding(("f9",), "film: begin, finish", lambda world: [protocol.Film(world.film_seconds is None)]),
+    KeyBinding(("f2",), "choose another scene", "toggle_menu", bodies=True),
+    KeyBinding(("ctrl+o",), "open a file as a body or a room", "ask_file", bodies=True),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
     KeyBinding(("h",), "this list", "toggle_help"),
     KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),

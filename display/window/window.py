@@ -20,10 +20,12 @@ from display.window.controls import Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
 from display.window.mouse_hand import MouseHand
+from display.window.open_dialog import OpenDialog
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.first_hint import FirstHint
 from display.window.panel.panel import Panel
 from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
+from display.window.scene_menu import SceneMenu
 from scenes.scene import BodyState, Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
@@ -59,6 +61,8 @@ class Window:
         self._surface = GLWindow(title, width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1], vsync=vsync)
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
+        self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
+        self._dialog_shown = False
         self._panel = Panel(title, self._surface.scale)
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hovered_at: tuple[float, float] | None = None  # with the cursor there
@@ -69,7 +73,7 @@ class Window:
         unfolded = self._preferences.get("panel.sections", {})
         for section in self._panel.sections:
             section.open = unfolded.get(section.title, section.open) is True
-        self._controls.bookmarks = read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
+        self._controls.bookmarks = self._bookmarks_of(name)
         self._camera = self._controls.orbit.camera(*self.size)  # of the picture as it is shown, however fine it is
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)
@@ -146,13 +150,18 @@ class Window:
         if self._surface.closing or ("key", "escape", True) in events:
             raise Cancelled(quits=self._surface.closing)
 
-    def show_scene(self, scene: Scene, title: str) -> None:
+    def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._surface.set_title(title)
         self._panel.title = title
         self._controls.let_go()
         self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
+        self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
         self._commands = []
+
+    def _bookmarks_of(self, name: str) -> dict:
+        """The views that are kept of a scene."""
+        return read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the user quits; slower where that cannot be kept up (display/clock.py)."""
@@ -190,6 +199,7 @@ class Window:
             panel.help = controls.help
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
             controls.help = panel.help
+            self._commands += self._draw_dialogs(world)
             if controls.drag == "grab":
                 self._draw_hand()
             else:
@@ -202,6 +212,21 @@ class Window:
         self._surface.swap()
         world.timings.measure_exactly(self._panel.details)
         world.timings.frame(missed=None if self._busy else 0, dropped=self._dropped)  # at rest nobody misses a picture
+
+    def _draw_dialogs(self, world: WorldView) -> list[Command]:
+        """Draw the menu of scenes and the dialog of files, of which one is open at most; what was chosen there."""
+        controls, menu, dialog = self._controls, self._menu, self._open_dialog
+        if controls.asks_file:
+            controls.asks_file = controls.menu = False
+            dialog.ask()
+        if dialog.shown and not self._dialog_shown:
+            controls.menu = False
+        menu.shown = controls.menu
+        commands = menu.draw(world) + dialog.draw(world)
+        controls.menu = menu.shown
+        self._dialog_shown = dialog.shown
+        controls.dialog = dialog if dialog.shown else None
+        return commands
 
     def _camera_moved(self) -> bool:
         """True if the last frame's camera differed from the one before it."""
@@ -242,6 +267,8 @@ class Window:
                 controls.wheel(*what)
             elif kind == "key" and not (what[1] and io.want_text_input):
                 commands += controls.key(*what, world, *self._cursor, self._camera)
+            elif kind == "drop" and world.editable:
+                self._open_dialog.offer(*what)
             elif kind == "blur":
                 controls.let_go()
         self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)

@@ -119,7 +119,7 @@ class Headset:
         if self._mirror.closing:
             raise Cancelled(quits=True)
 
-    def show_scene(self, scene: Scene, title: str) -> None:
+    def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._player = Player(scene)
         self._mirror.show_title(title)

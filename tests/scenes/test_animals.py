@@ -71,5 +71,5 @@ def test_other_animals_are_pulled_too(animal, ti_cpu):
 
 def test_only_animals_that_are_known():
     assert set(manipulation.ANIMALS) == {"fox", "bear", "horse"}
-    with pytest.raises(BadInput, match="no such animal"):
+    with pytest.raises(BadInput, match="fox, bear or horse"):
         registry.load("manipulation", animal="dodo")

@@ -216,3 +216,12 @@ def test_the_command_line_says_who_plays_what(tmp_path, capsys, ti_cpu):
     assert capsys.readouterr().out == "mine.h5 is ring 1; ring_blue is ring 2; room.h5 is the room\n"
     stats = json.loads((tmp_path / "s.json").read_text())
     assert stats["roles"] == {"ring 1": "mine.h5", "ring 2": "ring_blue", "the room": "room.h5"} and stats["finite"]
+
+
+def test_more_bodies_than_a_row_of_the_sandbox_holds_are_above_it():
+    names = ["ring_red", "ring_blue"] * 12
+    boxes = [bounds(b.asset, b) for b in registry.load("sandbox", body=names).bodies if b.asset in names]
+    assert len(boxes) == len(names)
+    for k, (low, high) in enumerate(boxes):
+        assert np.abs([low[0], high[0]]).max() < 0.8  # on the table
+        assert not any(((low < b[1]) & (b[0] < high)).all() for b in boxes[:k])

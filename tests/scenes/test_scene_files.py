@@ -1,0 +1,59 @@
+"""Scene files of the user's: played by their path, with their options; errors in one line, with the file's line."""
+
+import pytest
+
+from commands.parser import parse
+from core.errors import BadInput
+from scenes import registry
+
+SCENE = '''"""Balls: many."""
+from neighbour import EYE
+from scenes.scene import Body, Scene
+from core.material import Material
+
+
+def build(height: float = 0.9):
+    ring = Body("ring_red", Material.named("silicone"), position=(0.0, height, 0.1))
+    return Scene(bodies=[Body("dining_room"), ring], light=None, eye=EYE, target=(0.0, 0.8, 0.0))
+'''
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    (tmp_path / "neighbour.py").write_text("EYE = (0.0, 1.4, 1.1)\n", encoding="utf-8")
+    path = tmp_path / "balls.py"
+    path.write_text(SCENE, encoding="utf-8")
+    return str(path)
+
+
+def test_a_scene_file_is_played_by_its_path_with_its_own_options(scene_file):
+    args = parse(["--scene", scene_file, "--height", "1.5"], "", print)
+    assert args.options == {"height": "1.5"}
+    scene = registry.load(args.scene, **args.options)
+    assert scene.bodies[1].position == (0.0, 1.5, 0.1) and scene.eye == (0.0, 1.4, 1.1)
+    assert registry.label(scene_file) == "balls"
+
+
+@pytest.mark.parametrize(
+    "text, said",
+    [
+        ("x = 1\ny = (\n", r"line 2: SyntaxError: '\(' was never closed"),
+        ("import os\n\nraise ValueError('no\\nway')\n", "line 3: ValueError: no way"),
+        ("def build():\n    return 1 / 0\n", "line 2: ZeroDivisionError"),
+        ("def build():\n    return 3\n", "build gives no Scene but int"),
+        ("x = 1\n", "no function build"),
+        ("build = 3\n", "no function build"),
+        ("def build(size):\n    pass\n", "size of build has no default"),
+    ],
+)
+def test_an_error_in_a_scene_file_is_told_in_one_line(text, said, tmp_path):
+    path = tmp_path / "mine.py"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match=f"mine.py: .*{said}") as error:
+        registry.load(str(path))
+    assert "\n" not in str(error.value)
+
+
+def test_a_scene_file_that_there_is_not():
+    with pytest.raises(BadInput, match="no such file"):
+        registry.load("nowhere/mine.py")

@@ -39,6 +39,13 @@ class Reset:
 
 
 @dataclass(frozen=True)
+class LoadState:
+    """Go on from a state that was saved; "": the one of this scene that was saved last."""
+
+    path: str = ""
+
+
+@dataclass(frozen=True)
 class SetLight:
     """Replace the light."""
 
@@ -146,6 +153,11 @@ class SingleStep:
     """Simulate this one frame although the world is paused."""
 
 
+@dataclass(frozen=True)
+class Settle:
+    """After this frame, go on as from a saved state: forget what that does not hold, the impulses of contacts."""
+
+
 # What follows writes files, beside the frame and without changing the world (display/keep/). `size` is that of the
 # picture [px]; None: as large as it is drawn, which a window may shrink while things move.
 
@@ -170,6 +182,31 @@ class WriteCamera:
     """Write the camera as a CAM.json, for `vrgs.py render`."""
 
     size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write the scene, or one body, for other programs (display/keep/scene_export.py).
+
+    kind     ending of a splat file, or "vtu": the cages, "obj": their surfaces
+    body     None: all, and of a splat file the room too
+    shadows  of a splat file: whether the colours are as dark as they are shown
+    """
+
+    kind: Literal["ply", "compressed.ply", "spz", "splat", "vtu", "obj"] = "ply"
+    body: int | None = None
+    shadows: bool = True
+
+
+@dataclass(frozen=True)
+class SaveState:
+    """Settle, and write the state of the scene (display/keep/state_file.py).
+
+    path  "": a new name;   view  eye and target [m]; None: those of the picture
+    """
+
+    path: str = ""
+    view: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -204,6 +241,7 @@ class CancelOpening:
 Command = (
     PlayDemo
     | Reset
+    | LoadState
     | SetLight
     | SetInteraction
     | SetGravity
@@ -219,9 +257,12 @@ Command = (
     | Redo
     | Pause
     | SingleStep
+    | Settle
     | TakePicture
     | Film
     | WriteCamera
+    | Export
+    | SaveState
     | OpenScene
     | SwapRoom
     | AddBody
@@ -315,6 +356,12 @@ class WorldView(Protocol):
 
     film_seconds: float | None = None
     """Length of the film that is being written [s]; None: there is none."""
+
+    wanted_view: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Eye and target [m] of a state that was loaded, to which a display goes once; another object each time."""
+
+    time: float = 0.0
+    """Seconds of the world since the last reset."""
 
     opening: str = ""
     """Progress of what is being opened (`OpenScene` and the like), "" while nothing is."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
 
 from core.camera import Camera, look_at, perspective
+from core.errors import BadInput
 from core.material import Material
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
@@ -19,14 +21,17 @@ from display.protocol import (
     MIN_TIME_SCALE,
     Command,
     Frame,
+    LoadState,
     Pause,
     PlayDemo,
     Rescale,
     Reset,
+    SaveState,
     SetGravity,
     SetInteraction,
     SetLight,
     SetTimeScale,
+    Settle,
     SingleStep,
     WorldView,
     last_of,
@@ -68,7 +73,7 @@ class World(WorldView):
         self.time_scale = 1.0
         self.time = 0.0  # [s] of simulation since the last reset
         self._demo_from = self.interaction  # in which mode the demo began
-        self._owed = 0.0  # [s] of a demo that have passed but are not simulated yet
+        self.owed = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
         self._bodies: list[BodyState] = []
@@ -112,6 +117,8 @@ class World(WorldView):
             self._deform()
         elif shadow_outdated:
             self._cast_shadow()
+        if last_of(Settle, frame.commands) is not None or last_of(SaveState, frame.commands) is not None:
+            self.settle()
         self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
 
     def _advance(self, frame: Frame) -> bool:
@@ -141,9 +148,9 @@ class World(WorldView):
                 self.registry.step(dt, hands)
             self.time += passed
             return
-        self._owed += passed
-        while self._owed >= script_dt and self.demo:
-            self._owed -= script_dt
+        self.owed += passed
+        while self.owed >= script_dt and self.demo:
+            self.owed -= script_dt
             self.time += script_dt
             self.registry.step(script_dt, self.scripted_hands(self.time))
             if self.scene.game is None or self.time >= self.scene.game.duration:
@@ -185,6 +192,9 @@ class World(WorldView):
             self.demo, self._demo_from = True, self.interaction
         elif demo is not None or last_of(Reset, commands) is not None:
             self._end_demo()
+        load = last_of(LoadState, commands)
+        if load is not None:
+            self.load_state(load.path)
         if last_of(Reset, commands) is not None or (demo is not None and demo.on):  # a script begins at the beginning
             self.editor.record("reset")
             self.reset()
@@ -219,7 +229,7 @@ class World(WorldView):
         if self.registry.changed:
             self.editor.deselect()
         self.registry.reset()
-        self.time = self._owed = 0.0
+        self.time = self.owed = 0.0
         if self.scene.game is not None:
             self.scene.game.reset()
         self.refresh()
@@ -244,16 +254,35 @@ class World(WorldView):
         """Let time pass more slowly, or as usual: 1."""
         self.time_scale = float(np.clip(scale, MIN_TIME_SCALE, 1.0))
 
+    def settle(self) -> None:
+        """Go on from here as from a saved state: contacts' impulses and the like are forgotten, grips are not."""
+        self.registry.rebase_animations()
+        self.device.solver.restore(self.device.solver.snapshot())
+
+    def load_state(self, path: str | Path) -> None:
+        """Go on from a saved state, which undo takes back; a notice says why if that cannot be."""
+        from display.keep.scene_state import put_state
+        from display.keep.state_file import read_state
+
+        try:
+            if not path:
+                raise BadInput("No state of this scene was saved yet.")
+            state = read_state(path)
+            self.editor.recorded("load", lambda: put_state(self, state, str(path)))
+            self.tell(f"Goes on from {path}")
+        except BadInput as e:
+            self.tell(str(e))
+
     def snapshot(self) -> WorldSnapshot:
         """The state now; hands count as open."""
         game = {} if self.scene.game is None else deepcopy(vars(self.scene.game))
-        return WorldSnapshot(self.registry.snapshot(), self.time, self._owed, game)
+        return WorldSnapshot(self.registry.snapshot(), self.time, self.owed, game)
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         """Bring a state back; a demo ends."""
         self._end_demo()
         self.registry.restore(snapshot.bodies)
-        self.time, self._owed = snapshot.time, snapshot.owed
+        self.time, self.owed = snapshot.time, snapshot.owed
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
         self.refresh()

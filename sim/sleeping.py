@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 REST_DISTANCE = 5e-4  # [m]: a pixel at arm's length; four times what bodies that press on one another creep in a second
 REST_TIME = 1.0  # [s]: a swing of 7 mm that takes 5 s stays within REST_DISTANCE for 0.7 s where it turns
+NOWHERE = 1e9  # [m], of the anchor of a vertex whose rest is still to begin
 assert MAX_BODIES <= 64
 
 
@@ -69,10 +70,12 @@ class Sleeping:
         self._linked = self._compiled = False  # whether links are known in this frame, and ever were
 
     def restore(self, asleep: np.ndarray | None) -> None:
-        """Let these bodies sleep (B,), and no others; None: wake all."""
+        """Let these bodies sleep (B,), and no others; None: wake all. The rest of those begins anew."""
         if self.enabled:
             asleep = np.zeros(MAX_BODIES, bool) if asleep is None else asleep
             self._write(asleep, np.where(asleep, REST_TIME, 0.0))
+            self.anchor.fill(NOWHERE)
+            self._gravity = None
 
     def _write(self, asleep: np.ndarray, rest_time: np.ndarray) -> None:
         self._set([asleep, rest_time])

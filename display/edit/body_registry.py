@@ -17,6 +17,7 @@ from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from display.edit.added_body import Piece, fitted_harmonics
 from scenes.scene import BodyState, Hand
+from sim.body_model import BodyModel
 from sim.capacity import MAX_BODIES, CapacityError
 from sim.embedding import BodySpan, PackedBody
 
@@ -53,16 +54,18 @@ class BodyRegistry:
     def __init__(self, device: DeviceScene):
         self.device = device
         self.animations = [a.at(0.0) for a in device.animations]
-        self._scene_models = device.solver.body_models
-        self._scene_members = self.members = tuple(Member(k) for k in range(len(self._scene_models)))
+        self.scene_models = device.solver.body_models
+        self._scene_members = self.members = tuple(Member(k) for k in range(len(self.scene_models)))
         self._packed: list[PackedBody] | None = None
         self._looks: list[tuple[np.ndarray, np.ndarray]] = []
-        self._added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
+        self._animated = {a.body: a for a in device.animations}  # of each source that moves by itself
+        self.source_models = list(self.scene_models)  # of all that a body can look like: the scene's, then those added
+        self.added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
 
     @property
     def changed(self) -> bool:
         """True if any body differs from the scene's."""
-        return self.members != self._scene_members or self.device.solver.body_models != self._scene_models
+        return self.members != self._scene_members or self.device.solver.body_models != self.scene_models
 
     def scene_states(self, bodies: list[BodyState]) -> list[BodyState]:
         """The states of the scene's own bodies, in its order: all that its game sees. A removed one is far away.
@@ -76,7 +79,7 @@ class BodyRegistry:
         return [bodies[index[k]] if k in index else self._removed(k) for k in range(count)]
 
     def _removed(self, k: int) -> BodyState:
-        body, far = self._scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])
+        body, far = self.scene_models[k].body, np.array([REMOVED_X, 0.0, 0.0])
         up = np.array([0.0, 1.0, 0.0])
         return BodyState(body.name, far, np.zeros(3), far, far, up, False, body.pinned is not None)
 
@@ -100,7 +103,7 @@ class BodyRegistry:
 
     def add(self, pieces: Sequence[Piece]) -> int:
         """Let the pieces of an asset join; returns the index of the first."""
-        sources = self._sources_of(pieces)
+        sources = self.sources_of(pieces)
         members = (*self.members, *(Member(source, copy=True) for source in sources))
 
         def add() -> int:
@@ -117,19 +120,27 @@ class BodyRegistry:
         self._show(members)
         return first
 
-    def _sources_of(self, pieces: Sequence[Piece]) -> list[int]:
+    def sources_of(self, pieces: Sequence[Piece]) -> list[int]:
         """Indices of what these pieces look like, which is kept on the host."""
         self._read()
         asset = pieces[0].placed.asset
-        if asset not in self._added:
+        if asset not in self.added:
             device, first = self.device, len(self._packed)
             for piece in pieces:
                 self._packed.append(device.embedding.packed(piece.part))
                 sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
                 self._looks.append((piece.part.gaussians.opacities.astype(np.float32), sh))
                 device.gaussian_counts.append(len(piece.part.gaussians))
-            self._added[asset] = list(range(first, first + len(pieces)))
-        return self._added[asset]
+                if piece.animation is not None:
+                    led = piece.placed, piece.animation, piece.body.vertices
+                    self._animated[len(self.source_models)] = AnimationTargets(0, *led, device.solver)
+                self.source_models.append(BodyModel.of(piece.body, self.source_models))
+            self.added[asset] = list(range(first, first + len(pieces)))
+        return self.added[asset]
+
+    def animation(self, source: int) -> AnimationTargets | None:
+        """The animation of what looks so, at any place and time; None if it has none."""
+        return self._animated.get(source)
 
     def remove(self, k: int) -> None:
         """Remove a body."""
@@ -177,7 +188,7 @@ class BodyRegistry:
         body = self.device.solver.body_models[k].body
         if body.rigid:
             return body.material, "rigid"
-        own = self._scene_models[self.members[k].source].body.material
+        own = self.source_models[self.members[k].source].body.material
         known = {**MATERIALS, "": own}
         base = self.members[k].material
         name = base or next((name for name, material in MATERIALS.items() if material == own), "own material")
@@ -186,7 +197,7 @@ class BodyRegistry:
     def reset(self) -> None:
         """The scene's own bodies at their start, and no others."""
         changed = self.changed
-        self.device.solver.reset(self._scene_models if changed else None)
+        self.device.solver.reset(self.scene_models if changed else None)
         self.animations = [a.at(0.0) for a in self.device.animations]
         if changed:
             self._show(self._scene_members)
@@ -205,8 +216,7 @@ class BodyRegistry:
 
     def adopted(self, snapshot: BodiesSnapshot) -> BodiesSnapshot:
         """The snapshot of another registry of the same bodies, with its animations on this device."""
-        own = {a.body: a for a in self.device.animations}
-        animations = tuple(own[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
+        animations = tuple(self._animated[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
         return replace(snapshot, animations=animations)
 
     def warm_up(self) -> None:

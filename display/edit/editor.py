@@ -179,6 +179,12 @@ class Editor:
         """Remember the state before this action; a drag, a command in each frame, is one action."""
         self._record(action, self._before(action, continued))
 
+    def recorded(self, action: str, change: Callable[[], None]) -> None:
+        """Make a change of the world, and remember the state before; not if it raises."""
+        before = self._before(action)
+        change()
+        self._record(action, before)
+
     def _before(self, action: str, continued: bool = False) -> Step | None:
         """The state before an action; None if it continues the last one."""
         last, frame = self._last_action

@@ -27,6 +27,7 @@ INDEX_MAX = 1_000_000  # of a body
 KEYS = {  # of the commands that change the world
     "demo": protocol.PlayDemo,
     "reset": protocol.Reset,
+    "load": protocol.LoadState,
     "light": protocol.SetLight,
     "interaction": protocol.SetInteraction,
     "gravity": protocol.SetGravity,
@@ -42,6 +43,7 @@ KEYS = {  # of the commands that change the world
     "redo": protocol.Redo,
     "pause": protocol.Pause,
     "step": protocol.SingleStep,
+    "settle": protocol.Settle,
 }
 NAMES = {kind: key for key, kind in KEYS.items()}
 
@@ -53,7 +55,8 @@ def to_text(frame: int, commands: Sequence[Command]) -> str:
     have their default values; Light and Material are {"Light": {field: value}}.
     """
     values = {}
-    for command in (c for c in commands if type(c) in NAMES):
+    settled = [protocol.Settle() if isinstance(c, protocol.SaveState) else c for c in commands]
+    for command in (c for c in settled if type(c) in NAMES):
         fields = dataclasses.fields(command)
         given = [getattr(command, f.name) for f in fields]
         while len(given) > 1 and given[-1] == fields[len(given) - 1].default:
@@ -92,11 +95,11 @@ def _command(kind: type, value) -> list[Command]:
     """The command, in a list; [] if a command without fields is false."""
     types = _types(kind)
     if not types:
-        return [kind()] if _checked(value, bool) else []
+        return [kind()] if checked_value(value, bool) else []
     values = [value] if len(types) == 1 else value
     if not isinstance(values, list) or len(values) > len(types):
         raise ValueError
-    return [kind(*(_checked(v, t) for v, t in zip(values, types.values(), strict=False)))]  # TypeError: too few
+    return [kind(*(checked_value(v, t) for v, t in zip(values, types.values(), strict=False)))]  # TypeError: too few
 
 
 def _types(kind: type) -> dict[str, type]:
@@ -104,23 +107,23 @@ def _types(kind: type) -> dict[str, type]:
     return {f.name: hints[f.name] for f in dataclasses.fields(kind)}
 
 
-def _checked(value, kind):
+def checked_value(value, kind):
     """A JSON value as this type. Raises LookupError, TypeError or ValueError if it is not one."""
     origin = get_origin(kind)
     if origin in (Union, UnionType):
         for one in get_args(kind):
             try:
-                return _checked(value, one)
+                return checked_value(value, one)
             except (LookupError, TypeError, ValueError):
                 pass
     elif origin is Literal:
         if value in get_args(kind):
             return value
     elif origin is tuple:
-        return tuple(_checked(v, t) for v, t in zip(value, get_args(kind), strict=True))
+        return tuple(checked_value(v, t) for v, t in zip(value, get_args(kind), strict=True))
     elif dataclasses.is_dataclass(kind):
         types = _types(kind)
-        return kind(**{name: _checked(v, types[name]) for name, v in dict(value[kind.__name__]).items()})
+        return kind(**{name: checked_value(v, types[name]) for name, v in dict(value[kind.__name__]).items()})
     elif (
         (kind is float and type(value) in (int, float) and math.isfinite(value))
         or (kind is int and type(value) is int and 0 <= value < INDEX_MAX)

@@ -39,7 +39,7 @@ from display.record.codec import from_text, pack_hand, to_text
 
 FORMAT, VERSION = "vrgs-recording", 3  # 1: bodies were not of their own material; 2: there was one body at most
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")
-OPTIONS += ("cells", "pieces", "options", "detail")  # of the command: they make the world what it is
+OPTIONS += ("cells", "pieces", "options", "detail", "state")  # of the command: they make the world what it is
 WRITE_PERIOD = 1.0  # [s] between two states, and between two writings
 CAMERA_SIZE = 22  # numbers of a camera
 CHUNK = {"frames": 1024, "hands/layout": 2048, "hands/numbers": 32768, "cameras": 256, "commands": 4096, "states": 256}
@@ -94,12 +94,7 @@ class Recording:
 
     def begin(self, args, world_options: dict) -> None:
         """Store the options of the command and of the world."""
-        import taichi as ti
-
-        given = {key: getattr(args, key, None) for key in OPTIONS}
-        self.about = {key: value if value is None else plain(value) for key, value in given.items()}
-        self.about["arch"] = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-        self.about["world"] = {key: value for key, value in world_options.items() if isinstance(value, (bool, str))}
+        self.about = about_play(args, world_options)
 
     def note(self, frame: Frame) -> Frame:
         """Record a frame before the world's step; returns the frame to pass to the world.
@@ -218,6 +213,17 @@ def why_it_is_there(part: Path) -> str:
     except OSError:
         pass  # damaged: to be looked at by the user
     return "was left by an interrupted session: play it with --replay, or remove it"
+
+
+def about_play(args, world_options: dict) -> dict:
+    """The options of the command and of the world, and where kernels run, as JSON."""
+    import taichi as ti
+
+    given = {key: getattr(args, key, None) for key in OPTIONS}
+    about = {key: value if value is None else plain(value) for key, value in given.items()}
+    about["arch"] = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    about["world"] = {key: value for key, value in world_options.items() if isinstance(value, (bool, str))}
+    return about
 
 
 def plain(value):

@@ -1,0 +1,186 @@
+"""The state of a running world as a value that a file holds, and such a value put into a world."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from copy import deepcopy
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from assets.library import find_asset
+from core.errors import BadInput
+from display.edit.added_body import pieces_of
+from display.edit.body_registry import BodiesSnapshot, Member
+from display.keep.plain_values import game_state, game_values
+from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
+from display.world import World, WorldSnapshot
+from scenes.scene import Scene
+from sim.body_model import BodyModel
+from sim.motion_arrays import MOTION
+
+View = tuple[tuple[float, float, float], tuple[float, float, float]]  # eye and target [m]
+
+
+def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
+    """The state of a world as it is now; without a view it is that of its last picture. Raises BadInput."""
+    device, registry = world.device, world.registry
+    solver, begin = device.solver.snapshot(), device.solver.vertex_offset
+    bodies = [
+        SavedBody(
+            member.source, member.copy, model.shape.factor, model.body.material, member.material,
+            int(end - first), bool(asleep),
+        )
+        for member, model, first, end, asleep in zip(
+            registry.members, solver["bodies"], begin, begin[1:], solver["asleep"], strict=False
+        )
+    ]  # fmt: skip
+    scene, game = world.scene, world.scene.game
+    eye, target = view or view_of(world)
+    settings = Settings(
+        world.time, world.owed, world.gravity, world.time_scale, world.interaction, world.light,
+        tuple(map(float, eye)), tuple(map(float, target)), None if game is None else game_state(game),
+    )  # fmt: skip
+    return SceneState(
+        about,
+        scene_assets(scene),
+        tuple(
+            (str(asset), registry.source_models[k].body.name, digest(asset))
+            for asset, (k, *_) in registry.added.items()
+        ),
+        tuple(bodies),
+        np.stack([solver[name] for name in MOTION]),
+        solver["untangling"],
+        tuple(SavedAnimation(a.body, a.time, a.world_from_body) for a in registry.animations),
+        solver["grasps"],
+        settings,
+    )
+
+
+def view_of(world: World) -> View:
+    """Eye and target of the last picture; the target as far off as the scene's."""
+    if not world.cameras:
+        return world.scene.eye, world.scene.target
+    camera, scene = world.cameras[0], world.scene
+    distance = np.linalg.norm(np.subtract(scene.target, scene.eye))
+    return tuple(camera.position.tolist()), tuple((camera.position + distance * camera.world_to_camera[2, :3]).tolist())
+
+
+def put_state(world: World, state: SceneState, where: str) -> None:
+    """Let a world go on from a state. Raises BadInput, naming `where` it is from, and nothing has changed, if the world
+    is of another scene or of other files."""
+    check_scene(world.scene, state, where)
+    game, settings = world.scene.game, state.settings
+    if (game is None) != (settings.game is None) or (world.light is None) != (settings.light is None):
+        raise BadInput(f"{where}: is of another scene, with or without a game or a light")
+    try:
+        values = None if game is None else game_values(game, settings.game)
+    except BadInput as e:
+        raise BadInput(f"{where}: {e}") from e
+    registry, sources = world.registry, sources_of(world, state, where)
+    models = tuple(model_of(body, sources, registry.source_models, where) for body in state.bodies)
+    members = tuple(Member(sources[b.source], b.copy, b.material_name) for b in state.bodies)
+    animated = {k: registry.animation(m.source) for k, m in enumerate(members)}
+    if sorted(a.body for a in state.animations) != [k for k, a in animated.items() if a is not None]:
+        raise BadInput(f"{where}: its animations are not those of its bodies")
+    animations = tuple(animated[a.body].placed_as(a) for a in state.animations)
+    solver = dict(zip(MOTION, state.motion, strict=True))
+    solver |= {"bodies": models, "untangling": state.untangling, "grasps": hands_of(world, state)}
+    solver["asleep"] = np.array([body.asleep for body in state.bodies], bool)
+    before = world.snapshot()
+    game_before = None if game is None else dict(vars(game))
+    try:
+        bodies = BodiesSnapshot(solver, members, animations)
+        world.restore(WorldSnapshot(bodies, settings.time, settings.owed, values or {}))
+        if game is not None:
+            try_game(world, deepcopy(values), where)
+    except BadInput:
+        if game is not None:
+            vars(game).update(game_before)
+        world.restore(before)
+        raise
+    world.set_gravity(settings.gravity)
+    world.set_time_scale(settings.time_scale)
+    world.device.solver.interaction = settings.interaction
+    if settings.light is not None and settings.light != world.light:
+        world.set_light(settings.light)
+    world.wanted_view = (settings.eye, settings.target)
+
+
+def hands_of(world: World, state: SceneState):
+    """What the hands hold; nothing where there are not as many."""
+    there = world.device.solver.snapshot()["grasps"]
+    fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
+    return state.hands if fits else None
+
+
+def try_game(world: World, values: dict, where: str) -> None:
+    """Let the game see the world once, with values from a file. Raises BadInput if it can make nothing of them."""
+    game = world.scene.game
+    try:
+        bodies = world.registry.scene_states(world.bodies())
+        game.update(world.time, bodies)
+        game.hands(world.time, bodies)
+        (int(game.score), str(game.message))
+    except Exception as e:  # a game is any code, and what it makes of wrong values is not known
+        raise BadInput(f"{where}: its game's state makes no sense ({type(e).__name__})") from e
+    vars(game).update(values)
+
+
+def check_scene(scene: Scene, state: SceneState, where: str) -> None:
+    """Raise BadInput unless the state was saved with the same bodies, of the same files."""
+    mine = scene_assets(scene)
+    if [name for name, _ in mine] != [name for name, _ in state.assets]:
+        raise BadInput(f"{where}: is a state of {state.about['scene']} with other bodies; --state opens it")
+    for (name, digest), (_, saved) in zip(mine, state.assets, strict=True):
+        if digest != saved:
+            raise BadInput(f"{where}: was saved with another {name}")
+
+
+def sources_of(world: World, state: SceneState, where: str) -> list[int]:
+    """Index in this world of each source that the state counts: the scene's, and the pieces of what was added.
+
+    Raises BadInput if what was added is gone or another one.
+    """
+    sources = list(range(len(world.registry.scene_models)))
+    for asset, name, saved in state.added:
+        if digest(asset) != saved:
+            raise BadInput(f"{where}: was saved with another {Path(asset).name}")
+        sources += world.registry.sources_of(pieces_of(asset, name))
+    return sources
+
+
+def model_of(body: SavedBody, sources: Sequence[int], models: Sequence[BodyModel], where: str) -> BodyModel:
+    """The body of the solver: that of its source, in its size and of its material. Raises BadInput."""
+    if body.source >= len(sources):
+        raise BadInput(f"{where}: names body {body.source} of a scene of {len(sources)}")
+    model = models[sources[body.source]]
+    if body.vertices != len(model.shape.vertices):
+        raise BadInput(f"{where}: was saved with {body.vertices} vertices of body {body.source}, which has others")
+    if body.size != 1.0:
+        model = model.scaled(body.size)
+    return model if body.material == model.body.material else model.with_material(body.material)
+
+
+def scene_assets(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """Name and hash of the file of each of the scene's bodies."""
+    return tuple((Path(body.asset).stem, digest(body.asset)) for body in scene.bodies)
+
+
+def digest(asset: str) -> str:
+    """SHA-256 of an asset's file. Raises BadInput."""
+    path = find_asset(asset)
+    status = path.stat()
+    return digest_of(path, status.st_mtime, status.st_size)
+
+
+@lru_cache(maxsize=256)
+def digest_of(path: Path, changed: float, size: int) -> str:
+    """SHA-256 of a file that was last changed at a time and is of this size."""
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -1,0 +1,319 @@
+"""The state of a scene as an HDF5 file: which bodies there are, how they move, and what is set.
+
+Root attributes: `format` "vrgs-state", `version`, and, as JSON, `about` (the options of the command that make the
+scene, as in a recording), `assets` ([name, SHA-256 of the file] of each of the scene's bodies) and `added` ([file,
+name, SHA-256] of each asset that joined in play).
+
+| dataset | shape, type | |
+| --- | --- | --- |
+| bodies/source, bodies/copy | (B,) int32, uint8 | what each looks like: a body of the scene, or, counted after these, a
+piece of what joined; whether it is a copy |
+| bodies/size | (B,) float64 | in multiples of the scene's body |
+| bodies/material | (B, 6) float64 | the fields of a Material; kinetic_friction NaN: the static one |
+| bodies/asleep, bodies/vertices | (B,) uint8, int32 | whether it sleeps; how many vertices it has |
+| bodies/untangling | (3, B) float64 | see sim/elastic/untangling.py |
+| motion/x, x_lo, v, v_lo | (V, 3) float32 | [m] and [m/s], in two parts (sim/motion_arrays.py) |
+| animations/body, time, place | (A,) int32, float64, (A, 4, 4) float64 | [s] since its start; world_from_body |
+| hands/held, hands/count | (H,) int32 | body in each hand, -1: none; how many vertices it has taken |
+| hands/lost | (H,) float64 | [s] for which it has not been tracked |
+| hands/vertex, hands/position | (N,) int32, (N, 3) float64 | vertices taken, of all hands; [m] in the hand's frame |
+| hands/last | (H, 10) float64 | 1 if there was a hand, then position, rotation (wxyz), grip, reach |
+| hands/poses, hands/history | (H,) int32, (P, 8) float64 | poses kept of each hand: age [s], position, rotation |
+| settings | (C,) uint8 | JSON |
+
+`settings`: time and owed [s], gravity [m/s^2], time_scale, interaction, light (the fields of a Light, or null), eye and
+target [m], material_names (a list), game (its name, and its state as display/keep/plain_values.py encodes it), or null.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from assets.file_access import atomic_write
+from assets.gaussians import MAGNITUDE_MAX
+from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
+from core.errors import BadInput
+from core.material import Material
+from display.record.codec import checked_value
+from display.record.recording_reader import checked_about
+from scenes.scene import Hand, Light
+from sim.capacity import MAX_BODIES
+from sim.elastic.untangling import DURATION
+from sim.hands.grasp_state import Grasp, GraspState
+from sim.motion_arrays import MOTION
+
+FORMAT, VERSION = "vrgs-state", 1
+TIME_MAX = 1e9  # [s]
+HANDS_MAX, POSES_MAX = 16, 1000
+MATERIAL_FIELDS = tuple(f.name for f in fields(Material))
+TEXT_MAX = 200  # characters of a name
+
+
+@dataclass(frozen=True)
+class SavedBody:
+    """A body: the scene's body that it looks like, whether it is a copy of that, its size and material."""
+
+    source: int
+    copy: bool
+    size: float
+    material: Material
+    material_name: str
+    vertices: int
+    asleep: bool
+
+
+@dataclass(frozen=True)
+class SavedAnimation:
+    """The animation of body number `body`: `time` [s] since its start, and its place (4, 4)."""
+
+    body: int
+    time: float
+    world_from_body: np.ndarray
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All numbers and names that belong to no body; see above."""
+
+    time: float
+    owed: float
+    gravity: tuple[float, float, float]
+    time_scale: float
+    interaction: str
+    light: Light | None
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    game: dict | None
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """All that a file holds. `motion` (4, V, 3) float32 and `untangling` (3, B) as Solver.snapshot gives them."""
+
+    about: dict
+    assets: tuple[tuple[str, str], ...]
+    added: tuple[tuple[str, str, str], ...]
+    bodies: tuple[SavedBody, ...]
+    motion: np.ndarray
+    untangling: np.ndarray
+    animations: tuple[SavedAnimation, ...]
+    hands: GraspState | None
+    settings: Settings
+
+
+def is_state(path: Path) -> bool:
+    """Tell whether a file says that it is a state; False for what cannot be read."""
+    try:
+        with open_hdf5(path) as file:
+            return file.text("", "format") == FORMAT
+    except BadInput:
+        return False
+
+
+def read_state(path: str | Path) -> SceneState:
+    """Read and check a file. Raises BadInput."""
+    with open_hdf5(Path(path)) as file:
+        if file.text("", "format") != FORMAT:
+            raise file.error("is not a saved state of VR-GS")
+        if file.number("", "version") != VERSION:
+            raise file.error(f"is a state of version {file.number('', 'version'):g}; this program knows {VERSION}")
+        try:
+            about = checked_about(file.text("", "about"))
+            assets = checked_texts(file.json("", "assets"), 2)
+            added = checked_texts(file.json("", "added"), 3)
+            names, settings = checked_settings(read_json(file, "settings"))
+        except BadInput as e:
+            raise e if str(e).startswith(str(path)) else file.error(str(e)) from e
+        bodies = read_bodies(file, names)
+        count, vertices = len(bodies), sum(b.vertices for b in bodies)
+        motion = np.stack([finite(file, f"motion/{name}", (vertices, 3), np.float32) for name in MOTION])
+        untangling = finite(file, "bodies/untangling", (3, count))
+        if (untangling < 0).any() or (untangling > np.array([[DURATION], [1.0], [3.0]])).any():
+            raise file.error("bodies/untangling holds values that cannot be")
+        animations = read_animations(file, count)
+        hands = read_hands(file, bodies) if file.has("hands") else None
+    return SceneState(about, assets, added, bodies, motion, untangling, animations, hands, settings)
+
+
+def read_json(file: Hdf5Reader, name: str):
+    """The JSON of a dataset of characters."""
+    try:
+        return json.loads(bytes(file.indices(name, (None,), np.uint8)))
+    except (ValueError, RecursionError) as e:
+        raise file.error(f"{name} is not JSON") from e
+
+
+def finite(file: Hdf5Reader, name: str, shape: tuple, dtype=np.float64) -> np.ndarray:
+    """A dataset of finite numbers, none beyond MAGNITUDE_MAX."""
+    values = file.floats(name, shape, dtype)
+    if not (np.abs(values) < MAGNITUDE_MAX).all():  # NaN compares false
+        raise file.error(f"{name} holds values that cannot be")
+    return values
+
+
+def checked_texts(given, count: int) -> tuple[tuple[str, ...], ...]:
+    """Rows of so many texts of JSON. Raises BadInput."""
+    pairs = given if isinstance(given, list) and len(given) <= 1000 else [None]
+    if not all(isinstance(p, list) and list(map(type, p)) == [str] * count and len("".join(p)) < 4096 for p in pairs):
+        raise BadInput("its list of assets makes no sense")
+    return tuple(map(tuple, pairs))
+
+
+def checked_settings(given) -> tuple[list[str], Settings]:
+    """Names of the bodies' materials, and the settings, of JSON. Raises BadInput."""
+    try:
+        values = dict(given)
+        names, game = values.pop("material_names"), values.pop("game")
+        if not isinstance(names, list) or not all(isinstance(name, str) and len(name) < TEXT_MAX for name in names):
+            raise ValueError
+        if game is not None and not (isinstance(game, dict) and isinstance(game.get("name"), str) and "state" in game):
+            raise ValueError
+        if values["light"] is not None:
+            values["light"] = {"Light": values["light"]}
+        kinds = {f.name: f.type for f in fields(Settings) if f.name != "game"}
+        if values.keys() != kinds.keys():
+            raise ValueError
+        vector = tuple[float, float, float]
+        types = {**dict.fromkeys(("time", "owed", "time_scale"), float), "interaction": str, "light": Light | None}
+        types |= dict.fromkeys(("gravity", "eye", "target"), vector)
+        settings = Settings(**{k: checked_value(v, types[k]) for k, v in values.items()}, game=game)
+    except (LookupError, TypeError, ValueError) as e:
+        raise BadInput("its settings make no sense") from e
+    light = settings.light
+    numbers = [*settings.gravity, *settings.eye, *settings.target]
+    numbers += [] if light is None else [*light.position, *light.target, light.strength, light.softness]
+    sound = 0 <= settings.time < TIME_MAX and 0 <= settings.owed < TIME_MAX and 0 < settings.time_scale <= 1
+    if not sound or settings.interaction not in ("physics", "transform") or settings.eye == settings.target:
+        raise BadInput("its settings cannot be")
+    if not all(abs(n) < 1e6 for n in numbers):
+        raise BadInput("its settings hold numbers that cannot be")
+    return names, settings
+
+
+def read_bodies(file: Hdf5Reader, names: list[str]) -> tuple[SavedBody, ...]:
+    """The bodies, without their motion."""
+    source = file.indices("bodies/source", (None,))
+    count = len(source)
+    if count > MAX_BODIES or len(names) != count:
+        raise file.error(f"claims {count} bodies, and names of {len(names)}; there may be {MAX_BODIES}")
+    copies, asleep = (file.indices(f"bodies/{name}", (count,), np.uint8) for name in ("copy", "asleep"))
+    vertices, size = file.indices("bodies/vertices", (count,)), finite(file, "bodies/size", (count,))
+    rows = file.floats("bodies/material", (count, len(MATERIAL_FIELDS)), np.float64)
+    if (size <= 0).any() or (size > 1e3).any():
+        raise file.error("bodies/size holds values that cannot be")
+    bodies = []
+    for k in range(count):
+        *numbers, kinetic = rows[k].tolist()
+        material = Material(*numbers, None if math.isnan(kinetic) else kinetic)
+        material.check(f"{file.path}: body {k}")
+        state = (int(vertices[k]), bool(asleep[k]))
+        bodies.append(SavedBody(int(source[k]), bool(copies[k]), float(size[k]), material, names[k], *state))
+    return tuple(bodies)
+
+
+def read_animations(file: Hdf5Reader, bodies: int) -> tuple[SavedAnimation, ...]:
+    """The animations of the first `bodies` bodies."""
+    body = file.indices("animations/body", (None,))
+    time = finite(file, "animations/time", (len(body),))
+    place = finite(file, "animations/place", (len(body), 4, 4))
+    if (body >= bodies).any() or (time < 0).any() or (time > TIME_MAX).any() or (np.abs(place) > 1e6).any():
+        raise file.error("animations hold values that cannot be")
+    if (place[:, 3] != [0, 0, 0, 1]).any() or (len(body) and np.abs(np.linalg.det(place)).min() < 1e-12):
+        raise file.error("animations/place holds what is no place")
+    return tuple(SavedAnimation(int(b), float(t), p) for b, t, p in zip(body, time, place, strict=True))
+
+
+def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
+    """What each hand holds, and where it was."""
+    held = file.array("hands/held", "iu", (None,)).astype(np.int64)
+    count = len(held)
+    if count > HANDS_MAX or (held < -1).any() or (held >= len(bodies)).any():
+        raise file.error("hands/held holds values that cannot be")
+    taken, poses = (file.indices(f"hands/{name}", (count,)) for name in ("count", "poses"))
+    if (poses > POSES_MAX).any():
+        raise file.error("hands/poses holds values that cannot be")
+    vertex = file.indices("hands/vertex", (int(taken.sum(dtype=np.int64)),), np.int64)
+    position = finite(file, "hands/position", (len(vertex), 3))
+    lost, last = finite(file, "hands/lost", (count,)), finite(file, "hands/last", (count, 10))
+    history = finite(file, "hands/history", (int(poses.sum(dtype=np.int64)), 8))
+    if (history[:, 0] < 0).any() or (lost < 0).any():
+        raise file.error("hands hold times that cannot be")
+    if not (np.linalg.norm(history[:, 4:], axis=1) > 1e-6).all():
+        raise file.error("hands/history holds what is no rotation")
+    grasps, hands, histories = [], [], []
+    for h, (mine, own) in enumerate(zip(spans(taken), spans(poses), strict=True)):
+        body = int(held[h])
+        if body < 0:
+            grasps.append(None)
+        elif taken[h] == 0 or vertex[mine].max() >= bodies[body].vertices or last[h, 0] == 0:
+            raise file.error("hands/vertex holds what is no vertex of the body")
+        else:
+            grasps.append(Grasp(body, vertex[mine], position[mine]))
+        there, *numbers = last[h].tolist()
+        if there and math.hypot(*numbers[3:7]) <= 1e-6:
+            raise file.error("hands/last holds what is no rotation")
+        hand = Hand(tuple(numbers[:3]), tuple(numbers[3:7]), bool(numbers[7]), numbers[8]) if there else None
+        hands.append(hand)
+        histories.append(tuple((row[0], tuple(row[1:])) for row in history[own].tolist()))
+    return GraspState(tuple(grasps), tuple(hands), tuple(histories), tuple(lost.tolist()))
+
+
+def spans(counts: np.ndarray) -> list[slice]:
+    """Slices of runs that follow one another."""
+    ends = np.cumsum(counts, dtype=np.int64)
+    return [slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)]
+
+
+def write_state(path: str | Path, state: SceneState) -> None:
+    """Write the file, whole or not at all. Raises BadInput."""
+    bodies, s = state.bodies, state.settings
+    settings = {f.name: getattr(s, f.name) for f in fields(s)} | {"material_names": [b.material_name for b in bodies]}
+    settings["light"] = None if s.light is None else asdict(s.light)
+    materials = [[getattr(b.material, name) for name in MATERIAL_FIELDS] for b in bodies]
+    with atomic_write(path) as beside, h5py.File(beside, "w") as file:
+        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+        for name in ("about", "assets", "added"):
+            file.attrs[name] = json.dumps(getattr(state, name))
+        write_dataset(file, "settings", np.frombuffer(json.dumps(settings).encode(), np.uint8), np.uint8)
+        for name, kind in (("source", np.int32), ("copy", np.uint8), ("asleep", np.uint8), ("vertices", np.int32)):
+            write_dataset(file, f"bodies/{name}", [getattr(b, name) for b in bodies], kind)
+        write_dataset(file, "bodies/size", [b.size for b in bodies], np.float64)
+        rows = np.array(materials, np.float64).reshape(-1, len(MATERIAL_FIELDS))  # None becomes NaN
+        write_dataset(file, "bodies/material", rows, np.float64)
+        write_dataset(file, "bodies/untangling", state.untangling, np.float64)
+        for name, values in zip(MOTION, state.motion, strict=True):
+            write_dataset(file, f"motion/{name}", values, np.float32)
+        write_dataset(file, "animations/body", [a.body for a in state.animations], np.int32)
+        write_dataset(file, "animations/time", [a.time for a in state.animations], np.float64)
+        places = np.array([a.world_from_body for a in state.animations]).reshape(-1, 4, 4)
+        write_dataset(file, "animations/place", places, np.float64)
+        if state.hands is not None:
+            write_hands(file, state.hands)
+
+
+def write_hands(file: h5py.File, hands: GraspState) -> None:
+    """Write what each hand holds, and where it was."""
+    grasps = hands.grasps
+    last = np.zeros((len(grasps), 10))
+    for row, hand in zip(last, hands.last, strict=True):
+        if hand is not None:
+            row[:] = [1.0, *hand.position, *hand.rotation, hand.grip, hand.reach]
+    history = [[age, *pose] for own in hands.histories for age, pose in own]
+    taken = [g for g in grasps if g is not None]
+    for name, values, kind in (
+        ("held", [-1 if g is None else g.body for g in grasps], np.int32),
+        ("count", [0 if g is None else len(g.vertices) for g in grasps], np.int32),
+        ("lost", hands.lost, np.float64),
+        ("vertex", np.concatenate([np.zeros(0, np.int32), *(g.vertices for g in taken)]), np.int32),
+        ("position", np.concatenate([np.zeros((0, 3)), *(g.positions for g in taken)]), np.float64),
+        ("last", last, np.float64),
+        ("poses", [len(own) for own in hands.histories], np.int32),
+        ("history", np.array(history).reshape(-1, 8), np.float64),
+    ):
+        write_dataset(file, f"hands/{name}", values, kind)

@@ -1,0 +1,302 @@
+"""Worlds that are kept: what another program reads of an export is what is drawn, and a saved state goes on exactly."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose, assert_array_equal
+
+from assets.formats.vtu import write_vtu
+from assets.splat_files import read_gaussians
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from core.spherical_harmonics import rotate_sh
+from core.tetmesh import tet_volumes
+from display.edit.edit_steps import rotation_step
+from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, von_mises
+from display.keep.scene_state import put_state, state_of
+from display.keep.state_file import read_state, write_state
+from display.picture import pixels_of
+from display.protocol import (
+    Duplicate,
+    Frame,
+    LoadState,
+    Remove,
+    Rescale,
+    Reset,
+    Rotate,
+    SaveState,
+    SetGravity,
+    SetInteraction,
+    SetLight,
+    SetMaterial,
+    SetTimeScale,
+    Undo,
+)
+from render import MOVING_SORT
+from scenes.scene import Body, Hand, Light, Plane, Scene
+from sim.elastic.time_step import lame
+from sim.motion_arrays import MOTION
+
+SIZE = (240, 136)
+ABOUT = {"scene": "rings"}
+SOFT = Material(young=2e4, poisson=0.4, density=1000.0)
+
+
+@pytest.fixture(scope="module")
+def world(ti_cpu):
+    """Two soft rings, the upper one in the shade of nothing, turned, scaled, and bent by a hand that lifts it."""
+    from display.world import World
+
+    rings = [Body("ring_red", SOFT, (0.0, 0.02, 0.0)), Body("ring_blue", SOFT, (0.06, 0.06, 0.0))]
+    light = Light((0.1, 2.0, 0.1), strength=0.8)
+    scene = Scene(
+        rings, light, (0.0, 0.45, 0.5), (0.05, 0.08, 0.0), [Plane((0, 0, 0), (0, 1, 0))], background=(0.2, 0.3, 0.4)
+    )
+    world = World(scene, width=SIZE[0], height=SIZE[1])
+    camera = perspective(*SIZE, scene.fov_y, look_at(scene.eye, scene.target))
+    edits = [Rotate(1, rotation_step((0.3, 1.0, 0.1))), Rescale(1, 1.3)]
+    for k in range(20):
+        hand = Hand((0.14, 0.06 + 0.006 * k, 0.0), (np.cos(0.04 * k), 0.0, 0.0, np.sin(0.04 * k)), True, 0.05)
+        world.step(Frame(1 / 60, k / 60, [camera], [hand], edits if k == 0 else []))
+    assert np.linalg.norm(world.bodies()[1].centroid - [0.06, 0.06, 0.0]) > 0.01, "the hand has it"
+    return world
+
+
+@pytest.fixture(scope="module")
+def drawn(world):
+    """Pixels of other Gaussians, as many as the world's, in its view: one renderer, whose kernels compile once."""
+    from render.renderer import Renderer
+    from render.splats import Splats
+
+    splats = Splats(ShownGaussians.read(world, None).gaussians(shadows=False))
+    renderer = Renderer(splats, *SIZE, background=world.scene.background, sort=MOVING_SORT)
+
+    def draw(g) -> np.ndarray:
+        fields = {splats.mean: g.means, splats.cov: g.covariances, splats.opacity: g.opacities, splats.sh: g.sh}
+        for field, values in fields.items():
+            field.from_numpy(splats.padded(values))
+        renderer.render(world.cameras)
+        return renderer.pixels()[0][..., :3].astype(float)
+
+    return draw
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(10 * np.log10(255**2 / max(((a - b) ** 2).mean(), 1e-9)))
+
+
+def shown(world) -> np.ndarray:
+    return pixels_of(world.picture)[..., :3].astype(float)
+
+
+@pytest.mark.parametrize(("name", "least"), [("scene.ply", 70.0), ("scene.spz", 50.0), ("scene.compressed.ply", 50.0)])
+def test_the_exported_splat_looks_like_the_running_scene(world, drawn, tmp_path, name, least):
+    exporter(world, tmp_path / name)()
+    gaussians = read_gaussians(tmp_path / name)
+    assert len(gaussians) == world.stats()["gaussians"] and gaussians.sh_degree == 2
+    quality = psnr(drawn(gaussians), shown(world))
+    print(f"{name}: {quality:.1f} dB")
+    assert quality > least
+
+
+def test_shadows_are_left_out_on_request_and_one_body_stands_alone(world, drawn, tmp_path):
+    for name, options in {"lit.ply": {"shadows": False}, "body.ply": {"body": 1}}.items():
+        exporter(world, tmp_path / name, **options)()
+    lit = drawn(read_gaussians(tmp_path / "lit.ply"))
+    assert psnr(lit, shown(world)) < 40 and lit.mean() > shown(world).mean() + 0.2, "the shadow was there before"
+    alone = read_gaussians(tmp_path / "body.ply")
+    body = world.bodies()[1]
+    assert len(alone) == world.device.gaussian_counts[1]
+    assert np.all(alone.means > body.low - 0.02) and np.all(alone.means < body.high + 0.02)
+
+
+def test_harmonics_turn_each_with_its_own_rotation():
+    rng = np.random.default_rng(0)
+    sh = rng.normal(size=(5, 16, 3)).astype(np.float32)
+    rotations = matrices_from_quaternions(rng.normal(size=(5, 4)))
+    each = rotate_sh(sh, rotations)
+    assert_allclose(each, np.concatenate([rotate_sh(sh[k : k + 1], rotations[k]) for k in range(5)]), atol=1e-5)
+
+
+def test_the_cage_is_read_by_others_with_its_fields(world, tmp_path):
+    exporter(world, tmp_path / "cage.vtu")()
+    mesh = meshio.read(tmp_path / "cage.vtu")
+    bodies = moving_bodies(world, None)
+    assert_allclose(mesh.points, np.concatenate([b.x for b in bodies]))
+    assert_allclose(mesh.point_data["velocity"], np.concatenate([b.v for b in bodies]))
+    tets = mesh.cells_dict["tetra"]
+    assert (tet_volumes(mesh.points, tets) > 0).all()
+    owner, ratio = mesh.cell_data["body"][0], mesh.cell_data["volume_ratio"][0]
+    for k, b in enumerate(bodies):
+        volume = tet_volumes(mesh.points, tets[owner == k]).sum()
+        rest = b.model.shape.volumes.sum()
+        assert_allclose(np.average(ratio[owner == k], weights=b.model.shape.volumes), volume / rest, rtol=1e-6)
+    bent = np.linalg.norm(mesh.point_data["displacement"], axis=1)
+    assert bent[len(bodies[0].x) :].max() > 2e-3 and (mesh.cell_data["von_mises_stress"][0] >= 0).all()
+
+
+def test_the_surface_is_read_by_others(world, tmp_path):
+    exporter(world, tmp_path / "cage.obj", body=1)()
+    mesh = trimesh.load(tmp_path / "cage.obj", process=False)
+    (body,) = moving_bodies(world, 1)
+    assert mesh.is_watertight and len(mesh.faces) == len(body.model.shape.surface)
+    assert mesh.volume == pytest.approx(tet_volumes(body.x, body.model.shape.solid).sum(), rel=1e-5)
+
+
+def test_stress_is_that_of_linear_elasticity_for_small_strains_and_does_not_turn():
+    """Uniaxial stretch s: sigma_1 - sigma_2 = 2 mu s, which is the von Mises stress."""
+    mu, lam = lame(SOFT)
+    F = np.eye(3)[None] + 1e-5 * np.diag([1.0, 0.0, 0.0])
+    assert_allclose(von_mises(F, mu, lam), 2e-5 * mu, rtol=1e-3)
+    R = matrices_from_quaternions([0.5, 0.5, -0.5, 0.5])
+    assert_allclose(von_mises(R @ F, mu, lam), 2e-5 * mu, rtol=1e-3)
+    assert_allclose(von_mises(R[None], mu, lam), 0.0, atol=1e-6 * mu)
+
+
+def test_what_cannot_be_written_is_said_in_a_line(world, tmp_path):
+    with pytest.raises(BadInput, match=r"cannot write '\.stl'; written are"):
+        exporter(world, tmp_path / "x.stl")
+    with pytest.raises(BadInput, match="does not exist"):
+        exporter(world, tmp_path / "none" / "x.ply")()
+    with pytest.raises(BadInput, match="does not exist"):
+        write_vtu(tmp_path / "none" / "x.vtu", np.eye(3), np.zeros((0, 4)), point_fields={}, cell_fields={})
+
+
+# states: the same world goes on from a file, after it was led astray
+
+
+def frames(world, count: int, *commands, time: float = 0.0) -> None:
+    """Frames in which a hand lifts the first ring; the commands come in the first."""
+    for k in range(count):
+        hand = Hand((-0.07, 0.03 + 0.008 * k, 0.01 * k), grip=True, reach=0.05)
+        world.step(Frame(1 / 60, time + k / 60, world.cameras, [hand], list(commands) if k == 0 else []))
+
+
+def astray(world) -> None:
+    frames(world, 3, Reset(), SetGravity((0.0, -3.0, 0.0)), SetLight(Light((0.5, 1.0, 0.5))), Remove(0))
+    frames(world, 3, SetTimeScale(0.5), SetInteraction("transform"))
+
+
+def everything(world) -> dict:
+    solver = world.device.solver.snapshot()
+    told = {name: getattr(world, name) for name in ("time", "gravity", "time_scale", "light", "interaction")}
+    return {name: solver[name] for name in (*MOTION, "asleep", "untangling")} | told
+
+
+@pytest.fixture(scope="module")
+def saved(world, tmp_path_factory):
+    """A state with a copy, sizes and materials, while a hand holds a ring; and how the world went on from there."""
+    path = tmp_path_factory.mktemp("state") / "rings.h5"
+    edits = [Reset(), SetInteraction("physics"), SetGravity((0.0, -9.0, 0.0)), SetLight(Light((0.2, 2.0, 0.0)))]
+    world.step(Frame(1 / 60, 0.0, world.cameras, [Hand()], edits))
+    frames(world, 1, Duplicate(0), Rescale(0, 0.9), SetMaterial(1, replace(SOFT, young=3e4)))
+    frames(world, 8, SetTimeScale(0.9))
+    frames(world, 1, SaveState())
+    write_state(path, state_of(world, ABOUT))
+    assert any(body.held for body in world.bodies())
+    frames(world, 6)
+    return path, everything(world)
+
+
+def test_a_world_goes_on_from_a_file_bit_for_bit(world, saved):
+    path, expected = saved
+    astray(world)
+    frames(world, 6, LoadState(str(path)))
+    there = everything(world)
+    for name in MOTION:
+        assert_array_equal(there[name], expected[name], err_msg=name)
+    for name in expected.keys() - set(MOTION):
+        np.testing.assert_equal(there[name], expected[name], err_msg=name)
+    assert len(world.bodies()) == 3 and world.wanted_view is not None and str(path) in world.notice
+    world.apply([Undo()])
+    assert len(world.bodies()) == 1
+
+
+def damaged(path, tmp_path, change) -> str:
+    """The message about a copy of a file that was changed."""
+    other = tmp_path / "other.h5"
+    shutil.copy(path, other)
+    with h5py.File(other, "r+") as file:
+        change(file)
+    with pytest.raises(BadInput) as error:
+        read_state(other)
+    assert str(other) in str(error.value) and "\n" not in str(error.value)
+    return str(error.value)
+
+
+def put(file, name: str, values) -> None:
+    del file[name]
+    file[name] = values
+
+
+def set_settings(file, **changes) -> None:
+    settings = json.loads(bytes(file["settings"][()])) | changes
+    put(file, "settings", np.frombuffer(json.dumps(settings).encode(), np.uint8))
+
+
+DAMAGE = {
+    "no state": lambda f: f.attrs.__setitem__("format", "vrgs-asset"),
+    "of version 7": lambda f: f.attrs.__setitem__("version", 7),
+    "which scene": lambda f: f.attrs.__setitem__("about", "{}"),
+    "list of assets": lambda f: f.attrs.__setitem__("assets", '[["a"]]'),
+    "settings is not JSON": lambda f: put(f, "settings", np.frombuffer(b"{", np.uint8)),
+    "settings make no sense": lambda f: set_settings(f, light={"position": [0, 0]}),
+    "settings cannot be": lambda f: set_settings(f, time=-1.0),
+    "hold numbers": lambda f: set_settings(f, gravity=[0.0, 1e30, 0.0]),
+    "motion/x holds": lambda f: put(f, "motion/x", np.full(f["motion/x"].shape, np.nan, np.float32)),
+    "motion/v has shape": lambda f: put(f, "motion/v", np.zeros((3, 3), np.float32)),
+    "young": lambda f: put(f, "bodies/material", np.full(f["bodies/material"].shape, np.nan)),
+    "bodies/size": lambda f: put(f, "bodies/size", np.zeros(len(f["bodies/size"]))),
+    "claims 200 bodies": lambda f: put(f, "bodies/source", np.zeros(200, np.int32)),
+    "hands/held": lambda f: put(f, "hands/held", np.full(2, 9, np.int32)),
+    "no vertex of the body": lambda f: put(f, "hands/vertex", np.full(f["hands/vertex"].shape, 1 << 20, np.int32)),
+    "untangling": lambda f: put(f, "bodies/untangling", np.full(f["bodies/untangling"].shape, 9.0)),
+}
+
+
+@pytest.mark.parametrize("says", DAMAGE)
+def test_a_damaged_state_is_refused_in_a_line(saved, tmp_path, says):
+    assert says.replace("no state", "not a saved state") in damaged(saved[0], tmp_path, DAMAGE[says])
+
+
+def test_whatever_bytes_change_it_is_read_or_refused(saved, tmp_path):
+    data, rng = bytearray(saved[0].read_bytes()), np.random.default_rng(3)
+    other, refused = tmp_path / "other.h5", 0
+    for _ in range(150):
+        wrong = bytearray(data)
+        for at in rng.integers(0, len(data), rng.integers(1, 8)):
+            wrong[at] = rng.integers(256)
+        other.write_bytes(wrong[: rng.integers(1, len(data))] if rng.random() < 0.2 else wrong)
+        try:
+            read_state(other)
+        except BadInput as e:
+            refused += 1
+            assert "\n" not in str(e)
+    assert refused > 20
+
+
+def test_a_state_of_another_scene_or_other_files_changes_nothing(world, saved, tmp_path):
+    frames(world, 2, Reset())
+    before = everything(world)
+    state = read_state(saved[0])
+    for other, says in (
+        (replace(state, assets=(("cat", "0"), *state.assets[1:])), "other bodies"),
+        (replace(state, assets=(state.assets[0], ("ring_blue", "0"))), "another ring_blue"),
+        (replace(state, settings=replace(state.settings, light=None)), "another scene"),
+        (replace(state, bodies=(replace(state.bodies[0], vertices=4), *state.bodies[1:])), "vertices"),
+        (replace(state, bodies=(replace(state.bodies[0], source=40), *state.bodies[1:])), "names body 40"),
+    ):
+        with pytest.raises(BadInput, match=says):
+            put_state(world, other, "other.h5")
+    for name, value in everything(world).items():
+        np.testing.assert_equal(value, before[name], err_msg=name)
+    world.apply([LoadState("")])
+    assert "No state" in world.notice

@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -194,9 +194,9 @@ def _try_lock(path: Path, lock: Path) -> int | None:
     return descriptor
 
 
-def unused_name(path: Path) -> Path:
-    """The path itself if nothing has that name, else the first of `NAME_2.END`, `NAME_3.END`, ... that is free."""
+def unused_name(path: Path, taken: Container[Path] = ()) -> Path:
+    """The path if nothing has that name and it is not taken, else the first such of `NAME_2.END`, `NAME_3.END`, ..."""
     number, free = 2, path
-    while os.path.lexists(free):
+    while os.path.lexists(free) or free in taken:
         free, number = path.with_name(f"{path.stem}_{number}{path.suffix}"), number + 1
     return free

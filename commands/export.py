@@ -9,7 +9,7 @@ from pathlib import Path
 from assets.file_access import check_writable
 from commands.conditions import Condition
 from commands.options import positive
-from commands.play import PREPARATION, add_scene_arguments, open_session
+from commands.play import PREPARATION, STATE_CONDITION, add_scene_arguments, open_session
 from core.errors import BadInput
 
 HELP = "write a scene as it is in play: splats, cages, surfaces, or a sequence of them"
@@ -21,6 +21,7 @@ EXAMPLES = (
 )
 KINDS = ("ply", "compressed.ply", "spz", "splat", "vtu", "obj")
 CONDITIONS = (
+    STATE_CONDITION,
     Condition(("--format",), lambda args: is_folder(args.out), "is for a folder: a file's name says its kind"),
     Condition(("--every",), lambda args: is_folder(args.out), "is for a sequence: --out must be a folder"),
     Condition(("--no-shadows",), lambda args: kind_of(args) not in ("vtu", "obj"), "is for splats, not for cages"),
@@ -40,7 +41,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", metavar="BODY", help="one body, by its number or the name of its asset")
     parser.add_argument("--no-shadows", action="store_true", help="splats: colours as in full light")
     unused = {"xr": False, "headless": True, "stereo": False, "sort": "z", "size": (16, 16), "render_scale": 1.0}
-    unused |= dict.fromkeys(("record", "snapshot", "stats", "record_input", "study", "participant"))
+    unused |= dict.fromkeys(
+        ("record", "snapshot", "stats", "record_input", "study", "participant", "save_state", "web", "host")
+    )
     parser.set_defaults(**unused)
 
 

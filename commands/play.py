@@ -30,7 +30,8 @@ from scenes.registry import is_scene_file, label
 
 if TYPE_CHECKING:
     from commands.play_session import Session
-    from display.keep.keeper import Keeper
+    from display.keep.state_file import SceneState
+    from display.preferences import Preferences
     from display.protocol import Display
     from display.record.replay import Replay
     from scenes.scene import Scene
@@ -60,11 +61,15 @@ PREPARATION = Condition(
     lambda args: args.replay or not all(map(is_asset, args.body or ())),
     "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
 )
+STATE_CONDITION = Condition(
+    ("--state",), lambda args: not args.replay, "is not for a replay, which begins where it did"
+)
 CONDITIONS = (
     Condition(("--render-scale",), lambda args: args.xr, "belongs to --xr; elsewhere: --size"),
     Condition(("--size",), lambda args: not args.xr, "is not for --xr: a headset says what it takes; --render-scale"),
     Condition(("--stereo",), lambda args: args.headless, "belongs to --headless"),
     Condition(("--host",), lambda args: args.web is not None, "belongs to --web"),
+    STATE_CONDITION,
     Condition(("--participant",), lambda args: args.study, "belongs to --study OUT.h5"),
     PREPARATION,
 )
@@ -90,6 +95,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="OUT.mp4", help="write a film")
     text = "write the last frame: .png, .jpg or .webp"
     parser.add_argument("--snapshot", type=picture_name, metavar="OUT.png", help=text)
+    text = "write the state of the scene at the end; --state FILE.h5 goes on from it"
+    parser.add_argument("--save-state", type=Path, metavar="FILE.h5", help=text)
     parser.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     again = parser.add_mutually_exclusive_group()
     text = "record your input, to be replayed"
@@ -112,6 +119,8 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     text = "how Gaussians follow the cage"
     parser.add_argument("--embedding", choices=("two-level", "one-level"), default="two-level", help=text)
     parser.add_argument("--frames", type=positive(int), metavar="N", help="stop after N frames")
+    text = "go on from a saved state, with its scene, bodies and view"
+    parser.add_argument("--state", type=Path, metavar="FILE.h5", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     text = "splat file or prepared asset to play with; several times: in the scene's roles, in their order"
     parser.add_argument("--body", metavar="FILE", action="append", help=text)
@@ -130,17 +139,21 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
 def open_session(args: argparse.Namespace) -> Iterator[Session]:
     """Open all that the options request, closed at the end. Raises BadInput before any long operation."""
     from commands.play_session import Outputs, Session
+    from display.keep.keeper import Keeper
+    from display.preferences import Preferences
 
     if args.body and "--scene" not in getattr(args, "given", ("--scene",)):
         args.scene = "sandbox"
-    replay = open_replay(args)
+    preferences = Preferences() if args.headless else Preferences.of_user()
+    replay, state = open_replay(args), open_state(args)
     scene = load_scene(args, replay)
+    begin = state.settings.time if state else 0.0
     with (
-        open_display(args, scene, replay) as display,
+        open_display(args, scene, replay, preferences=preferences, begin=begin) as display,
         open_film(args, display) as film,
         open_recording(args) as recording,
         open_study(args, scene) as study,
-        open_keeper(args) as keeper,
+        Keeper(label(args.scene), preferences) as keeper,
     ):
         start_taichi(args.arch, args.seed)
         options = {"interaction": args.interaction, "embedding": args.embedding, "sort": args.sort}
@@ -154,8 +167,14 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
             "load": lambda args: load_scene(args, None),
             "title": title_of,
             "options": options | views,
+            "preferences": preferences,
+            "reserve": [asset for asset, _, _ in state.added] if state else [],
         }
         with Session(args, scene, display, outputs, **kept) as session:
+            if state:
+                from display.keep.scene_state import put_state
+
+                put_state(session.world, state, str(args.state))
             if recording:
                 recording.begin(args, options)
             yield session
@@ -211,6 +230,27 @@ def open_replay(args: argparse.Namespace) -> Replay | None:
     return replay
 
 
+def open_state(args: argparse.Namespace) -> SceneState | None:
+    """The state to go on from, whose options become those of the command."""
+    if not args.state:
+        return None
+    from display.keep.state_file import read_state
+    from display.record.recording import OPTIONS
+
+    state = read_state(args.state)
+    take_options(args, {key: state.about.get(key) for key in OPTIONS if key != "state"}, "state was saved")
+    args.arch = args.arch or state.about.get("arch")
+    return state
+
+
+def take_options(args: argparse.Namespace, options: dict, what: str) -> None:
+    """Give the command these options. Raises BadInput if another value was asked for."""
+    for key, value in options.items():
+        if f"--{key}" in getattr(args, "given", ()) and getattr(args, key) != value:
+            raise BadInput(f"--{key} {getattr(args, key)}: the {what} with {value}, which stays")
+        setattr(args, key, value)
+
+
 def open_recording(args: argparse.Namespace):
     """The recording of the user's input, or a context of None."""
     if not args.record_input:
@@ -237,25 +277,27 @@ def open_study(args: argparse.Namespace, scene: Scene):
     )
 
 
-def open_keeper(args: argparse.Namespace) -> Keeper:
-    """What writes the files that the user asks for in play."""
-    from display.keep.keeper import Keeper
+def open_display(
+    args: argparse.Namespace,
+    scene: Scene,
+    replay: Replay | None = None,
+    *,
+    preferences: Preferences | None = None,
+    begin: float = 0.0,
+) -> Display:
+    """The headset, the browser, the window, or, with --headless or without a screen, the files.
 
-    return Keeper(label(args.scene))
-
-
-def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None = None) -> Display:
-    """The headset, the browser, the window, or, with --headless or without a screen, the files."""
-    for file in filter(None, (args.stats, args.snapshot)):
+    A headless play begins `begin` [s] after the scene's start.
+    """
+    for file in filter(None, (args.stats, args.snapshot, args.save_state)):
         from assets.file_access import check_writable
 
         check_writable(file)
     if args.web is not None:
-        from display.preferences import Preferences
         from display.web.browser import Browser
 
-        options = {"host": args.host, "port": args.web, "size": args.size, "name": args.scene}
-        return Browser(scene, title=title_of(args), preferences=Preferences.of_user(), **options)
+        options = {"host": args.host, "port": args.web, "size": args.size, "name": label(args.scene)}
+        return Browser(scene, title=title_of(args), preferences=preferences, **options)
     if args.xr:
         from display.xr.headset import Headset
 
@@ -265,11 +307,10 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         from display.window.gl_window import has_display
 
         if has_display():
-            from display.preferences import Preferences
             from display.window.window import Window
 
             width, height = args.size or (None, None)
-            kept = {"preferences": Preferences.of_user(), "name": label(args.scene)}
+            kept = {"preferences": preferences, "name": label(args.scene)}
             return Window(scene, title=title_of(args), width=width, height=height, hint=replay is None, **kept)
         args.headless = True
         args.record = args.record or Path(f"{label(args.scene)}.mp4")
@@ -278,7 +319,7 @@ def open_display(args: argparse.Namespace, scene: Scene, replay: Replay | None =
         print(f"no display: the scripted hand plays; writing {files} (--web: play in a browser)", file=sys.stderr)
     from display.headless.headless import Headless
 
-    frames = args.frames or round(FPS * (scene.game.duration if scene.game else SECONDS))
+    frames = args.frames or max(1, round(FPS * ((scene.game.duration if scene.game else SECONDS) - begin)))
     frames = min(args.frames or len(replay), len(replay)) if replay else frames
     views = 2 if args.stereo else 1
     width, height = args.size or SIZE

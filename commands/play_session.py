@@ -20,6 +20,7 @@ from scenes.registry import label
 if TYPE_CHECKING:
     from display.headless.video import FilmWriter
     from display.keep.keeper import Keeper
+    from display.preferences import Preferences
     from display.record.recording import Recording
     from display.record.replay import Replay
     from display.study.study_log import StudyLog
@@ -58,6 +59,7 @@ class Session:
     args     the command's options, which change with the scene
     load     gives the scene of such options, `title` the window's
     options  of a World, besides its size
+    reserve  assets of bodies for which the first world has capacity
     """
 
     def __init__(
@@ -71,6 +73,8 @@ class Session:
         load: Callable[[argparse.Namespace], Scene],
         title: Callable[[argparse.Namespace], str],
         options: dict,
+        preferences: Preferences,
+        reserve: Sequence[str] = (),
     ):
         self.args, self.display, self.replay = args, display, replay
         self.film, self.recording, self.study = outputs.film, outputs.recording, outputs.study
@@ -79,17 +83,21 @@ class Session:
         self._opening: Opening | None = None
         self._requests: deque[Command] = deque()  # what is opened after that
         self._planned: Planned | None = None
-        self.world = self._make(scene)
+        self._preferences = preferences
+        self.world = self._make(scene, reserve)
 
     def __enter__(self) -> Session:
         return self
 
     def __exit__(self, *error) -> None:
         self._end_opening()
+        if not any(error):
+            self._memory.keep(self.world)
 
     def frames(self) -> Iterator[Frame]:
         """The display's frames, or the recorded ones, as many as wanted; noted by the recording."""
         for frame in itertools.islice(self._frames(), None if self.args.headless else self.args.frames):
+            frame = self._memory.given(frame, self.world)
             yield frame if self.recording is None else self.recording.note(frame)
             self._count += 1
 
@@ -100,6 +108,11 @@ class Session:
         args, world = self.args, self.world
         if self.replay:
             print(self.replay.report())
+        if args.save_state:
+            from display.keep.scene_state import state_of
+            from display.keep.state_file import write_state
+
+            write_state(args.save_state, state_of(world, self.keeper.about))
         if args.stats:
             web = {} if args.web is None else {"web": self.display.stats()}
             write_stats(args.stats, run_stats(world, self._count) | web)
@@ -109,6 +122,10 @@ class Session:
             save_picture(args.snapshot, pixels_of(world.picture)[: world.picture_size[1]])
         if args.headless:
             print(f"{self._count} frames, {world.timings.fps:.1f} a second; {world.message}", file=sys.stderr)
+
+    def _light_is_kept(self) -> bool:
+        """True where the light is the user's: not in a scripted play or a replay, nor where a state says it."""
+        return not (self.args.headless or self.replay or self.args.state)
 
     # one world after another
 
@@ -196,6 +213,7 @@ class Session:
         """Make the planned world in place of the present one; if that fails, the present one again."""
         planned, self._planned = self._planned, None
         before = self.args, self.world.scene, self.world.reserve, self._state()
+        self._memory.keep(self.world)
         self.world.close()
         problem = ""
         try:
@@ -234,14 +252,20 @@ class Session:
         the cache count the fields before theirs, are found there."""
         end_taichi()
         start_taichi(args.arch, args.seed)
-        self.args, self.keeper.scene = args, label(args.scene)
+        self.args = args
         self.display.show_scene(scene, self._title(args), label(args.scene))
         self.world = self._make(scene, reserve)
 
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:
         """The world of a scene, ready to play, with a report of the progress."""
+        from display.keep.remembered import Remembered
+        from display.record.recording import about_play
         from display.start_progress import start_progress
         from display.world import World
+
+        name = label(self.args.scene)
+        self.keeper.scene, self.keeper.about = name, about_play(self.args, self._options)
+        self._memory = Remembered(self._preferences, name, light=self._light_is_kept())
 
         width, height = self.display.size
         with start_progress(self.display.loading):

@@ -76,15 +76,21 @@ class Headless:
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Film another scene with its own camera."""
-        camera = perspective(*self.size, scene.fov_y, look_at(scene.eye, scene.target))
+        self._fov_y = scene.fov_y
+        self._look(scene.eye, scene.target)
+
+    def _look(self, eye, target) -> None:
+        camera = perspective(*self.size, self._fov_y, look_at(eye, target))
         self.cameras = [camera] if self.views == 1 else stereo_pair(camera)
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """The frames, then finish the video. A loop that breaks off leaves none."""
-        progress = Progress(self.count)
+        progress, first = Progress(self.count), round(world.time / FRAME_DT)  # of a state, in which time has passed
+        if world.wanted_view is not None:
+            self._look(*world.wanted_view)
         try:
             for index in range(self.count):
-                self._index, time = index, (index + 1) * FRAME_DT
+                self._index, time = index, (first + index + 1) * FRAME_DT
                 hands = world.scripted_hands(time) if self._scripted else []
                 yield Frame(FRAME_DT, time, self.cameras, hands)
                 progress.show(index + 1)

@@ -1,4 +1,4 @@
-"""Carrying out of the commands that write files: pictures, films, cameras."""
+"""Carrying out of the commands that write files: pictures, films, cameras, states, exports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from core.errors import BadInput
 from display.headless.video import FilmWriter
 from display.keep.output_place import output_path
 from display.picture import pixels_of, save_picture
-from display.protocol import Film, Frame, TakePicture, WriteCamera, in_order
+from display.preferences import Preferences
+from display.protocol import Export, Film, Frame, SaveState, TakePicture, WriteCamera, in_order
 
 CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
 FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its index can still be written
@@ -25,15 +26,17 @@ FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its inde
 class Keeper:
     """Carries out the commands of a frame `after` it; files are written by a thread of its own, one after the other.
 
-    `scene` names the files. What was written, or why not, is a notice of the world and a line on stderr; the play goes
-    on. `close` finishes what is under way.
+    `scene` names the files, `about` says in a state how the scene is made. What was written, or why not, is a notice of
+    the world and a line on stderr; the play goes on. `close` finishes what is under way.
     """
 
-    def __init__(self, scene: str):
-        self.scene = scene
+    def __init__(self, scene: str, preferences: Preferences | None = None):
+        self.scene, self.about = scene, {"scene": scene}
+        self._preferences = preferences or Preferences()
         self._film: FilmWriter | None = None
         self._film_begin = self._checked = 0.0  # [s], times of the film's begin, and of the last look at the disk
         self._writer, self._tasks = ThreadPoolExecutor(1), []
+        self._named: set[Path] = set()
 
     def __enter__(self) -> Keeper:
         return self
@@ -62,18 +65,37 @@ class Keeper:
     def _carry_out(self, command, frame: Frame, world) -> None:
         match command:
             case TakePicture(size):
-                path, pixels = output_path(self.scene, ".png"), full_picture(world, size)
+                path, pixels = self._new_path(".png"), full_picture(world, size)
                 self._write(path, lambda: save_picture(path, pixels))
             case WriteCamera(size):
-                path = output_path(self.scene, "_camera.json")
+                path = self._new_path("_camera.json")
                 cameras = [fitted(world.cameras[0], *(size or world.picture_size))]
                 self._write(path, lambda: write_cameras(path, cameras))
+            case SaveState(name, view):
+                from display.keep.scene_state import state_of
+                from display.keep.state_file import write_state
+
+                path = Path(name or self._new_path(".state.h5")).absolute()
+                state = state_of(world, self.about, view)
+                self._write(path, lambda: write_state(path, state))
+                self._preferences.set(f"state.{self.scene}", str(path))
+            case Export(kind, body, shadows):
+                from display.keep.scene_export import exporter
+
+                path = self._new_path(f".{kind}")
+                self._write(path, exporter(world, path, body=body, shadows=shadows))
             case Film(on, size) if on and self._film is None:
-                self._film = FilmWriter(output_path(self.scene, ".mp4"), *(size or world.picture_size))
+                self._film = FilmWriter(self._new_path(".mp4"), *(size or world.picture_size))
                 self._film_begin = self._checked = frame.time - frame.dt
             case Film(on) if not on and self._film is not None:
                 self._finish_film()
                 world.film_seconds = None
+
+    def _new_path(self, ending: str) -> Path:
+        """A name that no file has, nor one that is still to be written."""
+        path = output_path(self.scene, ending, self._named)
+        self._named.add(path)
+        return path
 
     def _write(self, path: Path, write: Callable[[], None]) -> None:
         """Let the thread write a file."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Container
 from datetime import datetime
 from pathlib import Path
 
@@ -10,16 +11,17 @@ from assets.file_access import check_writable, unused_name
 from core.errors import BadInput
 
 
-def output_path(scene: str, ending: str, *, now: datetime | None = None) -> Path:
+def output_path(scene: str, ending: str, taken: Container[Path] = (), *, now: datetime | None = None) -> Path:
     """A new name of scene and time in the current folder, or, if it cannot be written, in that of pictures.
 
-    `ending` is what follows them: ".png", "_camera.json". Raises BadInput if neither folder can be written.
+    `ending` is what follows them: ".png", "_camera.json". It is none of those `taken` for files that are still to come.
+    Raises BadInput if neither folder can be written.
     """
     stem = re.sub(r"[^\w.-]+", "_", Path(scene).stem) or "scene"
     name = f"{stem}_{(now or datetime.now()).strftime('%Y-%m-%d_%H-%M-%S')}{ending}"
     error: BadInput | None = None
     for folder in (Path.cwd(), pictures_folder()):
-        path = unused_name(folder / name)
+        path = unused_name(folder / name, taken)
         try:
             check_writable(path)
             return path

@@ -16,7 +16,7 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import SIZED, Command, Frame, OpenScene, Pause, SetLight, SingleStep, WorldView, last_of
+from display.protocol import Command, Frame, OpenScene, Pause, SetLight, SingleStep, WorldView, last_of
 from display.web.page_server import LOOPBACK, PageServer
 from display.web.page_state import first_words, overlay, sliders_of, world_state
 from display.web.picture_flow import STILL_QUALITY
@@ -270,7 +270,8 @@ class Browser:
         controls.note(commands)
         self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
         commands += controls.place_light(world, *self._cursor, self._camera)
-        return [replace(c, size=self._full) if isinstance(c, SIZED) else c for c in commands]
+        controls.follow(world)
+        return controls.completed(commands, self._full)
 
     def _move(self, u: float, v: float) -> None:
         """Move the cursor to (u, v), in fractions of the picture."""

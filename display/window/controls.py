@@ -10,7 +10,7 @@ import numpy as np
 from core.camera import Camera
 from display import protocol
 from display.edit.edit_steps import rotation_step
-from display.protocol import Command, WorldView
+from display.protocol import SIZED, Command, SaveState, WorldView
 from display.window.key_bindings import bound
 from display.window.mouse_hand import MIN_DEPTH, MouseHand
 from display.window.orbit_camera import OrbitCamera
@@ -27,7 +27,7 @@ WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
 GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
-ENDING_DRAGS = (protocol.Reset, protocol.PlayDemo, protocol.Undo, protocol.Redo, protocol.Remove)
+ENDING_DRAGS = (protocol.Reset, protocol.LoadState, protocol.PlayDemo, protocol.Undo, protocol.Redo, protocol.Remove)
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class Controls:
         self.menu = self.asks_file = False
         self.dialog = None  # that asks something
         self.quit = False
+        self._followed: tuple | None = None  # the last view that the world wanted
         self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
         self._button: str | None = None
         self._lowest: float | None = None  # [m] to which a drag takes the eye down
@@ -153,6 +154,21 @@ class Controls:
         """End the drag if one of these commands takes away what is held."""
         if any(isinstance(command, ENDING_DRAGS) for command in commands):
             self._drop()
+
+    def completed(self, commands: Iterable[Command], size: tuple[int, int]) -> list[Command]:
+        """The commands, with the size [px] of the whole picture and the view where they ask for these."""
+        view = (tuple(self.orbit.eye.tolist()), tuple(self.orbit.target.tolist()))
+        return [
+            replace(c, size=size) if isinstance(c, SIZED) else replace(c, view=view) if isinstance(c, SaveState) else c
+            for c in commands
+        ]
+
+    def follow(self, world: WorldView) -> None:
+        """Go to the view of a state that was loaded."""
+        if world.wanted_view is not self._followed:
+            self._followed = world.wanted_view
+            if self._followed is not None:
+                self.orbit.eye, self.orbit.target = (np.array(point, np.float64) for point in self._followed)
 
     # the actions of key_bindings.py that concern the window alone, or the camera
 

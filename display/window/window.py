@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -15,7 +14,7 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import SIZED, Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.protocol import Command, Frame, Pause, SingleStep, WorldView, last_of
 from display.window.controls import Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
@@ -182,6 +181,7 @@ class Window:
             self._resolution.note(now, seconds, drawing, moving=self._busy)
             self._resize(now, world)
             commands = self._handle(events, world)
+            self._controls.follow(world)
             pause = last_of(Pause, commands)
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
@@ -273,7 +273,7 @@ class Window:
                 controls.let_go()
         self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)
         commands += controls.place_light(world, *self._cursor, self._camera)
-        return [replace(c, size=self._surface.frame_size) if isinstance(c, SIZED) else c for c in commands]
+        return controls.completed(commands, self._surface.frame_size)
 
     def _to_picture(self, x: float, y: float) -> tuple[float, float]:
         """Picture pixels of a position in screen coordinates."""

@@ -9,7 +9,7 @@ from core.errors import BadInput
 PARSER = build_parser("", print)
 ALWAYS = {  # options that act whatever else is given; scenes check their own
     None: "--help --version --web --scene --xr --headless --arch --interaction --embedding --sort --frames --record"
-    " --snapshot --stats --record-input --replay --study --seed --body --stage --material --detail",
+    " --snapshot --stats --save-state --record-input --replay --study --seed --body --stage --material --detail",
     "scenes": "--help",
     "export": "--help --scene --arch --interaction --embedding --frames --seed --body --stage --material --detail"
     " --replay --out --only",
@@ -33,6 +33,8 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     *((f"export --out a.ply {o}", "is for a splat") for o in ("--up +y", "--scale 1", "--vertices 9", "--pieces")),
     ("export --out a.ply --cells uniform", "is for a splat"),
     ("export --out a.ply --format spz", "--format is for a folder"),
+    ("export --out a.ply --replay a.h5 --state b.h5", "--state is not for a replay"),
+    ("--replay a.h5 --state b.h5", "--state is not for a replay"),
     ("export --out a.ply --every 3", "--every is for a sequence"),
     ("export --out a.vtu --no-shadows", "--no-shadows is for splats"),
     ("prepare a.ply --cache --quantised", "--quantised belongs to --out"),

@@ -301,7 +301,8 @@ def test_what_was_played_is_played_again_bit_for_bit(tmp_path, monkeypatch, caps
 def test_the_film_of_a_replay_keeps_the_time_of_the_play(tmp_path, monkeypatch):
     """Frames of a window are of any length: here 12 in a second."""
     monkeypatch.setattr("display.headless.video.pixels_of", lambda picture: picture)
-    world = N(picture=np.zeros((24, 32, 4), np.uint8), picture_size=(32, 24), timings=Timings())
+    shown = {"picture": np.zeros((24, 32, 4), np.uint8), "picture_size": (32, 24)}
+    world = N(**shown, timings=Timings(), time=0.0, wanted_view=None)
     words = ["--replay", "play.h5", "--headless", "--record", str(tmp_path / "again.mp4"), "--size", "32x24"]
     words += ["--frames", "12"]
     args = parse(words, "", print)

@@ -197,9 +197,13 @@ class Controls:
         """Show the list of mouse and keys, or hide it."""
         self.help = not self.help
 
+    def show_next_gizmo(self) -> None:
+        """Show the next kind of gizmo, or none after the last."""
+        self.gizmo = GIZMOS[(GIZMOS.index(self.gizmo) + 1) % len(GIZMOS)]
+
     def next_gizmo(self, press: Press) -> list[Command]:
         """Show the gizmo of the body under the cursor, or of the selected one: move, turn, scale, none."""
-        self.gizmo = GIZMOS[(GIZMOS.index(self.gizmo) + 1) % len(GIZMOS)]
+        self.show_next_gizmo()
         if self.gizmo != GIZMOS[1]:
             return []
         select = self._aimed(protocol.Select(press.world.selected), press)

@@ -23,7 +23,7 @@ class Gizmo:
 
     def __init__(self):
         self.over, self.scaling = False, 1.0
-        self._dragging, self._sent = False, False
+        self._dragging = self._sent = False
         self._matrix = np.eye(4)  # of the handles: world_from_gizmo
         self._turned = np.eye(3)  # how far the body has been turned in this drag
 
@@ -47,6 +47,10 @@ class Gizmo:
         gizmo.set_rect(*area)
         gizmo.set_gizmo_size_clip_space(SIZE)
         gizmo.allow_axis_flip(False)
+        style = gizmo.get_style()
+        style.translation_line_thickness = style.scale_line_thickness = 4.0
+        style.rotation_line_thickness, style.rotation_outer_line_thickness = 3.0, 2.0
+        style.translation_line_arrow_size = style.scale_line_circle_size = 7.0
         view, projection = view_matrices(camera)
         matrix = gizmo.Matrix16(self._matrix.T.ravel().tolist())
         gizmo.manipulate(

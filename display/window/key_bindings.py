@@ -91,7 +91,7 @@ BINDINGS = (
     KeyBinding(("f2",), "choose another scene", "toggle_menu", bodies=True),
     KeyBinding(("ctrl+o",), "open a file as a body or a room", "ask_file", bodies=True),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
-    KeyBinding(("h",), "this list", "toggle_help"),
+    KeyBinding(("h",), "list of mouse and keys", "toggle_help"),
     KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),
 )
 BY_CHORD = {chord: binding for binding in BINDINGS for chord in binding.keys}

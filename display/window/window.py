@@ -63,6 +63,7 @@ class Window:
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
         self._dialog_shown = False
         self._panel = Panel(title, self._surface.scale)
+        self._panel.body.offers_gizmo = True
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
         self._hovered_at: tuple[float, float] | None = None  # with the cursor there
         self._hovered: tuple[int | None, float] = (None, 0.0)  # body under the cursor, and when [s] it was looked for
@@ -200,6 +201,8 @@ class Window:
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
             controls.help = panel.help
             self._commands += self._draw_dialogs(world)
+            if panel.body.next_gizmo:
+                controls.show_next_gizmo()
             if controls.drag == "grab":
                 self._draw_hand()
             else:

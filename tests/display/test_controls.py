@@ -99,6 +99,19 @@ def test_zoom_never_reaches_the_target():
     assert 0.04 < orbit.distance < 0.06 and np.isfinite(orbit.eye).all()
 
 
+@pytest.mark.parametrize("pace", [1.0, 0.1])
+def test_a_throw_in_slow_motion_is_as_fast_as_the_cursor(pace):
+    hand, dt = MouseHand(), 1 / 60
+    hand.grab(CAMERA, *CENTRE, 3.0, 0.05)
+    for _ in range(30):
+        hand.drag(2.0, 0.0)
+        hand.hands(CAMERA, dt, pace)
+    hand.release()
+    (a,), (b,) = (hand.hands(CAMERA, dt, pace) for _ in range(2))
+    speed = 2.0 / CAMERA.fx * 3.0 / dt
+    assert_allclose((np.array(b.position) - a.position) / (dt * pace), (speed, 0.0, 0.0), rtol=1e-6)
+
+
 def test_project_is_the_inverse_of_the_ray():
     origin, direction = CAMERA.ray(200.0, 50.0)
     assert_allclose(project(CAMERA, origin + 2.5 * direction), (200.0, 50.0))

@@ -28,6 +28,7 @@ from display.protocol import (
     SetTimeScale,
     Undo,
 )
+from display.record.codec import from_text, to_text
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from scenes.scene import Body, Hand, Light, Plane, Scene
 
@@ -354,6 +355,24 @@ def test_a_body_is_put_elsewhere_and_rests_there(play):
     assert_allclose(after.axis, -before.axis, atol=1e-3)
     assert_allclose(after.velocity, 0.0, atol=1e-6)
     assert [s.action for s in play.world.editor.history.done] == ["place"]
+
+
+def test_live_changes_are_replayed_bit_for_bit_from_their_recording(play):
+    commands = {
+        1: [SetMaterial(RED, replace(RUBBER, young=1e5))],
+        2: [SetMaterial(RED, replace(RUBBER, young=2e5), continued=True), SetGravity((0.0, -1.6, 0.0))],
+        4: [SetTimeScale(0.3), Place(BLUE, (0.0, 0.1, 0.02), (0.9, 0.1, 0.0, 0.0))],
+        5: [SetTimeScale(0.4, continued=True), Place(BLUE, (0.0, 0.05, 0.0), continued=True)],
+        8: [Undo()],
+    }
+    ends = []
+    for read in (lambda k, given: given, lambda k, given: from_text(to_text(k, given))[1]):
+        play.do(Reset(), SetGravity(play.world.scene.gravity), SetTimeScale(1.0))
+        for k in range(10):
+            play.step(1, *read(k, commands.get(k, [])))
+        ends.append((play.motion(), play.world.time, play.world.gravity, play.world.material(RED)))
+    equal(ends[0][0], ends[1][0])
+    assert ends[0][1:] == ends[1][1:] and ends[0][3][1] == "silicone, changed"
 
 
 def test_reset_gives_the_scene_and_can_be_taken_back(play):

@@ -41,7 +41,8 @@ def test_help_leaves_out_what_has_no_use():
 
 
 def test_the_table_of_the_documentation_is_this_one():
-    rows = [f"| {b.shown.strip()} | {b.label} |" if not b.keys else f"| `{b.shown}` | {b.label} |" for b in BINDINGS]
+    played = [b for b in BINDINGS if b.bodies is not False]
+    rows = [f"| {b.shown.strip()} | {b.label} |" if not b.keys else f"| `{b.shown}` | {b.label} |" for b in played]
     lines = PLAY.read_text(encoding="utf-8").splitlines()
     first = lines.index("| --- | --- |") + 1
     assert lines[first : lines.index("", first)] == rows

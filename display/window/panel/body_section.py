@@ -23,6 +23,7 @@ BUTTONS = {
     "Smaller": (EDITS["smaller"], "(-)"),
     "Larger": (EDITS["larger"], "(+)"),
 }
+GIZMO_TIP = "Handles to move, turn or scale it, then none (G)."
 NOTHING = "Take hold of a body to change it."
 
 
@@ -67,12 +68,16 @@ PROPERTIES = (
 
 
 class BodySection(Section):
-    """Material and edits of the body that was last held or pointed at."""
+    """Material and edits of the body that was last held or pointed at.
+
+    `offers_gizmo`: there is one, of which the next kind was asked for in this frame if `next_gizmo`.
+    """
 
     title = "Body"
 
     def __init__(self):
         self._sliders = Sliders()
+        self.offers_gizmo = self.next_gizmo = False
 
     def shown(self, world: WorldView) -> bool:
         """True of worlds with bodies."""
@@ -97,8 +102,10 @@ class BodySection(Section):
             return []
         _, name = world.material(k)
         commands = self._materials(k, name) + self._sliders.draw(sliders(world))
-        pressed = button_grid({name: tip for name, (_, tip) in BUTTONS.items()}, 3)
-        return commands + ([] if pressed is None else [BUTTONS[pressed][0]])
+        tips = {name: tip for name, (_, tip) in BUTTONS.items()} | ({"Gizmo": GIZMO_TIP} if self.offers_gizmo else {})
+        pressed = button_grid(tips, 3)
+        self.next_gizmo = pressed == "Gizmo"
+        return commands + ([BUTTONS[pressed][0]] if pressed in BUTTONS else [])
 
     def _materials(self, k: int, current: str) -> list[Command]:
         """Draw the list of materials; the command that chooses one."""

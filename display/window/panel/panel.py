@@ -18,16 +18,16 @@ from display.window.panel.world_section import WorldSection
 class Panel:
     """The panel of an ImGui context, which it themes; `draw` returns the user's commands for the world.
 
-    `sections` are drawn from top to bottom, each under its title. `help` is whether the card of mouse and keys is on
-    view.
+    `sections` are drawn from top to bottom, each under its title; `body` is that of the selected body. `help` is
+    whether the card of mouse and keys is on view.
     """
 
     def __init__(self, title: str, scale: float):
         self.title = title
-        self._body, self._performance = BodySection(), PerformanceSection()
+        self.body, self._performance = BodySection(), PerformanceSection()
         self.sections: list[Section] = [
             PlaySection(),
-            self._body,
+            self.body,
             WorldSection(),
             LightSection(),
             self._performance,
@@ -48,7 +48,7 @@ class Panel:
     @property
     def edits(self) -> bool:
         """True while the cursor is among the edits of a body."""
-        return self._visible and self._body.hovered
+        return self._visible and self.body.hovered
 
     def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
         """Draw one frame of the panel and of the score; the commands that the user gives."""

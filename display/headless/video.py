@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import check_writable, part_beside, remove_stale_parts
+from assets.file_access import check_space, check_writable, part_beside, remove_stale_parts
 from core.errors import BadInput
 from display.picture import pixels_of, side_by_side
 
 CODECS = ("avc1", "mp4v")  # H.264 where OpenCV was built with an encoder for it, else MPEG-4 part 2
 FILM_FPS = 30.0  # [1/s]
 BYTES_PER_PIXEL = 0.05  # of a busy picture; measured 0.02 on noise and waves that move
+CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
+FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its index can still be written
 SPACE_MIN = 1e6  # [bytes] without which no codec can even begin
 
 
@@ -97,12 +100,25 @@ class FilmWriter:
 
     def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1):
         self.path, self.size, self._views = Path(path), (views * width, height), views
-        self._video = Video(path, *self.size, fps=FILM_FPS)
+        self.ended = ""  # the reason, if it has ended before it was closed
+        self._video, self._checked = Video(path, *self.size, fps=FILM_FPS), 0.0  # [s], time of the last look at the disk
 
     def add(self, world, time: float) -> None:
-        """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over."""
-        if self._video.count >= time * FILM_FPS:
+        """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over.
+
+        A disk that is nearly full ends the film, so that what it has can be kept; the world and a line tell of it.
+        """
+        if self.ended or self._video.count >= time * FILM_FPS:
             return
+        if time - self._checked >= CHECK_PERIOD:
+            self._checked = time
+            try:
+                check_space(self.path, FILM_RESERVE)
+            except BadInput as e:
+                self.ended = f"The film ends here: {e}"
+                print(self.ended, file=sys.stderr, flush=True)
+                world.tell(self.ended)
+                return
         pixels = pixels_of(world.picture)[: self._views * world.picture_size[1]]  # of a headset's eyes the left one
         pixels = side_by_side(pixels, self._views)
         if (pixels.shape[1], pixels.shape[0]) != self.size:

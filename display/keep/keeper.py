@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from assets.camera_file import write_cameras
-from assets.file_access import check_space
 from core.camera import fitted
 from core.errors import BadInput
 from display.headless.video import FilmWriter
@@ -19,8 +18,6 @@ from display.picture import pixels_of, save_picture
 from display.preferences import Preferences
 from display.protocol import Export, Film, Frame, SaveState, TakePicture, WriteCamera, in_order
 
-CHECK_PERIOD = 1.0  # [s] between two looks at how full the disk is: a failed write of a film is not reported
-FILM_RESERVE = 32e6  # [bytes]; a film ends while its last pictures and its index can still be written
 
 
 class Keeper:
@@ -34,7 +31,7 @@ class Keeper:
         self.scene, self.about = scene, {"scene": scene}
         self._preferences = preferences or Preferences()
         self._film: FilmWriter | None = None
-        self._film_begin = self._checked = 0.0  # [s], times of the film's begin, and of the last look at the disk
+        self._film_begin = 0.0  # [s]
         self._writer, self._tasks = ThreadPoolExecutor(1), []
         self._named: set[Path] = set()
 
@@ -86,7 +83,7 @@ class Keeper:
                 self._write(path, exporter(world, path, body=body, shadows=shadows))
             case Film(on, size) if on and self._film is None:
                 self._film = FilmWriter(self._new_path(".mp4"), *(size or world.picture_size))
-                self._film_begin = self._checked = frame.time - frame.dt
+                self._film_begin = frame.time - frame.dt
             case Film(on) if not on and self._film is not None:
                 self._finish_film()
                 world.film_seconds = None
@@ -105,12 +102,12 @@ class Keeper:
         """Film the frame; a film that can go no further ends, and keeps what it has."""
         try:
             self._film.add(world, time - self._film_begin)
-            if time - self._checked >= CHECK_PERIOD:
-                self._checked = time
-                check_space(self._film.path, FILM_RESERVE)
             world.film_seconds = time - self._film_begin
+            failed = bool(self._film.ended)
         except (BadInput, OSError) as e:
             self._tell(one_line(e), world)
+            failed = True
+        if failed:
             self._finish_film()
             world.film_seconds = None
 

@@ -93,7 +93,7 @@ def test_a_disk_that_fills_up_ends_the_film_and_keeps_it(world, tmp_path, monkey
     with Keeper("sandbox") as keeper:
         play(world, keeper, Film(True, SIZE))
         play(world, keeper, time=0.5)
-        monkeypatch.setattr("display.keep.keeper.FILM_RESERVE", 1e18)
+        monkeypatch.setattr("display.headless.video.FILM_RESERVE", 1e18)
         for k in range(1, 41):
             play(world, keeper, time=0.5 + 0.05 * k)
         assert world.film_seconds is None and "disk" in world.told[0]

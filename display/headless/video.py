@@ -101,7 +101,8 @@ class FilmWriter:
     def __init__(self, path: str | Path, width: int, height: int, *, views: int = 1):
         self.path, self.size, self._views = Path(path), (views * width, height), views
         self.ended = ""  # the reason, if it has ended before it was closed
-        self._video, self._checked = Video(path, *self.size, fps=FILM_FPS), 0.0  # [s], time of the last look at the disk
+        self._video = Video(path, *self.size, fps=FILM_FPS)
+        self._checked = 0.0  # [s], time of the last look at the disk
 
     def add(self, world, time: float) -> None:
         """Bring the film up to `time` [s]: a slow frame is repeated, a fast one may be passed over.

@@ -19,7 +19,6 @@ from display.preferences import Preferences
 from display.protocol import Export, Film, Frame, SaveState, TakePicture, WriteCamera, in_order
 
 
-
 class Keeper:
     """Carries out the commands of a frame `after` it; files are written by a thread of its own, one after the other.
 

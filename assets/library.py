@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from assets.file_access import make_folder
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL, DEFAULT_MATERIAL, Material
+from core.program import cache_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,18 +100,6 @@ def cage_vertices(name: str) -> np.ndarray:
         if not file.has("cage"):
             raise BadInput(f"{name}: has no cage to simulate (make one: python vrgs.py prepare)")
         return file.array("cage/vertices", "f", (None, 3))
-
-
-def cache_folder() -> Path:
-    """Folder for what can be made again, by the platform's custom. `VRGS_CACHE` overrides it."""
-    override = os.environ.get("VRGS_CACHE")
-    if override:
-        return Path(override)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "vrgs"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "vrgs"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"
 
 
 def cached_asset(source: Path, options: dict) -> Path:

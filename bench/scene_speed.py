@@ -18,12 +18,12 @@ import taichi as ti
 
 from assets.asset import Asset
 from assets.file_access import check_writable
-from assets.library import cache_folder
 from bench.implicit_shapes import SHAPES
 from bench.scene_acts import ACTS, Cast, room
 from bench.stripped_bodies import body_name, stripped_body
 from core.errors import BadInput
 from core.material import Material
+from core.program import cache_folder
 from display.run_stats import write_stats
 from sim.body_model import RestShape
 from sim.capacity import Capacity

@@ -99,7 +99,7 @@ def scene_file_in(argv: Sequence[str]) -> str | None:
 def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -> Parser:
     """The parser of all commands; `run_play` runs without one."""
     formatter = argparse.RawDescriptionHelpFormatter
-    parser = Parser(prog="vrgs.py", description=summary, epilog=play.EXAMPLES, formatter_class=formatter)
+    parser = Parser(prog=as_called("vrgs.py"), description=summary, epilog=play.EXAMPLES, formatter_class=formatter)
     parser.add_argument("--version", action="version", version=f"vrgs {VERSION}")
     parser.set_defaults(run=run_play)
     play.add_arguments(parser)
@@ -108,7 +108,7 @@ def build_parser(summary: str, run_play: Callable[[argparse.Namespace], None]) -
         examples = "".join(f"\n  python vrgs.py {example}" for example in module.EXAMPLES)
         sub = commands.add_parser(
             name,
-            prog=f"vrgs.py {name}",
+            prog=as_called(f"vrgs.py {name}"),
             help=module.HELP,
             description=module.HELP,
             epilog=f"example:{examples}",

@@ -1,9 +1,10 @@
-"""The program itself: its version, and how it was started."""
+"""The program itself: its version, how it was started, and where it keeps what can be made again."""
 
 from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 VERSION = "0.1.0"
 ONE_FILE = bool(getattr(sys, "frozen", False))  # the executable of `make binary`: it unpacks itself at each start
@@ -24,3 +25,15 @@ def as_called(text: str) -> str:
     if words == "python vrgs.py":
         return text
     return text.replace("python vrgs.py", words).replace("vrgs.py", words)
+
+
+def cache_folder() -> Path:
+    """Folder for what can be made again, by the platform's custom. `VRGS_CACHE` overrides it."""
+    override = os.environ.get("VRGS_CACHE")
+    if override:
+        return Path(override)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", str(Path.home()))) / "vrgs"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "vrgs"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "vrgs"

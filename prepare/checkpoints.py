@@ -19,8 +19,8 @@ import numpy as np
 
 from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
-from assets.library import cache_folder
 from core.errors import BadInput
+from core.program import cache_folder
 
 MAX_AGE = 14 * 86400.0  # [s]; older entries of abandoned runs are removed
 COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")

@@ -8,7 +8,6 @@ from pathlib import Path
 from assets.file_access import file_size
 from assets.library import cached_asset
 from core.errors import BadInput
-from core.program import cache_folder
 from core.runtime import start_taichi
 
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 3, 2  # of what `cached_body` and `cached_environment` make

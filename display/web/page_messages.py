@@ -126,5 +126,5 @@ def read_message(message: str | bytes) -> tuple:
             raise ValueError
         name, *values = json.loads(message)
         return name, *(check(value) for check, value in zip(CHECKS[name], values, strict=True))
-    except (ValueError, TypeError, KeyError, RecursionError, BadInput) as e:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError, BadInput) as e:
         raise BadInput("malformed message") from e

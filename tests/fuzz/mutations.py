@@ -28,6 +28,7 @@ HARD_TEXTS = ("nan", "inf", "-1", "0", "1e400", "-1e-400", "9" * 30, "9" * 5000,
 NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 HEADER = 4096  # [bytes] in which numbers of a binary file's text are searched
 DEEP = "@deep@"  # stands for lists in lists, deeper than a parser may recurse
+SIZE_MAX = 16 << 20  # [bytes] of a mutated file
 BOMB_BYTES = 128 << 20  # more than files of this size may unpack to (assets/file_access.py)
 
 
@@ -133,6 +134,7 @@ def several(mutations: list[Mutation]) -> Mutation:
     def mutation(rng: np.random.Generator, files: Files) -> Files:
         for _ in range(rng.choice([1, 2, 3], p=[0.7, 0.2, 0.1])):
             files = mutations[rng.integers(len(mutations))](rng, files)
+            files = {name: data[:SIZE_MAX] for name, data in files.items()}
         return files
 
     return mutation

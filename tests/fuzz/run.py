@@ -32,6 +32,7 @@ CPU_SECONDS_MAX = 5.0  # of a case; sound files take milliseconds
 WALL_SECONDS_MAX = 120.0  # after which its process is ended: it hangs
 MEMORY_MAX = 1 << 30  # [bytes] by which a case may raise the peak: 64 MiB of data (UNPACK_BASE), in float64, and copies
 ADDRESS_SPACE = 8 << 30  # [bytes] more than the program itself takes
+NOT_STARTED = -1  # instead of a case's number
 CHUNK = 100  # cases that a process takes at a time
 
 
@@ -159,9 +160,12 @@ class Fuzz:
                         with self._lock:
                             self.tally.update(message[1])
                         count = 0
-                    except EOFError:
+                    except (EOFError, OSError):
                         process.join()
                         text = Path(said.name).read_text(errors="replace")[-2000:]
+                        if current.value == NOT_STARTED:
+                            self._fail(name, first, f"the process did not start: {text}")
+                            return
                         self._fail(name, current.value, f"ended its process (status {process.exitcode}): {text}")
                         first, count = current.value + 1, first + count - current.value - 1
                         process, pipe, current = self._start(said.name)
@@ -170,7 +174,7 @@ class Fuzz:
 
     def _start(self, said: str):
         pipe, far = self._context.Pipe()
-        current = self._context.Value("q", 0)
+        current = self._context.Value("q", NOT_STARTED)
         process = self._context.Process(target=work, args=(far, current, said, self._names), daemon=True)
         process.start()
         far.close()

@@ -1,4 +1,4 @@
-"""Small recordings and studies."""
+"""Small recordings, studies and states."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from pathlib import Path
 
 import numpy as np
 
+from core.material import Material
+from display.keep.plain_values import game_state
+from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
 from display.protocol import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
 from display.record.recording import Recording
 from display.study.questionnaire import QUESTIONS, Answers
 from display.study.study_file import Study
 from display.study.trial import Trial
-from scenes.scene import Light
+from scenes.scene import Hand, Light
+from sim.hands.grasp_state import Grasp, GraspState
 from tests.display.test_recording import Ball, some_frames
 
 COMMANDS = [
@@ -49,3 +53,29 @@ def some_study() -> Study:
         Answers("Ida", setting, tuple(range(len(QUESTIONS))), "well", "now") for setting in ("physics", "transform")
     ]
     return Study(trials, answers)
+
+
+class SomeGame:
+    """A game with values of every kind that states keep."""
+
+    def __init__(self):
+        self.score, self.best, self.message, self.done = 3, 2.5, "on", {1, 4}
+        self.path, self.since = [np.arange(3.0), None], {"ring 1": (True, 0.5)}
+        self.light = Light((1.0, 3.0, 1.0), (0.0, 0.8, 0.0))
+
+
+def some_state() -> SceneState:
+    """A state of two bodies, one of which is held, and one animated."""
+    materials = (Material.named("rubber"), Material.named("plush"))
+    bodies = tuple(SavedBody(k, bool(k), 1.0 + k, m, "rubber", 5, not k) for k, m in enumerate(materials))
+    grasp = Grasp(0, np.array([0, 2, 3, 4]), np.zeros((4, 3)))
+    hand, pose = Hand((0.1, 0.8, 0.0), grip=True), (0.1, 0.8, 0.0, 1.0, 0.0, 0.0, 0.0)
+    hands = GraspState((grasp, None), (hand, None), (((0.1, pose), (0.0, pose)), ()), (0.0, 0.5))
+    animations = (SavedAnimation(1, 2.5, np.eye(4)),)
+    light = Light((1.0, 3.0, 1.0), (0.0, 0.8, 0.0))
+    settings = Settings(4.0, 0.0, (0.0, -9.81, 0.0), 0.5, "physics", light, (0.0, 1.6, 1.0), (0.0, 0.8, 0.0),
+                        game_state(SomeGame()))  # fmt: skip
+    about = {"scene": "ring_toss", "options": {"animal": "fox"}}
+    motion = np.random.default_rng(0).normal(size=(4, 10, 3)).astype(np.float32)
+    return SceneState(about, (("ring_red", "00" * 32),), (("cat.h5", "cat", "11" * 32),), bodies, motion,
+                      np.zeros((3, 2)), animations, hands, settings)  # fmt: skip

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import io
 import json
 import zlib
 from collections.abc import Callable
@@ -212,6 +213,27 @@ def read_and_compare_study(path: Path) -> None:
     page(study, rows, overview(study))
 
 
+def state_samples(folder: Path) -> list[Files]:
+    """A saved state of bodies, hands, an animation and a game."""
+    from display.keep.state_file import write_state
+    from tests.fuzz.sample_plays import some_state
+
+    return [saved(folder, "scene.state.h5", lambda path: write_state(path, some_state()))]
+
+
+def read_saved_state(path: Path) -> None:
+    """Read a state, and what its game was."""
+    from core.errors import BadInput
+    from display.keep.plain_values import game_values
+    from display.keep.state_file import read_state
+    from tests.fuzz.sample_plays import SomeGame
+
+    state = read_state(path)
+    with contextlib.suppress(BadInput):
+        if state.settings.game is not None:
+            game_values(SomeGame(), state.settings.game)
+
+
 # JSON and others
 
 
@@ -248,6 +270,55 @@ def read_landmark_file(path: Path) -> None:
     from prepare.rig.landmarks import read_landmarks
 
     read_landmarks(path)
+
+
+PREFERENCES = {
+    "window.size": [800, 600],
+    "window.place": [0, -20],
+    "panel.open": True,
+    "panel.sections": {"Light": False},
+    "light.ring_toss": {"position": [1, 2, 3], "strength": 0.5},
+    "bookmarks.ring_toss": {"1": [[0, 1.6, 1], [0, 0.8, 0]]},
+    "folder": "/films",
+}
+
+
+def read_preferences(path: Path) -> None:
+    """Read settings, and one of each kind; what is damaged is told and set aside, and the program goes on."""
+    from display.preferences import Preferences, read_bookmarks
+
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        preferences = Preferences(path)
+        for count in (2, 3):
+            preferences.numbers("window.size", count)
+        for key, default in (("panel.open", True), ("folder", ""), ("panel.sections", {}), ("light.ring_toss", {})):
+            preferences.get(key, default)
+        read_bookmarks(preferences.get("bookmarks.ring_toss", {}))
+        preferences.set("sound", False)
+    assert said.getvalue().count("\n") <= 1 and Preferences(path).get("sound", True) is False
+    for aside in path.parent.glob("*.broken*"):
+        aside.unlink()
+
+
+MESSAGES = (
+    ["move", 0.5, 0.4, 1000],
+    ["button", "left", True, 0.5, 0.5, 1000],
+    ["slide", "light", "strength", 0.5, False],
+    ["command", {"pause": True}],
+    ["key", "KeyP", "p", True, False, 10],
+    ["shown", 4, None],
+)
+
+
+def read_page_message(path: Path) -> None:
+    """Take a message of a page in a browser."""
+    from core.errors import BadInput
+    from display.web.page_messages import read_message
+
+    try:
+        read_message(path.read_bytes().decode("utf-8", "surrogatepass"))
+    except (BadInput, UnicodeDecodeError) as e:  # the server closes the connection
+        raise BadInput(f"{path}: {type(e).__name__}") from e
 
 
 def glb_samples(folder: Path) -> list[Files]:
@@ -346,6 +417,9 @@ TARGETS = {
         Target("camera", json_samples("cam.json", CAMERA, [CAMERA, CAMERA]), read_camera_file, lambda folder: JSON),
         Target("answers", json_samples("answers.json", ANSWERS), read_questionnaire, lambda folder: JSON),
         Target("landmarks", json_samples("l.json", LANDMARKS), read_landmark_file, lambda folder: JSON),
+        Target("state", state_samples, read_saved_state, HDF5),
+        Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, lambda folder: JSON),
+        Target("message", json_samples("m.json", *MESSAGES), read_page_message, lambda folder: JSON),
         Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
         Target("image", image_samples, read_image),
         Target("checkpoint", checkpoint_samples, read_checkpoint, lambda folder: [inside_zip(several(BYTES))]),

@@ -160,7 +160,7 @@ class Browser:
             pause = last_of(Pause, commands)
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
-            hands = self._controls.advance(self._camera, dt, running=running)
+            hands = self._controls.advance(self._camera, dt, running=running, pace=world.time_scale)
             self._time += dt
             moving = self._camera_moved() or world.moving
             self._busy = moving or bool(commands or hands)
@@ -296,6 +296,7 @@ class Browser:
         name = pressed_key(code, printed, down=down, ctrl=ctrl)
         commands = [] if name is None else self._controls.key(name, down, world, *self._cursor, self._camera)
         self._controls.quit = False  # a page does not end the program
+        self._controls.help, self._controls.gizmo = False, None  # of the window alone: the page lists the keys itself
         return commands
 
     def stats(self) -> dict:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -149,8 +150,8 @@ def set_property(k: int, material: Material, field: str, value: float, continued
 
 
 def called(name: str) -> str:
-    """A body's name for the user: of an asset from a file, that of the file."""
-    return Path(name).stem.replace("_", " ")
+    """A body's name for the user: of an asset from a file, that of the file; of a cached one, without its digest."""
+    return re.sub(r"-[0-9a-f]{16}$", "", Path(name).stem).replace("_", " ")
 
 
 def changed(material: Material, field: str, value: float) -> Material:

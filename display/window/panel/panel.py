@@ -11,7 +11,7 @@ from display.window.panel.play_section import PlaySection
 from display.window.panel.score_line import draw_score
 from display.window.panel.section import Section
 from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE, WIDTH, apply_theme
-from display.window.panel.widgets import pixels, text_right
+from display.window.panel.widgets import pixels, shortened, text_right, width_of
 from display.window.panel.world_section import WorldSection
 
 
@@ -112,6 +112,5 @@ class Panel:
         imgui.set_item_tooltip("Mouse and keys (H).")
         imgui.dummy((0, pixels(2)))
         for file, role in world.scene.cast:
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_colored(QUIET, f"{file} is {role}")
-            imgui.pop_text_wrap_pos()
+            imgui.text_colored(QUIET, shortened(f"{file} is {role}", width_of(1)))
+            imgui.set_item_tooltip(f"{file} is {role}")

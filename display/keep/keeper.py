@@ -46,7 +46,7 @@ class Keeper:
             try:
                 self._carry_out(command, frame, world)
             except (BadInput, OSError) as e:
-                self._tell(one_line(e), world)
+                self._tell(one_line(e), one_line(e), world)
         if self._film is not None:
             self._add_to_film(frame.time, world)
         self._report(world)
@@ -104,7 +104,7 @@ class Keeper:
             world.film_seconds = time - self._film_begin
             failed = bool(self._film.ended)
         except (BadInput, OSError) as e:
-            self._tell(one_line(e), world)
+            self._tell(one_line(e), one_line(e), world)
             failed = True
         if failed:
             self._finish_film()
@@ -118,21 +118,21 @@ class Keeper:
         """Tell of what the thread has done."""
         while self._tasks and (self._tasks[0].done() or world is None):
             task: Future = self._tasks.pop(0)
-            self._tell(task.result(), world)
+            self._tell(*task.result(), world)
 
-    def _tell(self, text: str, world) -> None:
-        print(text, file=sys.stderr, flush=True)
+    def _tell(self, line: str, notice: str, world) -> None:
+        print(line, file=sys.stderr, flush=True)
         if world is not None:
-            world.tell(text)
+            world.tell(notice)
 
 
-def written(path: Path, write: Callable[[], None]) -> str:
-    """Write a file; the line that says so, or why it could not be."""
+def written(path: Path, write: Callable[[], None]) -> tuple[str, str]:
+    """Write a file; the line that says so, or why it could not be, and a notice of the same."""
     try:
         write()
     except (BadInput, OSError) as e:
-        return one_line(e)
-    return f"Written: {path}"
+        return one_line(e), one_line(e)
+    return f"Written: {path}", f"Written: {path.name} in {path.parent}"
 
 
 def one_line(error: Exception) -> str:

@@ -38,16 +38,24 @@ class PanelContent:
     def of(cls, world: WorldView, panel: WristPanel) -> PanelContent:
         """The content for a world as it is."""
         bodies, k = world.bodies(), world.selected
-        lit = {"pause": world.paused, "watch": world.demo, "light": panel.placing, world.interaction: True}
+        lit = {
+            "pause": world.paused,
+            "watch": world.demo,
+            "film": world.film_seconds is not None,
+            "light": panel.placing,
+            world.interaction: True,
+        }
         note = bodies[k].name if k is not None and k < len(bodies) else "Hold a body or point at it to select it."
         if panel.placing:
             note = "The light follows your hand until you release the trigger."
+        seconds = world.film_seconds
+        film = "" if seconds is None else f"film {int(seconds) // 60}:{int(seconds) % 60:02d}   "
         says_score = not world.score or str(world.score) in world.message.split()
         return cls(
             message=f"{world.score}   {world.message}" if world.message and not says_score else world.message,
             note=note if panel.placing else world.opening or world.notice or note,
             warns=bool(world.opening or world.notice or panel.placing),
-            rate=f"{world.timings.recent_fps():.0f} fps",
+            rate=f"{film}{world.timings.recent_fps():.0f} fps",
             lit=frozenset(name for name, on in lit.items() if on),
             hovered=panel.hovered.name if panel.hovered else None,
         )

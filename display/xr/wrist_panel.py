@@ -49,6 +49,10 @@ class Button:
                 return protocol.Reset()
             case "watch":
                 return protocol.PlayDemo(not world.demo)
+            case "picture":
+                return protocol.TakePicture()
+            case "film":
+                return protocol.Film(world.film_seconds is None)
         return EDITS.get(self.name)
 
 
@@ -63,7 +67,7 @@ BUTTONS = [
     *button_row(116, "physics", "transform"),
     *button_row(212, "undo", "redo", "copy", "remove"),
     *button_row(308, "smaller", "larger", "turn", "light"),
-    *button_row(404, "pause", "reset", "watch"),
+    *button_row(404, "pause", "reset", "watch", "picture", "film"),
 ]
 
 

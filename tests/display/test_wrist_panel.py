@@ -136,6 +136,8 @@ def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_f
         ("pause", protocol.Pause(True)),
         ("reset", protocol.Reset()),
         ("watch", protocol.PlayDemo(True)),
+        ("picture", protocol.TakePicture()),
+        ("film", protocol.Film(True)),
     ],
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from display.protocol import Command, WorldView
 from display.window.panel.body_section import BodySection
 from display.window.panel.help_card import draw_help
+from display.window.panel.keep_section import KeepSection
 from display.window.panel.light_section import LightSection
 from display.window.panel.performance_section import PerformanceSection
 from display.window.panel.play_section import PlaySection
@@ -30,6 +31,7 @@ class Panel:
             self.body,
             WorldSection(),
             LightSection(),
+            KeepSection(),
             self._performance,
         ]
         self._visible = self.help = False

@@ -56,6 +56,7 @@ def apply_theme(scale: float) -> None:
         colours.header_active: (1.0, 1.0, 1.0, 0.16),
         colours.slider_grab: (1.0, 1.0, 1.0, 0.30),
         colours.slider_grab_active: ACCENT,
+        colours.check_mark: ACCENT,
         colours.separator: (1.0, 1.0, 1.0, 0.10),
         colours.scrollbar_bg: (0.0, 0.0, 0.0, 0.0),
         colours.nav_cursor: (0.0, 0.0, 0.0, 0.0),

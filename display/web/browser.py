@@ -16,12 +16,14 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Frame, OpenScene, Pause, SetLight, SingleStep, WorldView, last_of
+from display.protocol import Command, Frame, Pause, SetLight, SingleStep, WorldView, last_of
 from display.web.page_server import LOOPBACK, PageServer
-from display.web.page_state import first_words, overlay, sliders_of, world_state
+from display.web.page_state import WINDOW_ONLY, first_words, overlay, scene_request, sliders_of, world_state
 from display.web.picture_flow import STILL_QUALITY
 from display.window.controls import Controls
 from display.window.gl_window import PLACES, chord_name
+from display.window.hover import Hover
+from display.window.key_bindings import BY_CHORD
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.body_section import BUTTONS
@@ -63,13 +65,14 @@ class Browser:
     ):
         self._preferences, self._name = preferences or Preferences(), name
         self._largest = size
-        self._server = PageServer(host or LOOPBACK, port, first_words(title, scene), encode)
+        self._server = PageServer(host or LOOPBACK, port, first_words(title, name, scene), encode)
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
-        self._controls.bookmarks = read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
+        self._controls.bookmarks = self._bookmarks_of(name)
         self._resolution, self._scale_name = WindowResolution(), "Auto"  # the name of what a page has chosen
         self._camera = self._controls.orbit.camera(*self._full)  # of the picture in full size
         self._last_view: bytes | None = None  # the camera's pose in the last frame
         self._cursor = (0.0, 0.0)  # [px] of the camera
+        self._pointing, self._hover = False, Hover()  # the pointer is over the picture
         self._near = False  # the pointer is among the edits
         self._dropped = 0.0  # [s] that have passed and were never simulated
         self._waited = 0.0  # [s] in this frame for a page to take a picture
@@ -131,10 +134,15 @@ class Browser:
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
-        self._server.greet(first_words(title, scene))
+        self._server.greet(first_words(title, name, scene))
         self._server.tell({"loading": f"Loading {title}"})
         self._controls.let_go()
         self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
+        self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
+
+    def _bookmarks_of(self, name: str) -> dict:
+        """The views that are kept of a scene."""
+        return read_bookmarks(self._preferences.get(f"bookmarks.{name}", {}))
 
     def frames(self, world: WorldView) -> Iterator[Frame]:
         """Frames in real time until the program is to end; slower where that cannot be kept up (display/clock.py).
@@ -157,6 +165,7 @@ class Browser:
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             commands = self._handle(self._server.take(), world)
+            self._controls.follow(world)
             pause = last_of(Pause, commands)
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
@@ -199,7 +208,9 @@ class Browser:
             shown, self._shown = self._shown, (id(world), world.pictures)
             self._picture += shown != self._shown
             hand = self._controls.hand.position if self._controls.drag == "grab" else None
-            strokes = overlay(world, self._camera, hand, near=self._near)
+            cursor = self._cursor if self._pointing and self._controls.drag is None else None
+            under = self._hover.under(world, self._camera, cursor, moving=self._busy)
+            strokes = overlay(world, self._camera, hand, under, near=self._near)
             still = self._resolution.still and world.picture_size == self.size
             self._server.show(self._picture, strokes, lambda: pixels_of(world.picture).copy(), still=still)
             self._tell(world)
@@ -253,6 +264,9 @@ class Browser:
                 commands += self._key(*what, world)
             elif kind in ("blur", "left"):
                 controls.let_go()
+                self._pointing = False
+            elif kind == "leave":
+                self._pointing = False
             elif kind == "edits":
                 (self._near,) = what
             elif kind == "resolution":
@@ -262,7 +276,7 @@ class Browser:
             elif kind == "light":
                 commands += [] if world.light is None else [SetLight(replace(world.light, kind=what[0].lower()))]
             elif kind == "open":
-                commands.append(OpenScene(*what))
+                commands += filter(None, [scene_request(*what)])
             elif kind == "edit":
                 commands.append(BUTTONS[what[0]][0])
             elif kind == "command":
@@ -275,6 +289,7 @@ class Browser:
 
     def _move(self, u: float, v: float) -> None:
         """Move the cursor to (u, v), in fractions of the picture."""
+        self._pointing = True
         before, self._cursor = self._cursor, (u * self._camera.width, v * self._camera.height)
         self._controls.move(self._cursor[0] - before[0], self._cursor[1] - before[1], self._camera)
 
@@ -294,7 +309,10 @@ class Browser:
     def _key(self, code: str, printed: str, down: bool, ctrl: bool, world: WorldView) -> list[Command]:
         """A key that goes down or up; its commands."""
         name = pressed_key(code, printed, down=down, ctrl=ctrl)
-        commands = [] if name is None else self._controls.key(name, down, world, *self._cursor, self._camera)
+        binding = BY_CHORD.get(name)
+        if name is None or (binding is not None and binding.action in WINDOW_ONLY and name != "escape"):
+            return []
+        commands = self._controls.key(name, down, world, *self._cursor, self._camera)
         self._controls.quit = False  # a page does not end the program
         self._controls.help, self._controls.gizmo = False, None  # of the window alone: the page lists the keys itself
         return commands

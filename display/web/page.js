@@ -190,6 +190,7 @@ for (const kind of ["pointerup", "pointercancel"]) {
     if (pinch === null && event.pointerType !== "mouse" && first) fingers.clear();  // the other one begins anew
   });
 }
+stage.addEventListener("pointerleave", () => { flush(); send("leave"); });
 stage.addEventListener("contextmenu", (event) => event.preventDefault());
 stage.addEventListener("wheel", (event) => {
   event.preventDefault();
@@ -209,10 +210,14 @@ function key(event, down) {
     if (down && !event.repeat) togglePanel();
     return;
   }
-  if (event.code === "F2" && hello) {
+  if (event.code === "F2") {
     event.preventDefault();
-    if (down && get("panel").hidden) togglePanel();
-    get("scenes").focus();
+    if (down && !event.repeat) openScenes();
+    return;
+  }
+  if (get("menu-of-scenes").open) return;
+  if (event.key.toLowerCase() === "h" && !ctrl && !writing) {
+    if (down && !event.repeat) showKeys();
     return;
   }
   const pressing = /^(BUTTON|SUMMARY)$/.test(event.target.tagName) && ["Space", "Enter"].includes(event.code);
@@ -257,6 +262,13 @@ function rows(id, lines) {
   }));
 }
 
+function showKeys() {  // the list of keys unfolds, with the panel if need be, or goes away
+  const unfold = get("panel").hidden || !get("keys").open;
+  if (unfold === get("panel").hidden) togglePanel();
+  get("keys").open = unfold;
+  if (unfold) get("keys").scrollIntoView();
+}
+
 function togglePanel() {
   get("panel").hidden = !get("panel").hidden;
   get("menu").classList.toggle("on", !get("panel").hidden);
@@ -265,11 +277,38 @@ function togglePanel() {
   if (get("panel").hidden) send("edits", false);
 }
 
+function buildScenes() {
+  get("scenes").hidden = !hello.scenes.length;
+  get("scene-list").replaceChildren(...hello.scenes.map((scene) => {
+    const cell = document.createElement("div"), words = document.createElement("div"), options = {};
+    cell.className = scene.name === hello.playing ? "scene now" : "scene";
+    cell.tabIndex = 0;
+    if (scene.picture) cell.append(Object.assign(new Image(), { src: scene.picture, alt: "" }));
+    words.append(Object.assign(document.createElement("b"), { textContent: scene.spoken }));
+    for (const [name, [usual, ...choices]] of Object.entries(scene.options)) {
+      const list = document.createElement("select");
+      list.append(...choices.map((choice) => new Option(choice, choice, false, choice === usual)));
+      list.onclick = (event) => event.stopPropagation();
+      list.onchange = () => { options[name] = list.value; };
+      words.append(list);
+    }
+    words.append(Object.assign(document.createElement("p"), { textContent: scene.line }));
+    cell.append(words);
+    cell.onclick = () => { send("open", scene.name, options); get("menu-of-scenes").close(); };
+    cell.onkeydown = (event) => { if (event.target === cell && event.code === "Enter") cell.click(); };
+    return cell;
+  }));
+}
+
+function openScenes() {
+  const menu = get("menu-of-scenes");
+  if (menu.open) menu.close();
+  else if (hello && hello.scenes.length && state.role === "play") menu.showModal();
+}
+
 function build() {
   document.title = get("title").textContent = hello.title;
-  const playing = Object.keys(hello.scenes).find((name) => hello.title.endsWith(`: ${name}`));
-  get("scenes").replaceChildren(...Object.entries(hello.scenes).map(([name, about]) =>
-    Object.assign(new Option(name.replaceAll("_", " "), name, false, name === playing), { title: about })));
+  buildScenes();
   get("cast").textContent = hello.cast.join("; ");
   choice("interaction", Object.assign(Object.keys(hello.interactions), { tips: hello.interactions }),
     (name) => command("interaction", name.toLowerCase()));
@@ -342,7 +381,10 @@ get("material").onchange = (event) => {
   command("material", [null, event.target.value]);
   stage.focus();
 };
-get("scenes").onchange = (event) => { send("open", event.target.value); stage.focus(); };
+get("scenes").onclick = openScenes;
+get("close-scenes").onclick = () => get("menu-of-scenes").close();
+get("menu-of-scenes").onclick = (event) => { if (event.target === get("menu-of-scenes")) event.target.close(); };
+get("menu-of-scenes").onclose = () => stage.focus();
 get("performance").ontoggle = () => send("details", get("performance").open && !get("panel").hidden);
 get("edit").onpointerenter = () => send("edits", true);
 get("edit").onpointerleave = () => send("edits", false);

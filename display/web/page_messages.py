@@ -19,7 +19,8 @@
 | ["slide", section, name, value, continued] | a slider of the panel; whether it goes on with the last change |
 | ["light", kind] | "Point" or "Directional" |
 | ["edit", name] | a button of the panel's section of the body |
-| ["open", name] | another scene |
+| ["open", name, {option: choice}] | another scene |
+| ["leave"] | the pointer is not over the picture |
 | ["command", {name: value}] | one of COMMANDS, as in recordings |
 """
 
@@ -41,6 +42,7 @@ SIDE_MAX = 16_384  # [px] of a page
 FAR = 4.0  # pictures away from its corner: a captured pointer leaves the page, but not for long
 NOTCHES_MAX = 50.0  # of a wheel at once
 SLIDER_MAX = 1e12  # in any unit
+OPTIONS_MAX = 10
 TEXT_MAX = 40  # characters of the name of a key, a slider or a scene
 COMMANDS = ("demo", "reset", "interaction", "material", "undo", "redo", "pause", "step")  # none names a file
 
@@ -79,6 +81,13 @@ def text(value) -> str:
     return value
 
 
+def choices(value) -> dict[str, str]:
+    """A check for options of a scene."""
+    if not isinstance(value, dict) or len(value) > OPTIONS_MAX:
+        raise ValueError
+    return {text(key): text(choice) for key, choice in value.items()}
+
+
 def optional(check: Callable) -> Callable:
     """A check that lets None pass."""
     return lambda value: None if value is None else check(value)
@@ -113,7 +122,8 @@ CHECKS: dict[str, tuple[Callable, ...]] = {
     "edit": (one_of(*BUTTONS),),
     "light": (one_of("Point", "Directional"),),
     "slide": (one_of(*SECTIONS), text, number(-SLIDER_MAX, SLIDER_MAX), SWITCH),
-    "open": (text,),
+    "open": (text, choices),
+    "leave": (),
     "command": (command,),
 }
 STAMPED = ("move", "button", "wheel", "pinch", "key")  # the last value is the stamp

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
+
 import numpy as np
 
 from core.camera import Camera, project
 from core.material import MATERIALS
 from display.edit.selection_marker import marked, marker_lines
-from display.protocol import WorldView
+from display.protocol import OpenScene, WorldView
 from display.run_stats import plain
+from display.window import hover, scene_menu
 from display.window.key_bindings import BY_CHORD, help_rows
 from display.window.panel import (
     body_section,
@@ -19,25 +22,53 @@ from display.window.panel import (
     world_section,
 )
 from display.window.panel.slider import Slider
-from scenes import registry
-from scenes.scene import Scene
+from scenes.registry import Demo
+from scenes.scene import BodyState, Scene
 
+# Actions of keys that a page has in its own way, or not at all.
+WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "escape")
+PAGE_KEYS = [
+    ("F1", "show or hide the panel"),
+    ("F2", "choose another scene"),
+    ("H", "list of mouse and keys"),
+    ("Esc", "end drag or demonstration"),
+]
 SECTIONS = {"body": body_section.sliders, "world": world_section.sliders, "light": light_section.sliders}
 
 
-def first_words(title: str, scene: Scene) -> dict:
-    """What a page is told first: what does not change."""
+def first_words(title: str, name: str, scene: Scene) -> dict:
+    """What a page is told first: what does not change while the scene of that `name` is played."""
+    editable = scene.light is not None or bool(scene.bodies)
     return {
         "title": title,
-        "scenes": {demo.name: demo.summary for demo in registry.demos() if demo.build is not None},
+        "playing": name,
+        "scenes": [described_scene(demo) for demo in scene_menu.demos()] if editable else [],
         "cast": [f"{file} is {role}" for file, role in scene.cast],
         "interactions": play_section.INTERACTIONS,
         "edits": {name: tip for name, (_, tip) in body_section.BUTTONS.items()},
         "materials": list(MATERIALS),
         "resolutions": list(performance_section.RESOLUTIONS),
-        "keys": help_rows(scene.light is not None),
+        "keys": [*help_rows(editable, WINDOW_ONLY), *PAGE_KEYS],
         "ctrl_keys": [chord.rpartition("+")[2] for chord in BY_CHORD if chord.startswith("ctrl+")],
     }
+
+
+def described_scene(demo: Demo) -> dict:
+    """A scene for the menu, with its picture as a data URL, or None."""
+    options = {option.name: [str(option.default), *option.choices] for option in scene_menu.chosen_by_list(demo)}
+    picture = scene_menu.picture_file(OpenScene(demo.name))
+    data = None if picture is None else "data:image/jpeg;base64," + b64encode(picture.read_bytes()).decode()
+    spoken, line = scene_menu.spoken(demo.name), scene_menu.line_of(demo)
+    return {"name": demo.name, "spoken": spoken, "line": line, "options": options, "picture": data}
+
+
+def scene_request(name: str, options: dict) -> OpenScene | None:
+    """The command that opens a scene of the menu with options that it has; None if there is none such."""
+    for demo in scene_menu.demos():
+        known = {option.name: option.choices for option in scene_menu.chosen_by_list(demo)}
+        if demo.name == name and all(value in known.get(key, ()) for key, value in options.items()):
+            return OpenScene(name, options)
+    return None
 
 
 def world_state(world: WorldView) -> dict:
@@ -56,7 +87,7 @@ def world_state(world: WorldView) -> dict:
         "notice": world.notice,
         "opening": world.opening,
         "film": None if world.film_seconds is None else int(world.film_seconds),
-        "selected": bodies[selected].name if known else None,
+        "selected": body_section.called(bodies[selected].name) if known else None,
         "material": world.material(selected)[1] if known else None,
         "light": None if world.light is None else world.light.kind.capitalize(),
         "sliders": {section: [described(one) for one in sliders_of(world, section)] for section in SECTIONS},
@@ -80,10 +111,13 @@ def described(slider: Slider) -> dict:
     return {field: plain(getattr(slider, field)) for field in fields}
 
 
-def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, *, near: bool) -> list:
+def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, under: BodyState | None, *, near: bool) -> list:
     """Strokes over the picture: [u, v] of the hand, and [u, v, u, v, opacity] of the corners of the marked body.
 
-    u and v are fractions of the camera's picture. near: the pointer is among the edits
+    u and v are fractions of the camera's picture.
+
+    under  the body under the cursor
+    near   the cursor is among the edits
     """
 
     def place(at: tuple[float, float]) -> list[float]:
@@ -93,5 +127,6 @@ def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, *, near: 
         at = project(camera, hand)
         return [] if at is None else [place(at)]
     body = marked(world, near=near)
-    lines = [] if body is None else marker_lines(body, camera)
-    return [[*place(a), *place(b), opacity] for a, b, opacity in lines]
+    shown = [(body, 1.0)] if body is not None else []
+    shown += [(under, hover.OPACITY)] if under is not None and under is not body else []
+    return [[*place(a), *place(b), s * opacity] for one, s in shown for a, b, opacity in marker_lines(one, camera)]

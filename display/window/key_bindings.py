@@ -105,6 +105,6 @@ def bound(name: str, *, shift: bool, bodies: bool) -> KeyBinding | None:
     return binding if binding is not None and binding.bodies in (None, bodies) else None
 
 
-def help_rows(bodies: bool) -> list[tuple[str, str]]:
-    """(keys, meaning) for the user, in a world with bodies or without."""
-    return [(b.shown, b.label) for b in BINDINGS if b.bodies in (None, bodies)]
+def help_rows(bodies: bool, without: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """(keys, meaning) for the user, in a world with bodies or without; some actions may be left out."""
+    return [(b.shown, b.label) for b in BINDINGS if b.bodies in (None, bodies) and b.action not in without]

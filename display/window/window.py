@@ -15,9 +15,11 @@ from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
 from display.protocol import Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.window import hover
 from display.window.controls import Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
+from display.window.hover import Hover
 from display.window.mouse_hand import MouseHand
 from display.window.open_dialog import OpenDialog
 from display.window.orbit_camera import OrbitCamera
@@ -30,8 +32,6 @@ from scenes.scene import BodyState, Scene
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one
 DEFAULT_SIZE = (960, 540)  # in screen coordinates
-HOVER_PERIOD = 0.05  # [s] between two looks for the body under the cursor
-HOVER_OPACITY = 0.5  # of its corners
 MIN_SIDE = 16  # [px] of a picture
 
 
@@ -65,8 +65,7 @@ class Window:
         self._panel = Panel(title, self._surface.scale)
         self._panel.body.offers_gizmo = True
         self._gizmo, self._hint = Gizmo(), FirstHint() if hint else None
-        self._hovered_at: tuple[float, float] | None = None  # with the cursor there
-        self._hovered: tuple[int | None, float] = (None, 0.0)  # body under the cursor, and when [s] it was looked for
+        self._hover = Hover()
         self._resolution = WindowResolution()
         self._controls = Controls(OrbitCamera(scene.eye, scene.target, scene.fov_y), MouseHand())
         self._controls.panel = self._preferences.get("panel.open", True)
@@ -310,24 +309,16 @@ class Window:
         body, under = marked(world, near=self._panel.edits), self._under_cursor(world)
         if body is not None:
             self._draw_marker(body)
-        if under is not None and not under.held and (body is None or under is not body):
-            self._draw_marker(under, HOVER_OPACITY)
+        if under is not None and under is not body:
+            self._draw_marker(under, hover.OPACITY)
 
     def _under_cursor(self, world: WorldView) -> BodyState | None:
-        """The body that a press of the button would take, looked for when something moves, but not in each frame."""
+        """The body that a press of the button would take."""
         from imgui_bundle import imgui
 
-        io, controls = imgui.get_io(), self._controls
-        free = controls.drag is None and not (io.want_capture_mouse or self._gizmo.over or world.demo)
-        if not (free and world.editable and imgui.is_mouse_pos_valid()):
-            self._hovered, self._hovered_at = (None, 0.0), None
-            return None
-        now = perf_counter()
-        if now - self._hovered[1] > HOVER_PERIOD and (self._busy or self._cursor != self._hovered_at):
-            hit, self._hovered_at = world.pick(*self._camera.ray(*self._cursor)), self._cursor
-            self._hovered = (None if hit is None else hit[1], now)
-        bodies, k = world.bodies(), self._hovered[0]
-        return bodies[k] if k is not None and k < len(bodies) else None
+        taken = self._controls.drag is not None or imgui.get_io().want_capture_mouse or self._gizmo.over
+        cursor = self._cursor if imgui.is_mouse_pos_valid() and not taken else None
+        return self._hover.under(world, self._camera, cursor, moving=self._busy)
 
     def _draw_marker(self, body: BodyState, strength: float = 1.0) -> None:
         """Draw corners around a body; those behind it are fainter."""

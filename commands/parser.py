@@ -23,6 +23,7 @@ from commands import (
     render,
     scenes,
     study,
+    train,
     tune,
     view,
 )
@@ -36,6 +37,7 @@ COMMANDS = {
     "scenes": scenes,
     "view": view,
     "render": render,
+    "train": train,
     "prepare": prepare,
     "convert": convert,
     "export": export,

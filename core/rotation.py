@@ -68,3 +68,15 @@ def multiply_quaternions(a, b) -> np.ndarray:
 def conjugate_quaternions(q) -> np.ndarray:
     """Conjugates of quaternions wxyz (..., 4): the inverse rotations of unit ones."""
     return np.asarray(q) * [1.0, -1.0, -1.0, -1.0]
+
+
+def rotation_between(a, b) -> np.ndarray:
+    """The smallest rotation (3, 3) that takes direction `a` to direction `b`."""
+    a, b = (np.asarray(v, np.float64) / np.linalg.norm(v) for v in (a, b))
+    half = a + b
+    if np.linalg.norm(half) < 1e-9:  # opposite: half a turn about any axis across
+        across = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+        across /= np.linalg.norm(across)
+        return 2.0 * np.outer(across, across) - np.eye(3)
+    half /= np.linalg.norm(half)
+    return (2.0 * np.outer(half, half) - np.eye(3)) @ (2.0 * np.outer(a, a) - np.eye(3))

@@ -1,0 +1,189 @@
+"""`vrgs.py train`: Gaussians from photographs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import atomic_write, check_writable
+from commands.conditions import Condition
+from commands.options import add_arch, positive
+from core.errors import BadInput
+from core.runtime import start_taichi
+
+HELP = "make Gaussians of photographs with known poses"
+EXAMPLES = (
+    "train fox/ --out fox.ply",
+    "train fox/ --out fox.ply --steps 7000 --report fox.json",
+    "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
+    "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
+)
+CONDITIONS = (Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),)
+CAPS = {"cuda": 2_000_000, "cpu": 100_000}
+STEPS = {"cuda": 30_000, "cpu": 3_000}
+LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
+TEST_PICTURES = 4  # of the report
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    text = "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, or a transforms.json"
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="OUT", help="OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply"
+    )
+    text = f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
+    parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
+    text = "default: grows where detail is missing; mcmc: fills the budget of --cap"
+    parser.add_argument("--strategy", choices=("default", "mcmc"), default="default", help=text)
+    text = f"most Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
+    parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
+    text = "degree of the harmonics, 0 to 3 (default 3)"
+    parser.add_argument("--degree", type=int, choices=range(4), default=3, metavar="D", help=text)
+    parser.add_argument(
+        "--antialias", action="store_true", help="opacities for drawing with anti-aliasing (Mip-Splatting)"
+    )
+    text = "order of blending that is trained for (default radial, which window and headset use)"
+    parser.add_argument("--sort", choices=("z", "radial"), default="radial", help=text)
+    parser.add_argument(
+        "--reduce", type=positive(int), default=1, metavar="N", help="divide the photographs' sides by N"
+    )
+    text = "keep every Nth photograph for the test; 0: none (default 8)"
+    parser.add_argument("--test-every", type=int, default=8, metavar="N", help=text)
+    text = "numbers as JSON, and beside it a page with pictures"
+    parser.add_argument("--report", type=Path, metavar="R.json", help=text)
+    text = "steps between two checkpoints, from which a cut training goes on; 0: none (default 1000)"
+    parser.add_argument("--checkpoint-every", type=int, default=1000, metavar="N", help=text)
+    parser.add_argument("--fresh", action="store_true", help="start anew where a checkpoint was left")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
+    add_arch(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Train, test, and write the Gaussians. Raises BadInput."""
+    from assets.splat_files import kind_to_write, write_gaussians
+    from prepare.train.capture import read_capture
+    from prepare.train.photographs import load_photograph
+
+    kind_to_write(args.out)
+    for file in filter(None, (args.out, args.report)):
+        check_writable(file)
+    if args.test_every < 0 or args.checkpoint_every < 0:
+        raise BadInput("--test-every and --checkpoint-every are 0 or more")
+    capture = read_capture(args.capture)
+    photographs = []
+    for k, view in enumerate(capture.views):
+        photographs.append(load_photograph(view, args.reduce))
+        _tell(f"photographs {k + 1}/{len(capture.views)}", end=k + 1 == len(capture.views))
+    every = args.test_every
+    test = photographs[::every] if every else []
+    train = [p for k, p in enumerate(photographs) if not every or k % every]
+    if not train:
+        raise BadInput("--test-every 1 leaves no photograph to learn from")
+    start_taichi(args.arch)
+    import taichi as ti
+
+    arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    from prepare.train.seeds import seeds
+    from prepare.train.trainer import Trainer, TrainOptions
+
+    options = TrainOptions(
+        args.steps or STEPS[arch],
+        args.strategy,
+        args.cap or CAPS[arch],
+        args.degree,
+        args.antialias,
+        args.sort,
+        args.seed,
+    )
+    about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": every}
+    kept = args.out.with_name(f"{args.out.name}.checkpoint.h5")
+    start = seeds(capture, degree=args.degree, count=options.cap, rng=np.random.default_rng(args.seed))
+    trainer = Trainer(train, start, capture.extent, options)
+    if args.checkpoint_every and kept.is_file() and not args.fresh:
+        from prepare.train.checkpoint import read_checkpoint
+
+        trainer.restore(read_checkpoint(kept, about, len(train)))
+        print(f"going on from step {trainer.done} ({kept}; --fresh starts anew)", file=sys.stderr)
+    curve, seconds = _train(trainer, args, kept, about)
+    qualities = [trainer.quality(p) for p in test]
+    gaussians = _upright(trainer.population.gaussians(), capture.up)
+    write_gaussians(args.out, gaussians)
+    kept.unlink(missing_ok=True)
+    numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done}
+    numbers |= {"views": len(train), "test_views": len(test), "options": about, "curve": curve}
+    line = f"{args.out}: {len(gaussians)} Gaussians, {trainer.done} steps in {seconds:.0f} s"
+    if qualities:
+        mean = {name: float(np.mean([asdict(q)[name] for q in qualities])) for name in asdict(qualities[0])}
+        numbers["test"] = mean
+        line += f"; {len(test)} unseen photographs: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.3f}"
+    print(line)
+    if args.report:
+        _report(args.report, numbers, trainer, test, qualities)
+
+
+def _train(trainer, args: argparse.Namespace, kept: Path, about: dict) -> tuple[list[dict], float]:
+    """All steps that are left, with a progress line and checkpoints; the loss curve, and seconds."""
+    from prepare.train.checkpoint import write_checkpoint
+
+    steps, curve, begin, first = trainer.options.steps, [], time.perf_counter(), trainer.done
+    told = begin
+    interval = LINE_SECONDS if sys.stderr.isatty() else 10 * LINE_SECONDS
+    while trainer.done < steps:
+        trainer.step()
+        now = time.perf_counter()
+        if now - told >= interval or trainer.done == steps:
+            q = trainer.recent_loss()
+            now = time.perf_counter()  # the device has been waited for
+            rate = (trainer.done - first) / (now - begin)
+            left = (steps - trainer.done) / rate
+            loss = 0.8 * q.l1 + 0.2 * (1.0 - q.ssim)
+            curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": trainer.population.count})
+            n = trainer.population.count
+            text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
+            _tell(f"{text}  {rate:.1f} steps/s  {left:.0f} s left", end=trainer.done == steps)
+            told = now
+        if args.checkpoint_every and trainer.done % args.checkpoint_every == 0 and trainer.done < steps:
+            write_checkpoint(kept, trainer.state(), about)
+    return curve, time.perf_counter() - begin
+
+
+def _tell(text: str, *, end: bool) -> None:
+    """Show a progress line: on a terminal over the last one."""
+    if sys.stderr.isatty():
+        print(f"\r{text:<110}", end="\n" if end else "", file=sys.stderr, flush=True)
+    elif end or text.startswith("step"):
+        print(text, file=sys.stderr, flush=True)
+
+
+def _upright(gaussians, up: np.ndarray):
+    """Gaussians turned so that `up` is +y, where the cameras stood."""
+    from core.rotation import rotation_between
+
+    return gaussians.transformed(rotation_between(up, np.array([0.0, 1.0, 0.0])))
+
+
+def _report(path: Path, numbers: dict, trainer, test: list, qualities: list) -> None:
+    """Write the numbers, and a page with test photographs beside what is drawn."""
+    from bench.html_page import Section, Table, html_page
+
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    sections = []
+    for k in np.linspace(0, len(test) - 1, min(TEST_PICTURES, len(test))).round().astype(int):
+        q, drawn = qualities[k], trainer.picture(test[k].camera)
+        pictures = {"photograph": test[k].pixels, "drawn": drawn}
+        sections.append(Section(f"Unseen view {k + 1}", f"PSNR {q.psnr:.2f} dB, SSIM {q.ssim:.3f}", pictures))
+    rows = [(str(c["step"]), f"{c['loss']:.4f}", f"{c['psnr']:.2f}", str(c["gaussians"])) for c in numbers["curve"]]
+    rows = rows[:: max(1, len(rows) // 40)]
+    table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows)
+    sections.append(Section("Training", "Means over the photographs since the row before.", table=table))
+    page = html_page("Training", f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs.", sections)
+    with atomic_write(path.with_suffix(".html")) as beside:
+        beside.write_text(page, encoding="utf-8")

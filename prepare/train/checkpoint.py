@@ -1,0 +1,49 @@
+"""Checkpoints of a training, from which a cut one goes on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from assets.file_access import atomic_write
+from assets.gaussians import SH_COUNTS
+from assets.hdf5 import open_hdf5
+
+FORMAT, VERSION = "vrgs-training", 1
+COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
+COLUMNS |= {"pull": (), "pulls": ()}
+HARMONICS = ("sh", "first_sh", "second_sh")
+
+
+def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
+    """Write the state of a trainer; either the whole file or none. Raises BadInput."""
+    with atomic_write(path) as beside, h5py.File(beside, "w") as file:
+        file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
+        file.attrs["options"] = json.dumps(options, sort_keys=True)
+        for name, values in state.items():
+            file.create_dataset(name, data=values)
+
+
+def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarray]:
+    """The state of a trainer of `views` photographs with the same options. Raises BadInput."""
+    with open_hdf5(path) as file:
+        if file.text("", "format") != FORMAT or file.number("", "version") != VERSION:
+            raise file.error("is no checkpoint of a training of this version")
+        if file.json("", "options") != options:
+            raise file.error("was made with other options; with --fresh the training starts anew")
+        count = len(file.floats("mean", (None, 3)))
+        state = {name: file.floats(name, (count, *shape)) for name, shape in COLUMNS.items()}
+        coefficients = SH_COUNTS[options["degree"]]
+        state |= {name: file.floats(name, (count, coefficients, 3)) for name in HARMONICS}
+        for name, values in state.items():
+            if not np.isfinite(values).all():
+                raise file.error(f"{name} is not finite")
+        state["done"] = file.indices("done", (1,), np.int64)
+        state["queue"] = file.indices("queue", (None,))
+        state["rng"] = file.array("rng", "iu", (4,)).astype(np.uint64)
+        if count == 0 or (state["queue"] >= views).any():
+            raise file.error("does not belong to these photographs")
+        return state

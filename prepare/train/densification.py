@@ -1,0 +1,160 @@
+"""Births and deaths of Gaussians in training: adaptive density control, and MCMC with a fixed budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from prepare.train.population import Population
+
+START, STOP, EVERY = 500, 15_000, 100  # steps of training
+RESET_EVERY = 3000  # steps between two resets of the opacities
+PULL_MIN = 2e-4  # [1/half picture] of the mean gradient by the position above which detail is missing
+SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
+SPLIT_SHRINK = 1.6
+OPACITY_MIN, OPACITY_RESET = 0.005, 0.01
+LARGE = 0.1  # of the extent: larger ones are removed once opacities have been reset
+
+MCMC_GROWTH = 1.05  # a budget is filled by this factor each time
+MCMC_STOP = 25_000
+NOISE = 5e5  # times the learning rate of the means
+OPACITY_COST = SCALE_COST = 0.01  # of the mean opacity and the mean scale
+COPIES_MAX = 51  # of a Gaussian for which opacities and scales are computed
+
+
+def logit(p: float) -> float:
+    """Inverse of the logistic function."""
+    return float(np.log(p / (1.0 - p)))
+
+
+@dataclass
+class AdaptiveDensity:
+    """Kerbl 2023, Sec. 5: clone and split where the position is pulled, prune what is faint or huge, reset opacities.
+
+    cap      most Gaussians; those that are pulled hardest are divided where not all may be
+    stretch  of the schedule, for trainings of other than 30,000 steps: 1 keeps it
+    """
+
+    population: Population
+    extent: float
+    cap: int
+    rng: np.random.Generator
+    opacity_cost: float = 0.0
+    scale_cost: float = 0.0
+
+    def after(self, step: int, steps: int, mean_rate: float) -> None:
+        """Act after a step, counted from 1, of `steps`."""
+        stop = min(STOP, steps // 2) if steps < 2 * STOP else STOP
+        if step >= stop:
+            return
+        if step > START and step % EVERY == 0:
+            self.refine(prune_large=step > RESET_EVERY)
+        if step % RESET_EVERY == 0:
+            self.population.limit_logits(self.population.count, logit(OPACITY_RESET))
+            self.population.activate()
+
+    def refine(self, *, prune_large: bool) -> None:
+        """Clone, split and prune once."""
+        p = self.population
+        n = p.count
+        pull = p.pull.to_numpy()[:n] / np.maximum(p.pulls.to_numpy()[:n], 1.0)
+        scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
+        divided = np.flatnonzero(pull > PULL_MIN)
+        room = max(0, min(self.cap, p.capacity) - n)
+        if len(divided) > room:
+            divided = np.sort(divided[np.argsort(-pull[divided], kind="stable")[:room]])
+        added = np.arange(n, n + len(divided))
+        p.copy(divided, added, moments=False)
+        p.splats.set_count(n + len(divided))
+        split = scale[divided] > SMALL * self.extent
+        both = np.concatenate([divided[split], added[split]])
+        p.scatter(both, self.rng.standard_normal((len(both), 3)), SPLIT_SHRINK)
+        self.prune(prune_large=prune_large)
+        p.clear_statistics()
+
+    def prune(self, *, prune_large: bool) -> None:
+        """Remove faint Gaussians, and huge ones if asked for; the last rows take their places."""
+        p = self.population
+        n = p.count
+        dead = p.parameters.logit.to_numpy()[:n] < logit(OPACITY_MIN)
+        if prune_large:
+            dead |= p.parameters.log_scale.to_numpy()[:n].max(axis=1) > np.log(LARGE * self.extent)
+        alive = max(1, n - int(dead.sum()))
+        if alive == n:
+            p.activate()
+            return
+        holes = np.flatnonzero(dead[:alive])
+        p.copy(alive + np.flatnonzero(~dead[alive:])[: len(holes)], holes, moments=True)
+        p.splats.set_count(alive)
+        p.activate()
+
+
+@dataclass
+class MonteCarlo:
+    """Kheradmand 2024: a budget of `cap` Gaussians; dead ones are moved to live ones, and all are shaken."""
+
+    population: Population
+    extent: float
+    cap: int
+    rng: np.random.Generator
+    opacity_cost: float = OPACITY_COST
+    scale_cost: float = SCALE_COST
+
+    def after(self, step: int, steps: int, mean_rate: float) -> None:
+        """Act after a step, counted from 1, of `steps`."""
+        p = self.population
+        if START < step < min(MCMC_STOP, steps) and step % EVERY == 0:
+            self.relocate()
+            self.grow()
+            p.activate()
+        p.shake(p.count, NOISE * mean_rate, int(self.rng.integers(1 << 32)))
+
+    def relocate(self) -> None:
+        """Move dead Gaussians to live ones, drawn by their opacity."""
+        p = self.population
+        opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[: p.count].astype(np.float64)))
+        dead, alive = np.flatnonzero(opacity <= OPACITY_MIN), np.flatnonzero(opacity > OPACITY_MIN)
+        if len(dead) and len(alive):
+            self._share(alive[self._draw(opacity[alive], len(dead))], dead)
+
+    def grow(self) -> None:
+        """Add Gaussians as long as the budget lasts."""
+        p = self.population
+        n = p.count
+        added = min(self.cap, p.capacity, int(MCMC_GROWTH * n) + 1) - n
+        if added > 0:
+            opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[:n].astype(np.float64)))
+            p.splats.set_count(n + added)
+            self._share(self._draw(opacity, added), np.arange(n, n + added))
+
+    def _draw(self, weights: np.ndarray, count: int) -> np.ndarray:
+        return self.rng.choice(len(weights), count, p=weights / weights.sum())
+
+    def _share(self, sources: np.ndarray, targets: np.ndarray) -> None:
+        """Put copies of `sources` at `targets`, so that all copies of one together look as it did."""
+        p = self.population
+        rows, copies = np.unique(sources, return_counts=True)
+        opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[rows].astype(np.float64)))
+        log_scale = p.parameters.log_scale.to_numpy()[rows].astype(np.float64)
+        new, factor = shared_opacity_and_scale(opacity, np.minimum(copies + 1, COPIES_MAX))
+        new = np.clip(new, OPACITY_MIN, 1.0 - 1e-6)
+        log_scale += np.log(factor)[:, None]
+        logits = np.log(new / (1.0 - new))
+        p.set_opacity_and_scale(rows.astype(np.int32), logits.astype(np.float32), log_scale.astype(np.float32))
+        p.copy(sources, targets, moments=False)
+
+
+def shared_opacity_and_scale(opacity: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Opacity of each of N copies of a Gaussian, and the factor of its scale, so that they look as the one did.
+
+    o_new = 1 - (1 - o)^(1/N);  factor = o / sum_{i=1..N} sum_{k<i} C(i-1, k) (-1)^k o_new^(k+1) / sqrt(k+1)
+                                                                                       (Kheradmand 2024, eq. 9)
+    """
+    new = 1.0 - (1.0 - opacity) ** (1.0 / copies)
+    total = np.zeros_like(opacity)
+    for i in range(1, int(copies.max(initial=0)) + 1):
+        term = sum(comb(i - 1, k) * (-1.0) ** k * new ** (k + 1) / np.sqrt(k + 1.0) for k in range(i))
+        total += np.where(i <= copies, term, 0.0)
+    return new, opacity / total

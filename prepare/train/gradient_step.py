@@ -1,0 +1,119 @@
+"""A step of training on the device: draw, compare, gradients back to the parameters, Adam."""
+
+import numpy as np
+import taichi as ti
+
+from core.camera import Camera
+from prepare.train.image_loss import DSSIM_WEIGHT, ImageLoss
+from prepare.train.population import Population
+from render.blend_gradients import BlendGradients
+from render.projection_gradients import ProjectionGradients
+from render.renderer import Renderer
+
+
+@ti.data_oriented
+class GradientStep:
+    """Draws `population` in pictures of at most (height, width), and learns from them.
+
+    A renderer keeps its kernels while pictures change their size, and its buffers for pairs of tile and Gaussian grow
+    on demand; the kernels that read those are compiled again then.
+    """
+
+    def __init__(self, population: Population, height: int, width: int, *, antialias: bool, sort: str):
+        self.population = population
+        self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
+        self.loss = ImageLoss(height, width)
+        self._passes: _BackwardPass | None = None
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        if self._passes is not None:
+            self._passes.destroy()
+        self.loss.destroy()
+        self.renderer.destroy()
+
+    def draw(self, camera: Camera) -> "_BackwardPass":
+        """Draw for a camera; the backward pass that belongs to the picture."""
+        rasterizer = self.renderer.rasterizer
+        if (camera.width, camera.height) != (self.renderer.width, self.renderer.height):
+            rasterizer.resize(camera.width, camera.height)
+            self.renderer.width, self.renderer.height = camera.width, camera.height
+        self.renderer.render([camera])
+        bins = rasterizer.tile_pass.bins
+        if self._passes is None or self._passes.bins is not bins:
+            if self._passes is not None:
+                self._passes.destroy()
+            self._passes = _BackwardPass(self.population, bins, self.renderer.sink, self.loss)
+        return self._passes
+
+    def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float) -> None:
+        """Draw, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels)."""
+        self.draw(camera).compute(photograph, camera.height, camera.width, self.population.count, scale, DSSIM_WEIGHT)
+
+    def update(self, camera: Camera, rates, biases, active: int, costs, sparse: bool = False) -> None:
+        """A step of Adam with the gradients of the last `compute`, see `Population.update`."""
+        numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, *costs, int(sparse))
+        self._passes.update(self.population.count, *numbers)
+
+    def compare(self, photograph: ti.Ndarray, camera: Camera) -> np.ndarray:
+        """Sums of ImageLoss for a photograph alone."""
+        kept = self.take_sums(clear=False)
+        self.loss.sums.fill(0.0)
+        self.draw(camera).compare(photograph, camera.height, camera.width)
+        sums = self.take_sums()
+        self.loss.sums[None] = kept.tolist()
+        return sums
+
+    def take_sums(self, *, clear: bool = True) -> np.ndarray:
+        """Sums of ImageLoss since they were taken last."""
+        sums = self.loss.sums.to_numpy().astype(np.float64).reshape(4)
+        if clear:
+            self.loss.sums.fill(0.0)
+        return sums
+
+    def picture(self, camera: Camera) -> np.ndarray:
+        """What is drawn for a camera, (H, W, 3) uint8."""
+        self.draw(camera)
+        rgb = self.renderer.rgb.to_numpy()[0, : camera.height, : camera.width]
+        return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+@ti.data_oriented
+class _BackwardPass:
+    """The kernels that depend on the bins of a picture."""
+
+    def __init__(self, population: Population, bins, picture, loss: ImageLoss):
+        self.population, self.bins, self.picture, self.loss = population, bins, picture, loss
+        self.blend = BlendGradients(bins, picture)
+        self.gradients = ProjectionGradients(self.blend)
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.gradients.destroy()
+        self.blend.destroy()
+
+    @ti.kernel
+    def compute(
+        self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, count: ti.i32, scale: ti.f32,
+        dssim: ti.f32,
+    ):  # fmt: skip
+        self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+        self.blend.clear(0, count)
+        self.blend.backward()
+        self.gradients.backward(0, count)
+
+    @ti.kernel
+    def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):
+        self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, 0.0, 0.0)
+
+    @ti.kernel
+    def update(
+        self, count: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32, color: ti.f32,
+        harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32, half_height: ti.f32,
+        opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+    ):  # fmt: skip
+        self.population.update(
+            self.gradients, count, mean, quat, log_scale, logit, color, harmonics, bias1, bias2, active, half_width,
+            half_height, opacity_cost, scale_cost, sparse,
+        )  # fmt: skip
+        self.population.parameters.activate(0, count)

@@ -1,0 +1,150 @@
+"""Loss between a rendered and a photographed image, and its gradient: L1 and structural similarity."""
+
+import math
+
+import taichi as ti
+
+from core.fields import FieldGroup
+
+WINDOW, SIGMA = 11, 1.5  # [px] of the Gaussian window of SSIM
+RADIUS = WINDOW // 2
+C1, C2 = 0.01**2, 0.03**2
+DSSIM_WEIGHT = 0.2  # lambda
+_WEIGHTS = [math.exp(-0.5 * ((k - RADIUS) / SIGMA) ** 2) for k in range(WINDOW)]
+WEIGHTS = [w / sum(_WEIGHTS) for w in _WEIGHTS]
+
+vec3 = ti.math.vec3
+
+
+@ti.data_oriented
+class ImageLoss:
+    """(1 - lambda) |x - y| + lambda (1 - SSIM(x, y)), the mean over colours and over the pixels that count.
+
+    Pixels are at most (height, width); `photograph` is an ndarray u32 R | G<<8 | B<<16 | A<<24, a pixel counts if A
+    is 255. Where it does not, x is taken for y: nothing is learned there.
+
+    Out: `sums` = (sum of |x - y|, of (x - y)^2, of SSIM over colours, and counted pixels) since `clear`.
+
+    SSIM = (2 mx my + C1) (2 sxy + C2) / ((mx^2 + my^2 + C1) (sxx + syy + C2)), Wang 2004, with a Gaussian window of 11
+    pixels and zeros outside of the image, as 3DGS has it. Its gradient is the same window applied to the derivatives
+    with respect to the means of x, x^2 and x y.
+    """
+
+    def __init__(self, height: int, width: int):
+        self.fields = f = FieldGroup()
+        with f.interleaved(height, width):
+            self.blurred = [f.vector(height, width) for _ in range(5)]  # along rows: x, y, x^2, y^2, x y
+        with f.interleaved(height, width):
+            self.slopes = [f.vector(height, width) for _ in range(3)]  # by the means of x, x^2, x y
+        self.sums = f.vector(n=4)
+        f.build()
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.fields.destroy()
+
+    @ti.func
+    def target(self, photograph: ti.template(), y: ti.i32, x: ti.i32):
+        """Colour of a photographed pixel, and 1 if it counts, else 0."""
+        packed = photograph[y, x]
+        c = (
+            vec3(packed & ti.u32(255), (packed >> ti.u32(8)) & ti.u32(255), (packed >> ti.u32(16)) & ti.u32(255))
+            / 255.0
+        )
+        return c, ti.select((packed >> ti.u32(24)) == ti.u32(255), 1.0, 0.0)
+
+    @ti.func
+    def pair(self, rgb: ti.template(), photograph: ti.template(), y: ti.i32, x: ti.i32):
+        """The rendered and the photographed colour of a pixel, equal where it does not count, and whether it does."""
+        truth, counts = self.target(photograph, y, x)
+        return truth + counts * (rgb[0, y, x] - truth), truth, counts
+
+    @ti.func
+    def backward(
+        self, rgb: ti.template(), photograph: ti.template(), d_rgb: ti.template(), height: ti.i32, width: ti.i32,
+        scale: ti.f32, dssim: ti.f32,
+    ):  # fmt: skip
+        """Write d_rgb (height, width), the gradient times `scale`, with lambda = dssim; outermost level of a kernel.
+
+        `scale`: 1 / (3 counted pixels).
+        """
+        for y, x in ti.ndrange(height, width):
+            sums = ti.Matrix.zero(ti.f32, 5, 3)
+            for k in range(WINDOW):
+                at = x + k - RADIUS
+                if 0 <= at < width:
+                    a, b, _ = self.pair(rgb, photograph, y, at)
+                    w = self.weight(k)
+                    for c in ti.static(range(3)):
+                        sums[0, c] += w * a[c]
+                        sums[1, c] += w * b[c]
+                        sums[2, c] += w * a[c] * a[c]
+                        sums[3, c] += w * b[c] * b[c]
+                        sums[4, c] += w * a[c] * b[c]
+            for k in ti.static(range(5)):
+                self.blurred[k][y, x] = vec3(sums[k, 0], sums[k, 1], sums[k, 2])
+        for y, x in ti.ndrange(height, width):
+            sums = ti.Matrix.zero(ti.f32, 5, 3)
+            for k in range(WINDOW):
+                at = y + k - RADIUS
+                if 0 <= at < height:
+                    w = self.weight(k)
+                    for j in ti.static(range(5)):
+                        value = self.blurred[j][at, x]
+                        for c in ti.static(range(3)):
+                            sums[j, c] += w * value[c]
+            a, b, counts = self.pair(rgb, photograph, y, x)
+            by_mean, by_square, by_product, similarity = vec3(0.0), vec3(0.0), vec3(0.0), 0.0
+            for c in ti.static(range(3)):
+                mx, my = sums[0, c], sums[1, c]
+                A, B = 2 * mx * my + C1, 2 * (sums[4, c] - mx * my) + C2
+                C, D = mx * mx + my * my + C1, sums[2, c] - mx * mx + sums[3, c] - my * my + C2
+                similarity += A * B / (C * D)
+                by_square[c] = -A * B / (C * D * D)
+                by_product[c] = 2 * A / (C * D)
+                by_mean[c] = 2 * my * B / (C * D) - 2 * mx * A * B / (C * C * D)
+                by_mean[c] -= 2 * mx * by_square[c] + my * by_product[c]
+            self.slopes[0][y, x] = counts * by_mean
+            self.slopes[1][y, x] = counts * by_square
+            self.slopes[2][y, x] = counts * by_product
+            difference = a - b
+            self.sums[None] += ti.math.vec4(
+                ti.abs(difference).sum(), difference.dot(difference), counts * similarity, counts
+            )
+        for y, x in ti.ndrange(height, width):
+            sums = ti.Matrix.zero(ti.f32, 3, 3)
+            for k in range(WINDOW):
+                at = x + k - RADIUS
+                if 0 <= at < width:
+                    w = self.weight(k)
+                    for j in ti.static(range(3)):
+                        value = self.slopes[j][y, at]
+                        for c in ti.static(range(3)):
+                            sums[j, c] += w * value[c]
+            for j in ti.static(range(3)):
+                self.blurred[j][y, x] = vec3(sums[j, 0], sums[j, 1], sums[j, 2])
+        for y, x in ti.ndrange(height, width):
+            sums = ti.Matrix.zero(ti.f32, 3, 3)
+            for k in range(WINDOW):
+                at = y + k - RADIUS
+                if 0 <= at < height:
+                    w = self.weight(k)
+                    for j in ti.static(range(3)):
+                        value = self.blurred[j][at, x]
+                        for c in ti.static(range(3)):
+                            sums[j, c] += w * value[c]
+            a, b, counts = self.pair(rgb, photograph, y, x)
+            d = vec3(0.0)
+            for c in ti.static(range(3)):
+                slope = sums[0, c] + 2 * a[c] * sums[1, c] + b[c] * sums[2, c]
+                d[c] = (1 - dssim) * ti.math.sign(a[c] - b[c]) - dssim * slope
+            d_rgb[y, x] = scale * counts * d
+
+    @ti.func
+    def weight(self, k: ti.i32) -> ti.f32:
+        """Weight of a pixel of the window."""
+        weight = 0.0
+        for j in ti.static(range(RADIUS + 1)):
+            if ti.abs(k - RADIUS) == RADIUS - j:
+                weight = WEIGHTS[j]
+        return weight

@@ -1,0 +1,92 @@
+"""Lenses: intrinsics and distortion of a photograph, and the undistorted image with a mask of what it holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from core.errors import BadInput
+
+SIDE_MAX = 16384  # [px]
+ASPECT_TOLERANCE = 0.01  # between an image and its camera: a reduced copy may be rounded to whole pixels
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Image size and intrinsics [px], pixel centres at +0.5, and OpenCV's distortion.
+
+    distortion  k1, k2, p1, p2, k3, ... as OpenCV orders them; with `fisheye` k1 to k4 of its fisheye model
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, ...] = ()
+    fisheye: bool = False
+
+    def check(self, where: str) -> None:
+        """Raise BadInput, naming `where`, unless the numbers can be those of a lens."""
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.isfinite(numbers).all() or not (0 < self.width <= SIDE_MAX and 0 < self.height <= SIDE_MAX):
+            raise BadInput(f"{where}: the camera's size or intrinsics are no finite positive numbers")
+        if not all(1e-2 * side < f < 1e4 * side for f, side in ((self.fx, self.width), (self.fy, self.height))):
+            raise BadInput(
+                f"{where}: a focal length of {self.fx:g} x {self.fy:g} pixels does not fit {self.width}x{self.height}"
+            )
+
+    @property
+    def distorts(self) -> bool:
+        """True if straight lines are bent."""
+        return self.fisheye or any(k != 0.0 for k in self.distortion)
+
+    def resized(self, width: int, height: int, where: str) -> Lens:
+        """The same lens for an image of another size. Raises BadInput, naming `where`, if that has another shape."""
+        sx, sy = width / self.width, height / self.height
+        if abs(sx / sy - 1.0) > ASPECT_TOLERANCE:
+            raise BadInput(f"{where}: the image is {width}x{height}, its camera {self.width}x{self.height}")
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def matrix(self) -> np.ndarray:
+        """Intrinsics (3, 3) with pixel centres at whole numbers, as OpenCV wants them."""
+        return np.array([[self.fx, 0.0, self.cx - 0.5], [0.0, self.fy, self.cy - 0.5], [0.0, 0.0, 1.0]])
+
+    def pinhole(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy of the undistorted image: those of the lens, but a fisheye's, which keeps its middle half."""
+        if not self.fisheye:
+            return self.fx, self.fy, self.cx, self.cy
+        import cv2
+
+        size = (self.width, self.height)
+        k = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+            self.matrix(), self._coefficients(), size, np.eye(3), balance=0.0
+        )
+        return float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5
+
+    def undistort(self, pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (H, W, 3) and mask (H, W) bool as a pinhole camera sees them.
+
+        What the photograph does not hold is outside of the mask: learned as black it would cost much.
+        """
+        if not self.distorts:
+            return pixels, mask
+        import cv2
+
+        fx, fy, cx, cy = self.pinhole()
+        new = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
+        size, k = (self.width, self.height), self._coefficients()
+        rectify = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        along, down = rectify(self.matrix(), k, np.eye(3), new, size, cv2.CV_32FC1)
+        out = cv2.remap(pixels, along, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        # a pixel counts if all that it is interpolated from was photographed
+        whole = cv2.remap(mask.astype(np.float32), along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return out, whole > 0.999
+
+    def _coefficients(self) -> np.ndarray:
+        count = 4 if self.fisheye else 8
+        return np.array([*self.distortion, *[0.0] * count][:count], np.float64)

@@ -1,0 +1,100 @@
+"""Photographs of a capture: decoding, masks, undistortion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from assets.images import read_image_header
+from core.camera import Camera
+from core.errors import BadInput
+from prepare.train.capture import View
+
+FILE_MAX = 512 << 20  # [bytes]
+PIXELS_MAX = 1 << 28
+HEADER_BYTES = 1 << 20  # of a file that is searched for its size: the preview in a JPEG may come first
+
+
+class Photograph(NamedTuple):
+    """An undistorted image (H, W, 3) uint8 RGB, the pixels that count (H, W) bool, and its pinhole camera."""
+
+    pixels: np.ndarray
+    mask: np.ndarray
+    camera: Camera
+
+
+def load_photograph(view: View, reduce: int = 1) -> Photograph:
+    """The view's photograph, its sides divided by `reduce`. Raises BadInput."""
+    pixels, mask = read_image(view.image)
+    if view.mask is not None:
+        mask &= read_mask(view.mask, mask.shape)
+    if not mask.any():
+        raise BadInput(f"{view.image}: no pixel counts: it is all transparent, or masked")
+    height, width = mask.shape
+    lens = view.lens.resized(width, height, str(view.image))
+    pixels, mask = lens.undistort(pixels, mask)
+    camera = View(view.image, lens, view.world_to_camera).camera()
+    if reduce > 1:
+        import cv2
+
+        size = (max(1, width // reduce), max(1, height // reduce))
+        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+        mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+        sx, sy = size[0] / width, size[1] / height
+        camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
+    return Photograph(pixels, mask, camera)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) of an image file. Raises BadInput."""
+    height, width = read_image(path)[1].shape
+    return width, height
+
+
+def read_image(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (H, W, 3) uint8 RGB and the opaque ones (H, W) bool, of 8 or 16 bits, grey or colour. Raises BadInput."""
+    raw = _decode(path)
+    if raw.ndim == 2:
+        raw = raw[..., None]
+    opaque = raw[..., -1] > np.iinfo(raw.dtype).max // 2 if raw.shape[2] in (2, 4) else np.ones(raw.shape[:2], bool)
+    if raw.dtype == np.uint16:
+        raw = (raw // 257).astype(np.uint8)
+    grey = raw.shape[2] < 3
+    return np.ascontiguousarray(raw[..., [0, 0, 0]] if grey else raw[..., [2, 1, 0]]), opaque
+
+
+def read_mask(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """Pixels of a mask (H, W) bool that are not black. Raises BadInput unless it has the image's shape."""
+    raw = _decode(path)
+    mask = raw > 0 if raw.ndim == 2 else (raw[..., :3] > 0).any(axis=2)
+    if mask.shape != shape:
+        raise BadInput(f"{path}: the mask is {mask.shape[1]}x{mask.shape[0]}, its image {shape[1]}x{shape[0]}")
+    return mask
+
+
+def _decode(path: Path) -> np.ndarray:
+    """Pixels as stored, BGR or BGRA or grey, uint8 or uint16."""
+    import cv2
+
+    try:
+        if path.stat().st_size > FILE_MAX:
+            raise BadInput(f"{path}: larger than {FILE_MAX >> 20} MiB")
+        data = path.read_bytes()
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    header = read_image_header(data[:HEADER_BYTES])
+    if header is not None and header.width * header.height > PIXELS_MAX:
+        raise BadInput(f"{path}: {header.width}x{header.height} pixels are too many")
+    log, level = cv2.utils.logging, cv2.utils.logging.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        raw = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        raw = None
+    finally:
+        log.setLogLevel(level)
+    if raw is None or raw.dtype not in (np.uint8, np.uint16) or raw.ndim not in (2, 3) or not raw.size:
+        raise BadInput(f"{path}: not an image that can be decoded")
+    return raw

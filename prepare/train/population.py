@@ -1,0 +1,249 @@
+"""The Gaussians that are trained: parameters, the optimizer's moments, statistics, and their births and deaths."""
+
+import numpy as np
+import taichi as ti
+
+from assets.gaussians import Gaussians
+from core.fields import FieldGroup
+from prepare.train.optimizer import BETA1, BETA2, EPSILON
+from prepare.train.parameters import Parameters
+from render.splats import Splats
+
+GEOMETRY = 11  # learned numbers of a Gaussian but for its harmonics: mean 3, quat 4, log_scale 3, logit 1
+
+vec3, vec4 = ti.math.vec3, ti.math.vec4
+geometry = ti.types.vector(GEOMETRY, ti.f32)
+
+
+@ti.data_oriented
+class Population:
+    """Up to `capacity` Gaussians with all that training needs to know of them.
+
+    parameters  learned form of rotation, scale and opacity; means and harmonics are learned in `splats`
+    first, second        moments of Adam of mean, quat, log_scale, logit, in this order
+    first_sh, second_sh  those of the harmonics
+    pull        sum of the lengths of the gradient by the position in the picture [1/half picture], and `pulls`, how
+                many: of the steps since they were cleared in which a Gaussian was seen
+
+    Rows beyond `count` are unused. Rows are copied by lists of indices from the host, which decides on births and
+    deaths (prepare/train/densification.py); no kernel depends on `count`.
+    """
+
+    def __init__(self, gaussians: Gaussians, capacity: int):
+        self.splats = Splats(gaussians, capacity=capacity)
+        self.splats.sh_range = (0, self.splats.capacity)  # all harmonics are evaluated: they will not stay zero
+        self.parameters = Parameters(self.splats)
+        self.capacity, coefficients = self.splats.capacity, self.splats.coefficients
+        self.fields = f = FieldGroup()
+        self.first, self.second = (f.vector(self.capacity, n=GEOMETRY) for _ in range(2))
+        self.first_sh, self.second_sh = (f.vector(self.capacity, coefficients) for _ in range(2))
+        self.pull, self.pulls = f.scalar(self.capacity), f.scalar(self.capacity)
+        f.build()
+        for field, values in (
+            (self.parameters.quat, gaussians.quats),
+            (self.parameters.log_scale, gaussians.log_scales),
+            (self.parameters.logit, gaussians.logit_opacities),
+        ):
+            field.from_numpy(self.splats.padded(values))
+        self.activate()
+
+    @property
+    def count(self) -> int:
+        """Number of Gaussians."""
+        return self.splats.count
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.parameters.destroy()
+        self.splats.destroy()
+        self.fields.destroy()
+
+    def arrays(self) -> dict:
+        """All fields with a row a Gaussian, by name."""
+        p, s = self.parameters, self.splats
+        names = {"mean": s.mean, "sh": s.sh, "quat": p.quat, "log_scale": p.log_scale, "logit": p.logit}
+        names |= {"first": self.first, "second": self.second, "first_sh": self.first_sh, "second_sh": self.second_sh}
+        return names | {"pull": self.pull, "pulls": self.pulls}
+
+    def read(self) -> dict[str, np.ndarray]:
+        """Copies of all rows in use, on the host."""
+        return {name: field.to_numpy()[: self.count] for name, field in self.arrays().items()}
+
+    def write(self, arrays: dict[str, np.ndarray]) -> None:
+        """Put rows back as `read` gave them; the first `count` are in use then."""
+        for name, field in self.arrays().items():
+            self.splats.count = len(arrays[name])
+            field.from_numpy(self.splats.padded(arrays[name]))
+        self.activate()
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians as they are now, on the host."""
+        p, n = self.parameters, self.count
+        rows = (self.splats.mean, p.quat, p.log_scale, p.logit, self.splats.sh)
+        return Gaussians.of(*(field.to_numpy()[:n] for field in rows))
+
+    def activate(self) -> None:
+        """Write covariances and opacities of all Gaussians to the splats."""
+        self._activate(self.count)
+
+    @ti.kernel
+    def _activate(self, count: ti.i32):
+        self.parameters.activate(0, count)
+
+    @ti.func
+    def update(
+        self, gradients: ti.template(), count: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32,
+        color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32,
+        half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+    ):  # fmt: skip
+        """A step of Adam for all Gaussians with the gradients of this step; outermost level of a kernel.
+
+        mean to harmonics      learning rates; bias1, bias2: 1 - beta^t of this step
+        active                 coefficients of the harmonics that are learned already
+        half_width, half_height  of the picture [px]
+        opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
+        sparse                 1: Gaussians out of the picture keep their place and their moments
+        """
+        for g in range(count):
+            seen = gradients.seen(g)
+            if seen or sparse == 0:
+                d = geometry(0.0)
+                if seen:
+                    pull = gradients.blend.d_mean2d[g]
+                    self.pull[g] += ti.math.vec2(pull.x * half_width, pull.y * half_height).norm()
+                    self.pulls[g] += 1.0
+                    d_mean = gradients.d_mean[g]
+                    d_quat, d_log_scale, d_logit = self.parameters.backward(g, gradients)
+                    for k in ti.static(range(3)):
+                        d[k], d[7 + k] = d_mean[k], d_log_scale[k]
+                    for k in ti.static(range(4)):
+                        d[3 + k] = d_quat[k]
+                    d[10] = d_logit
+                opacity = self.splats.opacity[g]
+                d[10] += opacity_cost * opacity * (1.0 - opacity)
+                for k in ti.static(range(3)):
+                    d[7 + k] += scale_cost * ti.exp(self.parameters.log_scale[g][k])
+                first = BETA1 * self.first[g] + (1.0 - BETA1) * d
+                second = BETA2 * self.second[g] + (1.0 - BETA2) * d * d
+                self.first[g], self.second[g] = first, second
+                move = (first / bias1) / (ti.sqrt(second / bias2) + EPSILON)
+                for k in ti.static(range(3)):
+                    self.splats.mean[g][k] -= mean * move[k]
+                    self.parameters.log_scale[g][k] -= log_scale * move[7 + k]
+                for k in ti.static(range(4)):
+                    self.parameters.quat[g][k] -= quat * move[3 + k]
+                self.parameters.logit[g] -= logit * move[10]
+                for k in range(active):
+                    d_sh = vec3(0.0)
+                    if seen:
+                        d_sh = gradients.d_sh[g, k]
+                    first_sh = BETA1 * self.first_sh[g, k] + (1.0 - BETA1) * d_sh
+                    second_sh = BETA2 * self.second_sh[g, k] + (1.0 - BETA2) * d_sh * d_sh
+                    self.first_sh[g, k], self.second_sh[g, k] = first_sh, second_sh
+                    rate = color if k == 0 else harmonics
+                    self.splats.sh[g, k] -= rate * (first_sh / bias1) / (ti.sqrt(second_sh / bias2) + EPSILON)
+
+    # births and deaths
+
+    def copy(self, sources, targets, *, moments: bool) -> None:
+        """Overwrite rows `targets` by rows `sources`, which are no targets themselves.
+
+        Without `moments` the copies' are zero, and so are their statistics.
+        """
+        if len(targets):
+            self._copy(np.asarray(sources, np.int32), np.asarray(targets, np.int32), int(moments))
+
+    @ti.kernel
+    def _copy(self, sources: ti.types.ndarray(ti.i32, 1), targets: ti.types.ndarray(ti.i32, 1), moments: ti.i32):
+        for i in range(targets.shape[0]):
+            a, b = sources[i], targets[i]
+            self.splats.mean[b] = self.splats.mean[a]
+            self.parameters.quat[b] = self.parameters.quat[a]
+            self.parameters.log_scale[b] = self.parameters.log_scale[a]
+            self.parameters.logit[b] = self.parameters.logit[a]
+            for k in range(self.splats.coefficients):
+                self.splats.sh[b, k] = self.splats.sh[a, k]
+            self._set_moments(a, b, ti.cast(moments, ti.f32))
+
+    @ti.func
+    def _set_moments(self, a: ti.i32, b: ti.i32, keep: ti.f32):
+        """Moments and statistics of row b: `keep` times those of row a."""
+        self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
+        for k in range(self.splats.coefficients):
+            self.first_sh[b, k], self.second_sh[b, k] = keep * self.first_sh[a, k], keep * self.second_sh[a, k]
+        self.pull[b], self.pulls[b] = keep * self.pull[a], keep * self.pulls[a]
+
+    def scatter(self, rows, normals: np.ndarray, shrink: float) -> None:
+        """Move each of `rows` to a sample of its own Gaussian, and divide its scales by `shrink`.
+
+        normals: standard normal numbers (len(rows), 3).
+        """
+        if len(rows):
+            self._scatter(np.asarray(rows, np.int32), np.ascontiguousarray(normals, np.float32), shrink)
+
+    @ti.kernel
+    def _scatter(self, rows: ti.types.ndarray(ti.i32, 1), normals: ti.types.ndarray(ti.f32, 2), shrink: ti.f32):
+        for i in range(rows.shape[0]):
+            g = rows[i]
+            self.splats.mean[g] += self.parameters.axes(g) @ vec3(normals[i, 0], normals[i, 1], normals[i, 2])
+            self.parameters.log_scale[g] -= ti.log(shrink)
+            self._set_moments(g, g, 0.0)
+
+    def clear_statistics(self) -> None:
+        """Forget the sums of `pull`."""
+        self.pull.fill(0.0)
+        self.pulls.fill(0.0)
+
+    @ti.kernel
+    def limit_logits(self, count: ti.i32, limit: ti.f32):
+        """Lower logits of opacities to `limit`, and forget their moments."""
+        for g in range(count):
+            self.parameters.logit[g] = ti.min(self.parameters.logit[g], limit)
+            self.first[g][10], self.second[g][10] = 0.0, 0.0
+
+    @ti.kernel
+    def set_opacity_and_scale(
+        self, rows: ti.types.ndarray(ti.i32, 1), logits: ti.types.ndarray(ti.f32, 1),
+        log_scales: ti.types.ndarray(ti.f32, 2),
+    ):  # fmt: skip
+        """Give rows these logits (n,) and log scales (n, 3), without moments."""
+        for i in range(rows.shape[0]):
+            g = rows[i]
+            self.parameters.logit[g] = logits[i]
+            self.parameters.log_scale[g] = vec3(log_scales[i, 0], log_scales[i, 1], log_scales[i, 2])
+            self._set_moments(g, g, 0.0)
+
+    @ti.kernel
+    def shake(self, count: ti.i32, amount: ti.f32, seed: ti.u32):
+        """Move Gaussians at random along their axes, the more the fainter they are (Kheradmand 2024, eq. 8).
+
+        Sigma n times `amount`, n standard normal, times a logistic function that vanishes for opacities above 0.005.
+        """
+        for g in range(count):
+            faint = 1.0 / (1.0 + ti.exp(-100.0 * (0.005 - self.splats.opacity[g])))
+            s = self.splats.cov[g]
+            n = vec3(normal(seed, g, 0), normal(seed, g, 1), normal(seed, g, 2)) * faint * amount
+            self.splats.mean[g] += vec3(
+                s[0] * n.x + s[1] * n.y + s[2] * n.z,
+                s[1] * n.x + s[3] * n.y + s[4] * n.z,
+                s[2] * n.x + s[4] * n.y + s[5] * n.z,
+            )
+
+
+@ti.func
+def hashed(x: ti.u32) -> ti.u32:
+    """A hash of 32 bits (the finaliser of MurmurHash3)."""
+    x ^= x >> ti.u32(16)
+    x *= ti.u32(2246822507)
+    x ^= x >> ti.u32(13)
+    x *= ti.u32(3266489909)
+    return x ^ (x >> ti.u32(16))
+
+
+@ti.func
+def normal(seed: ti.u32, g: ti.i32, k: ti.i32) -> ti.f32:
+    """A standard normal number for a seed, a row and a component (Box and Muller)."""
+    base = hashed(seed ^ hashed(ti.cast(g * 3 + k, ti.u32)))
+    u = (ti.cast(hashed(base ^ ti.u32(1640531527)), ti.f32) + 1.0) / 4294967808.0
+    v = ti.cast(hashed(base ^ ti.u32(3266489917)), ti.f32) / 4294967296.0
+    return ti.sqrt(-2.0 * ti.log(u)) * ti.cos(6.2831853 * v)

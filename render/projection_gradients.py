@@ -1,0 +1,165 @@
+"""Backward pass of the projection: gradients of splats in a picture to those of Gaussians and camera."""
+
+import math
+
+import taichi as ti
+
+from core.fields import FieldGroup
+from core.quaternion import conjugate, rotate_inverse
+from render.blend_gradients import BlendGradients
+from render.harmonics_gradients import basis_and_slopes
+from render.projection import GUARD_BAND, HALF_LOG2_E, times
+from render.splats import color_of
+
+LN2 = math.log(2.0)
+
+vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
+vec6 = ti.types.vector(6, ti.f32)
+
+
+@ti.data_oriented
+class ProjectionGradients:
+    """Gradients of a loss with respect to the Gaussians of `Splats`, and to the camera.
+
+    Out, of shape (capacity,), set for Gaussians in the picture and left as they are for all others, see `seen`:
+    d_mean     vec3 [1/m]
+    d_cov      vec6 [1/m^2], with respect to the six stored entries: an off-diagonal one stands for two
+    d_opacity  scalar
+    d_sh       vec3 (capacity, coefficients)
+    d_camera   vec4 (3,): with respect to the rows of world_to_camera, a sum over all Gaussians
+    """
+
+    def __init__(self, blend: BlendGradients):
+        self.blend, self.projection = blend, blend.projection
+        self.splats = splats = self.projection.splats
+        self.fields = f = FieldGroup()
+        self.d_mean, self.d_cov, self.d_opacity = (
+            f.vector(splats.capacity),
+            f.vector(splats.capacity, n=6),
+            f.scalar(splats.capacity),
+        )
+        self.d_sh = f.vector(splats.capacity, splats.coefficients)
+        self.d_camera = f.vector(3, n=4)
+        f.build()
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.fields.destroy()
+
+    @ti.func
+    def seen(self, g: ti.i32):
+        """True if Gaussian g is in the picture."""
+        return self.projection.tile_mask[0, g][1] != 0
+
+    @ti.func
+    def backward(self, begin: ti.i32, end: ti.i32):
+        """Compute the gradients of Gaussians [begin, end); outermost level of a kernel."""
+        for k in range(3):
+            self.d_camera[k] = vec4(0.0)
+        for g in range(begin, end):
+            if self.seen(g):
+                self._backward(g)
+
+    @ti.func
+    def _backward(self, g: ti.i32):
+        camera = ti.static(self.projection.camera)
+        mean, s = self.splats.mean[g], self.splats.cov[g]
+        W = ti.Matrix.rows([camera[0, 0].xyz, camera[0, 1].xyz, camera[0, 2].xyz])
+        offset = vec3(camera[0, 0].w, camera[0, 1].w, camera[0, 2].w)
+        p = W @ mean + offset
+        d_mean2d = self.blend.d_mean2d[g]
+        d_p = vec3(0.0, 0.0, d_mean2d.w)
+
+        # the centre: x = fx p.x / p.z + cx
+        intrinsics = camera[0, 3]
+        fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+        scale_x, scale_y = fx / p.z, fy / p.z
+        d_p += vec3(
+            scale_x * d_mean2d.x,
+            scale_y * d_mean2d.y,
+            -(scale_x * p.x * d_mean2d.x + scale_y * p.y * d_mean2d.y) / p.z,
+        )
+
+        # the covariance: S = M Sigma M^T + DILATION I, with rows of M = J W
+        width, height = self.projection.grid[None][0], self.projection.grid[None][1]
+        margin_x, margin_y = GUARD_BAND * 0.5 * width / fx, GUARD_BAND * 0.5 * height / fy
+        x_free, y_free = p.x / p.z, p.y / p.z
+        x = ti.min(ti.max(x_free, -cx / fx - margin_x), (width - cx) / fx + margin_x)
+        y = ti.min(ti.max(y_free, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+        right, down, forward = camera[0, 0].xyz, camera[0, 1].xyz, camera[0, 2].xyz
+        mx, my = scale_x * (right - x * forward), scale_y * (down - y * forward)
+        sx, sy = times(s, mx), times(s, my)  # Sigma M^T
+        conic = self.projection.conic[0, g] / HALF_LOG2_E  # S^-1 = [[a, b], [b, c]]
+        a, b, c = conic[0], conic[1], conic[2]
+        d_conic = self.blend.d_conic[g] * HALF_LOG2_E
+        d_a, d_b, d_c = d_conic[0], 0.5 * d_conic[1], d_conic[2]  # a half for each off-diagonal entry
+        # dL/dS = -S^-1 (dL/dS^-1) S^-1
+        u, v, w = d_a * a + d_b * b, d_a * b + d_b * c, d_b * a + d_c * b
+        t = d_b * b + d_c * c
+        d_xx, d_xy, d_yy = -(a * u + b * w), -(a * v + b * t), -(b * v + c * t)
+        d_opacity = 0.0
+        opacity = self.splats.opacity[g]
+        if opacity <= 1.0:
+            d_opacity = d_mean2d.z / (opacity * LN2)
+        if ti.static(self.projection.antialias):
+            # opacity sqrt(det S' / det S), S' = S - DILATION I: d log det S' = S'^-1
+            xx, xy, yy = mx.dot(sx), mx.dot(sy), my.dot(sy)
+            sharp = xx * yy - xy * xy
+            if sharp > 0.0:
+                factor = 0.5 / LN2 * d_mean2d.z
+                d_xx += factor * (yy / sharp - a)
+                d_xy += factor * (-xy / sharp - b)
+                d_yy += factor * (xx / sharp - c)
+        self.d_opacity[g] = d_opacity
+        d_cov = vec6(0.0)
+        for i, j in ti.static([(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]):
+            at = ti.static(i * 3 + j - i * (i + 1) // 2)
+            value = d_xx * mx[i] * mx[j] + d_xy * (mx[i] * my[j] + mx[j] * my[i]) + d_yy * my[i] * my[j]
+            d_cov[at] = value if ti.static(i == j) else 2.0 * value
+        self.d_cov[g] = d_cov
+        d_mx, d_my = 2.0 * (d_xx * sx + d_xy * sy), 2.0 * (d_xy * sx + d_yy * sy)
+        along_x, along_y = d_mx.dot(forward), d_my.dot(forward)
+        d_p.z -= (d_mx.dot(mx) + d_my.dot(my)) / p.z  # through 1/z of the scales
+        if x == x_free:
+            d_p += scale_x * along_x / p.z * vec3(-1.0, 0.0, x)
+        if y == y_free:
+            d_p += scale_y * along_y / p.z * vec3(0.0, -1.0, y)
+        d_forward = -scale_x * x * d_mx - scale_y * y * d_my
+
+        # the colour, seen along mean - eye
+        ray = mean - self.eye()
+        d_ray = self._backward_color(g, ray)
+        self.d_mean[g] = W.transpose() @ d_p + d_ray
+        d_eye = -d_ray  # eye = -W^T offset
+        rows = ti.Matrix.rows([scale_x * d_mx, scale_y * d_my, d_forward])
+        for k in ti.static(range(3)):
+            d_row = d_p[k] * mean + vec3(rows[k, 0], rows[k, 1], rows[k, 2]) - offset[k] * d_eye
+            d_w = d_p[k] - d_eye.dot(camera[0, k].xyz)
+            self.d_camera[k] += vec4(d_row, d_w)
+
+    @ti.func
+    def eye(self) -> vec3:
+        """The camera's centre [m]."""
+        eye = vec3(0.0)
+        for k in ti.static(range(3)):
+            eye -= self.projection.camera[0, k].w * self.projection.camera[0, k].xyz
+        return eye
+
+    @ti.func
+    def _backward_color(self, g: ti.i32, ray: vec3) -> vec3:
+        """Write the gradient of the harmonics; returns that of the ray from the eye to the mean."""
+        value = color_of(self.splats, g, ray)
+        d_value = self.blend.d_color[g] * self.splats.visibility[g]
+        for k in ti.static(range(3)):
+            d_value[k] = d_value[k] if value[k] > 0.0 else 0.0
+        length = ti.max(ray.norm(), 1e-12)
+        d = rotate_inverse(self.splats.rotation[g], ray / length)
+        basis, slope = basis_and_slopes(d, self.splats.coefficients)
+        d_direction = vec3(0.0)
+        for k in ti.static(range(self.splats.coefficients)):
+            self.d_sh[g, k] = basis[k] * d_value
+            weight = self.splats.sh[g, k].dot(d_value)
+            d_direction += weight * vec3(slope[k, 0], slope[k, 1], slope[k, 2])
+        turned = rotate_inverse(conjugate(self.splats.rotation[g]), d_direction)
+        unit = ray / length
+        return (turned - unit * unit.dot(turned)) / length

@@ -1,0 +1,228 @@
+"""Captures: transforms.json and COLMAP models, lenses, masks, and what is said of bad ones."""
+
+import json
+import struct
+
+import cv2
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from core.camera import look_at
+from core.errors import BadInput
+from prepare.train.capture import read_capture
+from prepare.train.lens import Lens
+from prepare.train.photographs import load_photograph, read_image
+from prepare.train.transforms_json import OPENGL_TO_OPENCV
+
+WIDTH, HEIGHT = 48, 32
+EYES = [(2.0, 0.5, 0.0), (0.0, 0.6, 2.0), (-2.0, 0.4, 0.1), (0.3, 0.5, -2.0)]
+POSES = [look_at(eye, (0, 0, 0)) for eye in EYES]
+POINTS = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+
+
+def write_images(folder, count=len(POSES), size=(WIDTH, HEIGHT)):
+    (folder / "images").mkdir()
+    rng = np.random.default_rng(1)
+    for k in range(count):
+        pixels = rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / "images" / f"{k}.png"), pixels)
+
+
+def transforms(**changes) -> dict:
+    frames = []
+    for k, pose in enumerate(POSES):
+        matrix = np.linalg.inv(pose) @ OPENGL_TO_OPENCV
+        frames.append({"file_path": f"images/{k}.png", "transform_matrix": matrix.tolist()})
+    return {"w": WIDTH, "h": HEIGHT, "fl_x": 40.0, "fl_y": 41.0, "cx": 24.5, "cy": 15.5, "frames": frames, **changes}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_images(tmp_path)
+    return tmp_path
+
+
+def write(folder, data) -> None:
+    (folder / "transforms.json").write_text(json.dumps(data))
+
+
+def test_transforms_json_gives_cameras_with_z_ahead(folder):
+    write(folder, transforms())
+    capture = read_capture(folder)
+    assert [v.name for v in capture.views] == [f"{k}.png" for k in range(4)] and len(capture.points) == 0
+    for view, pose in zip(capture.views, POSES, strict=True):
+        assert_allclose(view.world_to_camera, pose, atol=1e-12)
+    camera = load_photograph(capture.views[0]).camera
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy) == (48, 32, 40.0, 41.0, 24.5, 15.5)
+    assert capture.up[1] > 0.95 and 2.0 < capture.extent < 2.6
+
+
+def test_photographs_reduced_on_disk_and_on_demand_have_the_same_view(tmp_path):
+    """The file's camera is that of larger images; `reduce` divides once more."""
+    write_images(tmp_path, size=(WIDTH // 2, HEIGHT // 2))
+    write(tmp_path, transforms())
+    view = read_capture(tmp_path).views[0]
+    for reduce in (1, 2):
+        p = load_photograph(view, reduce)
+        assert p.pixels.shape == (HEIGHT // 2 // reduce, WIDTH // 2 // reduce, 3)
+        assert_allclose([p.camera.fx, p.camera.cx], [20.0 / reduce, 12.25 / reduce])
+
+
+def text_model(folder) -> None:
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    (model / "cameras.txt").write_text(f"# cameras\n7 OPENCV {WIDTH} {HEIGHT} 40 41 24.5 15.5 0.01 -0.02 0.001 0.002\n")
+    lines = []
+    for k, (q, t) in enumerate(quaternions()):
+        lines += [f"{k + 1} {' '.join(map(repr, q))} {' '.join(map(repr, t))} 7 {k}.png", "1.0 2.0 -1" if k else ""]
+    (model / "images.txt").write_text("\n".join(lines) + "\n")
+    rows = [f"{k} {x} {y} {z} {k} 5 6 0.5 1 2 3 4" for k, (x, y, z) in enumerate(POINTS.tolist())]
+    (model / "points3D.txt").write_text("\n".join(rows) + "\n")
+
+
+def quaternions():
+    from core.rotation import quaternions_from_matrices
+
+    for pose in POSES:
+        yield quaternions_from_matrices(pose[:3, :3]).tolist(), pose[:3, 3].tolist()
+
+
+def binary_model(folder) -> None:
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    distortion = (0.01, -0.02, 0.001, 0.002)
+    camera = struct.pack("<QIiQQ8d", 1, 7, 4, WIDTH, HEIGHT, 40, 41, 24.5, 15.5, *distortion)
+    (model / "cameras.bin").write_bytes(camera)
+    images = [struct.pack("<Q", len(POSES))]
+    for k, (q, t) in enumerate(quaternions()):
+        images.append(struct.pack("<I7dI", k + 1, *q, *t, 7) + f"{k}.png".encode() + b"\0" + struct.pack("<Q", 2))
+        images.append(struct.pack("<ddqddq", 1, 2, -1, 3, 4, 5))
+    (model / "images.bin").write_bytes(b"".join(images))
+    points = [struct.pack("<Q", len(POINTS))]
+    for k, point in enumerate(POINTS):
+        points.append(struct.pack("<Q3d3BdQii", k, *point, k, 5, 6, 0.5, 1, 3, 4))
+    (model / "points3D.bin").write_bytes(b"".join(points))
+
+
+@pytest.mark.parametrize("make", [text_model, binary_model])
+def test_colmap_models_give_cameras_and_points(folder, make):
+    make(folder)
+    capture = read_capture(folder)
+    assert_allclose(capture.points, POINTS, atol=1e-12)
+    assert capture.colors[:, 0].tolist() == list(range(20)) and (capture.colors[:, 1:] == (5, 6)).all()
+    for view, pose in zip(capture.views, POSES, strict=True):
+        assert_allclose(view.world_to_camera, pose, atol=1e-9)
+        assert view.lens.distortion[:4] == (0.01, -0.02, 0.001, 0.002)
+
+
+@pytest.mark.parametrize("make", [text_model, binary_model])
+def test_a_cut_colmap_model_is_refused(folder, make):
+    make(folder)
+    for path in (folder / "sparse" / "0").iterdir():
+        whole = path.read_bytes()
+        for size in range(0, len(whole), max(1, len(whole) // 40)):
+            path.write_bytes(whole[:size])
+            try:
+                read_capture(folder)
+            except BadInput as e:
+                assert "\n" not in str(e)
+        path.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens(320, 240, 220.0, 225.0, 165.0, 118.0, (-0.2, 0.05, 0.002, -0.001)),
+        Lens(320, 240, 150.0, 150.0, 160.0, 120.0, (0.05, -0.01, 0.0, 0.0), fisheye=True),
+    ],
+)
+def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
+    """A pattern over directions, photographed through the lens: undistorted, each pixel shows its own direction."""
+
+    def pattern(x, y):
+        return 128 + 60 * np.sin(9.0 * x) + 60 * np.cos(7.0 * y)
+
+    u, v = np.meshgrid(np.arange(320, dtype=np.float64), np.arange(240, dtype=np.float64))
+    pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    undistort = cv2.fisheye.undistortPoints if lens.fisheye else cv2.undistortPoints
+    count = 4 if lens.fisheye else 8
+    k = np.array([*lens.distortion, *[0.0] * 8][:count])
+    rays = undistort(pixels, lens.matrix(), k).reshape(240, 320, 2)
+    seen = np.repeat(pattern(rays[..., 0], rays[..., 1])[..., None], 3, axis=2).round().clip(0, 255).astype(np.uint8)
+    straight, mask = lens.undistort(seen, np.ones((240, 320), bool))
+    fx, fy, cx, cy = lens.pinhole()
+    truth = pattern((u + 0.5 - cx) / fx, (v + 0.5 - cy) / fy)
+    assert 0.5 < mask.mean() <= 1.0
+    assert np.abs(straight[..., 0] - truth)[mask].max() < 6.0  # of 120; half a pixel off would be 8 to 15
+
+
+def test_transparent_and_masked_pixels_do_not_count(folder):
+    rgba = np.full((HEIGHT, WIDTH, 4), 200, np.uint8)
+    rgba[:10, :, 3] = 0
+    cv2.imwrite(str(folder / "images" / "0.png"), rgba)
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[:, :8] = 0
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    write(folder, transforms(mask_path="mask.png"))
+    p = load_photograph(read_capture(folder).views[0])
+    assert not p.mask[:10].any() and not p.mask[:, :8].any() and p.mask[10:, 8:].all()
+    cv2.imwrite(str(folder / "mask.png"), mask[:5])
+    with pytest.raises(BadInput, match="mask is 48x5"):
+        load_photograph(read_capture(folder).views[0])
+
+
+@pytest.mark.parametrize("kind", ["grey", "grey16", "colour16"])
+def test_grey_and_16_bit_images_are_read(tmp_path, kind):
+    values = np.arange(256, dtype=np.uint16).reshape(16, 16) * (257 if "16" in kind else 1)
+    image = values if "16" in kind else values.astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([image] * 3) if kind == "colour16" else image)
+    pixels, opaque = read_image(tmp_path / "a.png")
+    assert (pixels == np.arange(256).reshape(16, 16)[..., None]).all() and opaque.all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t["frames"][2].update(file_path="images/9.png"), "9.png: no such image (1 of 4"),
+        (lambda t: t["frames"][1].update(file_path="../9.png"), "not inside of the capture"),
+        (lambda t: t["frames"][1].update(transform_matrix=[[1, 0], [0, 1]]), "not a finite 4x4 matrix"),
+        (lambda t: t["frames"][1].update(transform_matrix=(2 * np.eye(4)).tolist()), "scales by 2 to 2"),
+        (lambda t: t["frames"].__delitem__(slice(1, None)), "1 views; take at least 3"),
+        (lambda t: [f.update(transform_matrix=np.eye(4).tolist()) for f in t["frames"]], "stand in one place"),
+        (lambda t: t.update(fl_x="wide"), "fl_x is not a number"),
+        (lambda t: t.pop("fl_x"), "neither a focal length"),
+        (lambda t: t.update(fl_x=float("nan")), "no finite positive numbers"),
+        (lambda t: t.update(camera_model="MIRROR"), "'MIRROR' is not known"),
+        (lambda t: t.update(ply_file_path="points.ply"), "points.ply: no such file"),
+        (lambda t: t.update(frames=5), "no list of frames"),
+    ],
+)
+def test_a_bad_capture_is_named(folder, change, says):
+    data = transforms()
+    change(data)
+    write(folder, data)
+    with pytest.raises(BadInput) as error:
+        read_capture(folder)
+    assert says in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_image_of_another_shape_and_a_damaged_one_are_named(folder):
+    write(folder, transforms())
+    views = read_capture(folder).views
+    cv2.imwrite(str(folder / "images" / "0.png"), np.zeros((30, 30, 3), np.uint8))
+    with pytest.raises(BadInput, match=r"0\.png: the image is 30x30, its camera 48x32"):
+        load_photograph(views[0])
+    (folder / "images" / "1.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
+    with pytest.raises(BadInput, match=r"1\.png: not an image"):
+        load_photograph(views[1])
+
+
+def test_what_is_no_capture_is_said(tmp_path):
+    with pytest.raises(BadInput, match="no such folder"):
+        read_capture(tmp_path / "none")
+    with pytest.raises(BadInput, match=r"neither transforms\.json nor a COLMAP model"):
+        read_capture(tmp_path)
+    (tmp_path / "transforms.json").write_text("{")
+    with pytest.raises(BadInput, match="not a JSON file"):
+        read_capture(tmp_path)

@@ -1,0 +1,178 @@
+"""Training on the CPU: convergence, births and deaths, checkpoints, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from assets.splat_files import read_gaussians
+from core.errors import BadInput
+from core.rotation import rotation_between
+from prepare.train.capture import Capture, View
+from prepare.train.checkpoint import read_checkpoint, write_checkpoint
+from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
+from prepare.train.lens import Lens
+from prepare.train.seeds import seeds
+from prepare.train.trainer import Trainer, TrainOptions
+from tests.support.painted_capture import cameras, painted_gaussians, photographs, sparse_points, write_capture
+from vrgs import main
+
+CAP = 500
+TEST = (0, 6)  # photographs that are not learned from
+
+
+def capture(tmp_path) -> Capture:
+    lens = Lens(64, 64, 75.0, 75.0, 32.0, 32.0)
+    views = [View(tmp_path / f"{k}.png", lens, c.world_to_camera) for k, c in enumerate(cameras())]
+    return Capture(tmp_path, views, *sparse_points())
+
+
+@pytest.fixture(scope="module")
+def trained(ti_cpu, tmp_path_factory):
+    """A trainer, the photographs that it has not seen, and their quality before; it has made no step yet."""
+    given, pictures = capture(tmp_path_factory.mktemp("capture")), photographs()
+    start = seeds(given, degree=1, count=CAP, rng=np.random.default_rng(0))
+    options = TrainOptions(steps=1000, cap=CAP, degree=1)
+    trainer = Trainer([p for k, p in enumerate(pictures) if k not in TEST], start, given.extent, options)
+    return trainer, [pictures[k] for k in TEST]
+
+
+def test_unseen_photographs_are_met_after_some_hundred_steps(trained):
+    trainer, test = trained
+    before = [trainer.quality(p).psnr for p in test]
+    for _ in range(400):
+        trainer.step()
+    loss = trainer.recent_loss()
+    after = [trainer.quality(p) for p in test]
+    assert max(before) < 18.5 and min(q.psnr for q in after) > 23.0 and min(q.ssim for q in after) > 0.85
+    assert loss.psnr > 20.0  # the mean of all steps
+    assert trainer.recent_loss().psnr == 120.0  # nothing since: no error
+
+
+def test_a_restored_trainer_goes_on_as_the_first_one(trained, tmp_path):
+    """From a checkpoint on disk; sums of floats by several threads may differ in their last bits."""
+    trainer, _ = trained
+    options = {"degree": 1, "steps": 1000}
+    write_checkpoint(tmp_path / "a.h5", trainer.state(), options)
+    state = trainer.state()
+    ends = []
+    for _ in range(2):
+        for _ in range(15):
+            trainer.step()
+        ends.append((trainer.done, list(trainer._queue), trainer.population.splats.mean.to_numpy()))
+        read = read_checkpoint(tmp_path / "a.h5", options, len(cameras()))
+        for name, values in state.items():
+            assert_array_equal(read[name], values)
+        trainer.restore(read)
+    assert ends[0][:2] == ends[1][:2]
+    assert_allclose(ends[0][2], ends[1][2], atol=2e-3)
+    with pytest.raises(BadInput, match="other options"):
+        read_checkpoint(tmp_path / "a.h5", {"degree": 1}, len(cameras()))
+
+
+def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
+    p = trained[0].population
+    kept, n = p.read(), p.count
+    strategy = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
+    pull, scales, logits = np.zeros(n, np.float32), np.full((n, 3), np.log(0.005), np.float32), np.zeros(n, np.float32)
+    pull[[3, 5]], scales[5], logits[[0, 8]] = 1.0, np.log(0.05), logit(0.001)
+    rows = kept | {"pull": pull, "pulls": np.ones(n, np.float32), "log_scale": scales, "logit": logits}
+    p.write(rows)
+    strategy.refine(prune_large=False)
+    after = p.read()
+    assert p.count == n + 2 - 2 and not after["pull"].any()
+    assert_array_equal(after["mean"][3], kept["mean"][3])  # the clone keeps its moments, its copy has none
+    assert_array_equal(after["first"][3], kept["first"][3])
+    moved = {tuple(row) for row in after["mean"].tolist()}
+    assert tuple(kept["mean"][5].tolist()) not in moved  # split: both are elsewhere, smaller
+    small = np.isclose(after["log_scale"][:, 0], np.log(0.05 / 1.6)).sum()
+    assert small == 2 and np.linalg.norm(after["mean"][5] - kept["mean"][5]) < 0.3
+    gone = {tuple(kept["mean"][k].tolist()) for k in (0, 8)}
+    assert not gone & moved and len(moved & {tuple(m) for m in kept["mean"].tolist()}) == n - 3
+    rows["pull"] = np.ones(n, np.float32)
+    p.write(rows)
+    strategy.refine(prune_large=False)
+    assert p.count <= CAP  # the budget holds
+    p.write(kept)
+
+
+def test_shared_opacity_looks_as_before():
+    """N copies at one place with the new opacity are as opaque as the one was; scales shrink for more copies."""
+    opacity, copies = np.array([0.9, 0.5, 0.1, 0.3]), np.array([1, 2, 3, 7])
+    new, factor = shared_opacity_and_scale(opacity, copies)
+    assert_allclose(1 - (1 - new) ** copies, opacity, atol=1e-12)
+    assert factor[0] == pytest.approx(1.0) and (factor[1:] < 1.0).all() and (factor > 0.3).all()
+
+
+def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
+    p = trained[0].population
+    kept, n = p.read(), p.count
+    p.write(kept | {"logit": np.where(np.arange(n) < 20, logit(0.001), 1.0).astype(np.float32)})
+    strategy = MonteCarlo(p, extent=1.0, cap=n + 30, rng=np.random.default_rng(1))
+    strategy.relocate()
+    assert (p.read()["logit"] > logit(0.005)).all() and p.count == n
+    for _ in range(6):
+        strategy.grow()
+    assert p.count == min(n + 30, CAP)
+    p.activate()
+    before = p.read()["mean"]
+    p.shake(p.count, 0.1, 7)
+    assert np.linalg.norm(p.read()["mean"] - before, axis=1).max() < 1e-6  # opaque ones stay
+    p.write(p.read() | {"logit": np.full(p.count, logit(0.001), np.float32)})
+    p.shake(p.count, 0.1, 7)
+    moved = p.read()["mean"] - before
+    cov = p.splats.cov.to_numpy()[: p.count, [0, 3, 5]]
+    assert 0.3 < np.std(moved / (0.1 * cov)) < 3.0 and abs(np.mean(moved / cov)) < 0.05
+    p.write(kept)
+
+
+def test_the_first_gaussians_are_as_wide_as_their_neighbours_are_far(tmp_path):
+    given, rng = capture(tmp_path), np.random.default_rng(0)
+    g = seeds(given, degree=2, count=40, rng=rng)
+    assert len(g) == 40 and g.sh.shape == (40, 9, 3) and not g.sh[:, 1:].any()
+    distances = np.sort(np.linalg.norm(g.means[:, None] - g.means, axis=2), axis=1)[:, 1:4]
+    assert_allclose(np.exp(g.log_scales[:, 0]), np.sqrt((distances**2).mean(axis=1)), rtol=1e-4)
+    assert_allclose(g.opacities, 0.1, atol=1e-6)
+    lost = Capture(tmp_path, given.views)
+    assert len(seeds(lost, degree=0, count=40, rng=rng)) == 40  # without points: at random
+
+
+def test_the_smallest_rotation_between_two_directions():
+    rng = np.random.default_rng(0)
+    for a, b in [*rng.normal(size=(20, 2, 3)), ([0, 1, 0], [0, -1, 0]), ([1, 0, 0], [1, 0, 0])]:
+        R = rotation_between(a, b)
+        assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+        assert_allclose(R @ a / np.linalg.norm(a), b / np.linalg.norm(b), atol=1e-9)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_the_command_trains_reports_and_goes_on(ti_cpu, tmp_path, capsys):
+    folder, out, report = tmp_path / "capture", tmp_path / "out.ply", tmp_path / "report.json"
+    write_capture(folder)
+    line = ["train", str(folder), "--out", str(out), "--cap", str(CAP), "--degree", "1", "--arch", "cpu"]
+    assert main([*line, "--steps", "60", "--checkpoint-every", "50", "--report", str(report)]) == 0
+    said = capsys.readouterr()
+    assert "2 unseen photographs: PSNR" in said.out and "step 60/60" in said.err and "steps/s" in said.err
+    numbers = json.loads(report.read_text())
+    assert numbers["steps"] == 60 and numbers["test"]["psnr"] > 14.0 and numbers["views"] == 10
+    page = report.with_suffix(".html").read_text()
+    assert page.count("data:image/png") == 4
+    g = read_gaussians(out)
+    assert 100 < len(g) == numbers["gaussians"] and not list(tmp_path.glob("*.checkpoint.h5"))
+    assert np.linalg.norm(np.median(g.means, axis=0) - np.median(painted_gaussians().means, axis=0)) < 0.2
+    (tmp_path / "out.ply.checkpoint.h5").write_bytes(b"\x89HDF\r\n\x1a\nnothing")
+    assert main([*line, "--steps", "60"]) == 2
+    assert "not a readable HDF5 file" in capsys.readouterr().err
+
+
+def test_what_cannot_be_trained_is_said_before_anything_is_read(tmp_path, capsys):
+    write_capture(tmp_path / "capture")
+    for words, says in (
+        (["--out", "x.obj"], "cannot write '.obj'"),
+        (["--out", str(tmp_path / "none" / "x.ply")], "cannot write here"),
+        (["--out", str(tmp_path / "x.ply"), "--test-every", "1"], "leaves no photograph"),
+    ):
+        assert main(["train", str(tmp_path / "capture"), *words]) == 2
+        assert says in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.ply"))

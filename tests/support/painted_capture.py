@@ -1,0 +1,71 @@
+"""A small capture with exact poses: pictures of known Gaussians, drawn by the float64 renderer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from assets.gaussians import Gaussians
+from core.camera import Camera, look_at, perspective
+from core.spherical_harmonics import C0
+from prepare.train.photographs import Photograph
+from prepare.train.transforms_json import OPENGL_TO_OPENCV
+from tests.support import reference_render as reference
+
+SIDE, VIEWS = 64, 12  # [px], number of photographs
+
+
+def painted_gaussians(count: int = 60) -> Gaussians:
+    """Coloured, opaque ellipsoids within half a metre of the origin."""
+    rng = np.random.default_rng(3)
+    means, quats = rng.uniform(-0.5, 0.5, (count, 3)), rng.normal(size=(count, 4))
+    log_scales = np.log(rng.uniform(0.03, 0.14, (count, 3)))
+    sh = (rng.uniform(0.05, 0.95, (count, 1, 3)) - 0.5) / C0
+    return Gaussians.of(means, quats, log_scales, np.full(count, 3.0), sh)
+
+
+def cameras() -> list[Camera]:
+    """Cameras in two circles around the origin."""
+    found = []
+    for k in range(VIEWS):
+        turn = 2 * np.pi * k / VIEWS
+        eye = (1.9 * np.sin(turn), 0.5 if k % 2 else -0.4, 1.9 * np.cos(turn))
+        found.append(perspective(SIDE, SIDE, 0.8, look_at(eye, (0, 0, 0))))
+    return found
+
+
+def photographs() -> list[Photograph]:
+    """Pictures of the painted Gaussians on black, from all cameras."""
+    g = painted_gaussians()
+    pictures = [(reference.render(g, c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
+    return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
+
+
+def write_capture(folder: Path) -> None:
+    """Write them as a folder with transforms.json and points."""
+    (folder / "images").mkdir(parents=True)
+    frames = []
+    for k, photograph in enumerate(photographs()):
+        name = f"images/{k:02}.png"
+        cv2.imwrite(str(folder / name), photograph.pixels[..., ::-1])
+        matrix = np.linalg.inv(photograph.camera.world_to_camera) @ OPENGL_TO_OPENCV
+        frames.append({"file_path": name, "transform_matrix": matrix.tolist()})
+    c = cameras()[0]
+    data = {"w": SIDE, "h": SIDE, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps({**data, "ply_file_path": "sparse_pc.ply"}))
+    points, colors = sparse_points()
+    head = "ply\nformat ascii 1.0\nelement vertex {}\n" + "".join(f"property float {a}\n" for a in "xyz")
+    head += "".join(f"property uchar {a}\n" for a in ("red", "green", "blue")) + "end_header\n"
+    rows = [" ".join(map(str, [*p, *c])) for p, c in zip(points.tolist(), colors.tolist(), strict=True)]
+    (folder / "sparse_pc.ply").write_text(head.format(len(points)) + "\n".join(rows) + "\n")
+
+
+def sparse_points(count: int = 150) -> tuple[np.ndarray, np.ndarray]:
+    """Points near the Gaussians' centres, (count, 3), in their colours, (count, 3) uint8."""
+    g, rng = painted_gaussians(), np.random.default_rng(4)
+    chosen = rng.integers(0, len(g), count)
+    colors = ((0.5 + C0 * g.sh[chosen, 0]).clip(0, 1) * 255).astype(np.uint8)
+    return g.means[chosen] + rng.normal(0.0, 0.05, (count, 3)), colors

@@ -222,8 +222,7 @@ def open_replay(args: argparse.Namespace) -> Replay | None:
     replay, named = Replay.load(args.replay), args.scene
     asked = {flag: getattr(args, flag[2:], None) for flag in getattr(args, "given", ())}
     replay.set_options(args)
-    if is_scene_file(args.scene) and args.scene != named:  # a program, which no recording starts
-        raise BadInput(f"{args.replay}: was played in a scene file; name it too: --scene {args.scene}")
+    check_named(args, named, args.replay)
     for flag, value in asked.items():
         if value != getattr(args, flag[2:], None):
             raise BadInput(f"{flag} {value}: the recording was made with {getattr(args, flag[2:])}, which stays")
@@ -237,10 +236,17 @@ def open_state(args: argparse.Namespace) -> SceneState | None:
     from display.keep.state_file import read_state
     from display.record.recording import OPTIONS
 
-    state = read_state(args.state)
+    state, named = read_state(args.state), args.scene
     take_options(args, {key: state.about.get(key) for key in OPTIONS if key != "state"}, "state was saved")
+    check_named(args, named, args.state)
     args.arch = args.arch or state.about.get("arch")
     return state
+
+
+def check_named(args: argparse.Namespace, named: str, file: Path) -> None:
+    """Raise BadInput if a file asks for a scene file that the command line has not `named`: it would be run."""
+    if is_scene_file(args.scene) and args.scene != named:
+        raise BadInput(f"{file}: was played in a scene file; name it too: --scene {args.scene}")
 
 
 def take_options(args: argparse.Namespace, options: dict, what: str) -> None:

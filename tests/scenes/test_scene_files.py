@@ -1,8 +1,11 @@
 """Scene files of the user's: played by their path, with their options; errors in one line, with the file's line."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from commands.parser import parse
+from commands.play import open_state
 from core.errors import BadInput
 from scenes import registry
 
@@ -57,3 +60,15 @@ def test_an_error_in_a_scene_file_is_told_in_one_line(text, said, tmp_path):
 def test_a_scene_file_that_there_is_not():
     with pytest.raises(BadInput, match="no such file"):
         registry.load("nowhere/mine.py")
+
+
+def test_a_saved_state_starts_no_scene_file_that_the_command_line_does_not_name(scene_file, monkeypatch):
+    """Nobody's file decides what is run."""
+    from display.keep import state_file
+
+    about = {"scene": scene_file, "interaction": "physics"}
+    monkeypatch.setattr(state_file, "read_state", lambda path: SimpleNamespace(about=about))
+    with pytest.raises(BadInput, match="name it too"):
+        open_state(parse(["--state", "kept.h5"], "", print))
+    named = parse(["--state", "kept.h5", "--scene", scene_file], "", print)
+    assert open_state(named).about is about and named.scene == scene_file

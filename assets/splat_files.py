@@ -6,6 +6,7 @@ from pathlib import Path
 
 from assets.asset import Asset
 from assets.file_access import open_input
+from assets.file_kind import MESHES, is_mesh
 from assets.formats.antimatter_splat import read_splat, write_splat
 from assets.formats.compressed_ply import write_compressed
 from assets.formats.ksplat import read_ksplat
@@ -42,15 +43,19 @@ MAGICS = {
 
 
 def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
-    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5).
+    """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5), or on a mesh.
 
     A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped.
     Raises BadInput.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join(READERS)}")
+    if suffix not in READERS and suffix not in MESHES:
+        raise BadInput(f"{path}: unknown kind of file {suffix!r}; read are {', '.join((*READERS, *MESHES))}")
+    if is_mesh(path):
+        from assets.mesh_gaussians import read_mesh_gaussians
+
+        return read_mesh_gaussians(path, report)
     with open_input(path) as file:
         head = file.read(8)
     found = next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), suffix)

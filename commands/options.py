@@ -11,7 +11,7 @@ from assets.file_access import PICTURES
 from render import SORTS
 from scenes.scene_options import SceneOption
 
-SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json"
+SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, a mesh (.obj, .glb, .stl, .ply with faces)"
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 

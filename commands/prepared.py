@@ -55,7 +55,9 @@ def prepared_stage(args: argparse.Namespace) -> str | None:
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:
     """True if the body made of these files moves by itself."""
-    return rig is not None or Path(splats).suffix.lower() == ".glb"
+    from prepare.rig.rig_source import is_skinned
+
+    return rig is not None or is_skinned(Path(splats))
 
 
 def suited(vertices: int) -> str:

@@ -24,13 +24,14 @@ from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.progress import Progress, progress_on
 from prepare.report import report_names, report_texts
 from prepare.report_pictures import camera_for, splat_picture
-from prepare.rig.rig_source import described, rig_source
+from prepare.rig.rig_source import described, is_skinned, rig_source
 
 # Vertices of a cage unless the user says; the next number where a shape finds no sound cage with one. A second of a
 # plush toy takes 0.6 s of a CPU core with 500, and 6 s with 2,000.
 DEVICE_VERTICES = {"cpu": (500, 1000, 2000), "cuda": (2000,)}
 ANIMATED_VERTICES = (2000,)  # of a body with a skeleton, whose joints fewer cannot bend
 MAX_FLOATERS = 0.05  # of the Gaussians; more that lie apart are another component
+Y_UP = (".glb", ".gltf")  # whose specification says so
 MAX_PLANES = 8  # that the summary names
 
 
@@ -50,7 +51,7 @@ def prepare_file(
 ) -> Path:
     """Prepare the splat file `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
-    path      a splat file, or a .glb with a skinned mesh
+    path      a splat file, or a mesh; a .glb may be skinned
     vertices  numbers to try in turn instead of the options', until there is a sound cage
     rig       a .glb whose motion the body takes over
     landmarks JSON file of the positions of the body's joints
@@ -62,10 +63,12 @@ def prepare_file(
     path, out, options = Path(path), Path(out), options or Options()
     if path.suffix.lower() == ".h5":
         raise BadInput(f"{path}: is an asset already; a splat file (.ply, .spz, .sog ...) is needed")
-    if options.pieces and (rig is not None or path.suffix.lower() == ".glb"):
+    if options.pieces and (rig is not None or is_skinned(path)):
         raise BadInput(f"{path}: a rig animates one body; --pieces is for other splats")
     source = rig_source(path, rig, landmarks)
     gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
+    if source is None and path.suffix.lower() in Y_UP:
+        options = replace(options, up=options.up or "+y")
     if source is not None:
         options = replace(options, up=options.up or source.up, material=options.material or source.material)
     bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))

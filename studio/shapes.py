@@ -7,20 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from core.triangle_mesh import Mesh
+
 Colour = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (points, normals) in the surface's own frame -> albedo
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """Vertices [m], (V, 3); triangles (F, 3), counter-clockwise seen from outside."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-
-    def moved(self, rotation=None, translation=(0.0, 0.0, 0.0)) -> Mesh:
-        """The mesh after x -> rotation @ x + translation."""
-        v = self.vertices if rotation is None else self.vertices @ np.asarray(rotation).T
-        return Mesh(v + np.asarray(translation), self.faces)
 
 
 @dataclass(frozen=True)

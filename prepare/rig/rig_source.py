@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from assets.asset import Asset
+from assets.formats.gltf import GlbFile
 from assets.formats.gltf_skin import read_mesh, read_rig
 from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
@@ -30,9 +31,14 @@ class RigSource:
     material: str = ANIMATED_MATERIAL
 
 
+def is_skinned(path: Path) -> bool:
+    """True for a .glb with a skeleton. Raises BadInput."""
+    return path.suffix.lower() == ".glb" and bool(GlbFile(path).json.get("skins"))
+
+
 def rig_source(path: Path, rig: str | Path | None, landmarks: str | Path | None) -> RigSource | None:
     """Source of the motion of the body in `path`, None if it has none. Reads all files named. Raises BadInput."""
-    if path.suffix.lower() == ".glb":
+    if is_skinned(path):
         if rig is not None or landmarks is not None:
             raise BadInput(f"{path}: a .glb has its own rig; --rig and --landmarks are for splats")
         return _own_rig(path)

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from assets.gaussians import Gaussians, concatenate
+from core.blue_noise import blue_noise
 from studio.baked_light import tangent_frame
 from studio.creatures.creature import Creature, Part, Seam, look_at_surface, surface_of
 from studio.creatures.implicit import unit
 from studio.creatures.sky_light import KEY, distance_grid, irradiance
 from studio.finish import flat_sh, tone_map
-from studio.surface_sampling import blue_noise
 from studio.textures import fbm, mix, srgb
 
 CELLS, HALVINGS = 56, 2  # of the search for the surface, on the longest side; larger cells are searched first

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from studio.shapes import Mesh
+from core.triangle_mesh import Mesh
 
 CREASE_COSINE = np.cos(np.radians(38))  # faces whose normals differ by a larger angle form an edge
 ROW_INSET = 0.30  # distance of a row of Gaussians from its edge, over the spacing

@@ -1,0 +1,151 @@
+"""Gaussians that cover a triangle mesh: flat ones, evenly apart, narrow along creases and borders, in its colours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from assets.formats.triangle_mesh_file import ALPHA_MIN, MeshPart, read_triangle_mesh, texture_colours
+from assets.gaussians import Gaussians, concatenate
+from core.blue_noise import blue_noise
+from core.edge_sampling import (
+    EdgePoints,
+    clip_to_edges,
+    distance_to_edges,
+    edges_of,
+    face_normals,
+    points_along,
+    rows_along,
+)
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+from core.triangle_mesh import Mesh
+
+GAUSSIANS = 60_000
+DENSITY = 0.72  # points of blue noise in a squared spacing
+CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
+SIGMA = 0.9  # standard deviation over the spacing: closed where neighbours are farthest apart
+EDGE_CLEARANCE = 0.62  # of the spacing, between points and an edge, along which rows of their own lie
+FLATNESS = 0.1  # thickness over width
+OPACITY = 4.0  # logit
+LENGTH = 1.0  # [m] of the largest extent while it is sampled: edges are split by absolute lengths
+
+
+def read_mesh_gaussians(path: str | Path, report: Callable[[str], None] = print) -> Gaussians:
+    """Gaussians of about GAUSSIANS in number on the mesh of a file, in its unit. Raises BadInput."""
+    parts = read_triangle_mesh(path)
+    used = np.concatenate([p.vertices[p.faces].reshape(-1, 3) for p in parts])
+    low, extent = used.min(0), float(np.ptp(used, axis=0).max())
+    if not extent > 0.0:
+        raise BadInput(f"{path}: the mesh has no extent")
+    unit = LENGTH / extent
+    welded = [welded_part(p, low, unit) for p in parts]
+    area = sum(triangle_areas(p.vertices[p.faces]).sum() for p in welded)
+    if not area > 0.0:
+        raise BadInput(f"{path}: the mesh has no area")
+    spacing, rng = float(np.sqrt(DENSITY * area / GAUSSIANS)), np.random.default_rng(0)
+    covered = concatenate([cover(p, spacing, rng) for p in welded])
+    if not len(covered):
+        raise BadInput(f"{path}: the mesh is transparent")
+    return covered.transformed(np.eye(3), low, 1.0 / unit)
+
+
+def welded_part(part: MeshPart, low: np.ndarray, unit: float) -> MeshPart:
+    """The part, scaled, with one vertex at each place, so that seams of the texture are no edges."""
+    x = (part.vertices - low) * unit
+    _, first, inverse = np.unique(np.round(x * 1e6).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    faces = inverse.reshape(-1)[part.faces]
+    whole = triangle_areas(x[first][faces]) > 0.0
+    uv = None if part.uv is None else part.uv[whole]
+    return MeshPart(x[first], faces[whole], part.colours[whole], uv, part.texture)
+
+
+def triangle_areas(corners: np.ndarray) -> np.ndarray:
+    """Areas (F,) of triangles (F, 3, 3)."""
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+
+def cover(part: MeshPart, spacing: float, rng: np.random.Generator) -> Gaussians:
+    """Gaussians `spacing` [m] apart on a part, and rows of them along its creases and borders."""
+    mesh = Mesh(part.vertices, part.faces)
+    corners, normal = mesh.vertices[mesh.faces], face_normals(mesh)
+    area = triangle_areas(corners)
+    total = np.cumsum(area)
+    edges = edges_of(mesh)
+    along = np.full(len(edges.a), spacing)
+    edge_points = points_along(edges, along)
+    found = [(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, int))]
+    for _ in range(ROUNDS if len(area) else 0):
+        count = rng.poisson(CANDIDATES * total[-1] / spacing**2) + 1
+        face = np.searchsorted(total, rng.random(count) * total[-1]).clip(0, len(area) - 1)
+        r, t = np.sqrt(rng.random(count)), rng.random(count)
+        points = np.einsum("nk,nkd->nd", np.stack([1 - r, r * (1 - t), r * t], 1), corners[face])
+        free, near = np.ones(count, bool), near_edges(edge_points, points, spacing)
+        away = distance_to_edges(edge_points, points[near], normal[face[near]], 2 * spacing)
+        free[near] = away >= EDGE_CLEARANCE * spacing
+        points, face = points[free], face[free]
+        taken = tuple(np.concatenate(x) for x in zip(*found, strict=True))
+        kept = blue_noise(points, normal[face], spacing, taken[:2])
+        found.append((points[kept], normal[face][kept], face[kept]))
+    points, normals, face = (np.concatenate(x) for x in zip(*found, strict=True))
+    flat = np.eye(3) - normals[:, :, None] * normals[:, None]
+    row_points, row_normals, row_covariance = rows_along(edges, along)
+    points, normals = np.concatenate([points, row_points]), np.concatenate([normals, row_normals])
+    covariance = np.concatenate([(SIGMA * spacing) ** 2 * flat, row_covariance])
+    near = near_edges(edge_points, points, spacing)
+    covariance[near] = clip_to_edges(edge_points, points[near], normals[near], covariance[near])
+    face = np.concatenate([face, nearest_faces(corners, normal, row_points, row_normals)])
+    rgba = texture_colours(part, face, barycentric(points, corners[face]), spacing)
+    return gaussians_of(points, normals, covariance, rgba, spacing)
+
+
+def near_edges(edges: EdgePoints, points: np.ndarray, spacing: float) -> np.ndarray:
+    """Indices of the points near an edge, for which alone the exact search is worth its time."""
+    if not len(edges.points):
+        return np.zeros(0, int)
+    reach = 3.0 * spacing + float(edges.half.max())
+    return np.flatnonzero(np.isfinite(cKDTree(edges.points).query(points, distance_upper_bound=reach)[0]))
+
+
+def nearest_faces(corners: np.ndarray, normal: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The face (N,) on which each point of a row lies, of those near it that have its normal."""
+    if not len(points):
+        return np.zeros(0, int)
+    samples = np.concatenate([corners.mean(1), *(0.9 * corners[:, k] + 0.1 * corners.mean(1) for k in range(3))])
+    owner = np.tile(np.arange(len(corners)), 4)
+    near = owner[cKDTree(samples).query(points, k=min(16, len(samples)))[1].reshape(len(points), -1)]
+    weights = barycentric(np.repeat(points, near.shape[1], axis=0), corners[near.reshape(-1)])
+    outside = np.abs(weights).sum(1).reshape(near.shape) - 1.0  # 0 inside
+    other = 1.0 - (normal[near] * normals[:, None]).sum(2)
+    return near[np.arange(len(points)), (outside + other).argmin(1)]
+
+
+def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Barycentric weights (N, 3) of points (N, 3) projected onto the planes of triangles (N, 3, 3)."""
+    u, v, w = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    uu, uv, vv = (u * u).sum(1), (u * v).sum(1), (v * v).sum(1)
+    wu, wv = (w * u).sum(1), (w * v).sum(1)
+    d = np.maximum(uu * vv - uv * uv, 1e-30)
+    b, c = (vv * wu - uv * wv) / d, (uu * wv - uv * wu) / d
+    return np.stack([1 - b - c, b, c], 1)
+
+
+def gaussians_of(
+    points: np.ndarray, normals: np.ndarray, covariance: np.ndarray, rgba: np.ndarray, spacing: float
+) -> Gaussians:
+    """Flat Gaussians at points with normals (N, 3) and covariances in their planes; transparent ones are left out."""
+    there = rgba[:, 3] * 255.0 >= ALPHA_MIN
+    points, normals, covariance, rgba = points[there], normals[there], covariance[there], rgba[there]
+    variance, axes = np.linalg.eigh(covariance)  # ascending: the normal's comes first
+    sigma = np.sqrt(np.maximum(variance[:, 1:], (FLATNESS * spacing) ** 2))
+    first = np.cross(axes[:, :, 2], normals)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    frames = np.stack([first, np.cross(normals, first), normals], -1)
+    quats = Rotation.from_matrix(frames).as_quat()[:, [3, 0, 1, 2]]
+    scales = np.log(np.column_stack([sigma[:, 0], sigma[:, 1], np.full(len(sigma), FLATNESS * SIGMA * spacing)]))
+    sh = ((np.clip(rgba[:, :3], 0.0, 1.0) - 0.5) / C0)[:, None]
+    return Gaussians.of(points, quats, scales, np.full(len(points), OPACITY), sh)

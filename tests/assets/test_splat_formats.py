@@ -154,7 +154,7 @@ def test_names_and_contents_must_agree(tmp_path):
     assert ".h5" in refused(tmp_path / "c.spz", h5)
     assert ".ply" in refused(tmp_path / "c.h5", ply)
     assert ".sog" in refused(tmp_path / "d.splat", b"PK\3\4" + b"\0" * 60)
-    message = refused(tmp_path / "c.obj", b"v 0 0 0\n")
+    message = refused(tmp_path / "c.xyz", b"0 0 0\n")
     assert all(kind in message for kind in (".ply", ".splat", ".ksplat", ".spz", ".sog", ".h5"))
     (tmp_path / "folder.spz").mkdir()
     assert "folder" in refused(tmp_path / "folder.spz")

@@ -14,6 +14,7 @@ from core.program import VERSION
 from tests.test_layers import MAY_IMPORT, product_files
 
 ROOT = Path(__file__).resolve().parents[1]
+NOT_SHIPPED = {".py", ".pyc", ".md", ".txt", ".gif", ".jpg", ".svg"}  # modules are listed apart; documentation
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +37,10 @@ def test_the_wheel_holds_all_modules_and_assets_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as file:
         names = [name for name in file.namelist() if ".dist-info/" not in name]
     modules = [path.relative_to(ROOT).as_posix() for path in product_files()]
-    assets = [path.relative_to(ROOT).as_posix() for path in (ROOT / "assets" / "data").glob("*.h5")]
-    assert assets and sorted(names) == sorted(["vrgs.py", *modules, *assets])
+    files = [path.relative_to(ROOT) for package in MAY_IMPORT for path in (ROOT / package).rglob("*.*")]
+    data = [file.as_posix() for file in files if file.suffix not in NOT_SHIPPED and file.is_file()]
+    assert "assets/data/ring_red.h5" in data
+    assert sorted(names) == sorted(["vrgs.py", *modules, *data])
 
 
 def test_the_wheel_names_its_version_its_command_and_the_pinned_packages(wheel):

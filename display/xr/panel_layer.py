@@ -12,7 +12,7 @@ import numpy as np
 from display.protocol import WorldView
 from display.window.panel.theme import ACCENT, QUIET, font_file
 from display.xr.swapchains import QuadLayer
-from display.xr.wrist_panel import BUTTONS, PANEL_WIDTH, PIXELS, Button, WristPanel
+from display.xr.wrist_panel import PANEL_WIDTH, PIXELS, Button, WristPanel, pages
 
 RATE_INTERVAL = 0.5  # [s] between two readings of the frame rate
 PANEL_BACKGROUND, BUTTON, HOVERED = (18, 20, 26), (46, 49, 57), (84, 88, 98)  # sRGB
@@ -33,6 +33,7 @@ class PanelContent:
     rate: str = ""
     lit: frozenset = frozenset()  # names of the buttons that are on
     hovered: str | None = None
+    page: str = ""
 
     @classmethod
     def of(cls, world: WorldView, panel: WristPanel) -> PanelContent:
@@ -58,6 +59,7 @@ class PanelContent:
             rate=f"{film}{world.timings.recent_fps():.0f} fps",
             lit=frozenset(name for name, on in lit.items() if on),
             hovered=panel.hovered.name if panel.hovered else None,
+            page=panel.page,
         )
 
 
@@ -150,8 +152,11 @@ def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
     colour = np.float32((ACCENT_8BIT, ACCENT_HOVERED)[hovered] if lit else (BUTTON, HOVERED)[hovered])
     background = np.float32(PANEL_BACKGROUND)
     picture = (background + rounded_rectangle(w, h) * (colour - background) + 0.5).astype(np.uint8)
-    left = (w - text_width(button.name.capitalize(), LABEL_SIZE)) // 2 - 4
-    write(picture, button.name.capitalize(), left, h // 2, LABEL_SIZE, DARK_TEXT if lit else LIGHT_TEXT)
+    text = button.name[:1].upper() + button.name[1:]
+    size = LABEL_SIZE if text_width(text, LABEL_SIZE) < w - 16 else SMALL_SIZE
+    text = shortened(text, size, w - 16)
+    left = (w - text_width(text, size)) // 2 - 4
+    write(picture, text, left, h // 2, size, DARK_TEXT if lit else LIGHT_TEXT)
     return picture
 
 
@@ -164,7 +169,7 @@ def empty_panel() -> np.ndarray:
 
 def warm_up() -> None:
     """Paint everything once that is kept: the font, the buttons."""
-    for button in BUTTONS:
+    for button in (b for buttons in pages().values() for b in buttons):
         for lit in (False, True):
             for hovered in (False, True):
                 button_picture(button, lit, hovered)
@@ -179,7 +184,7 @@ def paint(content: PanelContent) -> np.ndarray:
     write(picture, content.rate, width - rate - 28, 44, SMALL_SIZE, ACCENT_8BIT)
     colour = ACCENT_8BIT if content.warns else QUIET_8BIT
     write(picture, shortened(content.note, SMALL_SIZE, width - 60), 24, 86, SMALL_SIZE, colour)
-    for button in BUTTONS:
+    for button in pages()[content.page]:
         x, y, w, h = button.box
         lit, hovered = button.name in content.lit, button.name == content.hovered
         picture[y : y + h, x : x + w, :3] = button_picture(button, lit, hovered)

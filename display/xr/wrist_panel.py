@@ -7,12 +7,14 @@ the trigger, or pushes a finger through it; then it grips nothing. Positions on 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from display import protocol
 from display.edit.edit_steps import EDITS
 from display.protocol import Command, WorldView
+from display.window.scene_menu import demos, spoken, variants
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
 from display.xr.poses import pose_matrix
@@ -23,6 +25,7 @@ HEIGHT_OVER_HAND = 0.14  # [m] of its middle
 SHOW_ABOVE, HIDE_BELOW = 0.85, 0.6  # cosine of the angle between the palm and the direction to the eyes
 MAX_RAY = 3.0  # [m] to point at it
 MAX_PUSH_DEPTH = 0.06  # [m] behind the panel beyond which a finger has passed by
+SCENE_COLUMNS, SCENES_A_PAGE = 3, 10  # of four rows, in which "more" and "back" have their places
 CLEARANCE = 0.015  # [m] before the panel to which a finger must come back to push again
 
 
@@ -53,27 +56,58 @@ class Button:
                 return protocol.TakePicture()
             case "film":
                 return protocol.Film(world.film_seconds is None)
-        return EDITS.get(self.name)
+        return EDITS.get(self.name) or scene_requests().get(self.name)
 
 
-def button_row(top: int, *names: str) -> list[Button]:
-    """Buttons side by side."""
-    left, gap, height = 20, 12, 84
-    width = (PIXELS[0] - 2 * left - gap * (len(names) - 1)) // len(names)
+def button_row(top: int, *names: str, columns: int = 0) -> list[Button]:
+    """Buttons side by side, as wide as if there were `columns` of them."""
+    left, gap, height, columns = 20, 12, 84, columns or len(names)
+    width = (PIXELS[0] - 2 * left - gap * (columns - 1)) // columns
     return [Button(name, (left + k * (width + gap), top, width, height)) for k, name in enumerate(names)]
 
 
 BUTTONS = [
-    *button_row(116, "physics", "transform"),
+    *button_row(116, "physics", "transform", "scenes"),
     *button_row(212, "undo", "redo", "copy", "remove"),
     *button_row(308, "smaller", "larger", "turn", "light"),
     *button_row(404, "pause", "reset", "watch", "picture", "film"),
 ]
 
 
-def button_at(u: float, v: float) -> Button | None:
+@cache
+def scene_requests() -> dict[str, protocol.OpenScene]:
+    """The scenes that can be opened, with each choice of their options, by the texts of their buttons."""
+    requests = (request for demo in demos() for request in variants(demo))
+    return {" ".join((spoken(r.name), *map(str, r.options.values()))): r for r in requests}
+
+
+@cache
+def pages() -> dict[str, list[Button]]:
+    """Buttons by page: "" is the first, "scenes", "scenes 2" and so on list the scenes."""
+    found, names, k = {"": BUTTONS}, list(scene_requests()), 1
+    while names:
+        rest = names[SCENES_A_PAGE:]
+        shown = [*names[:SCENES_A_PAGE], *(["more"] if rest else []), "back"]
+        rows = [shown[i : i + SCENE_COLUMNS] for i in range(0, len(shown), SCENE_COLUMNS)]
+        buttons = [b for k, row in enumerate(rows) for b in button_row(116 + 96 * k, *row, columns=SCENE_COLUMNS)]
+        found["scenes" if k == 1 else f"scenes {k}"] = buttons
+        names, k = rest, k + 1
+    return found
+
+
+def page_after(page: str, button: str) -> str:
+    """The page to show once a button of a page was pressed."""
+    if button == "scenes" and "scenes" in pages():
+        return "scenes"
+    if button == "more":
+        order = list(pages())
+        return order[order.index(page) + 1]
+    return ""
+
+
+def button_at(u: float, v: float, page: str = "") -> Button | None:
     """The button at a point of the panel [px]."""
-    return next((b for b in BUTTONS if b.contains(u, v)), None)
+    return next((b for b in pages()[page] if b.contains(u, v)), None)
 
 
 def panel_pose(hand: np.ndarray, head: np.ndarray) -> np.ndarray:
@@ -131,12 +165,14 @@ def fingertip(c: Controller) -> np.ndarray | None:
 
 class WristPanel:
     """State of the panel. `pose` (4, 4) is None while it is hidden; `hovered` is the button that is pointed at,
-    `clicked` whether one was pressed in this frame, `placing` whether the light follows the right hand."""
+    `clicked` whether one was pressed in this frame, `placing` whether the light follows the right hand, `page` which
+    buttons it has."""
 
     def __init__(self):
         self.pinned = self.clicked = self.placing = False
         self.pose: np.ndarray | None = None
         self.hovered: Button | None = None
+        self.page = ""
         self._facing = self._trigger = self._captured = False
         self._trigger_places = False  # the light stays where it is when the trigger is released
         self._finger_before: float | None = None  # [m] of the fingertip; None until it is clear of the panel
@@ -159,9 +195,10 @@ class WristPanel:
         button, commands = self._pressed(right, began), []
         if button is not None:
             self.clicked, command = True, button.command(world)
+            self.page = page_after(self.page, button.name)
             if command is not None:
                 commands.append(command)
-            elif world.light is not None:
+            elif button.name == "light" and world.light is not None:
                 self.placing, self._trigger_places = True, began
         if began and not self._captured and right.aim is not None and world.editable:
             aim = world_from_play @ right.aim
@@ -190,7 +227,7 @@ class WristPanel:
             return None
         hit = ray_hit(self.pose, right.aim) if right.aim is not None else None
         if hit is not None and (self._captured or began or not self._trigger):
-            self.hovered = button_at(*hit)
+            self.hovered = button_at(*hit, self.page)
             if began:
                 self._captured = True
                 return self.hovered
@@ -206,7 +243,7 @@ class WristPanel:
         if not is_inside(u, v) or distance < -MAX_PUSH_DEPTH:
             self._finger_before = None
             return None
-        self.hovered = button_at(u, v)
+        self.hovered = button_at(u, v, self.page)
         if distance > 0.0 or self._finger_before is None:
             return None
         self._finger_before = None

@@ -18,6 +18,8 @@ from display.xr.wrist_panel import (
     PIXELS,
     WristPanel,
     button_at,
+    page_after,
+    pages,
     panel_pose,
     point_on_panel,
     project_to_panel,
@@ -268,3 +270,19 @@ def test_its_picture_is_readable_and_says_what_is_on():
     assert changed[y : y + h, x : x + w].mean() > 0.9 and not changed[:y].any()
     assert (paint(replace(content, message="x" * 300)) != plain).any()  # it is cut, and fits
     assert (paint(content) == plain).all()
+
+
+def test_scenes_are_listed_on_pages_of_their_own():
+    """Each is a button that opens it; "back" leads to the first page."""
+    page, seen = page_after("", "scenes"), []
+    while page:
+        names = [b.name for b in pages()[page]]
+        assert names[-1] == "back" and page_after(page, "back") == ""
+        for b in pages()[page]:
+            x, y, w, h = b.box
+            assert x + w <= PIXELS[0] and y + h <= PIXELS[1]
+        requests = [b.command(FakeView()) for b in pages()[page] if b.name not in ("more", "back")]
+        seen += [(r.name, *r.options.values()) for r in requests]
+        page = page_after(page, "more") if "more" in names else ""
+    assert {("ring_toss",), ("manipulation", "bear"), ("manipulation", "fox")} <= set(seen)
+    assert paint(PanelContent(page="scenes")).shape == paint(PanelContent()).shape

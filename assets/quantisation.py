@@ -144,7 +144,8 @@ def read_quantised_embedding(file: Hdf5Reader, g: Gaussians, cage) -> tuple[np.n
     if len(exact) and (exact.max() >= n or (np.diff(exact) <= 0).any()):
         raise file.error("embedding/exact does not name Gaussians in order")
     weights = np.empty((n, 4, 4), np.float32)
-    locator = TetLocator(cage.vertices, cage.tets)
+    with np.errstate(all="ignore"):  # tets of a volume that float64 barely holds: the caller refuses such weights
+        locator = TetLocator(cage.vertices, cage.tets)
     for begin in range(0, n, POINTS_AT_ONCE):
         s = slice(begin, begin + POINTS_AT_ONCE)
         with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses weights that are not finite

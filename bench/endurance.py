@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from display import protocol
 from display.protocol import Command, Frame
 from display.run_stats import write_stats
 from scenes.scene import Hand, Light
+
+if TYPE_CHECKING:
+    from display.world import World
 
 DT = 1 / 60  # [s]
 SIZES = ((96, 54), (128, 72), (160, 90), (64, 64), (54, 96))  # [px] of the picture
@@ -118,11 +122,30 @@ def resident_mb() -> float:
         raise BadInput("bench.endurance reads the memory of a process from /proc, which only Linux has") from e
 
 
-def play(world, player: RandomPlayer, seconds: float, note: Callable[[Note], None]) -> int:
-    """Play for some seconds of wall time; returns the number of frames. Raises BadInput if a body is not finite."""
-    size, frames, begin, noted, time = SIZES[0], 0, perf_counter(), 0.0, 0.0
+def play(
+    make: Callable[[], World],
+    player: RandomPlayer,
+    seconds: float,
+    note: Callable[[Note], None],
+    switch: float = np.inf,
+) -> int:
+    """Play for some seconds of wall time; returns the number of frames. Raises BadInput if a body is not finite.
+
+    make    makes the world
+    switch  [s] after which it is made anew, as when the user opens another scene
+    """
+    from core.runtime import end_taichi
+
+    world, size, frames, begin, noted, time = make(), SIZES[0], 0, perf_counter(), 0.0, 0.0
     world.resize(*size)
+    due = switch
     while (now := perf_counter() - begin) < seconds:
+        if now >= due:
+            due, size = now + switch, SIZES[0]
+            world.close()
+            del world
+            end_taichi()
+            world = make()
         if player.rng.random() < 1 / RESIZE_FRAMES:
             size = SIZES[player.rng.integers(len(SIZES))]
             world.resize(*size)
@@ -175,6 +198,8 @@ def main() -> int:
     """Run the command line; exit status 1 if memory grows beyond doubt by more than RISE_MAX in HOURS."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scene", default="ring_toss", metavar="NAME")
+    p.add_argument("--body", metavar="ASSET", help="for scenes that take one: ball is quick")
+    p.add_argument("--switch", type=float, default=np.inf, metavar="S", help="open the scene anew every S seconds")
     p.add_argument("--bare", action="store_true", help="without the room's Gaussians: more frames in the time")
     p.add_argument("--minutes", type=float, default=40.0, help="of wall time (default 40)")
     p.add_argument("--seed", type=int, default=1)
@@ -187,15 +212,18 @@ def main() -> int:
     try:
         if args.json:
             check_writable(args.json)
-        start_taichi(args.arch, args.seed)
-        from display.world import World
-
-        scene = registry.load(args.scene)
-        if args.bare:
-            scene = replace(scene, bodies=[b for b in scene.bodies if b.material is not None])
-        world = World(scene, width=SIZES[0][0], height=SIZES[0][1])
-        world.warm_up()
         notes, player = [], RandomPlayer(args.seed)
+
+        def make() -> World:
+            start_taichi(args.arch, args.seed)
+            from display.world import World
+
+            scene = registry.load(args.scene, body=args.body)
+            if args.bare:
+                scene = replace(scene, bodies=[b for b in scene.bodies if b.material is not None])
+            world = World(scene, width=SIZES[0][0], height=SIZES[0][1])
+            world.warm_up()
+            return world
 
         def note(n: Note) -> None:
             notes.append(n)
@@ -205,7 +233,7 @@ def main() -> int:
                 flush=True,
             )
 
-        play(world, player, 60 * args.minutes, note)
+        play(make, player, 60 * args.minutes, note, args.switch)
         found = summary(notes)
         if args.json:
             write_stats(args.json, found | {"commands": player.done, "notes": [vars(n) for n in notes]})

@@ -26,13 +26,15 @@ ENTRY = np.dtype([("length", "<u8"), ("key", f"S{KEY_SIZE}"), ("length_2", "<u8"
 
 
 def mend_kernel_cache(folder: Path) -> None:
-    """Remove a lock that nobody holds, and an index that is damaged: kernels are compiled again. Errors are ignored."""
-    with suppress(OSError):
-        if time.time() - (folder / LOCK).stat().st_mtime > LOCK_AGE:
-            (folder / LOCK).unlink()
-    with suppress(OSError):
-        if not is_sound_index((folder / INDEX).read_bytes()):
-            (folder / INDEX).unlink()
+    """Remove a lock that nobody holds, and an index that is damaged: kernels are compiled again. Errors are ignored.
+
+    What is younger than LOCK_AGE another program may be writing.
+    """
+    for name in (LOCK, INDEX):
+        with suppress(OSError):
+            old = time.time() - (folder / name).stat().st_mtime > LOCK_AGE
+            if old and (name == LOCK or not is_sound_index((folder / INDEX).read_bytes())):
+                (folder / name).unlink()
 
 
 def is_sound_index(data: bytes) -> bool:

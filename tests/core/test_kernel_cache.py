@@ -56,6 +56,9 @@ def test_a_lock_that_was_left_and_a_damaged_index_go(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == [INDEX]
     (tmp_path / INDEX).write_bytes(index(3)[:-1])
     mend_kernel_cache(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == [INDEX]
+    os.utime(tmp_path / INDEX, (0, time.time() - 2 * LOCK_AGE))
+    mend_kernel_cache(tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -106,6 +109,7 @@ def test_programs_start_whatever_was_left_in_the_cache(tmp_path):
         for at in rng.integers(0, len(damaged), 3):
             damaged[at] ^= 1 << rng.integers(8)
         (tmp_path / INDEX).write_bytes(damaged)
+        os.utime(tmp_path / INDEX, (0, time.time() - 2 * LOCK_AGE))
         if trial % 2:
             for kernel in tmp_path.glob("*.tic"):
                 kernel.write_bytes(kernel.read_bytes()[: rng.integers(kernel.stat().st_size)])

@@ -16,7 +16,7 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Frame, Pause, SetLight, SingleStep, WorldView, last_of
+from display.protocol import Command, Export, Frame, Pause, SetLight, SingleStep, WorldView, last_of
 from display.web.page_server import LOOPBACK, PageServer
 from display.web.page_state import WINDOW_ONLY, first_words, overlay, scene_request, sliders_of, world_state
 from display.web.picture_flow import STILL_QUALITY
@@ -27,6 +27,7 @@ from display.window.key_bindings import BY_CHORD
 from display.window.mouse_hand import MouseHand
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.body_section import BUTTONS
+from display.window.panel.keep_section import buttons
 from display.window.panel.performance_section import RESOLUTIONS, count_texts, frame_lines
 from display.window.panel.slider import readable
 from scenes.scene import Scene
@@ -165,7 +166,6 @@ class Browser:
             dt = min(seconds, catch_up_limit(cost))
             self._dropped += 0.0 if cost is None else seconds - dt
             commands = self._handle(self._server.take(), world)
-            self._controls.follow(world)
             pause = last_of(Pause, commands)
             paused = world.paused if pause is None else pause.on
             running = not paused or last_of(SingleStep, commands) is not None
@@ -277,6 +277,9 @@ class Browser:
                 commands += [] if world.light is None else [SetLight(replace(world.light, kind=what[0].lower()))]
             elif kind == "open":
                 commands += filter(None, [scene_request(*what)])
+            elif kind == "keep":
+                name, export = what
+                commands += [command for one, (command, _) in buttons(world, Export(export)).items() if one == name]
             elif kind == "edit":
                 commands.append(BUTTONS[what[0]][0])
             elif kind == "command":

@@ -262,10 +262,12 @@ function rows(id, lines) {
   }));
 }
 
-function showKeys() {  // the list of keys unfolds, with the panel if need be, or goes away
+let shownForKeys = false;
+function showKeys() {  // the list of keys unfolds, in the panel, which goes away with it if it was hidden before
   const unfold = get("panel").hidden || !get("keys").open;
-  if (unfold === get("panel").hidden) togglePanel();
   get("keys").open = unfold;
+  if (unfold) shownForKeys = get("panel").hidden;
+  if (unfold ? get("panel").hidden : shownForKeys) togglePanel();
   if (unfold) get("keys").scrollIntoView();
 }
 
@@ -315,6 +317,8 @@ function build() {
   choice("light-kind", ["Point", "Directional"], (name) => send("light", name));
   choice("resolution", hello.resolutions, (name) => { send("resolution", name); mark("resolution", name); });
   get("edits").replaceChildren(...Object.entries(hello.edits).map(([name, tip]) => button(name, tip, () => send("edit", name))));
+  get("kind").replaceChildren(...hello.kinds.map((kind) => new Option(`export .${kind}`, kind)));
+  get("kind").title = hello.kind_tip;
   mark("interaction", state.interaction);
   mark("resolution", state.resolution);
   mark("light-kind", state.light);
@@ -408,6 +412,7 @@ function take(news) {
     get("line").hidden = !(state.score || state.message || state.notice || state.opening);
   }
   if ("editable" in news) {
+    get("kind").hidden = !state.editable;
     get("controls").hidden = get("performance").hidden = false;
     get("play").hidden = get("edit").hidden = get("world").hidden = !state.editable;
     get("hint").hidden = !state.editable || state.role !== "play" || get("hint").classList.contains("gone");
@@ -436,6 +441,10 @@ function take(news) {
     const seconds = String((state.film || 0) % 60).padStart(2, "0");
     get("film").textContent = `${Math.floor((state.film || 0) / 60)}:${seconds}`;
     get("film").hidden = state.film === null;
+  }
+  if ("keep" in news) {
+    get("keep-buttons").replaceChildren(...Object.entries(state.keep).map(([name, tip]) =>
+      button(name, tip, () => send("keep", name, get("kind").value))));
   }
   if ("grabbing" in news) {
     stage.classList.toggle("grabbing", state.grabbing);

@@ -18,6 +18,7 @@
 | ["resolution", name] | a name of RESOLUTIONS |
 | ["slide", section, name, value, continued] | a slider of the panel; whether it goes on with the last change |
 | ["light", kind] | "Point" or "Directional" |
+| ["keep", name, kind] | a button of the panel that writes a file; the kind of an export |
 | ["edit", name] | a button of the panel's section of the body |
 | ["open", name, {option: choice}] | another scene |
 | ["leave"] | the pointer is not over the picture |
@@ -35,6 +36,7 @@ from display.protocol import Command
 from display.record.codec import from_text
 from display.web.page_state import SECTIONS
 from display.window.panel.body_section import BUTTONS
+from display.window.panel.keep_section import KINDS
 from display.window.panel.performance_section import RESOLUTIONS
 
 MESSAGE_BYTES = 4096  # of one message: none of ours has more than a few hundred
@@ -120,6 +122,7 @@ CHECKS: dict[str, tuple[Callable, ...]] = {
     "edits": (SWITCH,),
     "resolution": (one_of(*RESOLUTIONS),),
     "edit": (one_of(*BUTTONS),),
+    "keep": (text, one_of(*KINDS)),
     "light": (one_of("Point", "Directional"),),
     "slide": (one_of(*SECTIONS), text, number(-SLIDER_MAX, SLIDER_MAX), SWITCH),
     "open": (text, choices),

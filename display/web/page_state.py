@@ -9,12 +9,13 @@ import numpy as np
 from core.camera import Camera, project
 from core.material import MATERIALS
 from display.edit.selection_marker import marked, marker_lines
-from display.protocol import OpenScene, WorldView
+from display.protocol import Export, OpenScene, WorldView
 from display.run_stats import plain
 from display.window import hover, scene_menu
 from display.window.key_bindings import BY_CHORD, help_rows
 from display.window.panel import (
     body_section,
+    keep_section,
     light_section,
     performance_section,
     play_section,
@@ -47,6 +48,8 @@ def first_words(title: str, name: str, scene: Scene) -> dict:
         "interactions": play_section.INTERACTIONS,
         "edits": {name: tip for name, (_, tip) in body_section.BUTTONS.items()},
         "materials": list(MATERIALS),
+        "kinds": keep_section.KINDS,
+        "kind_tip": keep_section.KIND_TIP,
         "resolutions": list(performance_section.RESOLUTIONS),
         "keys": [*help_rows(editable, WINDOW_ONLY), *PAGE_KEYS],
         "ctrl_keys": [chord.rpartition("+")[2] for chord in BY_CHORD if chord.startswith("ctrl+")],
@@ -90,6 +93,7 @@ def world_state(world: WorldView) -> dict:
         "selected": body_section.called(bodies[selected].name) if known else None,
         "material": world.material(selected)[1] if known else None,
         "light": None if world.light is None else world.light.kind.capitalize(),
+        "keep": {name: tip for name, (_, tip) in keep_section.buttons(world, Export()).items()},
         "sliders": {section: [described(one) for one in sliders_of(world, section)] for section in SECTIONS},
     }
 

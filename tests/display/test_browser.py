@@ -144,6 +144,12 @@ def test_a_user_of_a_browser_plays_and_another_one_watches(ball, tmp_path):
         ball.until(lambda f: f["interaction"] == "physics")
         page.key("F1", "F1")
         page.until("get('panel').hidden")
+        page.key("h", "KeyH")
+        page.until("!get('panel').hidden && get('keys').open")
+        page.key("F2", "F2")
+        page.until("get('menu-of-scenes').open && get('scene-list').children.length >= 8")
+        page.click("get('close-scenes')")
+        page.until("!get('menu-of-scenes').open")
 
         phone = browser.open(ball.url, 390, 844, scale=2, touch=True)
         phone.until("state.role === 'watch' && picture.width > 100")

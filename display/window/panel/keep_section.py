@@ -24,25 +24,12 @@ class KeepSection(Section):
 
     def draw(self, world: WorldView) -> list[Command]:
         """Draw the buttons; their commands."""
-        film = "Film" if world.film_seconds is None else "End film"
-        tips = {"Picture": "As a PNG, without panel and marks (F12).", film: "As an MP4, without panel and marks (F9)."}
-        tips |= {"Camera": "As a file for vrgs.py render --camera (Shift+F12)."}
+        body = world.selected if self._selected_only else None
+        commands = buttons(world, Export(self._kind, body, self._shadows))
+        pressed = button_grid({name: tip for name, (_, tip) in commands.items()}, 3)
         if world.editable:
-            tips |= {"Save": "The state of the scene (Ctrl+S).", "Load": "Go on from the last one (Ctrl+L)."}
-            tips |= {"Export": "For other programs, as chosen below (Ctrl+E)."}
-        pressed = button_grid(tips, 3)
-        commands = {
-            "Picture": TakePicture(),
-            film: Film(world.film_seconds is None),
-            "Camera": WriteCamera(),
-            "Save": SaveState(),
-            "Load": LoadState(),
-        }
-        if world.editable:
-            body = world.selected if self._selected_only else None
-            commands["Export"] = Export(self._kind, body, self._shadows)
             self._choices(world)
-        return [] if pressed is None else [commands[pressed]]
+        return [] if pressed is None else [commands[pressed][0]]
 
     def _choices(self, world: WorldView) -> None:
         """Draw what an export is to be."""
@@ -59,3 +46,20 @@ class KeepSection(Section):
         imgui.end_disabled()
         if self._kind not in CAGES:
             _, self._shadows = imgui.checkbox("with shadows", self._shadows)
+
+
+def buttons(world: WorldView, export: Export) -> dict[str, tuple[Command, str]]:
+    """Command and tip of each button by its name."""
+    film = "Film" if world.film_seconds is None else "End film"
+    made: dict[str, tuple[Command, str]] = {
+        "Picture": (TakePicture(), "As a PNG, without panel and marks (F12)."),
+        film: (Film(world.film_seconds is None), "As an MP4, without panel and marks (F9)."),
+        "Camera": (WriteCamera(), "As a file for vrgs.py render --camera (Shift+F12)."),
+    }
+    if world.editable:
+        made |= {
+            "Save": (SaveState(), "The state of the scene (Ctrl+S)."),
+            "Load": (LoadState(), "Go on from the last one (Ctrl+L)."),
+            "Export": (export, "For other programs, as chosen below (Ctrl+E)."),
+        }
+    return made

@@ -62,6 +62,8 @@ def play(args) -> None:
             if session.study:
                 session.study.after(frame, world)
             session.keeper.after(frame, world)
+            if session.sound:
+                session.sound.after(frame, world)
         session.report()
 
 

@@ -40,7 +40,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=KINDS, default="ply", help="sequence: kind of its files (default ply)")
     parser.add_argument("--only", metavar="BODY", help="one body, by its number or the name of its asset")
     parser.add_argument("--no-shadows", action="store_true", help="splats: colours as in full light")
-    unused = {"xr": False, "headless": True, "stereo": False, "sort": "z", "size": (16, 16), "render_scale": 1.0}
+    unused = {
+        "xr": False,
+        "headless": True,
+        "stereo": False,
+        "sort": "z",
+        "size": (16, 16),
+        "render_scale": 1.0,
+        "sound": "off",
+    }
     unused |= dict.fromkeys(
         ("record", "snapshot", "stats", "record_input", "study", "participant", "save_state", "web", "host")
     )

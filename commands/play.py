@@ -70,6 +70,11 @@ CONDITIONS = (
     Condition(("--stereo",), lambda args: args.headless, "belongs to --headless"),
     Condition(("--host",), lambda args: args.web is not None, "belongs to --web"),
     STATE_CONDITION,
+    Condition(
+        ("--sound",),
+        lambda args: args.sound != "on" or args.record or not (args.headless or args.web is not None),
+        "on: nothing is heard here, but in the film of --record",
+    ),
     Condition(("--participant",), lambda args: args.study, "belongs to --study OUT.h5"),
     PREPARATION,
 )
@@ -97,6 +102,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snapshot", type=picture_name, metavar="OUT.png", help=text)
     text = "write the state of the scene at the end; --state FILE.h5 goes on from it"
     parser.add_argument("--save-state", type=Path, metavar="FILE.h5", help=text)
+    text = "impacts are heard, and in the film of --record; auto: where there is a device and the package for it"
+    parser.add_argument("--sound", choices=("auto", "on", "off"), default="auto", help=text)
     parser.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     again = parser.add_mutually_exclusive_group()
     text = "record your input, to be replayed"
@@ -149,6 +156,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
     scene = load_scene(args, replay)
     begin = state.settings.time if state else 0.0
     with (
+        open_sound(args, preferences) as sound,
         open_display(args, scene, replay, preferences=preferences, begin=begin) as display,
         open_film(args, display) as film,
         open_recording(args) as recording,
@@ -161,7 +169,7 @@ def open_session(args: argparse.Namespace) -> Iterator[Session]:
         if replay:
             options = replay.world_options(options)
         views = {"views": 2 if args.stereo or args.xr else 1, "props": display.props() if args.xr else []}
-        outputs = Outputs(film, recording, study, keeper)
+        outputs = Outputs(film, recording, study, keeper, sound)
         kept = {
             "replay": replay,
             "load": lambda args: load_scene(args, None),
@@ -281,6 +289,16 @@ def open_study(args: argparse.Namespace, scene: Scene):
         device=device,
         about={"options": options, "roles": {role: file for file, role in scene.cast}},
     )
+
+
+def open_sound(args: argparse.Namespace, preferences: Preferences):
+    """The sound of the play and of its film, or a context of None. Open it first: it ends when the film is complete."""
+    heard = not args.headless and args.web is None
+    if args.sound == "off" or not (heard or args.record):
+        return contextlib.nullcontext()
+    from display.sound.sound import Sound
+
+    return Sound(film=args.record, heard=heard, asked=args.sound == "on", preferences=preferences)
 
 
 def open_display(

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from display.preferences import Preferences
     from display.record.recording import Recording
     from display.record.replay import Replay
+    from display.sound.sound import Sound
     from display.study.study_log import StudyLog
     from display.world import World, WorldSnapshot
     from scenes.scene import Scene
@@ -36,6 +37,7 @@ class Outputs:
     recording: Recording | None
     study: StudyLog | None
     keeper: Keeper
+    sound: Sound | None
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Session:
     ):
         self.args, self.display, self.replay = args, display, replay
         self.film, self.recording, self.study = outputs.film, outputs.recording, outputs.study
-        self.keeper = outputs.keeper
+        self.keeper, self.sound = outputs.keeper, outputs.sound
         self._load, self._title, self._options, self._count = load, title, options, 0
         self._opening: Opening | None = None
         self._requests: deque[Command] = deque()  # what is opened after that

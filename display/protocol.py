@@ -210,6 +210,13 @@ class SaveState:
 
 
 @dataclass(frozen=True)
+class SetSound:
+    """Let impacts be heard, or not."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
 class OpenScene:
     """Play another scene: named, with its options, and files of the user's as bodies and room."""
 
@@ -263,6 +270,7 @@ Command = (
     | WriteCamera
     | Export
     | SaveState
+    | SetSound
     | OpenScene
     | SwapRoom
     | AddBody
@@ -362,6 +370,8 @@ class WorldView(Protocol):
 
     time: float = 0.0
     """Seconds of the world since the last reset."""
+    sound: bool | None = None
+    """True if impacts are heard; None: there is nothing to hear them with."""
 
     opening: str = ""
     """Progress of what is being opened (`OpenScene` and the like), "" while nothing is."""

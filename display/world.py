@@ -347,6 +347,11 @@ class World(WorldView):
         """Material of a body, and its name: "rubber", "rubber, changed"; of a rigid body, "rigid"."""
         return self.registry.material(body)
 
+    def rest_size(self, body: int) -> tuple[np.ndarray, float]:
+        """Extents (3,) [m] and volume [m^3] of a body at rest, in its own frame."""
+        model = self.device.solver.body_models[body]
+        return np.ptp(np.asarray(model.body.vertices), axis=0), float(np.sum(model.shape.vertex_volumes))
+
     def bodies(self) -> list[BodyState]:
         """The simulated bodies after the last frame."""
         return self._bodies

@@ -90,6 +90,12 @@ BINDINGS = (
     KeyBinding(("f9",), "film: begin, finish", lambda world: [protocol.Film(world.film_seconds is None)]),
     KeyBinding(("f2",), "choose another scene", "toggle_menu", bodies=True),
     KeyBinding(("ctrl+o",), "open a file as a body or a room", "ask_file", bodies=True),
+    KeyBinding(
+        ("m",),
+        "sound on or off",
+        lambda world: [] if world.sound is None else [protocol.SetSound(not world.sound)],
+        bodies=True,
+    ),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
     KeyBinding(("h",), "list of mouse and keys", "toggle_help"),
     KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),

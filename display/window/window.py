@@ -251,6 +251,7 @@ class Window:
         from imgui_bundle import imgui
 
         io, controls = imgui.get_io(), self._controls
+        listing = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)  # a list that is open has the keys
         commands, self._commands = self._commands, []
         controls.note(commands)
         for kind, *what in events:
@@ -267,7 +268,7 @@ class Window:
                     controls.press(name, *self._cursor, self._camera, world)
             elif kind == "wheel" and not io.want_capture_mouse:
                 controls.wheel(*what)
-            elif kind == "key" and not (what[1] and io.want_text_input):
+            elif kind == "key" and not (what[1] and (io.want_text_input or listing)):
                 commands += controls.key(*what, world, *self._cursor, self._camera)
             elif kind == "drop" and world.editable:
                 self._open_dialog.offer(*what)

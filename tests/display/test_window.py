@@ -141,6 +141,15 @@ def test_drags_beside_the_body_move_the_camera(session):
     session.until(lambda f: np.isclose(f["eye"][2], 3 * 0.9**2))
 
 
+def test_pictures_are_missed_only_while_something_moves(session):
+    session.after(3)
+    begin, rested = (session.after(count) for count in (3, 8))
+    assert begin["missed"] == rested["missed"]
+    session.screen.key_down("w")
+    session.until(lambda f: f["missed"] > rested["missed"])
+    session.screen.key_up("w")
+
+
 def test_walking_with_a_held_key(session):
     session.screen.key_down("w")
     session.until(lambda f: f["eye"][2] < 2.5)
@@ -222,6 +231,10 @@ def test_the_gizmo_moves_the_body_under_the_cursor_and_escape_puts_it_away(sessi
     moved = session.until(lambda f: f["ball"][0] > 0.2)
     assert moved["eye"] == [0, 0, 3] and not moved["held"] and abs(moved["ball"][1]) < 1e-6
     assert any("place" in f["commands"] for f in session.frames()[before:])
+    session.screen.key("Escape")
+    session.after()
+    session.screen.click(120, 180)  # the list of materials
+    session.after()
     session.screen.key("Escape")
     session.after()
     session.screen.key("h")  # the card of keys, which lies over all

@@ -217,6 +217,7 @@ def main() -> None:
     scene = fake_scene()
     with open_display(scene, args) as display, open(args.log, "w", encoding="utf-8", buffering=1) as log:
         world = FakeWorld(scene, width=display.size[0], height=display.size[1], views=1 + args.xr)
+        world.timings.budget = 1e-3  # [s] which every frame of a window misses
         for frame in display.frames(world):
             begin = time.perf_counter()
             world.step(frame)
@@ -261,6 +262,7 @@ def record(frame, world) -> dict:
         "paused": world.paused,
         "interaction": world.interaction,
         "steps": world.steps,
+        "missed": world.timings.missed,
         "pictures": world.pictures,
         "light": world.light.position,
         "material": [world.stuff[0].young, world.stuff[1]],

@@ -28,6 +28,7 @@ CONDITIONS = (Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "b
 CAPS = {"cuda": 2_000_000, "cpu": 100_000}
 STEPS = {"cuda": 30_000, "cpu": 3_000}
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
+PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
 TEST_PICTURES = 4  # of the report
 
 
@@ -61,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "steps between two checkpoints, from which a cut training goes on; 0: none (default 1000)"
     parser.add_argument("--checkpoint-every", type=int, default=1000, metavar="N", help=text)
     parser.add_argument("--fresh", action="store_true", help="start anew where a checkpoint was left")
+    parser.add_argument("--preview", action="store_true", help="show the Gaussians in a window while they are trained")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     add_arch(parser)
 
@@ -76,48 +78,41 @@ def run(args: argparse.Namespace) -> None:
         check_writable(file)
     if args.test_every < 0 or args.checkpoint_every < 0:
         raise BadInput("--test-every and --checkpoint-every are 0 or more")
-    capture = read_capture(args.capture)
+    if args.preview:
+        from display.window.gl_window import has_display
+
+        if not has_display():
+            raise BadInput("--preview: no display to open a window on")
+    capture = read_capture(args.capture).upright()
+    every = args.test_every
+    if every == 1:
+        raise BadInput("--test-every 1 leaves no photograph to learn from")
     photographs = []
     for k, view in enumerate(capture.views):
         photographs.append(load_photograph(view, args.reduce))
         _tell(f"photographs {k + 1}/{len(capture.views)}", end=k + 1 == len(capture.views))
-    every = args.test_every
     test = photographs[::every] if every else []
     train = [p for k, p in enumerate(photographs) if not every or k % every]
-    if not train:
-        raise BadInput("--test-every 1 leaves no photograph to learn from")
     start_taichi(args.arch)
-    import taichi as ti
-
-    arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-    from prepare.train.seeds import seeds
-    from prepare.train.trainer import Trainer, TrainOptions
-
-    options = TrainOptions(
-        args.steps or STEPS[arch],
-        args.strategy,
-        args.cap or CAPS[arch],
-        args.degree,
-        args.antialias,
-        args.sort,
-        args.seed,
-    )
-    about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": every}
+    trainer, about = _trainer(args, capture, train)
     kept = args.out.with_name(f"{args.out.name}.checkpoint.h5")
-    start = seeds(capture, degree=args.degree, count=options.cap, rng=np.random.default_rng(args.seed))
-    trainer = Trainer(train, start, capture.extent, options)
     if args.checkpoint_every and kept.is_file() and not args.fresh:
         from prepare.train.checkpoint import read_checkpoint
 
         trainer.restore(read_checkpoint(kept, about, len(train)))
         print(f"going on from step {trainer.done} ({kept}; --fresh starts anew)", file=sys.stderr)
-    curve, seconds = _train(trainer, args, kept, about)
+    progress = _Progress(trainer, kept if args.checkpoint_every else None, args.checkpoint_every, about)
+    if args.preview:
+        _preview(args, capture, trainer, progress)
+    while trainer.done < trainer.options.steps:
+        progress.step()
+    seconds = progress.seconds
     qualities = [trainer.quality(p) for p in test]
-    gaussians = _upright(trainer.population.gaussians(), capture.up)
+    gaussians = trainer.population.gaussians()
     write_gaussians(args.out, gaussians)
     kept.unlink(missing_ok=True)
-    numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done}
-    numbers |= {"views": len(train), "test_views": len(test), "options": about, "curve": curve}
+    numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
+    numbers |= {"test_views": len(test), "options": about, "curve": progress.curve}
     line = f"{args.out}: {len(gaussians)} Gaussians, {trainer.done} steps in {seconds:.0f} s"
     if qualities:
         mean = {name: float(np.mean([asdict(q)[name] for q in qualities])) for name in asdict(qualities[0])}
@@ -128,30 +123,82 @@ def run(args: argparse.Namespace) -> None:
         _report(args.report, numbers, trainer, test, qualities)
 
 
-def _train(trainer, args: argparse.Namespace, kept: Path, about: dict) -> tuple[list[dict], float]:
-    """All steps that are left, with a progress line and checkpoints; the loss curve, and seconds."""
-    from prepare.train.checkpoint import write_checkpoint
+def _trainer(args: argparse.Namespace, capture, train: list):
+    """The trainer at its start, and all options that its steps depend on."""
+    import taichi as ti
 
-    steps, curve, begin, first = trainer.options.steps, [], time.perf_counter(), trainer.done
-    told = begin
-    interval = LINE_SECONDS if sys.stderr.isatty() else 10 * LINE_SECONDS
-    while trainer.done < steps:
+    from prepare.train.seeds import seeds
+    from prepare.train.trainer import Trainer, TrainOptions
+
+    arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    steps, cap = args.steps or STEPS[arch], args.cap or CAPS[arch]
+    options = TrainOptions(steps, args.strategy, cap, args.degree, args.antialias, args.sort, args.seed)
+    about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": args.test_every}
+    start = seeds(capture, degree=args.degree, count=cap, rng=np.random.default_rng(args.seed))
+    return Trainer(train, start, capture.extent, options), about
+
+
+class _Progress:
+    """Steps of a trainer with a progress line, a loss curve, and checkpoints every `every` steps to `kept`, or None."""
+
+    def __init__(self, trainer, kept: Path | None, every: int, about: dict):
+        self.trainer, self.curve, self.text = trainer, [], "the first step compiles"
+        self._kept, self._every, self._about = kept, every, about
+        self._first, self._begin = trainer.done, time.perf_counter()
+        self._told = self._begin
+        self._interval = LINE_SECONDS if sys.stderr.isatty() else 10 * LINE_SECONDS
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start [s]."""
+        return time.perf_counter() - self._begin
+
+    def step(self) -> None:
+        """One step of the trainer."""
+        trainer, steps = self.trainer, self.trainer.options.steps
         trainer.step()
-        now = time.perf_counter()
-        if now - told >= interval or trainer.done == steps:
-            q = trainer.recent_loss()
-            now = time.perf_counter()  # the device has been waited for
-            rate = (trainer.done - first) / (now - begin)
-            left = (steps - trainer.done) / rate
+        if time.perf_counter() - self._told >= self._interval or trainer.done == steps:
+            q, n = trainer.recent_loss(), trainer.population.count  # waits for the device
+            rate = (trainer.done - self._first) / self.seconds
             loss = 0.8 * q.l1 + 0.2 * (1.0 - q.ssim)
-            curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": trainer.population.count})
-            n = trainer.population.count
+            self.curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": n})
             text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
-            _tell(f"{text}  {rate:.1f} steps/s  {left:.0f} s left", end=trainer.done == steps)
-            told = now
-        if args.checkpoint_every and trainer.done % args.checkpoint_every == 0 and trainer.done < steps:
-            write_checkpoint(kept, trainer.state(), about)
-    return curve, time.perf_counter() - begin
+            self.text = f"{text}  {rate:.1f} steps/s  {(steps - trainer.done) / rate:.0f} s left"
+            _tell(self.text, end=trainer.done == steps)
+            self._told = time.perf_counter()
+        if self._kept is not None and trainer.done % self._every == 0 and trainer.done < steps:
+            from prepare.train.checkpoint import write_checkpoint
+
+            write_checkpoint(self._kept, trainer.state(), self._about)
+
+
+def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) -> None:
+    """Show the Gaussians in a window while they are trained, until the window is closed or the training ends."""
+    from display.live_viewer import LiveViewer
+    from display.viewer import BACKGROUND
+    from display.window.window import Window
+    from scenes.scene import Scene
+
+    camera = capture.views[0].camera()
+    fov_y = 2.0 * float(np.arctan(0.5 * camera.height / camera.fy))
+    view = {"eye": tuple(camera.position), "target": tuple(capture.looked_at()), "fov_y": fov_y}
+    scene = Scene(bodies=[], light=None, background=BACKGROUND, **view)
+
+    def advance() -> str:
+        end = time.perf_counter() + PREVIEW_SECONDS
+        while trainer.done < trainer.options.steps and time.perf_counter() < end:
+            progress.step()
+        return progress.text
+
+    with Window(scene, title=f"VR-GS: training {args.capture.name}", width=None, height=None) as window:
+        splats, antialias = trainer.population.splats, trainer.options.antialias
+        viewer = LiveViewer(splats, scene, advance, size=window.size, antialias=antialias)
+        for frame in window.frames(viewer):
+            viewer.step(frame)
+            window.present(viewer)
+            if trainer.done >= trainer.options.steps:
+                return
+    print("the window is closed; the training goes on", file=sys.stderr)
 
 
 def _tell(text: str, *, end: bool) -> None:
@@ -160,13 +207,6 @@ def _tell(text: str, *, end: bool) -> None:
         print(f"\r{text:<110}", end="\n" if end else "", file=sys.stderr, flush=True)
     elif end or text.startswith("step"):
         print(text, file=sys.stderr, flush=True)
-
-
-def _upright(gaussians, up: np.ndarray):
-    """Gaussians turned so that `up` is +y, where the cameras stood."""
-    from core.rotation import rotation_between
-
-    return gaussians.transformed(rotation_between(up, np.array([0.0, 1.0, 0.0])))
 
 
 def _report(path: Path, numbers: dict, trainer, test: list, qualities: list) -> None:

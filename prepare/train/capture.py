@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from core.camera import Camera
 from core.errors import BadInput
+from core.rotation import rotation_between
 from prepare.train.lens import Lens
 
 VIEWS_MIN = 3  # two views of a point have one depth that explains them, a third one tells whether it is right
@@ -68,6 +69,21 @@ class Capture:
         up = -np.sum([v.world_to_camera[1, :3] for v in self.views], axis=0)
         length = np.linalg.norm(up)
         return up / length if length > 1e-6 * len(self.views) else np.array([0.0, 1.0, 0.0])
+
+    def upright(self) -> Capture:
+        """The same capture in a world whose +y is `up`."""
+        turn = np.eye(4)
+        turn[:3, :3] = rotation_between(self.up, (0.0, 1.0, 0.0))
+        views = [replace(v, world_to_camera=v.world_to_camera @ turn.T) for v in self.views]
+        return replace(self, views=views, points=self.points @ turn[:3, :3].T)
+
+    def looked_at(self) -> np.ndarray:
+        """The point nearest to the axes of all cameras, (3,); the middle of the cameras where those are parallel."""
+        ahead = np.array([v.world_to_camera[2, :3] for v in self.views])
+        across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
+        places = np.array([v.position for v in self.views])
+        matrix, right = across.sum(axis=0), np.einsum("nij,nj->i", across, places)
+        return np.linalg.solve(matrix, right) if np.linalg.cond(matrix) < 1e6 else self.middle
 
 
 def read_capture(path: str | Path) -> Capture:

@@ -1,18 +1,22 @@
 """Training on the CPU: convergence, births and deaths, checkpoints, and the command."""
 
 import json
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from assets.splat_files import read_gaussians
+from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import rotation_between
 from prepare.train.capture import Capture, View
 from prepare.train.checkpoint import read_checkpoint, write_checkpoint
 from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
 from prepare.train.lens import Lens
+from prepare.train.photographs import Photograph
 from prepare.train.seeds import seeds
 from prepare.train.trainer import Trainer, TrainOptions
 from tests.support.painted_capture import cameras, painted_gaussians, photographs, sparse_points, write_capture
@@ -164,6 +168,31 @@ def test_the_command_trains_reports_and_goes_on(ti_cpu, tmp_path, capsys):
     (tmp_path / "out.ply.checkpoint.h5").write_bytes(b"\x89HDF\r\n\x1a\nnothing")
     assert main([*line, "--steps", "60"]) == 2
     assert "not a readable HDF5 file" in capsys.readouterr().err
+
+
+def test_a_smaller_photograph_is_drawn_in_its_own_size(trained):
+    """All kernels are those of the largest one."""
+    trainer, test = trained
+    c, half = test[0].camera, 32
+    camera = Camera(half, half, c.fx / 2, c.fy / 2, c.cx / 2, c.cy / 2, c.world_to_camera)
+    pixels = cv2.resize(test[0].pixels, (half, half), interpolation=cv2.INTER_AREA)
+    small = trainer.quality(Photograph(pixels, np.ones((half, half), bool), camera))
+    assert small.psnr > 20.0 and trainer.picture(camera).shape == (half, half, 3)
+
+
+def test_an_upright_capture_shows_the_same(tmp_path):
+    """Cameras and points turn together, and the cameras look at the middle."""
+    given, turn = capture(tmp_path), rotation_between((0, 1, 0), (0.3, -0.8, 0.4))
+    whole = np.eye(4)
+    whole[:3, :3] = turn
+    views = [replace(v, world_to_camera=v.world_to_camera @ whole.T) for v in given.views]
+    lying = replace(given, views=views, points=given.points @ turn.T)
+    standing = lying.upright()
+    assert standing.up @ [0.0, 1.0, 0.0] == pytest.approx(1.0, abs=1e-9)
+    for a, b in zip(lying.views, standing.views, strict=True):
+        seen = [p @ v.world_to_camera[:3, :3].T for p, v in ((lying.points, a), (standing.points, b))]
+        assert_allclose(*seen, atol=1e-9)
+    assert_allclose(given.looked_at(), 0.0, atol=1e-9)
 
 
 def test_what_cannot_be_trained_is_said_before_anything_is_read(tmp_path, capsys):

@@ -245,7 +245,8 @@ def open_state(args: argparse.Namespace) -> SceneState | None:
     from display.record.recording import OPTIONS
 
     state, named = read_state(args.state), args.scene
-    take_options(args, {key: state.about.get(key) for key in OPTIONS if key != "state"}, "state was saved")
+    known = {key: state.about[key] for key in OPTIONS if key in state.about and key != "state"}
+    take_options(args, known, "state was saved")
     check_named(args, named, args.state)
     args.arch = args.arch or state.about.get("arch")
     return state

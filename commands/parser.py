@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -93,7 +94,7 @@ def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace]
 
 def scene_file_in(argv: Sequence[str]) -> str | None:
     """The scene file that a command line names, whose options it may set; None if there is none."""
-    pairs = zip(argv, [*argv[1:], ""], strict=True)
+    pairs = itertools.zip_longest(argv, argv[1:], fillvalue="")
     values = (word.partition("=")[2] or after for word, after in pairs if word.partition("=")[0] == "--scene")
     return next(filter(is_scene_file, values), None)
 

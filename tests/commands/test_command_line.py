@@ -3,7 +3,7 @@
 import pytest
 
 import vrgs
-from commands.parser import build_parser, parse
+from commands.parser import build_parser, parse, scene_file_in
 from core.errors import BadInput
 
 PARSER = build_parser("", print)
@@ -147,3 +147,7 @@ def test_the_last_of_two_options_counts_also_before_a_command():
 def test_the_program_ends_with_status_2(capsys):
     assert vrgs.main(["--stereo"]) == 2
     assert capsys.readouterr().err == "vrgs: --stereo belongs to --headless\n"
+
+
+def test_no_word_at_all_plays_the_ring_toss():
+    assert parse([], "", print).scene == "ring_toss" and scene_file_in(["--scene"]) is None

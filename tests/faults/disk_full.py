@@ -94,12 +94,12 @@ def fill_once(name: str, folder: Path, *, small_disk: bool = False) -> None:
     assert writer.version(folder) == 1
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     """Run the command line; exit status 1 if a writer failed."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--folder", type=Path, help="on a disk of some 100 kB")
     p.add_argument("--writer", choices=WRITERS, action="append", help="only these")
-    args = p.parse_args()
+    args = p.parse_args(words)
     os.environ |= {"ENABLE_TAICHI_HEADER_PRINT": "False", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     failed = 0
     for name in args.writer or WRITERS:

@@ -114,13 +114,13 @@ def kill_recording(folder: Path, seconds: float) -> None:
     part.unlink()
 
 
-def main() -> int:
+def main(words: list[str] | None = None) -> int:
     """Run the command line; exit status 1 if something was lost."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--kills", type=int, default=200, help="of each writer (default 200)")
     p.add_argument("--seed", type=int, default=date.today().toordinal(), help="(default: another one each day)")
     p.add_argument("--writer", choices=[*WRITERS, "long recording"], action="append", help="only these")
-    args = p.parse_args()
+    args = p.parse_args(words)
     os.environ |= {"ENABLE_TAICHI_HEADER_PRINT": "False", "OPENCV_FFMPEG_LOGLEVEL": "-8"}
     rng, failed = np.random.default_rng(args.seed), 0
     for name in args.writer or [*WRITERS, "long recording"]:

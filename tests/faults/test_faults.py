@@ -1,0 +1,99 @@
+"""Writers whose program is killed, whose disk is full, or who are not alone: nothing that was finished is lost."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from assets.file_access import STALE_AGE, atomic_write, locked
+from core.errors import BadInput
+from display.headless.video import Video
+from display.record.recording import Recording
+
+ROOT = Path(__file__).resolve().parents[2]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are forked")
+
+SHORT = """
+from tests.faults import disk_full, kill, together
+few = ["--writer=asset", "--writer=study", "--writer=preferences"]
+status = disk_full.main([*few, "--writer=film", "--writer=recording", "--writer=checkpoint", "--writer=spz"])
+status |= kill.main(["--kills=1", "--seed=1", *few, "--writer=film", "--writer=long recording"])
+status |= together.main(["--rounds=1", *few])
+raise SystemExit(status)
+"""
+
+
+def test_nothing_is_lost(tmp_path):
+    """Some writers, once each, in a program of their own, which forks."""
+    done = subprocess.run([sys.executable, "-c", SHORT], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr[-2000:]
+    assert done.stdout.count("0 failures") == 8 and done.stdout.count(" ok") == 7
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("words", [["kill", "--kills", "200"], ["disk_full"], ["together", "--rounds", "30"]])
+def test_nothing_is_lost_often(words):
+    subprocess.run([sys.executable, "-m", f"tests.faults.{words[0]}", *words[1:]], cwd=ROOT, check=True)
+
+
+def test_what_a_killed_program_left_goes_with_the_next_writing(tmp_path):
+    path, other = tmp_path / "a.txt", tmp_path / ".b.txt.0123abcd.part"
+    parts = [
+        tmp_path / ".a.txt.0123abcd.part",
+        tmp_path / ".a.txt.0123abcd.part.mp4",
+        tmp_path / ".a.txt.89abcdef.part",
+    ]
+    for part in (*parts, other):
+        part.touch()
+    for part in (*parts[:2], other):
+        os.utime(part, (0, time.time() - 2 * STALE_AGE))
+    with atomic_write(path) as beside:
+        beside.write_text("whole")
+    left = sorted(p.name for p in tmp_path.iterdir())
+    assert left == sorted(["a.txt", parts[2].name, other.name]), "what is young may be another program's"
+
+
+def test_a_lock_is_waited_for_and_given_back(tmp_path):
+    path = tmp_path / "a.json"
+    with locked(path):
+        with pytest.raises(BadInput, match="another program has been writing it"), locked(path, patience=0.05):
+            pass
+        assert path.with_name(".a.json.lock").exists()
+    with locked(path, patience=0.0):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_two_sessions_do_not_record_into_the_same_file(tmp_path):
+    """HDF5 holds this lock of the system while it writes."""
+    import fcntl
+
+    with Recording(tmp_path / "other.h5") as recording:
+        part = tmp_path / "play.h5.part"
+        shutil.copy(recording.part, part)
+    with open(part, "rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(BadInput, match=r"play\.h5\.part is being written by another session"):
+            Recording(tmp_path / "play.h5")
+    with pytest.raises(BadInput, match=r"play\.h5\.part was left by an interrupted session"):
+        Recording(tmp_path / "play.h5")
+    assert part.exists()
+
+
+def test_two_films_of_one_name_are_both_whole(tmp_path, monkeypatch):
+    import numpy as np
+
+    from display.headless.video import frame_count
+
+    films = [Video(tmp_path / "film.mp4", 64, 48) for _ in range(2)]
+    for k, film in enumerate(films):
+        for _ in range(3 + k):
+            film.write(np.zeros((48, 64, 3), np.uint8))
+    for k, film in enumerate(films):
+        film.close()
+        assert frame_count(tmp_path / "film.mp4") == 3 + k
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]

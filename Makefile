@@ -1,6 +1,7 @@
 # make play   set everything up and play the ring toss (without a display: record it)
 # make test   set everything up and run the tests
 # make soak   run the long tests, then 30 simulated minutes of random handling (hours)
+# make nightly  100,000 mutated files for the readers; kills, full disks, several programs; 8 hours of random play
 # make build  rebuild the shipped assets from code
 # make binary make the program one executable file, dist/vrgs, and play with it in a bare chroot
 # make lint   check style
@@ -9,7 +10,7 @@
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 
-.PHONY: play test soak build binary lint clean
+.PHONY: play test soak nightly build binary lint clean
 
 play: $(VENV)/.ready
 	@$(PYTHON) vrgs.py --scene ring_toss
@@ -20,6 +21,13 @@ test: $(VENV)/.ready-tests
 soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 -m long
 	@$(PYTHON) -m bench.soak --minutes 30
+
+nightly: $(VENV)/.ready-tests
+	@$(PYTHON) -m tests.fuzz.run --cases 100000
+	@$(PYTHON) -m tests.faults.kill --kills 200
+	@$(PYTHON) -m tests.faults.disk_full
+	@$(PYTHON) -m tests.faults.together --rounds 100
+	@$(PYTHON) -m bench.endurance --minutes 480
 
 build: $(VENV)/.ready-build
 	$(PYTHON) vrgs.py build

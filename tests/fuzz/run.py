@@ -129,6 +129,7 @@ class Fuzz:
 
     def __init__(self, seed: int, cases: dict[str, range]):
         self.seed, self.tally, self.failures, self._names = seed, Counter(), [], list(cases)
+        self._planned = sum(map(len, cases.values()))
         self._chunks: SimpleQueue = SimpleQueue()
         starts = [(k, name) for name, numbers in cases.items() for k in numbers[::CHUNK]]
         for first, name in sorted(starts):
@@ -157,8 +158,7 @@ class Fuzz:
                     try:
                         while (message := pipe.recv())[0] == "wrong":
                             self._fail(name, message[1], message[2])
-                        with self._lock:
-                            self.tally.update(message[1])
+                        self._done(message[1])
                         count = 0
                     except (EOFError, OSError):
                         process.join()
@@ -184,6 +184,13 @@ class Fuzz:
         with self._lock:
             self.failures.append((name, number, defect))
             print(f"FAILED --seed {self.seed} --case {name}:{number}: {defect.strip()}", flush=True)
+
+    def _done(self, tally: dict) -> None:
+        with self._lock:
+            before = 10 * self.tally.total() // self._planned
+            self.tally.update(tally)
+            if 10 * self.tally.total() // self._planned > before:
+                print(f"{self.tally.total()} of {self._planned} cases", file=sys.stderr, flush=True)
 
     def table(self) -> list[str]:
         """Counts of each target, in lines."""

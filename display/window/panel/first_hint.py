@@ -9,7 +9,8 @@ from display.window.panel.theme import ACCENT, MARGIN, TEXT
 from display.window.panel.widgets import pixels
 
 FADE_TIME = 0.8  # [s]
-SIZE = 18.0  # [px] of the text
+SIZE = 18.0  # [px] of the text in a window of FULL_HEIGHT
+FULL_HEIGHT, MIN_FACTOR = 540.0, 0.65  # [px] of the window; a smaller one has a smaller hint, which hides less of it
 
 
 def hints(world: WorldView) -> list[tuple[str, str]]:
@@ -35,22 +36,24 @@ class FirstHint:
         opacity = 1.0 if self._faded is None else (self._faded - monotonic()) / FADE_TIME
         if opacity <= 0.0:
             return
-        imgui.push_font(None, SIZE)
-        gap, space = pixels(22), imgui.calc_text_size(" ").x
+        area = imgui.get_io().display_size
+        factor = min(max(area.y / pixels(FULL_HEIGHT), MIN_FACTOR), 1.0)
+        unit = pixels(factor)
+        imgui.push_font(None, SIZE * factor)
+        gap, space = 22 * unit, imgui.calc_text_size(" ").x
         texts = [
             (what, does, imgui.calc_text_size(what).x, imgui.calc_text_size(does).x) for what, does in hints(world)
         ]
         width = sum(a + space + b for *_, a, b in texts) + gap * (len(texts) - 1)
-        area, height = imgui.get_io().display_size, imgui.get_text_line_height()
-        x, y = 0.5 * (area.x - width), area.y - pixels(3 * MARGIN) - height
-        padding = (pixels(18), pixels(9))
+        height, padding = imgui.get_text_line_height(), (18 * unit, 8 * unit)
+        x, y = 0.5 * (area.x - width), area.y - MARGIN * unit - padding[1] - height
         low, high = (x - padding[0], y - padding[1]), (x + width + padding[0], y + height + padding[1])
         draw_list = imgui.get_background_draw_list()  # under the panel
         draw_list.add_rect_filled(low, high, imgui.get_color_u32((0.07, 0.08, 0.10, 0.72 * opacity)), high[1] - low[1])
         for k, (what, does, a, b) in enumerate(texts):
             if k:
                 dot = (x - 0.5 * gap, y + 0.5 * height)
-                draw_list.add_circle_filled(dot, pixels(2), imgui.get_color_u32((*TEXT[:3], 0.5 * opacity)), 12)
+                draw_list.add_circle_filled(dot, 2 * unit, imgui.get_color_u32((*TEXT[:3], 0.5 * opacity)), 12)
             draw_list.add_text((x, y), imgui.get_color_u32((*ACCENT[:3], opacity)), what)
             draw_list.add_text((x + a + space, y), imgui.get_color_u32((*TEXT[:3], opacity)), does)
             x += a + space + b + gap

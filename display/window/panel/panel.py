@@ -101,9 +101,9 @@ class Panel:
         from imgui_bundle import imgui
 
         imgui.push_font(None, TITLE_SIZE)
-        imgui.text(self.title.split(": ")[-1].replace("_", " "))  # the window has all of it
+        title, rate = self.title.split(": ")[-1].replace("_", " "), f"{self._performance.fps:.0f} fps"
+        imgui.text(shortened(title, width_of(1) - pixels(90)))  # the window has all of it
         imgui.pop_font()
-        rate = f"{self._performance.fps:.0f} fps"
         imgui.same_line()
         imgui.set_cursor_pos_y(imgui.get_cursor_pos_y() + pixels(4))  # onto the title's base line
         button = imgui.get_frame_height() + imgui.get_style().item_spacing.x

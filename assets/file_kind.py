@@ -8,7 +8,7 @@ from typing import Literal
 from assets.file_access import file_size, open_input
 from core.errors import BadInput
 
-FileKind = Literal["body", "room", "either"]
+FileKind = Literal["body", "room", "either", "state"]
 
 SPLATS = (".ply", ".splat", ".ksplat", ".spz", ".sog", ".json")
 MESHES = (".obj", ".glb", ".gltf", ".stl", ".off")
@@ -16,7 +16,7 @@ HEADER_MAX = 4096  # [bytes] of a .ply in which its elements are listed
 
 
 def kind_of(path: str | Path) -> FileKind:
-    """What a file can be: a prepared asset is a body or a room, a mesh a body, a splat either. Raises BadInput."""
+    """What a file can be: a mesh a body, a splat a body or a room, an .h5 these or a state. Raises BadInput."""
     path = Path(path)
     file_size(path)
     suffix = path.suffix.lower()
@@ -37,6 +37,8 @@ def kind_of_asset(path: Path) -> FileKind:
         kind = file.text("", "format") if file.has_attribute("", "format") else ""
         if kind == "vrgs-recording":
             raise BadInput(f"{path.name}: is a recording: vrgs.py --replay {path.name} plays it")
+        if kind == "vrgs-state":
+            return "state"
         if kind == "vrgs-study":
             raise BadInput(f"{path.name}: is the file of a study: vrgs.py study {path.name} compares its trials")
         if kind != "vrgs-asset":

@@ -107,15 +107,6 @@ class SceneState:
     settings: Settings
 
 
-def is_state(path: Path) -> bool:
-    """Tell whether a file says that it is a state; False for what cannot be read."""
-    try:
-        with open_hdf5(path) as file:
-            return file.text("", "format") == FORMAT
-    except BadInput:
-        return False
-
-
 def read_state(path: str | Path) -> SceneState:
     """Read and check a file. Raises BadInput."""
     with open_hdf5(Path(path)) as file:

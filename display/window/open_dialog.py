@@ -11,13 +11,13 @@ from pathlib import Path
 from assets.file_kind import MESHES, SPLATS, kind_of
 from core.errors import BadInput
 from display.preferences import Preferences
-from display.protocol import AddBody, Command, SwapRoom, WorldView
+from display.protocol import AddBody, Command, LoadState, SwapRoom, WorldView
 from display.window.panel.theme import ACCENT, QUIET, TITLE_SIZE
 from display.window.panel.widgets import button_grid, pixels
 
 WIDTH = 460.0  # [px] of the dialog
 TITLE = "Open a file"
-FILTERS = ["Bodies and rooms", " ".join(f"*{suffix}" for suffix in (*SPLATS, *MESHES, ".h5")), "All files", "*"]
+FILTERS = ["Bodies, rooms and states", " ".join(f"*{suffix}" for suffix in (*SPLATS, *MESHES, ".h5")), "All files", "*"]
 LINUX_DIALOGS = ("zenity", "kdialog", "qarma", "matedialog")  # programs that portable_file_dialogs starts
 
 
@@ -29,7 +29,7 @@ def has_system_dialog() -> bool:
 class OpenDialog:
     """The files that the user wants to open. `shown` while it asks something; `draw` gives the commands.
 
-    A body joins the play, a room replaces the scene's; of a splat the user says which of them it is.
+    A body joins the play, a room replaces the scene's, from a state it goes on; of a splat the user says what it is.
     """
 
     def __init__(self, preferences: Preferences):
@@ -82,7 +82,7 @@ class OpenDialog:
 
     def _open(self, path: Path, kind: str) -> None:
         absolute = str(path.absolute())
-        self._commands.append(AddBody(absolute) if kind == "body" else SwapRoom(absolute))
+        self._commands.append({"body": AddBody, "room": SwapRoom, "state": LoadState}[kind](absolute))
 
     def _draw(self) -> None:
         from imgui_bundle import imgui

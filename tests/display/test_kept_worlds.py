@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose, assert_array_equal
 
+from assets.file_kind import kind_of
 from assets.formats.vtu import write_vtu
 from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
@@ -208,6 +209,7 @@ def saved(world, tmp_path_factory):
 
 def test_a_world_goes_on_from_a_file_bit_for_bit(world, saved):
     path, expected = saved
+    assert kind_of(path) == "state", "as the window takes it if it is dropped there"
     astray(world)
     frames(world, 6, LoadState(str(path)))
     there = everything(world)

@@ -18,7 +18,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "prepare": "--help --arch --out",
     "convert": "--help",
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
-    " --checkpoint-every --seed",
+    " --checkpoint-every --preview --seed",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
     "build": "--help --arch --detail --out",

@@ -19,11 +19,9 @@ class BackgroundPreparation:
     """A process that prepares a file into the cache, as a body or as a `room`. `poll` it until it is done."""
 
     def __init__(self, path: Path, *, room: bool):
-        import taichi as ti
-
         self.path, self._begin = path, monotonic()
         self._steps, self._last_line = "", ""
-        options = ["--cache", "--arch", "cuda" if ti.cfg.arch == ti.cuda else "cpu", *(["--static"] if room else [])]
+        options = ["--cache", *device_options(), *(["--static"] if room else [])]
         pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
         command = [*program(), "prepare", str(path.absolute()), *options]
         self._process = subprocess.Popen(command, **pipes, text=True, encoding="utf-8", errors="replace")
@@ -63,6 +61,13 @@ class BackgroundPreparation:
                     self._steps = f"step {step[1]} of {step[2]}, "
                 elif line.strip():
                     self._last_line = line.strip()
+
+
+def device_options() -> list[str]:
+    """The options by which the process uses the device that the play uses."""
+    import taichi as ti
+
+    return ["--arch", "cuda" if ti.cfg.arch == ti.cuda else "cpu"]
 
 
 def program() -> list[str]:

@@ -203,9 +203,7 @@ class Session:
                 try:
                     self.world.add_body(asset, name)
                 except CapacityError:
-                    if asset in self.world.reserve:
-                        raise
-                    self._planned = Planned(self.args, self.world.scene, (*self.world.reserve, asset), name)
+                    self._planned = Planned(self.args, self.world.scene, (*self.world.guests, asset), name)
             case OpenScene() | SwapRoom():
                 scene = self._load(opening.args)
                 load_bodies(scene)  # a file that cannot be used is found while the present world still plays
@@ -237,7 +235,10 @@ class Session:
             self.world.tell(problem)
         elif planned.joins:
             self._resume(before[-1])
-            self.world.add_body(planned.reserve[-1], planned.joins)
+            try:
+                self.world.add_body(planned.reserve[-1], planned.joins)
+            except BadInput as e:
+                self.world.tell(str(e))
 
     def _state(self) -> tuple[WorldSnapshot, object, bool]:
         return self.world.snapshot(), self.world.light, self.world.paused

@@ -294,6 +294,11 @@ class World(WorldView):
         """
         self.editor.add(asset, name)
 
+    @property
+    def guests(self) -> list[str]:
+        """The assets of the bodies that `add_body` has added, one for each that is there."""
+        return self.registry.guests
+
     def adopt(self, snapshot: WorldSnapshot) -> None:
         """Bring the state of another world of the same scene, which may be closed."""
         self.restore(replace(snapshot, bodies=self.registry.adopted(snapshot.bodies)))

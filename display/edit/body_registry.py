@@ -15,7 +15,7 @@ import numpy as np
 from core.material import MATERIALS, Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
-from display.edit.added_body import Piece, fitted_harmonics
+from display.edit.added_body import Piece, fitted_harmonics, pieces_of
 from scenes.scene import BodyState, Hand
 from sim.body_model import BodyModel
 from sim.capacity import MAX_BODIES, CapacityError
@@ -38,11 +38,13 @@ class Member:
 
 @dataclass(frozen=True)
 class BodiesSnapshot:
-    """State of all bodies: the solver's, the members, and the animations with their times."""
+    """State of all bodies: the solver's, the members, the animations with their times, and the assets that have joined,
+    whose members' sources follow those of the scene."""
 
     solver: dict
     members: tuple[Member, ...]
     animations: tuple[AnimationTargets, ...]
+    added: tuple[str, ...] = ()
 
 
 class BodyRegistry:
@@ -108,7 +110,7 @@ class BodyRegistry:
 
         def add() -> int:
             if len(members) > MAX_BODIES:
-                raise CapacityError("too many bodies")
+                raise BadInput(f"There are {len(self.members)} bodies, as many as there can be.")
             self._check(members)
             return self.device.solver.add_all([piece.body for piece in pieces])
 
@@ -206,7 +208,9 @@ class BodyRegistry:
         """The state of all bodies; hands count as open."""
         self.rebase_animations()
         animations = tuple(a.at(a.time) for a in self.animations)
-        return BodiesSnapshot({**self.device.solver.snapshot(), "grasps": None}, self.members, animations)
+        return BodiesSnapshot(
+            {**self.device.solver.snapshot(), "grasps": None}, self.members, animations, tuple(self.added)
+        )
 
     def restore(self, snapshot: BodiesSnapshot) -> None:
         """Bring a state back."""
@@ -215,9 +219,18 @@ class BodyRegistry:
         self._show(snapshot.members)
 
     def adopted(self, snapshot: BodiesSnapshot) -> BodiesSnapshot:
-        """The snapshot of another registry of the same bodies, with its animations on this device."""
-        animations = tuple(self._animated[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
+        """The snapshot of another registry of the same scene, with its animations on this device."""
+        for asset in snapshot.added:
+            self.sources_of(pieces_of(asset))
+        own = self._animated
+        animations = tuple(own[snapshot.members[a.body].source].placed_as(a) for a in snapshot.animations)
         return replace(snapshot, animations=animations)
+
+    @property
+    def guests(self) -> list[str]:
+        """The assets of the bodies that have joined, one for each that is there."""
+        asset_of = {sources[0]: asset for asset, sources in self.added.items()}
+        return [asset_of[m.source] for m in self.members if m.source in asset_of]
 
     def warm_up(self) -> None:
         """Compile what the first edit needs; nothing is changed."""

@@ -20,7 +20,7 @@ ACCENT_HOVERED = (252, 194, 116)
 LIGHT_TEXT, DARK_TEXT = (237, 240, 245), (20, 20, 20)
 ACCENT_8BIT, QUIET_8BIT = (tuple(round(255 * c) for c in colour[:3]) for colour in (ACCENT, QUIET))
 CORNER_RADIUS = 18  # [px]
-MESSAGE_SIZE, SMALL_SIZE, LABEL_SIZE = 34, 28, 34  # [px] of letters
+MESSAGE_SIZE, LABEL_SIZE, SMALL_SIZE, TINY_SIZE = 34, 34, 28, 24  # [px] of letters
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def button_picture(button: Button, lit: bool, hovered: bool) -> np.ndarray:
     background = np.float32(PANEL_BACKGROUND)
     picture = (background + rounded_rectangle(w, h) * (colour - background) + 0.5).astype(np.uint8)
     text = button.name[:1].upper() + button.name[1:]
-    size = LABEL_SIZE if text_width(text, LABEL_SIZE) < w - 16 else SMALL_SIZE
+    size = next((s for s in (LABEL_SIZE, SMALL_SIZE) if text_width(text, s) < w - 16), TINY_SIZE)
     text = shortened(text, size, w - 16)
     left = (w - text_width(text, size)) // 2 - 4
     write(picture, text, left, h // 2, size, DARK_TEXT if lit else LIGHT_TEXT)

@@ -478,3 +478,43 @@ def test_what_cannot_be_is_said_in_one_line(play, command):
     assert play.world.notice and "\n" not in play.world.notice
     equal(motion, play.motion())
     assert len(play.world.editor.history.done) == steps
+
+
+def test_a_body_of_the_users_joins_over_the_play_and_can_be_taken_back(play):
+    """It falls onto what lies there, looks as its asset does, compiles nothing, and no game sees it."""
+    from tests.support.compiling import compiled
+
+    play.do(Duplicate(RED))  # compiles what copies need
+    play.do(Reset())
+    world, before = play.world, play.motion()
+    with compiled() as kernels:
+        world.editor.begin_frame()
+        world.add_body("ball", "my ball")
+        play.step(2)
+    assert kernels == []
+    new = world.bodies()[2]
+    assert new.name == "my ball" and world.selected == 2 and len(world.scene.game.seen) == 2
+    assert all(
+        new.low[1] > b.high[1] or (new.low > b.high).any() or (new.high < b.low).any() for b in world.bodies()[:2]
+    )
+    means = play.shown(2)
+    assert (means.min(0) > new.low - 0.01).all() and (means.max(0) < new.high + 0.01).all()
+    play.do(Undo())
+    assert len(world.bodies()) == 2 and world.device.splats.count == world.device.first + sum(
+        world.device.gaussian_counts[:2]
+    )
+    equal(before, play.motion())
+    play.do(Redo())
+    assert [b.name for b in world.bodies()][2:] == ["my ball"]
+    play.do(Reset())
+    assert len(world.bodies()) == 2
+
+
+def test_a_snapshot_goes_on_in_a_world_with_capacity_for_more(play):
+    play.step(5)
+    world = play.world
+    saved, motion = world.snapshot(), play.motion()
+    play.do(Reset())
+    world.adopt(saved)
+    equal(motion, play.motion())
+    assert world.time == saved.time

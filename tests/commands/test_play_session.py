@@ -1,0 +1,211 @@
+"""A session replaces its world while the display stays; the worlds here are empty."""
+
+import sys
+import time
+from argparse import Namespace
+from types import SimpleNamespace
+
+import pytest
+
+import commands.background as background
+import commands.play_session as play_session
+from commands.opening import Opening, opened_args
+from core.errors import BadInput, Cancelled
+from display.preferences import Preferences
+from display.protocol import AddBody, CancelOpening, Frame, OpenScene, Pause, SwapRoom
+from sim.capacity import CapacityError
+from tests.support.fake_view import FakeView
+
+
+class NamedScene(str):
+    """A scene of which there is but the name."""
+
+    light = None
+
+
+class EmptyWorld(FakeView):
+    """A world that remembers what was done with it."""
+
+    def __init__(self, scene, *, reserve=(), **options):
+        super().__init__(scene=scene, reserve=tuple(reserve), light=None, added=[], told=[], adopted=None, closed=False)
+        if scene == "fails":
+            raise BadInput("it fails on the device")
+        if scene == "slow":
+            raise Cancelled(quits=False)
+
+    def draw_start(self):
+        self.picture = "picture"
+
+    def warm_up(self):
+        assert self.picture
+
+    def tell(self, text):
+        self.told.append(text)
+
+    @property
+    def guests(self):
+        return [asset for asset, _ in self.added]
+
+    def add_body(self, asset, name=""):
+        if asset == "large" and asset not in self.reserve:
+            raise CapacityError("no capacity")
+        self.added.append((asset, name))
+
+    def snapshot(self):
+        return f"state of {self.scene}"
+
+    def adopt(self, snapshot):
+        self.adopted = snapshot
+
+    def close(self):
+        self.closed = True
+
+
+class ScriptedDisplay:
+    """Frames with these commands, one after the other; then it ends."""
+
+    def __init__(self, *script):
+        self.script, self.shown = list(script), []
+
+    size = (32, 32)
+
+    def loading(self, text, picture=None):
+        assert not text and picture == "picture"
+
+    def show_scene(self, scene, title, name):
+        self.shown.append(scene)
+
+    def frames(self, world):
+        while self.script:
+            yield Frame(0.01, 0.0, [], [], self.script.pop(0))
+
+
+@pytest.fixture
+def session(monkeypatch):
+    """A session of the scene "one" with a display's script."""
+
+    def begin(*script, **outputs):
+        kinds = dict.fromkeys(("film", "recording", "study")) | {"keeper": SimpleNamespace(scene="")} | outputs
+        args = Namespace(scene="one", options=None, body=None, stage=None, material=None, frames=None, headless=False)
+        vars(args).update(arch="cpu", seed=0, scale=None, up=None, vertices=None, cells="adaptive", pieces=False)
+        return play_session.Session(
+            args, NamedScene("one"), ScriptedDisplay(*script), play_session.Outputs(**kinds), replay=None, load=load,
+            title=lambda args: args.scene, options={}, preferences=Preferences(),
+        )  # fmt: skip
+
+    def load(args):
+        if args.scene == "broken":
+            raise BadInput("broken: cannot be read")
+        return NamedScene(args.scene if args.stage is None else f"{args.scene} in {args.stage}")
+
+    monkeypatch.setattr("display.record.recording.about_play", lambda args, options: {})
+    monkeypatch.setattr("display.world.World", EmptyWorld)
+    monkeypatch.setattr(play_session.Session, "_light_is_kept", lambda self: False)
+    monkeypatch.setattr(play_session, "end_taichi", lambda: None)
+    monkeypatch.setattr(play_session, "start_taichi", lambda arch, seed: None)
+    monkeypatch.setattr("display.scene_bodies.load_bodies", lambda scene: None)
+    monkeypatch.setattr("commands.opening.check_name", lambda name, playing: None)
+    monkeypatch.setattr("commands.opening.is_asset", lambda name: True)
+    return begin
+
+
+def worlds_of(session) -> list:
+    """The world of each frame."""
+    return [session.world for _ in session.frames()]
+
+
+def test_the_world_is_replaced_and_the_display_stays(session):
+    play = session([Pause(True)], [OpenScene("two")], [SwapRoom("barn")], [], [])
+    first = play.world
+    frames = [(play.world.scene, [type(c) for c in frame.commands]) for frame in play.frames()]
+    assert frames == [("one", [Pause]), ("one", []), ("two", []), ("two in barn", []), ("two in barn", [])]
+    assert play.display.shown == ["two", "two in barn"] and first.closed and not play.world.closed
+    assert play.keeper.scene == play.args.scene == "two" and play.args.stage == "barn"
+
+
+@pytest.mark.parametrize(
+    "name, said", [("broken", "broken: cannot be read"), ("fails", "it fails on the device"), ("slow", "Cancelled.")]
+)
+def test_where_a_scene_cannot_be_opened_the_present_one_plays_on(name, said, session):
+    play = session([OpenScene(name)], [])
+    first, *_, last = worlds_of(play)
+    assert last.scene == "one" and last.told == [said] and play.args.scene == "one"
+    if name != "broken":  # the first world was gone by then
+        assert last is not first and last.adopted == "state of one"
+
+
+def test_a_body_joins_and_a_large_one_in_a_larger_world_of_the_same_state(session):
+    play = session([AddBody("/there/cat.h5"), AddBody("dog.h5")], [], [AddBody("large")], [], [])
+    first, *_, last = worlds_of(play)
+    assert first.added == [("/there/cat.h5", "cat"), ("dog.h5", "dog")]
+    assert (
+        last.reserve == ("/there/cat.h5", "dog.h5", "large")
+        and last.added == [("large", "large")]
+        and last.adopted == "state of one"
+    )
+
+
+@pytest.mark.parametrize("output", ["recording", "study"])
+def test_what_belongs_to_one_scene_keeps_it(output, session):
+    recording = SimpleNamespace(note=lambda frame: frame)
+    play = session([OpenScene("two")], [AddBody("cat.h5")], [], **{output: recording})
+    assert {world.scene for world in worlds_of(play)} == {"one"}
+    assert play.world.told == [f"Nothing else can be opened during a {output}."] * 2 and not play.world.added
+
+
+def test_a_scene_file_is_opened_only_if_the_command_line_named_it():
+    args = Namespace(scene="mine.py", options=None)
+    assert opened_args(OpenScene("mine.py"), args).scene == "mine.py"
+    with pytest.raises(BadInput, match=r"no scene named 'evil\.py'"):
+        opened_args(OpenScene("evil.py"), args)
+
+
+@pytest.fixture
+def preparing(monkeypatch, tmp_path):
+    """An opening of a splat that a small program stands in for."""
+    monkeypatch.setattr("commands.opening.is_prepared", lambda path, args, room: False)
+    monkeypatch.setattr(background, "device_options", lambda: [])
+
+    def begin(code):
+        monkeypatch.setattr(background, "program", lambda: [sys.executable, "-c", code])
+        splat = tmp_path / "cat.ply"
+        splat.write_bytes(b"ply")
+        return Opening(AddBody(str(splat)), Namespace(body=None, stage=None))
+
+    return begin
+
+
+def until(condition, seconds: float = 20.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def test_a_preparation_tells_its_progress_and_why_it_failed(preparing):
+    opening = preparing(
+        "import sys, time\n"
+        "print('  2/7 orient     0.1 s', file=sys.stderr, flush=True)\n"
+        "time.sleep(1.0)\n"
+        "print('vrgs: cat.ply: is hollow', file=sys.stderr)\n"
+        "sys.exit(2)"
+    )
+    assert not opening.poll()
+    until(lambda: opening.poll() or "step 2 of 7" in opening.text)
+    assert opening.text.startswith("Preparing cat.ply: step 2 of 7")
+    with pytest.raises(BadInput, match=r"^cat\.ply: is hollow$"):
+        until(opening.poll)
+
+
+def test_a_preparation_that_is_cancelled_ends_at_once(preparing):
+    opening = preparing("import time; time.sleep(600)")
+    assert not opening.poll()
+    process = opening._now._process
+    opening.close()
+    assert process.poll() is not None
+
+
+def test_cancelling_gives_up_what_waits(session):
+    play = session([CancelOpening()], [])
+    worlds_of(play)
+    assert play.world.told == []

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from core.errors import BadInput
 from core.material import MATERIALS, Material
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene

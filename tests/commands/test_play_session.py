@@ -85,7 +85,7 @@ def session(monkeypatch):
     """A session of the scene "one" with a display's script."""
 
     def begin(*script, **outputs):
-        kinds = dict.fromkeys(("film", "recording", "study")) | {"keeper": SimpleNamespace(scene="")} | outputs
+        kinds = dict.fromkeys(("film", "recording", "study", "sound")) | {"keeper": SimpleNamespace(scene="")} | outputs
         args = Namespace(scene="one", options=None, body=None, stage=None, material=None, frames=None, headless=False)
         vars(args).update(arch="cpu", seed=0, scale=None, up=None, vertices=None, cells="adaptive", pieces=False)
         return play_session.Session(

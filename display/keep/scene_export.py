@@ -42,6 +42,8 @@ def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool
     Raises BadInput, now or when it is written.
     """
     suffix = export_suffix(path)
+    if body is not None and not 0 <= body < len(world.bodies()):
+        raise BadInput(f"there is no body {body} to export")
     if suffix in CAGES:
         bodies = moving_bodies(world, body)
         return lambda: write_cages(path, bodies, suffix)

@@ -2,11 +2,18 @@
 
 import json
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
-from display.preferences import Preferences, config_folder
+from display.keep.remembered import Remembered
+from display.preferences import Preferences, config_folder, read_bookmarks
+from display.protocol import Frame, LoadState, SetLight, Undo
+from display.window.gl_window import covers
+from scenes.scene import Light
+from tests.support.fake_view import FakeView
+from tests.support.fake_world import fake_scene
 
 
 @pytest.fixture
@@ -96,3 +103,53 @@ def test_the_folder_follows_the_platform(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CONFIG_HOME", "/x")
     monkeypatch.setenv("APPDATA", "/roaming")
     assert config_folder() == (Path("/roaming/vrgs") if sys.platform == "win32" else Path("/x/vrgs"))
+
+
+LIGHT = Light((1.0, 2.0, 0.0))
+
+
+def remembered(preferences, **options) -> Remembered:
+    return Remembered(preferences, "sandbox", **({"light": True} | options))
+
+
+def play(memory, *commands, light=LIGHT) -> list:
+    """The commands of the first frame."""
+    world = FakeView(light=light, scene=replace(fake_scene(), light=LIGHT))
+    return memory.given(Frame(0.1, 0.1, [], [], list(commands)), world).commands
+
+
+def test_the_light_of_a_scene_is_as_it_was_left():
+    preferences, other = Preferences(), Light((0.0, 3.0, 0.5), kind="directional", strength=0.3)
+    first = remembered(preferences)
+    assert play(first) == []
+    first.keep(FakeView(light=other, scene=replace(fake_scene(), light=LIGHT)))
+    second = remembered(preferences)
+    assert play(second, Undo()) == [SetLight(other), Undo()] and play(second) == []
+    assert play(remembered(preferences, light=False)) == [] and play(remembered(preferences), light=None) == []
+    remembered(preferences).keep(FakeView(light=LIGHT, scene=replace(fake_scene(), light=LIGHT)))
+    assert play(remembered(preferences)) == [], "the scene's own light is not remembered"
+
+
+@pytest.mark.parametrize("stored", [3, {}, {"position": [0, 1]}, asdict(replace(LIGHT, strength=7.0)), {"kind": "x"}])
+def test_a_light_that_makes_no_sense_is_left_out(stored):
+    preferences = Preferences()
+    preferences.set("light.sandbox", stored)
+    assert play(remembered(preferences)) == []
+
+
+def test_the_last_state_of_the_scene_is_loaded_unless_another_is_named():
+    preferences = Preferences()
+    assert play(remembered(preferences), LoadState()) == [LoadState("")]
+    preferences.set("state.sandbox", "/films/a.h5")
+    assert play(remembered(preferences), LoadState()) == [LoadState("/films/a.h5")]
+    assert play(remembered(preferences), LoadState("b.h5")) == [LoadState("b.h5")]
+
+
+def test_views_that_make_no_sense_are_left_out():
+    good = [[0, 1, 2], [0, 0, 0.5]]
+    bad = {"2": 3, "3": [[0, 1], [0, 0, 0]], "4": [[1, 1, 1], [1, 1, 1]], "5": [[0, 0, "x"], [0, 0, 0]]}
+    assert read_bookmarks({"1": good, **bad}) == {"1": good}
+
+
+def test_a_place_on_no_screen_is_not_returned_to():
+    assert covers((0, 0, 1920, 1080), 5, 1079) and not covers((0, 0, 1920, 1080), -1, 5)

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from unittest.mock import MagicMock
 
+import cv2
 import numpy as np
 import pytest
 
@@ -243,6 +244,45 @@ def test_the_gizmo_moves_the_body_under_the_cursor_and_escape_puts_it_away(sessi
     session.after()
     session.screen.drag(FREE, (FREE[0] - 100, FREE[1]), seconds=0.3)
     session.until(lambda f: f["eye"][0] > 0.5)
+
+
+def test_f12_writes_the_picture_without_panel_and_f9_films_it(session):
+    """The ball and the sky as they are drawn, where the panel covers them too."""
+    screen, folder = session.screen, session.folder
+
+    def there(ending: str) -> list[Path]:
+        return [path for path in folder.glob(f"ball_*{ending}") if not path.name.startswith(".")]
+
+    def wait_for(ending: str, count: int) -> Path:
+        session.eventually(lambda: len(there(ending)) >= count)
+        return max(there(ending), key=lambda path: path.stat().st_mtime_ns)
+
+    screen.key("F12")
+    written = cv2.imread(str(wait_for(".png", 1)))[..., ::-1].astype(int)
+    assert written.shape == (HEIGHT, WIDTH, 3)
+    shown = screen.pixels()[:HEIGHT, :WIDTH].astype(int)
+    assert np.abs(written - shown)[80:380, WIDTH // 2 :].mean() < 1, "as on the screen, between the lines of text"
+    d = CAMERA.ray(60.5, 60.5)[1]
+    sky = 255 * np.array([0.3 + 0.25 * d[0], 0.45 + 0.3 * d[1], 0.6 + 0.2 * d[2]])
+    assert np.abs(written[60, 60] - sky).max() < 3 < np.abs(shown[60, 60] - sky).max(), "no panel"
+    screen.key("F9")
+    dot = np.array([0.93, 0.16, 0.14]) * 255
+    session.eventually(lambda: (np.abs(screen.pixels()[:40, WIDTH - 90 : WIDTH] - dot).max(-1) < 8).any())
+    screen.key("F9")
+    film = cv2.VideoCapture(str(wait_for(".mp4", 1)))
+    assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (WIDTH, HEIGHT)
+    _, first = film.read()
+    assert np.abs(first[:40, -90:, ::-1] - dot).max(-1).min() > 60, "the dot is not in the film"
+    for path in folder.glob("ball_*"):
+        path.unlink()
+
+
+def test_a_kept_view_is_gone_back_to(session):
+    session.screen.key("ctrl+4")
+    session.screen.drag(FREE, np.subtract(FREE, (80, 30)))
+    session.until(lambda f: np.linalg.norm(np.subtract(f["eye"], (0, 0, 3))) > 0.2)
+    session.screen.key("4")
+    session.until(lambda f: np.linalg.norm(np.subtract(f["eye"], (0, 0, 3))) < 1e-9)
 
 
 def test_the_picture_takes_the_size_of_the_window(session):

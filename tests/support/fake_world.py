@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
+from display.keep.keeper import Keeper
 from display.protocol import (
     Pause,
     Place,
@@ -215,13 +216,15 @@ def main() -> None:
 
     ti.init(arch=ti.cpu, log_level=ti.WARN, **COMPILER_OPTIONS)
     scene = fake_scene()
-    with open_display(scene, args) as display, open(args.log, "w", encoding="utf-8", buffering=1) as log:
+    log_file = open(args.log, "w", encoding="utf-8", buffering=1)  # noqa: SIM115
+    with open_display(scene, args) as display, Keeper("ball") as keeper, log_file as log:
         world = FakeWorld(scene, width=display.size[0], height=display.size[1], views=1 + args.xr)
         world.timings.budget = 1e-3  # [s] which every frame of a window misses
         for frame in display.frames(world):
             begin = time.perf_counter()
             world.step(frame)
             display.present(world)
+            keeper.after(frame, world)
             log.write(json.dumps(record(frame, world)) + "\n")
             if world.steps >= args.frames:
                 break
@@ -244,6 +247,10 @@ def open_display(scene: Scene, args):
     return Window(scene, title="Ball", width=args.size[0], height=args.size[1])
 
 
+def name_of(command) -> str:
+    return NAMES.get(type(command), type(command).__name__)
+
+
 def record(frame, world) -> dict:
     """One frame for the log."""
     hand = frame.hands[0] if frame.hands else None
@@ -258,7 +265,7 @@ def record(frame, world) -> dict:
         "ball": world.ball.tolist(),
         "speed": float(np.linalg.norm(world.velocity)),
         "held": world.offset is not None,
-        "commands": {NAMES[type(c)]: vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
+        "commands": {name_of(c): vars(c).get("mode", vars(c).get("on", True)) for c in frame.commands},
         "paused": world.paused,
         "interaction": world.interaction,
         "steps": world.steps,

@@ -28,7 +28,7 @@ def watch(log) -> None:
             for b in self.bodies()
         ]
         hands = [{"position": h.position, "grip": h.grip, "touches": len(h.touch)} for h in frame.hands]
-        commands = sorted(NAMES[type(c)] for c in frame.commands)
+        commands = sorted(NAMES.get(type(c), type(c).__name__) for c in frame.commands)
         state = {"time": self.time, "paused": self.paused, "bodies": bodies, "hands": hands, "commands": commands}
         state |= {"interaction": self.interaction, "light": self.light.position}
         log.write(json.dumps(state) + "\n")

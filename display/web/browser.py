@@ -135,8 +135,8 @@ class Browser:
 
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
-        self._server.greet(first_words(title, name, scene))
         self._server.tell({"loading": f"Loading {title}"})
+        self._server.greet(first_words(title, name, scene))
         self._controls.let_go()
         self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
         self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
@@ -184,6 +184,7 @@ class Browser:
         if not self._busy:
             world.timings.rest()
             self._server.wait(last + REST_PERIOD - perf_counter())
+        self._server.catch_up()
         begin = perf_counter()
         self._server.wait(last + REST_PERIOD - begin, for_picture=True)
         self._waited = perf_counter() - begin
@@ -212,7 +213,7 @@ class Browser:
             under = self._hover.under(world, self._camera, cursor, moving=self._busy)
             strokes = overlay(world, self._camera, hand, under, near=self._near)
             still = self._resolution.still and world.picture_size == self.size
-            self._server.show(self._picture, strokes, lambda: pixels_of(world.picture).copy(), still=still)
+            self._server.show(self._picture, strokes, lambda: pixels_of(world.picture), still=still)
             self._tell(world)
         world.timings.measure_exactly(self._server.details)
         world.timings.frame(dropped=self._dropped)

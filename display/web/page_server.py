@@ -1,5 +1,9 @@
 """A web server for the page and its sockets, in a thread of its own. Knows nothing of worlds.
 
+Taichi holds the interpreter's lock while a kernel runs, on a CPU for tens of milliseconds; this thread stands still then.
+So the display's thread encodes the pictures itself, waits until they are with the system (`show`), and lets this
+thread read what has come before it looks (`catch_up`): without that a picture or an input waits for a frame.
+
 Whoever has the token of the address gets the page; anyone else gets status 403 and nothing more. The first page plays,
 further ones watch.
 """
@@ -7,6 +11,8 @@ further ones watch.
 from __future__ import annotations
 
 import asyncio
+import concurrent.futures
+import contextlib
 import errno
 import hmac
 import json
@@ -38,6 +44,9 @@ MESSAGES_PER_SECOND, BURST = 400, 800  # of a page: a mouse, keys and answers ta
 MAX_EVENTS = 4000  # that wait while kernels are compiled
 PING_INTERVAL = 2.0  # [s] between measurements of a connection's delay
 PING_TIMEOUT = 60.0  # [s]; compilation of a large kernel may keep this thread waiting for some
+LOOP_HOPS = 4  # turns of the event loop from data on a socket to the message in `_receive`: three
+THREAD_PATIENCE = 0.1  # [s] for the server's thread
+SEND_BUFFER = 1 << 20  # [bytes]; a picture fits in, and needs this thread no more
 CLOSE_PATIENCE = 2.0  # [s] for the goodbyes at the end
 POLICY_VIOLATION = 1008  # RFC 6455, section 7.4.1
 SOURCES = "default-src 'none'; script-src 'nonce-{0}'; style-src 'nonce-{0}'; img-src data: blob:; connect-src 'self'"
@@ -119,6 +128,18 @@ class PageServer:
         with self._changed:
             return any(page.details for page in self._pages)
 
+    def catch_up(self) -> None:
+        """Let the server's thread read all that has come."""
+
+        async def hops() -> None:
+            for _ in range(LOOP_HOPS):
+                await asyncio.sleep(0)
+
+        if self._thread.is_alive():
+            done = asyncio.run_coroutine_threadsafe(hops(), self._loop)
+            with contextlib.suppress(concurrent.futures.TimeoutError, concurrent.futures.CancelledError):
+                done.result(THREAD_PATIENCE)
+
     def wait(self, seconds: float, *, for_picture: bool = False) -> None:
         """Wait for an event of the player, or until a page takes the next picture, `seconds` at most."""
 
@@ -140,10 +161,10 @@ class PageServer:
                 self._pages[0].stamp = stamps[0]
         return [event[:-1] if event[0] in STAMPED else event for event in events]
 
-    def show(self, picture: int, overlay: list, copy: Callable[[], np.ndarray], *, still: bool) -> None:
+    def show(self, picture: int, overlay: list, pixels: Callable[[], np.ndarray], *, still: bool) -> None:
         """Send a picture to the pages that take one now and do not have it.
 
-        picture  its number; overlay: strokes over it; copy: gives its pixels, (H, W, 4) uint8 RGBA
+        picture  its number; overlay: strokes over it; pixels: gives (H, W, 4) uint8 RGBA
         still    nothing moves: it goes out in full quality, again if need be
         """
         due, others = [], []
@@ -160,7 +181,20 @@ class PageServer:
         for page in others:
             self._tell(page, {"overlay": overlay})
         if due:
-            self._call(self._deliver, copy(), overlay, due)
+            self._deliver(pixels(), overlay, due)
+
+    def _deliver(self, pixels: np.ndarray, overlay: list, due: Sequence[tuple[Page, int, dict]]) -> None:
+        """Encode a picture once for each quality, and send it: the length of a JSON header, the header, the JPEG."""
+        encoded: dict[int, bytes] = {}
+        messages = []
+        for page, quality, header in due:
+            if quality not in encoded:
+                encoded[quality] = self._encode(pixels, quality)
+            head = json.dumps({**header, "overlay": overlay}).encode()
+            messages.append((page, struct.pack("<I", len(head)) + head + encoded[quality]))
+        sent = threading.Event()
+        self._call(self._send_all, messages, sent)
+        sent.wait(THREAD_PATIENCE)
 
     def greet(self, hello: dict) -> None:
         """Let this be what pages are told first, those that are open too."""
@@ -311,17 +345,13 @@ class PageServer:
             raise BadInput("too many messages")
         self._events.append(event)
 
-    def _deliver(self, pixels: np.ndarray, overlay: list, due: Sequence[tuple[Page, int, dict]]) -> None:
-        """Encode a picture once for each quality, and send it: the length of a JSON header, the header, the JPEG."""
-        encoded: dict[int, bytes] = {}
-        for page, quality, header in due:
-            if quality not in encoded:
-                encoded[quality] = self._encode(pixels, quality)
-            head = json.dumps({**header, "overlay": overlay}).encode()
-            data = struct.pack("<I", len(head)) + head + encoded[quality]
+    def _send_all(self, messages: Sequence[tuple[Page, bytes]], sent: threading.Event) -> None:
+        """Put pictures on their way, and say so."""
+        for page, data in messages:
             with self._changed:
                 page.flow.count(len(data))
             send(page, data)
+        sent.set()
 
 
 def send(page: Page, message: str | bytes) -> None:
@@ -337,7 +367,9 @@ def listen(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for one in ports:
         try:
-            return socket.create_server((host, one), family=family)
+            listening = socket.create_server((host, one), family=family)
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)  # connections inherit it
+            return listening
         except OSError as e:
             if e.errno == errno.EADDRINUSE:
                 continue

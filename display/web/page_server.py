@@ -1,6 +1,6 @@
 """A web server for the page and its sockets, in a thread of its own. Knows nothing of worlds.
 
-Taichi holds the interpreter's lock while a kernel runs, on a CPU for tens of milliseconds; this thread stands still then.
+Taichi holds the interpreter's lock while a kernel runs, on a CPU for tens of milliseconds, in which this thread waits.
 So the display's thread encodes the pictures itself, waits until they are with the system (`show`), and lets this
 thread read what has come before it looks (`catch_up`): without that a picture or an input waits for a frame.
 

@@ -79,23 +79,29 @@ def decode_image(data: bytes, *, alpha: bool = False) -> np.ndarray | None:
     """
     import cv2
 
-    if data.startswith(PNG_SIGNATURE) and not _png_lengths_fit(data):
-        return None  # OpenCV allocates what a chunk claims
-    log, level = cv2.utils.logging, cv2.utils.logging.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)  # OpenCV would print what the caller reports
-    mode = cv2.IMREAD_UNCHANGED if alpha else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        with without_stderr():
-            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
-    except cv2.error:
-        return None
-    finally:
-        log.setLogLevel(level)
+    pixels = decoded(data, cv2.IMREAD_UNCHANGED if alpha else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if pixels is None or pixels.dtype != np.uint8 or pixels.ndim != 3:
         return None
     if alpha and pixels.shape[2] == 3:
         pixels = np.dstack([pixels, np.full(pixels.shape[:2], 255, np.uint8)])
     return np.ascontiguousarray(pixels[..., [2, 1, 0, 3][: pixels.shape[2]]])
+
+
+def decoded(data: bytes, mode: int) -> np.ndarray | None:
+    """Pixels as OpenCV decodes them in this mode, and nothing said of damage; None if there is too much of it."""
+    import cv2
+
+    if data.startswith(PNG_SIGNATURE) and not _png_lengths_fit(data):
+        return None  # OpenCV allocates what a chunk claims
+    log, level = cv2.utils.logging, cv2.utils.logging.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)  # OpenCV would print what the caller reports
+    try:
+        with without_stderr():
+            return cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+    except cv2.error:
+        return None
+    finally:
+        log.setLogLevel(level)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import file_size
+from assets.gaussians import MAGNITUDE_MAX
 from core.errors import BadInput
 
 GREY = 0.7  # display value of a mesh without colours
@@ -57,7 +58,9 @@ def read_triangle_mesh(path: str | Path) -> list[MeshPart]:
     if sum(len(p.faces) for p in parts) > FACES_MAX:
         raise BadInput(f"{path}: has more than {FACES_MAX:,} triangles; make a coarser one")
     for part in parts:
-        if not np.isfinite(part.vertices).all():
+        if part.vertices.shape[1:] != (3,) or part.faces.shape[1:] != (3,):
+            raise BadInput(f"{path}: has vertices without three coordinates, or faces that are no triangles")
+        if not (np.abs(part.vertices) < MAGNITUDE_MAX).all():  # NaN compares false
             raise BadInput(f"{path}: has vertices that are not finite")
         if part.faces.min() < 0 or part.faces.max() >= len(part.vertices):
             raise BadInput(f"{path}: has triangles whose vertices do not exist")

@@ -83,7 +83,7 @@ def _pose(quaternion, translation) -> np.ndarray:
     pose = np.eye(4)
     q = np.asarray(quaternion, np.float64)
     length = np.linalg.norm(q)
-    pose[:3, :3] = matrices_from_quaternions((q / length)[None])[0] if length > 0 else np.nan
+    pose[:3, :3] = matrices_from_quaternions((q / length)[None])[0] if 0 < length < np.inf else np.nan
     pose[:3, 3] = translation
     return pose
 

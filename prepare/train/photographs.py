@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from assets.images import read_image_header
+from assets.images import decoded, read_image_header
 from core.camera import Camera
 from core.errors import BadInput
 from prepare.train.capture import View
@@ -87,14 +87,7 @@ def _decode(path: Path) -> np.ndarray:
     header = read_image_header(data[:HEADER_BYTES])
     if header is not None and header.width * header.height > PIXELS_MAX:
         raise BadInput(f"{path}: {header.width}x{header.height} pixels are too many")
-    log, level = cv2.utils.logging, cv2.utils.logging.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
-    try:
-        raw = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        raw = None
-    finally:
-        log.setLogLevel(level)
+    raw = decoded(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
     if raw is None or raw.dtype not in (np.uint8, np.uint16) or raw.ndim not in (2, 3) or not raw.size:
         raise BadInput(f"{path}: not an image that can be decoded")
     return raw

@@ -26,7 +26,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from core.errors import BadInput
-from tests.fuzz.targets import TARGETS, Target, mutated, sound_samples
+from tests.fuzz.targets import TARGETS, Target, mutated, sound_samples, write
 
 CPU_SECONDS_MAX = 5.0  # of a case; sound files take milliseconds
 WALL_SECONDS_MAX = 120.0  # after which its process is ended: it hangs
@@ -39,8 +39,7 @@ CHUNK = 100  # cases that a process takes at a time
 def outcome(target: Target, seed: int, number: int, folder: Path) -> str:
     """The outcome of a case: "read", "refused", or what is wrong. Raises what the reader raises, if not BadInput."""
     files = mutated(target, seed, number, folder)
-    for name, data in files.items():
-        (folder / name).write_bytes(data)
+    write(folder, files)
     path, peak, cpu = folder / next(iter(files)), reset_peak(), time.process_time()
     try:
         with warnings.catch_warnings():
@@ -214,8 +213,7 @@ def main() -> int:
         name, number = args.case.split(":")
         with tempfile.TemporaryDirectory() as folder:
             if args.keep:
-                for file, data in mutated(TARGETS[name], args.seed, int(number), Path(folder)).items():
-                    (args.keep / file).write_bytes(data)
+                write(args.keep, mutated(TARGETS[name], args.seed, int(number), Path(folder)))
             sound_samples(name, Path(folder))
             limit_memory()
             print(wrong(TARGETS[name], args.seed, int(number), Path(folder)) or "nothing is wrong")

@@ -61,13 +61,19 @@ def sound_samples(name: str, folder: Path) -> list[Files]:
     """The samples of a target, made once a process; all of them are read without an error."""
     target, found = TARGETS[name], []
     for files in target.samples(folder):
-        for entry, data in files.items():
-            (folder / entry).write_bytes(data)
+        write(folder, files)
         target.read(folder / next(iter(files)))
         found.append(files)
         for entry in files:
             (folder / entry).unlink()
     return found
+
+
+def write(folder: Path, files: Files) -> None:
+    """Write the files, with the folders that they name."""
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
 
 
 def saved(folder: Path, name: str, save: Callable[[Path], object]) -> Files:
@@ -321,6 +327,91 @@ def read_page_message(path: Path) -> None:
         raise BadInput(f"{path}: {type(e).__name__}") from e
 
 
+def mesh_samples(folder: Path) -> list[Files]:
+    """A box in each of the formats of triangle meshes, one of them with a texture."""
+    import trimesh
+
+    box = trimesh.creation.box()
+    kinds = ("obj", "stl", "off", "ply", "glb")
+    made = [box.export(file_type=kind, **({"encoding": "ascii"} if kind == "ply" else {})) for kind in kinds]
+    texts = [text.encode() if isinstance(text, str) else text for text in made]
+    found = [{f"mesh.{kind}": text} for kind, text in zip(kinds, texts, strict=True)]
+    uv = b"".join(b"vt %.2f %.2f\n" % (k / 8, 1 - k / 8) for k in range(8))
+    faces = b"".join(b"f " + b" ".join(b"%d/%d" % (v + 1, v + 1) for v in face) + b"\n" for face in box.faces.tolist())
+    points = b"".join(b"v %.2f %.2f %.2f\n" % tuple(v) for v in box.vertices.tolist())
+    material = b"newmtl m\nKd 0.5 0.4 0.3\nmap_Kd image.png\n"
+    textured = b"mtllib mesh.mtl\nusemtl m\n" + points + uv + faces
+    found.append({"mesh.obj": textured, "mesh.mtl": material, "image.png": image_samples(folder)[0]["image.png"]})
+    return found
+
+
+def read_mesh_file(path: Path) -> None:
+    """Read a triangle mesh, and colours of its surface."""
+    from assets.formats.triangle_mesh_file import read_triangle_mesh, texture_colours
+
+    for part in read_triangle_mesh(path):
+        with np.errstate(all="ignore"):
+            texture_colours(part, np.zeros(3, int), np.full((3, 3), 1 / 3), 0.01)
+
+
+def capture_samples(folder: Path) -> list[Files]:
+    """Photographs with a transforms.json, and COLMAP models as text and binary."""
+    import tempfile
+
+    from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
+    from tests.support.splat_encoders import ply_bytes
+
+    found = []
+    for make in (None, text_model, binary_model):
+        with tempfile.TemporaryDirectory() as place:
+            root = Path(place)
+            write_images(root)
+            if make is None:
+                (root / "transforms.json").write_text(json.dumps(transforms(ply_file_path="points.ply")))
+                points = {name: np.arange(6, dtype=np.float32) for name in ("x", "y", "z")}
+                (root / "points.ply").write_bytes(ply_bytes(points))
+            else:
+                make(root)
+            files = {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
+        first = next(name for name in files if "transforms" in name or "cameras" in name)
+        found.append({first: files.pop(first), **files})
+    return found
+
+
+def inside_capture(rng: np.random.Generator, files: Files) -> Files:
+    """The JSON mutated; of COLMAP models any of the files."""
+    if "transforms.json" in files:
+        return files | {"transforms.json": mutated_json(rng, files["transforms.json"])}
+    return several(BYTES + TEXT)(rng, files)
+
+
+def read_whole_capture(path: Path) -> None:
+    """Read a capture, and one of its photographs."""
+    from prepare.train.capture import read_capture
+    from prepare.train.photographs import load_photograph
+
+    capture = read_capture(path if path.suffix == ".json" else path.parents[2])
+    load_photograph(capture.views[0])
+    assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()
+
+
+def training_samples(folder: Path) -> list[Files]:
+    """A checkpoint of a training."""
+    from prepare.train.checkpoint import COLUMNS, HARMONICS, write_checkpoint
+
+    state = {name: np.zeros((5, *shape), np.float32) for name, shape in COLUMNS.items()}
+    state |= {name: np.zeros((5, 4, 3), np.float32) for name in HARMONICS}
+    state |= {"done": np.array([7]), "queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
+    return [saved(folder, "training.h5", lambda path: write_checkpoint(path, state, {"degree": 1}))]
+
+
+def read_training(path: Path) -> None:
+    """Read the checkpoint of a training."""
+    from prepare.train.checkpoint import read_checkpoint
+
+    read_checkpoint(path, {"degree": 1}, 4)
+
+
 def glb_samples(folder: Path) -> list[Files]:
     """A skinned bar with a motion and a texture."""
     from tests.support.glb import bar, packed
@@ -421,6 +512,9 @@ TARGETS = {
         Target("preferences", json_samples("p.json", PREFERENCES, {}), read_preferences, lambda folder: JSON),
         Target("message", json_samples("m.json", *MESSAGES), read_page_message, lambda folder: JSON),
         Target("glb", glb_samples, read_skinned_glb, lambda folder: [inside_glb]),
+        Target("mesh", mesh_samples, read_mesh_file, lambda folder: BYTES + TEXT),
+        Target("capture", capture_samples, read_whole_capture, lambda folder: [inside_capture]),
+        Target("training", training_samples, read_training, HDF5),
         Target("image", image_samples, read_image),
         Target("checkpoint", checkpoint_samples, read_checkpoint, lambda folder: [inside_zip(several(BYTES))]),
     )

@@ -34,6 +34,7 @@ from scenes.scene import Scene
 
 PERIOD = 1 / 60  # [s] of a frame at least
 REST_PERIOD = 1 / 20  # [s] of a frame in which nothing moves, and the longest wait for a page to take a picture
+ONE_INTERRUPT = 0.5  # [s] in which one Ctrl-C may come twice: from the terminal, and from a process that passes it on
 MAX_STEP = 1 / 20  # [s] of simulation at once
 SIZE = (960, 540)  # [px] before a page tells its own
 MAX_PIXELS = 1920 * 1080  # of a picture
@@ -196,9 +197,13 @@ class Browser:
         if self._handlers or threading.current_thread() is not threading.main_thread():  # which alone may listen
             return
 
+        asked = perf_counter()
+
         def end(*_) -> None:
-            if self._quit:
+            nonlocal asked
+            if self._quit and perf_counter() - asked > ONE_INTERRUPT:
                 raise KeyboardInterrupt
+            asked = asked if self._quit else perf_counter()
             self._quit = True
 
         self._handlers = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import time
 
@@ -173,7 +174,9 @@ def test_a_user_of_a_browser_plays_and_another_one_watches(ball, tmp_path):
 def test_an_interrupt_ends_the_play_with_its_files(ball):
     with PageClient(ball.url) as page:
         page.until(lambda: page.pictures)
-        ball.process.send_signal(2)
+        for _ in range(2):  # as from the terminal and from a launcher
+            ball.process.send_signal(signal.SIGINT)
+            time.sleep(0.01)
         assert ball.process.wait(30) == 0
     stats = json.loads(ball.process.stdout.read())["web"]
     assert stats["frames_sent"] > 20 and stats["bytes_sent"] > 1000 * stats["frames_sent"] and stats["pages"] >= 5

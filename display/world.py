@@ -189,7 +189,7 @@ class World(WorldView):
         demo, light = last_of(PlayDemo, commands), last_of(SetLight, commands)
         interaction, pause = last_of(SetInteraction, commands), last_of(Pause, commands)
         if demo is not None and demo.on:
-            self.demo, self._demo_from = True, self.interaction
+            self.demo, self._demo_from, self.paused = True, self.interaction, False
         elif demo is not None or last_of(Reset, commands) is not None:
             self._end_demo()
         load = last_of(LoadState, commands)

@@ -12,6 +12,7 @@ from display.protocol import (
     Duplicate,
     Frame,
     Pause,
+    Place,
     PlayDemo,
     Redo,
     Remove,
@@ -19,9 +20,11 @@ from display.protocol import (
     Reset,
     Rotate,
     Select,
+    SetGravity,
     SetInteraction,
     SetLight,
     SetMaterial,
+    SetTimeScale,
     Undo,
 )
 from display.start_progress import KERNELS, start_progress
@@ -117,7 +120,8 @@ def test_nothing_is_compiled_in_the_midst_of_play(play):
             play.frame(*commands)
         play.frame(SetMaterial(0, "wood"))
         assert play.world.stats()["integrator"] == "vbd"
-        play.frame(SetLight(play.scene.light))
+        play.frame(SetLight(play.scene.light), SetGravity((0.0, -1.6, 0.0)), SetTimeScale(0.5))
+        play.frame(Place(0, (0.0, 0.1, 0.0)), SetGravity(play.scene.gravity), SetTimeScale(1.0))
         play.frame(Pause(True))
         play.frame(Pause(False), Reset())
         assert play.world.stats()["integrator"] == "xpbd"

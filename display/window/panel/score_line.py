@@ -7,6 +7,7 @@ from display.window.panel.theme import ACCENT, MARGIN, TEXT
 from display.window.panel.widgets import pixels
 
 DEMONSTRATION = "A demonstration plays. P or Esc ends it, and so does a grip."
+PAUSED = "Paused. Space goes on."
 Line = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their colours
 
 
@@ -14,8 +15,8 @@ def lines_of(world: WorldView) -> list[Line]:
     """What there is to say, a line each."""
     game = world.scene.game if world.editable else None
     score, message = ("", "") if game is None else score_and_message(world)
-    demonstration = DEMONSTRATION if world.demo else ""
-    lines = [[(score, ACCENT), (message, TEXT)], *([(t, ACCENT)] for t in (demonstration, world.notice, world.opening))]
+    state = PAUSED if world.paused else DEMONSTRATION if world.demo else ""
+    lines = [[(score, ACCENT), (message, TEXT)], *([(t, ACCENT)] for t in (state, world.notice, world.opening))]
     return [kept for line in lines if (kept := [(text, colour) for text, colour in line if text])]
 
 

@@ -43,8 +43,8 @@ class Hdf5Reader:
         return self._find(name) is not None
 
     def has_attribute(self, name: str, key: str) -> bool:
-        """True if the group or dataset `name` is there and has the attribute."""
-        node = self._find(name)
+        """True if the group or dataset `name` ("" is the root) is there and has the attribute."""
+        node = self._find(name) if name else self._file
         return node is not None and key in node.attrs
 
     def _find(self, name: str):

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 REST_DISTANCE = 5e-4  # [m]: a pixel at arm's length; four times what bodies that press on one another creep in a second
 REST_TIME = 1.0  # [s]: a swing of 7 mm that takes 5 s stays within REST_DISTANCE for 0.7 s where it turns
-NOWHERE = 1e9  # [m], of the anchor of a vertex whose rest is still to begin
 assert MAX_BODIES <= 64
 
 
@@ -67,6 +66,7 @@ class Sleeping:
         self._restless: set[int] = set()
         self._gravity: tuple[float, ...] | None = None  # of the last frame [m/s^2]
         self._any_asleep, self._longest_rest = False, 0.0  # [s] of any body, when the frame began
+        self._fresh = True  # the anchors are of another time
         self._linked = self._compiled = False  # whether links are known in this frame, and ever were
 
     def restore(self, asleep: np.ndarray | None) -> None:
@@ -74,8 +74,7 @@ class Sleeping:
         if self.enabled:
             asleep = np.zeros(MAX_BODIES, bool) if asleep is None else asleep
             self._write(asleep, np.where(asleep, REST_TIME, 0.0))
-            self.anchor.fill(NOWHERE)
-            self._gravity = None
+            self._fresh, self._gravity = True, None
 
     def _write(self, asleep: np.ndarray, rest_time: np.ndarray) -> None:
         self._set([asleep, rest_time])
@@ -117,7 +116,8 @@ class Sleeping:
     def end_frame(self, dt: float) -> None:
         """Let islands that rest fall asleep, after a frame of dt [s]."""
         if self.enabled:
-            self._settle(dt, bits(self._restless), self._linked)
+            self._settle(dt, bits(self._restless), self._linked, self._fresh)
+            self._fresh = False
 
     @ti.kernel
     def _wake_islands(self):
@@ -184,9 +184,12 @@ class Sleeping:
         return found
 
     @ti.kernel
-    def _settle(self, dt: ti.f32, restless: ti.i64, linked: ti.i32):
+    def _settle(self, dt: ti.f32, restless: ti.i64, linked: ti.i32, fresh: ti.i32):
         s = self.state
         for i in range(s.V):
+            if fresh and i < s.vertex_count[None]:
+                self.anchor[i] = s.x[i]
+                self.displaced[s.body_of_vertex[i]] = 1
             if s.awake_vertex(i):
                 b = s.body_of_vertex[i]
                 if (s.x[i] - self.anchor[i]).norm_sqr() > REST_DISTANCE * REST_DISTANCE:

@@ -3,6 +3,7 @@
 import json
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -10,6 +11,7 @@ from scipy.spatial import cKDTree
 import assets.mesh_gaussians as covering
 from assets.file_kind import is_mesh, kind_of
 from assets.formats.ply import write_ply
+from assets.library import SHIPPED_FOLDER
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
@@ -95,3 +97,13 @@ def test_a_mesh_that_cannot_be_used_is_told_in_one_line(name, content, said, tmp
     with pytest.raises(BadInput, match=said) as error:
         read_gaussians(tmp_path / name)
     assert "\n" not in str(error.value) and name in str(error.value)
+
+
+def test_an_asset_is_a_body_or_a_room_and_other_files_say_what_they_are(tmp_path):
+    for name, kind in {"ring_red": "body", "dining_room": "room"}.items():
+        assert kind_of(SHIPPED_FOLDER / f"{name}.h5") == kind
+    for kind, says in {"vrgs-recording": "is a recording", "vrgs-study": "study", "other": "is no asset"}.items():
+        with h5py.File(tmp_path / "file.h5", "w") as file:
+            file.attrs["format"] = kind
+        with pytest.raises(BadInput, match=says):
+            kind_of(tmp_path / "file.h5")

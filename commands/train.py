@@ -17,12 +17,13 @@ from commands.options import add_arch, positive
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "make Gaussians of photographs with known poses"
+HELP = "make Gaussians of photographs or a video"
 EXAMPLES = (
     "train fox/ --out fox.ply",
     "train fox/ --out fox.ply --steps 7000 --report fox.json",
     "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
     "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
+    "train walk.mp4 --out garden.ply                           needs pycolmap",
 )
 CONDITIONS = (Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),)
 CAPS = {"cuda": 2_000_000, "cpu": 100_000}
@@ -34,7 +35,7 @@ TEST_PICTURES = 4  # of the report
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, or a transforms.json"
+    text = "folder with transforms.json (nerfstudio, instant-ngp), or a COLMAP model, or photographs alone; or a video"
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
     parser.add_argument(
         "--out", type=Path, required=True, metavar="OUT", help="OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply"
@@ -70,7 +71,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Train, test, and write the Gaussians. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
-    from prepare.train.capture import read_capture
     from prepare.train.photographs import load_photograph
 
     kind_to_write(args.out)
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
-    capture = read_capture(args.capture).upright()
+    capture = _capture(args).upright()
     every = args.test_every
     if every == 1:
         raise BadInput("--test-every 1 leaves no photograph to learn from")
@@ -121,6 +121,32 @@ def run(args: argparse.Namespace) -> None:
     print(line)
     if args.report:
         _report(args.report, numbers, trainer, test, qualities)
+
+
+def _capture(args: argparse.Namespace):
+    """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
+    from prepare.train.capture import checked, read_capture
+    from prepare.train.colmap_model import find_colmap_model, read_colmap
+    from prepare.train.structure_from_motion import VIDEOS, find_poses, photographs_in, sharpest_frames
+
+    path, beside = args.capture, args.out.with_name(f"{args.out.name}.poses")
+    video = path.is_file() and path.suffix.lower() in VIDEOS
+    posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
+    if not video and (posed or not photographs_in(path)):
+        return read_capture(path)
+    images, model = beside / "images" if video else path, beside / "sparse"
+    beside.mkdir(exist_ok=True)
+    if video and not images.is_dir():
+        print(f"{sharpest_frames(path, images)} sharp frames of {path}", file=sys.stderr)
+    if model.is_dir():
+        print(f"poses of an earlier run ({beside})", file=sys.stderr)
+    else:
+
+        def tell(text: str) -> None:
+            print(text, file=sys.stderr, flush=True)
+
+        find_poses(images, model, names=photographs_in(images), in_order=video, progress=tell)
+    return checked(read_colmap(model, images))
 
 
 def _trainer(args: argparse.Namespace, capture, train: list):

@@ -1,7 +1,9 @@
 """Captures: transforms.json and COLMAP models, lenses, masks, and what is said of bad ones."""
 
 import json
+import shutil
 import struct
+import sys
 
 import cv2
 import numpy as np
@@ -11,8 +13,10 @@ from numpy.testing import assert_allclose
 from core.camera import look_at
 from core.errors import BadInput
 from prepare.train.capture import read_capture
+from prepare.train.colmap_model import read_colmap
 from prepare.train.lens import Lens
 from prepare.train.photographs import load_photograph, read_image
+from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
 from prepare.train.transforms_json import OPENGL_TO_OPENCV
 
 WIDTH, HEIGHT = 48, 32
@@ -226,3 +230,53 @@ def test_what_is_no_capture_is_said(tmp_path):
     (tmp_path / "transforms.json").write_text("{")
     with pytest.raises(BadInput, match="not a JSON file"):
         read_capture(tmp_path)
+
+
+def test_the_sharpest_frame_of_each_part_of_a_video_is_taken(tmp_path):
+    """Every fifth frame is sharp, the others are blurred."""
+    noise = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 30, (64, 48))
+    for k in range(20):
+        frame = noise if k % 5 == 3 else cv2.GaussianBlur(noise, (9, 9), 3)
+        cv2.putText(frame := frame.copy(), str(k), (4, 40), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1)
+        writer.write(frame)
+    writer.release()
+    assert sharpest_frames(tmp_path / "a.avi", tmp_path / "frames", 4) == 4
+    sharpness = []
+    for name in photographs_in(tmp_path / "frames"):
+        sharpness.append(np.var(cv2.Laplacian(cv2.imread(str(tmp_path / "frames" / name)), cv2.CV_32F)))
+    assert len(sharpness) == 4 and min(sharpness) > 1000.0
+    (tmp_path / "b.mp4").write_bytes(b"nothing")
+    with pytest.raises(BadInput, match="not a video"):
+        sharpest_frames(tmp_path / "b.mp4", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+
+
+def test_photographs_without_poses_need_pycolmap(folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    names = photographs_in(folder / "images")
+    with pytest.raises(BadInput, match=r"requirements-poses\.txt"):
+        find_poses(folder / "images", folder / "poses", names=names, in_order=False, progress=print)
+
+
+@pytest.mark.long
+@pytest.mark.shared
+def test_poses_are_found_as_they_were(tmp_path, shared):
+    """A third of a capture's photographs: cameras stand where its file says, within 1 % of its extent."""
+    pytest.importorskip("pycolmap")
+    given = read_capture(shared / "data" / "captures" / "fox")
+    images = tmp_path / "images"
+    images.mkdir()
+    for view in given.views[::3]:
+        shutil.copy(view.image, images)
+    find_poses(images, tmp_path / "sparse", names=photographs_in(images), in_order=False, progress=print)
+    found = read_colmap(tmp_path / "sparse", images)
+    places = {v.name: v.position for v in given.views}
+    a = np.array([places[v.name] for v in found.views])
+    b = np.array([v.position for v in found.views])
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    u, s, vt = np.linalg.svd(a.T @ b)
+    rotation = u @ vt  # a right-handed one, or the distances below are large
+    assert len(found.views) == len(given.views[::3]) and np.linalg.det(rotation) > 0
+    scale = s.sum() / (b**2).sum()
+    assert np.linalg.norm(a - scale * b @ rotation.T, axis=1).max() < 0.01 * given.extent

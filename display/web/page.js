@@ -200,7 +200,7 @@ stage.addEventListener("wheel", (event) => {
 
 // ---------------------------------------------------------------- keys
 
-const LEFT_ALONE = ["F5", "F11", "F12", "Tab"];  // the browser's own
+const LEFT_ALONE = ["F5", "F11", "Tab"];  // the browser's own
 
 function key(event, down) {
   const writing = /^(SELECT|TEXTAREA)$/.test(event.target.tagName);
@@ -355,7 +355,10 @@ function makeSlider(section) {
     send("slide", section, row.slider.name, valueOf(row.slider, Number(input.value)), continued);
     continued = input.matches(":active");
   };
-  row.ondblclick = () => { if (row.slider.usual !== null) send("slide", section, row.slider.name, row.slider.usual, false); };
+  row.ondblclick = row.oncontextmenu = (event) => {  // a long press, too
+    event.preventDefault();
+    if (row.slider.usual !== null) send("slide", section, row.slider.name, row.slider.usual, false);
+  };
   return row;
 }
 

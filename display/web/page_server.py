@@ -373,7 +373,8 @@ def listen(host: str, port: int) -> socket.socket:
         except OSError as e:
             if e.errno == errno.EADDRINUSE:
                 continue
-            raise BadInput(f"cannot listen on {host}, port {one} ({e.strerror or e})") from e
+            reason = (e.strerror or str(e)).partition(" (while ")[0]  # the rest repeats the address
+            raise BadInput(f"cannot listen on {host}, port {one} ({reason})") from e
     taken = f"port {port} is taken" if port else f"the ports {ports[0]} to {ports[-1]} are taken"
     raise BadInput(f"{taken}: choose another one with --web PORT")
 

@@ -111,8 +111,9 @@ def sliders_of(world: WorldView, section: str) -> list[Slider]:
 
 def described(slider: Slider) -> dict:
     """A slider without its command."""
-    fields = ("name", "value", "low", "high", "shown", "usual", "log", "tip")
-    return {field: plain(getattr(slider, field)) for field in fields}
+    fields = ("name", "value", "low", "high", "shown", "usual", "log")
+    tip = slider.tip.replace(world_section.RESET_TIP, "A right click brings the usual value back.")
+    return {field: plain(getattr(slider, field)) for field in fields} | {"tip": tip}
 
 
 def overlay(world: WorldView, camera: Camera, hand: np.ndarray | None, under: BodyState | None, *, near: bool) -> list:

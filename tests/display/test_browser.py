@@ -39,9 +39,9 @@ def test_there_are_no_frames_without_a_page_and_no_pictures_without_a_change(bal
     with PageClient(ball.url) as page:
         page.send("size", 320, 180)
         page.until(lambda: page.pictures and page.pictures[-1][2].shape == (180, 320, 3))
-        page.until(lambda: page.during(0.5) == 0)  # in full quality by now
+        page.until(lambda: page.during(0.4) == 0)  # in full quality by now
         drawn, steps = ball.after(1)["pictures"], ball.frames()[-1]["steps"]
-        assert page.during(0.5) == 0 and ball.frames()[-1]["pictures"] == drawn and ball.frames()[-1]["steps"] > steps
+        assert page.during(0.3) == 0 and ball.frames()[-1]["pictures"] == drawn and ball.frames()[-1]["steps"] > steps
         red = page.pictures[-1][2][90, 160, ::-1].astype(int)
         assert red[0] > red[1] + 60 and red[0] > red[2] + 60
         page.send("hidden", True)

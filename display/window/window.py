@@ -207,7 +207,9 @@ class Window:
             else:
                 self._draw_markers(world)
             if self._hint is not None:
-                self._hint.draw(world, done=world.demo or controls.drag == ("grab" if world.editable else "turn"))
+                self._hint.draw(
+                    world, panel.right, done=world.demo or controls.drag == ("grab" if world.editable else "turn")
+                )
             if world.film_seconds is not None:
                 self._draw_film_mark(world.film_seconds)
             self._surface.end()

@@ -27,8 +27,8 @@ class FirstHint:
     def __init__(self):
         self._faded: float | None = None  # [s], when it will have
 
-    def draw(self, world: WorldView, *, done: bool) -> None:
-        """Draw it at the bottom of the picture, unless it has faded."""
+    def draw(self, world: WorldView, left: float, *, done: bool) -> None:
+        """Draw it at the bottom: in the middle, or right of `left` [px] in a small window; unless it has faded."""
         from imgui_bundle import imgui
 
         if done and self._faded is None:
@@ -46,7 +46,7 @@ class FirstHint:
         ]
         width = sum(a + space + b for *_, a, b in texts) + gap * (len(texts) - 1)
         height, padding = imgui.get_text_line_height(), (18 * unit, 8 * unit)
-        x, y = 0.5 * (area.x - width), area.y - MARGIN * unit - padding[1] - height
+        x, y = max(0.5 * (area.x - width), left + padding[0]), area.y - MARGIN * unit - padding[1] - height
         low, high = (x - padding[0], y - padding[1]), (x + width + padding[0], y + height + padding[1])
         draw_list = imgui.get_background_draw_list()  # under the panel
         draw_list.add_rect_filled(low, high, imgui.get_color_u32((0.07, 0.08, 0.10, 0.72 * opacity)), high[1] - low[1])

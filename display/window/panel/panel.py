@@ -43,6 +43,13 @@ class Panel:
         return self._performance.resolution
 
     @property
+    def right(self) -> float:
+        """Where the picture beside the panel begins [px]."""
+        from imgui_bundle import imgui
+
+        return pixels(WIDTH + 2 * MARGIN) + 2 * imgui.get_style().window_padding.x if self._visible else 0.0
+
+    @property
     def details(self) -> bool:
         """True while the list of stages is on view."""
         return self._visible and self._performance.open
@@ -55,7 +62,7 @@ class Panel:
     def draw(self, world: WorldView, *, visible: bool) -> list[Command]:
         """Draw one frame of the panel and of the score; the commands that the user gives."""
         self._visible = visible
-        draw_score(world, pixels(WIDTH + 3 * MARGIN) if visible else 0.0)
+        draw_score(world, self.right)
         commands = self._draw(world) if visible else []
         if self.help:
             self.help = not draw_help(bodies=world.editable)
@@ -69,6 +76,7 @@ class Panel:
         width, height = pixels(WIDTH) + 2 * padding, max(imgui.get_io().display_size.y - 2 * edge, 1.0)
         imgui.set_next_window_pos((edge, edge))
         imgui.set_next_window_size_constraints((width, 0), (width, height))
+        imgui.set_next_window_content_size((pixels(WIDTH), 0))  # a scroll bar is beside it, in the padding
         flags = imgui.WindowFlags_
         fixed = flags.no_title_bar | flags.always_auto_resize | flags.no_move | flags.no_saved_settings
         imgui.begin("panel", None, fixed | flags.no_nav | flags.no_focus_on_appearing)

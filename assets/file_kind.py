@@ -34,7 +34,7 @@ def kind_of_asset(path: Path) -> FileKind:
     from assets.hdf5 import open_hdf5
 
     with open_hdf5(path) as file:
-        kind = file.text("", "format") if file.has_attribute("", "format") else ""
+        kind = file.text("", "format")
         if kind == "vrgs-recording":
             raise BadInput(f"{path.name}: is a recording: vrgs.py --replay {path.name} plays it")
         if kind == "vrgs-state":

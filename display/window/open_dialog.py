@@ -34,7 +34,7 @@ class OpenDialog:
 
     def __init__(self, preferences: Preferences):
         self._preferences = preferences
-        self.shown = False
+        self.shown = self._focus = False
         self._typed, self._problem = "", ""
         self._asked: list[Path] = []  # files that may be either
         self._commands: list[Command] = []
@@ -48,7 +48,7 @@ class OpenDialog:
 
             self._system = dialogs.open_file(TITLE, folder, FILTERS)
         else:
-            self.shown, self._problem = True, ""
+            self.shown, self._focus, self._problem = True, True, ""
             self._typed = self._typed or os.path.join(folder, "")
 
     def offer(self, paths: Iterable[str]) -> None:
@@ -123,8 +123,9 @@ class OpenDialog:
         from imgui_bundle import imgui
 
         imgui.text_colored(QUIET, "Drop a splat, a mesh or an asset here, or type its path.")
-        if imgui.is_window_appearing():
+        if imgui.is_window_appearing() or self._focus:
             imgui.set_keyboard_focus_here()
+        self._focus = False
         imgui.set_next_item_width(-1)
         entered, self._typed = imgui.input_text("##path", self._typed, imgui.InputTextFlags_.enter_returns_true)
         pressed = button_grid({"Open": "(Enter)", "Cancel": "(Esc)"}, 2)

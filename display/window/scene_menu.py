@@ -81,7 +81,7 @@ class SceneMenu:
         imgui.text("Scenes")
         imgui.pop_font()
         commands: list[Command] = []
-        if imgui.begin_table("scenes", columns):
+        if imgui.begin_table("scenes", columns, imgui.TableFlags_.sizing_stretch_same):
             for demo in demos():
                 imgui.table_next_column()
                 commands += self._cell(demo)

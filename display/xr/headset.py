@@ -122,6 +122,7 @@ class Headset:
     def show_scene(self, scene: Scene, title: str, name: str) -> None:
         """Show this scene from now on, from where it begins; `frames` is then called again, with its world."""
         self._player = Player(scene)
+        self._clock.rest()
         self._mirror.show_title(title)
         self._commands = []
 

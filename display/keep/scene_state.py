@@ -44,7 +44,7 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
         tuple(map(float, eye)), tuple(map(float, target)), None if game is None else game_state(game),
     )  # fmt: skip
     return SceneState(
-        about,
+        located(about),
         scene_assets(scene),
         tuple(
             (str(asset), registry.source_models[k].body.name, digest(asset))
@@ -57,6 +57,20 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
         solver["grasps"],
         settings,
     )
+
+
+def located(about: dict) -> dict:
+    """The options, with the user's files by their whole paths: a state may be opened from another folder."""
+
+    def whole(name: str) -> str:
+        return str(Path(name).absolute()) if Path(name).is_file() else name
+
+    bodies, files = about.get("body"), {}
+    if isinstance(bodies, list):
+        files["body"] = [whole(name) for name in bodies]
+    if about.get("stage"):
+        files["stage"] = whole(about["stage"])
+    return about | files
 
 
 def view_of(world: World) -> View:

@@ -22,7 +22,7 @@ from core.spherical_harmonics import rotate_sh
 from core.tetmesh import tet_volumes
 from display.edit.edit_steps import rotation_step
 from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, von_mises
-from display.keep.scene_state import put_state, state_of
+from display.keep.scene_state import located, put_state, state_of
 from display.keep.state_file import read_state, write_state
 from display.picture import pixels_of
 from display.protocol import (
@@ -220,6 +220,14 @@ def test_a_world_goes_on_from_a_file_bit_for_bit(world, saved):
     assert len(world.bodies()) == 3 and world.wanted_view is not None and str(path) in world.notice
     world.apply([Undo()])
     assert len(world.bodies()) == 1
+
+
+def test_files_of_the_user_are_found_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cat.ply").touch()
+    about = {"scene": "sandbox", "body": ["cat.ply", "fox"], "stage": "cat.ply", "up": None}
+    there = str(tmp_path / "cat.ply")
+    assert located(about) == about | {"body": [there, "fox"], "stage": there} and located(ABOUT) == ABOUT
 
 
 def damaged(path, tmp_path, change) -> str:

@@ -40,6 +40,7 @@ def main() -> None:
     """Print the cold start, every warm start, and their median."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     p.add_argument("--scene", metavar="NAME", help="play this demo instead of looking at a room")
+    p.add_argument("--program", type=Path, metavar="FILE", help="of `make binary` (default: vrgs.py)")
     p.add_argument("--gaussians", type=int, default=100_000)
     p.add_argument("--degree", type=int, choices=range(4), default=3)
     p.add_argument("--rounds", type=int, default=5)
@@ -50,7 +51,8 @@ def main() -> None:
         if args.scene is None:
             what = ["view", str(Path(folder, "room.ply"))]
             write_gaussians(Path(what[1]), room(args.gaussians, args.degree))
-        command = [sys.executable, str(PROGRAM), *what, "--arch", args.arch, "--frames", "1"]
+        program = [str(args.program)] if args.program else [sys.executable, str(PROGRAM)]
+        command = [*program, *what, "--arch", args.arch, "--frames", "1"]
         walls = []
         for k in range(1 + args.rounds):
             wall, cpu = start_time(command, Path(folder, "cache"))

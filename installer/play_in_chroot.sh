@@ -15,19 +15,18 @@ dpkg-query -L libc6 zlib1g | grep -E '/lib.*\.so(\.[0-9]+)*$' | grep -v /gconv/ 
     mkdir -p "$tree$(dirname "$library")" && cp -L "$library" "$tree$library"
 done
 mknod -m 666 "$tree/dev/null" c 1 3 && mknod -m 666 "$tree/dev/urandom" c 1 9 || skip "no devices can be made here"
-cp "$program" "$tree/vrgs"
-chroot "$tree" /vrgs --version >"$tree/version" 2>&1 || {
-    grep -q 'chroot: ' "$tree/version" && skip "$(cat "$tree/version")"
-    cat "$tree/version" >&2
-    exit 1
-}
-echo "$(cat "$tree/version"), $(($(stat -c %s "$program") / 1000000)) MB, in a tree of $(find "$tree" -type f | wc -l) files"
 if find "$tree" -iname '*python*' | grep .; then
     echo "there is a Python in the tree" >&2
     exit 1
 fi
-
-play() { env -i HOME=/root chroot "$tree" /vrgs "$@"; }
+cp "$program" "$tree/vrgs"
+play() { env -i HOME=/root PATH="$PATH" chroot "$tree" /vrgs "$@"; }
+play --version >"$tree/version" 2>&1 || {
+    grep -q 'chroot: ' "$tree/version" && skip "$(cat "$tree/version")"
+    cat "$tree/version" >&2
+    exit 1
+}
+echo "$(cat "$tree/version"), $(($(stat -c %s "$program") / 1000000)) MB"
 kernels() { find "$tree/root/.cache" -name '*.tic' | wc -l; }
 set -- --scene ring_toss --headless --arch cpu --size 160x90 --snapshot /ring_toss.png
 begin=$(date +%s)

@@ -4,8 +4,9 @@ import ctypes
 import os
 import sys
 
-# The system's OpenGL drivers need its own C++ runtime, which may be newer than ours; a bare system has none.
-for name in ("libgcc_s.so.1", "libstdc++.so.6"):
+from libraries import LIBRARIES
+
+for name in LIBRARIES:
     try:
         ctypes.CDLL(name)
     except OSError:

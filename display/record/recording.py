@@ -78,8 +78,11 @@ class Recording:
         self._writer, self._closed = ThreadPoolExecutor(1), False
         try:
             self._file = h5py.File(self.part, "x")  # only if it is not there: another session may begin at this moment
+        except FileExistsError as e:
+            raise BadInput(f"{self.part} {why_it_is_there(self.part)}") from e
         except OSError as e:
-            raise BadInput(f"{self.part}: cannot be written ({reason_of(e)})") from e
+            self.part.unlink(missing_ok=True)
+            raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
         self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
         for name, (shape, kind) in DATASETS.items():
             rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))

@@ -104,15 +104,18 @@ class Hdf5Reader:
         chunks = int(np.prod([-(-n // c) for n, c in zip(data.shape, data.chunks or (), strict=False)], dtype=object))
         if chunks * CHUNK_ENTRY_MIN > self._size:  # HDF5 searches for each, also for those that were never written
             raise self.error(f"{name} claims {chunks} chunks, more than a file of {self._size} bytes may hold")
-        if h5py.h5z.FILTER_DEFLATE in filters and size:
-            self._check_chunks(name, data, chunk)
+        if filters and size:
+            self._check_chunks(name, data, chunk, deflated=h5py.h5z.FILTER_DEFLATE in filters)
 
-    def _check_chunks(self, name: str, data: h5py.Dataset, chunk: int) -> None:
-        """Refuse chunks that inflate to more than their size: HDF5 would inflate all of them."""
+    def _check_chunks(self, name: str, data: h5py.Dataset, chunk: int, *, deflated: bool) -> None:
+        """Refuse chunks that claim more bytes than the file has, or inflate to more than their size: HDF5 would
+        allocate and inflate all of that."""
         for i in range(data.id.get_num_chunks()):
             info = data.id.get_chunk_info(i)
             if info.size > self._size:
                 raise self.error(f"{name} claims a chunk of {info.size} bytes in a file of {self._size}")
+            if not deflated:
+                continue
             mask, raw = data.id.read_direct_chunk(info.chunk_offset)
             stored = zlib.decompressobj()
             # Four bytes more: the checksum that Fletcher's filter may append.

@@ -90,7 +90,7 @@ def textured(vertices: np.ndarray, faces: np.ndarray, visual, linear: bool) -> M
     if image is not None and own is not None and not linear:
         colour = np.ones(3)  # the diffuse colour of an .obj stands for its texture where that is missing
     colours = np.broadcast_to(colour, (len(faces), 3, 3))
-    if image is None or visual.uv is None or len(visual.uv) != len(vertices):
+    if image is None or visual.uv is None or np.shape(visual.uv) != (len(vertices), 2):
         return MeshPart(vertices, faces, colours)
     pixels = np.array(image.convert("RGBA"))
     return MeshPart(vertices, faces, colours, np.asarray(visual.uv, np.float64)[faces], pixels)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import rotation_between
@@ -128,7 +129,7 @@ def checked(capture: Capture) -> Capture:
     reach = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
     if reach <= SPREAD_MIN * max(1.0, np.abs(places).max()):
         raise BadInput(f"{capture.folder}: all cameras stand in one place; depth shows only from several places")
-    finite = np.isfinite(capture.points).all(axis=1)
+    finite = (np.abs(capture.points) < MAGNITUDE_MAX).all(axis=1)  # NaN compares false
     return Capture(capture.folder, views, capture.points[finite], capture.colors[finite])
 
 
@@ -138,7 +139,7 @@ def rigid(matrix, where: str) -> np.ndarray:
         m = np.array(matrix, np.float64)
     except (TypeError, ValueError, OverflowError):
         m = np.full((1, 1), np.nan)
-    if m.shape not in ((4, 4), (3, 4)) or not np.isfinite(m).all():
+    if m.shape not in ((4, 4), (3, 4)) or not (np.abs(m) < MAGNITUDE_MAX).all():  # NaN compares false
         raise BadInput(f"{where}: the pose is not a finite 4x4 matrix")
     u, s, vt = np.linalg.svd(m[:3, :3])
     if np.abs(s - 1.0).max() > ORTHONORMAL_TOLERANCE or np.linalg.det(u @ vt) < 0:

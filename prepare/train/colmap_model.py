@@ -49,7 +49,7 @@ def read_colmap(model: Path, folder: Path) -> Capture:
     except OSError as e:
         raise BadInput(f"{model}: {e.filename} cannot be read ({e.strerror})") from e
     except (struct.error, ValueError, IndexError, OverflowError, UnicodeDecodeError) as e:
-        raise BadInput(f"{model}: a file of this COLMAP model is cut off or damaged ({e})") from e
+        raise BadInput(f"{model}: a file of this COLMAP model is cut off or damaged ({str(e)[:100]})") from e
     pictures = next(
         (folder / name for name in IMAGE_FOLDERS if images and (folder / name / images[0][2]).is_file()), None
     )
@@ -82,7 +82,8 @@ def _lens(model: Path, number: int, kind: int | str, width: int, height: int, va
 def _pose(quaternion, translation) -> np.ndarray:
     pose = np.eye(4)
     q = np.asarray(quaternion, np.float64)
-    length = np.linalg.norm(q)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(q)
     pose[:3, :3] = matrices_from_quaternions((q / length)[None])[0] if 0 < length < np.inf else np.nan
     pose[:3, 3] = translation
     return pose
@@ -118,7 +119,7 @@ def _text_points(model: Path) -> tuple[np.ndarray, np.ndarray]:
     path = model / "points3D.txt"
     rows = [line.split()[1:7] for line in _lines(path) if line.strip()] if path.is_file() else []
     values = np.array(rows, np.float64).reshape(-1, 6)
-    return values[:, :3].copy(), values[:, 3:].astype(np.uint8)
+    return values[:, :3].copy(), np.nan_to_num(values[:, 3:]).clip(0, 255).astype(np.uint8)
 
 
 # binary, little-endian

@@ -217,7 +217,7 @@ class Session:
         self.world.close()
         problem = ""
         try:
-            self._remake(planned.args, planned.scene, planned.reserve)
+            self._remake(planned.args, planned.scene, planned.reserve, begins=not planned.joins)
         except Cancelled as e:
             if e.quits:
                 raise
@@ -230,7 +230,7 @@ class Session:
             problem = "There is not enough memory for that."
         if problem:
             args, scene, reserve, state = before
-            self._remake(args, scene, reserve)
+            self._remake(args, scene, reserve, begins=not planned.joins)
             self._resume(state)
             self.world.tell(problem)
         elif planned.joins:
@@ -250,13 +250,14 @@ class Session:
         if light is not None:
             self.world.set_light(light)
 
-    def _remake(self, args: argparse.Namespace, scene: Scene, reserve: Sequence[str]) -> None:
+    def _remake(self, args: argparse.Namespace, scene: Scene, reserve: Sequence[str], *, begins: bool) -> None:
         """Start Taichi anew, and in it this world: so the device has all its memory back, and kernels, whose names in
         the cache count the fields before theirs, are found there."""
         end_taichi()
         start_taichi(args.arch, args.seed)
         self.args = args
-        self.display.show_scene(scene, self._title(args), label(args.scene))
+        if begins:  # else the view stays
+            self.display.show_scene(scene, self._title(args), label(args.scene))
         self.world = self._make(scene, reserve)
 
     def _make(self, scene: Scene, reserve: Sequence[str] = ()) -> World:

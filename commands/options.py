@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from render import SORTS
 from scenes.scene_options import SceneOption
 
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, a mesh (.obj, .glb, .stl, .ply with faces)"
+BACKGROUND_NAMES = {"grey": (0.12, 0.13, 0.14), "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
@@ -51,6 +53,15 @@ def render_scale(text: str) -> float:
     if not 0.1 <= value <= 2.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not between 0.1 and 2")
     return value
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """A colour by name, or as #rrggbb; each channel 0..1."""
+    if text in BACKGROUND_NAMES:
+        return BACKGROUND_NAMES[text]
+    if re.fullmatch(r"#[0-9a-fA-F]{6}", text) is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(BACKGROUND_NAMES)}, nor like #8090a0")
+    return tuple(int(text[k : k + 2], 16) / 255 for k in (1, 3, 5))
 
 
 def elevation(text: str) -> float:

@@ -245,6 +245,53 @@ class CancelOpening:
     """Give up what is being opened."""
 
 
+# What follows is for a viewer of splat files (display/viewer.py), which has no bodies.
+
+
+@dataclass(frozen=True)
+class ViewFiles:
+    """Show these files, too; the first of them now."""
+
+    paths: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class NextFile:
+    """Show the next file, or that many files on."""
+
+    step: int = 1
+
+
+@dataclass(frozen=True)
+class TurnUp:
+    """Let the next of the file's axes point up."""
+
+
+@dataclass(frozen=True)
+class ShowAxes:
+    """Show the axes, or not."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
+class NextBackground:
+    """Show the next colour of background."""
+
+
+@dataclass(frozen=True)
+class Crop:
+    """Show only what lies between two corners [m]."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class WriteSplats:
+    """Write what is shown of the file as a splat file of its own."""
+
+
 Command = (
     PlayDemo
     | Reset
@@ -275,6 +322,13 @@ Command = (
     | SwapRoom
     | AddBody
     | CancelOpening
+    | ViewFiles
+    | NextFile
+    | TurnUp
+    | ShowAxes
+    | NextBackground
+    | Crop
+    | WriteSplats
 )
 SIZED = (TakePicture, Film, WriteCamera)  # about the whole picture, however small it is drawn at the moment
 OPENING = (OpenScene, SwapRoom, AddBody, CancelOpening)  # carried out by the session (commands/play.py), not the world
@@ -316,6 +370,16 @@ class Frame:
 
     prop_poses: np.ndarray | None = None
     """world_from_part of the world's skinned props, (P, 3, 4), see render/skinned_props.py; None: unchanged."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line over the picture: its ends [m], its colour (R, G, B, each 0..1), and a text at its end."""
+
+    start: np.ndarray
+    end: np.ndarray
+    colour: tuple[float, float, float]
+    text: str = ""
 
 
 class WorldView(Protocol):
@@ -370,6 +434,18 @@ class WorldView(Protocol):
 
     time: float = 0.0
     """Seconds of the world since the last reset."""
+    file: Any = None
+    """The splat file that is shown, a ViewedFile (display/viewed_file.py); None: a scene is."""
+
+    file_number: tuple[int, int] = (0, 0)
+    """Number of the file that is shown, from 1, and how many there are."""
+
+    facts: Sequence[tuple[str, str]] = ()
+    """What is known of the file, (name, value)."""
+
+    axes: bool = False
+    """True if the axes are shown."""
+
     sound: bool | None = None
     """True if impacts are heard; None: there is nothing to hear them with."""
 
@@ -388,6 +464,10 @@ class WorldView(Protocol):
 
     pictures: int = 0
     """Number of pictures drawn so far: `picture` has changed when it has."""
+
+    def lines(self) -> Sequence[Line]:
+        """Lines to be drawn over the picture."""
+        return ()
 
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size [px] from now on."""

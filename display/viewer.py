@@ -1,18 +1,37 @@
-"""A splat file alone as a world in which nothing moves but the camera, and cameras that show all of it."""
+"""Splat files as a world in which nothing moves but the camera, and cameras that show all of one."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from core.camera import Camera, look_at, perspective
+from core.errors import BadInput
 from core.morton import morton_order
 from display.edit.notice import Notice
-from display.protocol import Frame, WorldView
+from display.keep.output_place import output_path
+from display.protocol import (
+    Command,
+    Crop,
+    Frame,
+    Line,
+    NextBackground,
+    NextFile,
+    ShowAxes,
+    TurnUp,
+    ViewFiles,
+    WorldView,
+    WriteSplats,
+    in_order,
+)
 from display.timing import Timings
+from display.viewed_file import ViewedFile
 from render import MOVING_SORT
 from scenes.scene import Scene
 
@@ -22,6 +41,9 @@ ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed
 ELEVATION = np.radians(15.0)  # [rad] of the first view
 DISTANCE_MARGIN = 1.08  # of the distance at which a ball around the splats fills the picture
 BACKGROUND = (0.12, 0.13, 0.14)
+BACKGROUNDS = (BACKGROUND, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.45, 0.62, 0.8))
+AXES = {"x": (0.95, 0.35, 0.3), "y": (0.45, 0.85, 0.35), "z": (0.4, 0.6, 1.0)}  # colours
+CROP_COLOUR = (1.0, 0.78, 0.25)
 
 
 def upright(path, up: str | None) -> tuple[Gaussians, str]:
@@ -72,19 +94,61 @@ def scene_around(gaussians: Gaussians, aspect: float) -> Scene:
 
 
 class Viewer(WorldView):
-    """A world of Gaussians alone. Draws only when the camera or the picture's size has changed."""
+    """A world of splat files, one of which is shown. Draws only when something has changed.
 
-    def __init__(self, gaussians: Gaussians, scene: Scene, *, width: int, height: int, sort: str = MOVING_SORT):
+    files  at least one;   out  what `WriteSplats` writes; None: a new name each time
+    """
+
+    def __init__(
+        self,
+        files: Sequence[ViewedFile],
+        scene: Scene,
+        *,
+        width: int,
+        height: int,
+        sort: str = MOVING_SORT,
+        background: tuple[float, float, float] = BACKGROUND,
+        out: Path | None = None,
+    ):
+        self.scene, self.timings, self.picture_size = scene, Timings(), (width, height)
+        self.axes, self._files, self._index, self._out = False, list(files), 0, out
+        self._sort, self._background = sort, background
+        self.cameras: list[Camera] = []  # of the last picture
+        self._shown: tuple | None = None
+        self._notice = Notice()
+        self._prepare(max(len(f.gaussians) for f in files), max(f.gaussians.sh.shape[1] for f in files))
+
+    def _prepare(self, capacity: int, coefficients: int) -> None:
+        """Make room on the device for so many Gaussians with so many coefficients, and show the file."""
         from render.renderer import Renderer
         from render.splats import Splats
 
-        self.scene, self.timings = scene, Timings()
-        self.splats = Splats(gaussians)
-        self.renderer = Renderer(self.splats, width, height, background=scene.background, sort=sort)
-        self.picture_size = (width, height)
-        self._shown: tuple | None = None
-        self.cameras: list[Camera] = []  # of the last picture
-        self._notice = Notice()
+        self._coefficients = coefficients
+        self.splats = Splats(self._padded(self.file.gaussians), capacity=capacity)
+        self.splats.sh_range = (0, self.splats.capacity)  # of any file
+        options = {"background": self._background, "sort": self._sort}
+        self.renderer = Renderer(self.splats, *self.picture_size, **options)
+        self._show_crop()
+
+    def _padded(self, gaussians: Gaussians) -> Gaussians:
+        """The Gaussians with as many coefficients as there is room for."""
+        missing = self._coefficients - gaussians.sh.shape[1]
+        return replace(gaussians, sh=np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0)))) if missing else gaussians
+
+    @property
+    def file(self) -> ViewedFile:
+        """The file that is shown."""
+        return self._files[self._index]
+
+    @property
+    def file_number(self) -> tuple[int, int]:
+        """Number of the file that is shown, from 1, and how many there are."""
+        return self._index + 1, len(self._files)
+
+    @property
+    def facts(self) -> list[tuple[str, str]]:
+        """What is known of the file that is shown."""
+        return self._facts
 
     @property
     def notice(self) -> str:
@@ -101,8 +165,79 @@ class Viewer(WorldView):
         self.picture_size, self._shown = (width, height), None
 
     def step(self, frame: Frame) -> None:
-        """Draw the view of the frame's camera."""
+        """Carry out the frame's commands, and draw the view of its camera."""
+        for command in in_order(frame.commands):
+            try:
+                self._carry_out(command)
+            except BadInput as e:
+                self.tell(" ".join(str(e).split()))
         self.draw(frame.cameras)
+
+    def _carry_out(self, command: Command) -> None:
+        match command:
+            case ViewFiles(paths):
+                first = len(self._files)
+                self._files += [ViewedFile.read(Path(path), None) for path in paths]
+                self._show(first)
+            case NextFile(step):
+                self._show((self._index + step) % len(self._files))
+            case TurnUp():
+                self._files[self._index] = self.file.turned()
+                self._show(self._index)
+                self.tell(self.file.note)
+            case ShowAxes(on):
+                self.axes = on
+            case NextBackground():
+                known = [*BACKGROUNDS, *([] if self._background in BACKGROUNDS else [self._background])]
+                self._background = known[(known.index(self._background) + 1) % len(known)]
+                self.renderer.set_background(self._background)
+                self._shown = None
+            case Crop(low, high):
+                self._files[self._index] = self.file.cropped(np.array(low), np.array(high))
+                self._show_crop()
+            case WriteSplats():
+                self._write()
+
+    def _show(self, index: int) -> None:
+        """Show another file, or the one that has changed."""
+        self._index = index
+        gaussians = self.file.gaussians
+        if len(gaussians) > self.splats.capacity or gaussians.sh.shape[1] > self._coefficients:
+            self.renderer.destroy()
+            self.splats.destroy()
+            self._prepare(len(gaussians), max(self._coefficients, gaussians.sh.shape[1]))
+        else:
+            self.splats.replace(self._padded(gaussians))
+            self._show_crop()
+        self.tell(f"{self.file.path.name}: {len(gaussians):,} Gaussians")
+
+    def _show_crop(self) -> None:
+        """Hide what lies outside the crop."""
+        self._facts = self.file.facts()
+        shown = self.file.shown
+        self.splats.opacity.from_numpy(self.splats.padded(np.where(shown, self.file.gaussians.opacities, 0.0)))
+        self.resize(*self.picture_size)
+
+    def _write(self) -> None:
+        """Write what is shown of the file."""
+        out = self._out or output_path(f"{self.file.path.stem}_cropped", ".ply")
+        same = out.exists() and self.file.path.exists() and out.samefile(self.file.path)
+        if same:
+            raise BadInput(f"{out}: is the file itself; choose another name")
+        self.tell(f"Written: {out}, {self.file.write(out):,} Gaussians")
+        print(self._notice.shown, file=sys.stderr, flush=True)
+
+    def lines(self) -> list[Line]:
+        """The axes, as long as the file is large, and the box of the crop."""
+        lines = []
+        if self.axes:
+            length = 10.0 ** np.round(np.log10(max(float(np.max(self.file.bounds.high - self.file.bounds.low)), 1e-3)))
+            for axis, (name, colour) in enumerate(AXES.items()):
+                text = f"{name} {length:g} m"
+                lines.append(Line(np.zeros(3), length * np.eye(3)[axis], colour, text))
+        if self.file.crop is not None:
+            lines += [Line(start, end, CROP_COLOUR) for start, end in self.file.crop.edges()]
+        return lines
 
     def draw(self, cameras: Sequence[Camera]) -> None:
         """Draw for this camera, unless the picture shows that already."""

@@ -27,14 +27,22 @@ class Picture:
 
     def __init__(self, views: int, background, *, depth: bool = False):
         self.views, self.with_depth = views, depth
-        self.background = tuple(float(c) for c in background)
+        self.fields = f = FieldGroup()
+        self.background = f.vector(1)
+        f.build()
+        self.set_background(background)
+
+    def set_background(self, colour) -> None:
+        """Draw over another colour, each channel 0..1."""
+        self.background.from_numpy(np.array([colour], np.float32))
 
     def destroy(self) -> None:
-        """Free nothing: the picture is the renderer's, and lives as long as it is shown."""
+        """Free the device memory. The picture is the renderer's, and lives as long as it is shown."""
+        self.fields.destroy()
 
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
-        c = rgb + (1.0 - alpha) * ti.Vector(self.background)
+        c = rgb + (1.0 - alpha) * self.background[0]
         packed = ti.u32(4278190080)  # alpha 255
         if ti.static(self.with_depth):
             d = 1.0
@@ -123,6 +131,11 @@ class Renderer:
         self.width, self.height = width, height
         self.picture = self._out = ti.ndarray(ti.u32, (self.views * height, width))
         self.rasterizer.resize(width, height)
+
+    def set_background(self, colour) -> None:
+        """Draw over another colour from now on, each channel 0..1; not for outputs="float"."""
+        self.sink.set_background(colour)
+        self.rasterizer.resize(self.width, self.height)  # nothing is left of the last picture
 
     def render(self, cameras: list[Camera]) -> None:
         """Draw one picture per camera; it is complete on return."""

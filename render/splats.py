@@ -39,6 +39,18 @@ class Splats:
         on_gpu = ti.cfg.arch == ti.cuda  # neighbouring threads read neighbouring words
         self.sh = f.vector(self.capacity, self.coefficients, column_major=on_gpu)
         f.build()
+        self.replace(gaussians)
+        view_dependent = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
+        self.sh_range = (int(view_dependent[0]), int(view_dependent[-1]) + 1) if view_dependent.size else (0, 0)
+        if capacity > self.count and self.sh_range[1]:
+            self.sh_range = (self.sh_range[0], self.capacity)
+        self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
+        self.visibility.fill(1.0)
+
+    def replace(self, gaussians: Gaussians) -> None:
+        """Hold other Gaussians, at most `capacity`, of as many coefficients. Kernels know `sh_range` from their first
+        run: it must hold for these, too."""
+        self.count = len(gaussians)
         for field, values in (
             (self.mean, gaussians.means),
             (self.cov, gaussians.covariances),
@@ -46,13 +58,7 @@ class Splats:
             (self.sh, gaussians.sh),
         ):
             field.from_numpy(self.padded(values))
-        view_dependent = np.flatnonzero((gaussians.sh[:, 1:] != 0).any(axis=(1, 2)))
-        self.sh_range = (int(view_dependent[0]), int(view_dependent[-1]) + 1) if view_dependent.size else (0, 0)
-        if capacity > self.count and self.sh_range[1]:
-            self.sh_range = (self.sh_range[0], self.capacity)
         self._initial_means = gaussians.means  # [m], on the host
-        self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
-        self.visibility.fill(1.0)
 
     def padded(self, values: np.ndarray) -> np.ndarray:
         """Values (count, ...) as float32 (capacity, ...), zero beyond `count`."""

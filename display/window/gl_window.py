@@ -9,7 +9,7 @@ from core.errors import BadInput
 from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 
 WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
-NAMED = ["home", "escape", "space", "delete", *(f"f{k}" for k in range(1, 13))]
+NAMED = ["home", "escape", "space", "tab", "delete", *(f"f{k}" for k in range(1, 13))]
 PLACES = frozenset([*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"])
 SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
 

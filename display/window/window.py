@@ -14,12 +14,13 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Frame, Pause, SingleStep, WorldView, last_of
+from display.protocol import Command, Frame, Pause, SingleStep, ViewFiles, WorldView, last_of
 from display.window import hover
 from display.window.controls import Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
 from display.window.hover import Hover
+from display.window.line_overlay import draw_lines
 from display.window.mouse_hand import MouseHand
 from display.window.open_dialog import OpenDialog
 from display.window.orbit_camera import OrbitCamera
@@ -195,6 +196,7 @@ class Window:
         with world.timings.stage("present"):
             self._texture.upload(world.picture)
             self._texture.draw(self._surface.frame_size)
+            draw_lines(world.lines(), self._camera, self._from_picture, self._surface.scale)
             controls, panel = self._controls, self._panel
             panel.help = controls.help
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
@@ -274,6 +276,8 @@ class Window:
                 commands += controls.key(*what, world, *self._cursor, self._camera)
             elif kind == "drop" and world.editable:
                 self._open_dialog.offer(*what)
+            elif kind == "drop":
+                commands.append(ViewFiles(tuple(*what)))
             elif kind == "blur":
                 controls.let_go()
         self._preferences.set(f"bookmarks.{self._name}", controls.bookmarks or None)

@@ -13,7 +13,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "scenes": "--help",
     "export": "--help --scene --arch --interaction --embedding --frames --seed --body --stage --material --detail"
     " --replay --out --only",
-    "view": "--help --arch --size --snapshot --sort --up",
+    "view": "--help --arch --background --size --snapshot --sort --up",
     "render": "--help --antialias --arch --camera --out --sort --turntable",
     "prepare": "--help --arch --out",
     "convert": "--help",
@@ -49,6 +49,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("--cells uniform", "--cells is for a splat file"),
     ("--pieces", "--pieces is for a splat file"),
     ("view a.ply --snapshot a.png --frames 3", "--frames belongs to a window"),
+    ("view a.ply --snapshot a.png --out b.ply", "--out is what a crop in the window is written to"),
     *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--up +y", "--elevation 3")),
     *((f"render a --camera b --out c.png {o}", "belongs to --turntable") for o in ("--size 32x32", "--frames 3")),
     *((f"prepare a --out b.h5 {o}", "belongs to --static") for o in ("--cell 1", "--cut 3")),
@@ -131,7 +132,7 @@ def test_a_mistake_is_told_in_one_line_with_what_is_nearest(words, said):
 )
 def test_options_before_a_command_are_the_command_s(words):
     args = parse(words.split(), "", print)
-    assert args.size == (320, 180) and args.file.name == "a.ply" and "--size" in args.given
+    assert args.size == (320, 180) and args.files[0].name == "a.ply" and "--size" in args.given
 
 
 def test_a_value_may_be_named_as_a_command():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from display.protocol import Command, WorldView
 from display.window.panel.body_section import BodySection
+from display.window.panel.file_section import CropSection, FileSection
 from display.window.panel.help_card import draw_help
 from display.window.panel.keep_section import KeepSection
 from display.window.panel.light_section import LightSection
@@ -31,6 +32,8 @@ class Panel:
             self.body,
             WorldSection(),
             LightSection(),
+            FileSection(),
+            CropSection(),
             KeepSection(),
             self._performance,
         ]

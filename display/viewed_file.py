@@ -1,0 +1,111 @@
+"""A splat file that is looked at: turned upright, cropped by a box, written anew; and what is known of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from assets.splat_files import kind_to_write, write_gaussians
+from assets.up_axis import rotation_to_up
+from core.errors import BadInput
+
+UP_AXES = ("+y", "-y", "+z", "-z", "+x", "-x")  # in the order in which they are tried
+FINE = 1e-4  # of a side of the crop: ends that lie so near to the sides cut nothing
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box: its lower and upper corner [m], (3,)."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """True for the points (N, 3) within it, (N,)."""
+        return ((points >= self.low) & (points <= self.high)).all(axis=1)
+
+    def edges(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Its twelve edges, start and end [m]."""
+        corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), self.high, self.low)
+        pairs = [(k, k | bit) for k in range(8) for bit in (1, 2, 4) if not k & bit]
+        return [(corners[a], corners[b]) for a, b in pairs]
+
+
+@dataclass(frozen=True)
+class ViewedFile:
+    """A file's Gaussians as they are shown: `up` is the file's axis that now points to +y, `note` how it was found.
+
+    bounds  the box of all their means
+    crop    what lies outside is left out; None: nothing is
+    """
+
+    path: Path
+    gaussians: Gaussians
+    up: str
+    note: str
+    bounds: Box
+    crop: Box | None = None
+
+    @classmethod
+    def read(cls, path: Path, up: str | None) -> ViewedFile:
+        """Read a file. Raises BadInput."""
+        from display.viewer import upright
+
+        gaussians, note = upright(path, up)
+        return cls(Path(path), gaussians, note[:2], note, bounds_of(gaussians))
+
+    @property
+    def shown(self) -> np.ndarray:
+        """True for the Gaussians within the crop, (N,)."""
+        everything = np.ones(len(self.gaussians), bool)
+        return everything if self.crop is None else self.crop.holds(self.gaussians.means)
+
+    def turned(self) -> ViewedFile:
+        """The next of the file's axes points up; it turns about the middle of its bounds, and nothing is cropped."""
+        up = UP_AXES[(UP_AXES.index(self.up) + 1) % len(UP_AXES)]
+        rotation = rotation_to_up(up) @ rotation_to_up(self.up).T
+        middle = 0.5 * (self.bounds.low + self.bounds.high)
+        gaussians = self.gaussians.transformed(rotation, middle - rotation @ middle)
+        note = f"{up} is up"
+        return replace(self, gaussians=gaussians, up=up, note=note, bounds=bounds_of(gaussians), crop=None)
+
+    def cropped(self, low, high) -> ViewedFile:
+        """Only what lies between these corners [m] is shown; corners at the bounds' crop nothing."""
+        slack = FINE * (self.bounds.high - self.bounds.low)
+        whole = (low <= self.bounds.low + slack).all() and (high >= self.bounds.high - slack).all()
+        return replace(self, crop=None if whole else Box(np.asarray(low, float), np.asarray(high, float)))
+
+    def write(self, out: Path) -> int:
+        """Write what is shown, as it stands, +y up; returns the number of Gaussians. Raises BadInput."""
+        kind_to_write(out)
+        kept = self.gaussians.select(np.flatnonzero(self.shown))
+        if not len(kept):
+            raise BadInput("nothing is left to write: the crop holds no Gaussians")
+        write_gaussians(out, kept)
+        return len(kept)
+
+    def facts(self) -> list[tuple[str, str]]:
+        """What is known of it: (name, value)."""
+        g, size = self.gaussians, self.bounds.high - self.bounds.low
+        widths = np.exp(np.median(g.log_scales, axis=0).max())
+        facts = [
+            ("Gaussians", f"{len(g):,}"),
+            ("harmonics", f"degree {g.sh_degree}"),
+            ("file", f"{self.path.stat().st_size / 1e6:.1f} MB" if self.path.is_file() else "gone"),
+            ("extents", " x ".join(f"{s:.3g}" for s in size) + " m"),
+            ("width, median", f"{1000 * widths:.2g} mm"),
+            ("faint ones", f"{np.mean(g.opacities < 0.1):.0%}"),
+            ("up", self.up + (", guessed" if "guessed" in self.note else "")),
+        ]
+        if self.crop is not None:
+            facts.insert(1, ("within the crop", f"{int(self.shown.sum()):,}"))
+        return facts
+
+
+def bounds_of(gaussians: Gaussians) -> Box:
+    """The box of the Gaussians' means."""
+    means = gaussians.means.astype(np.float64)
+    return Box(means.min(0), means.max(0))

@@ -50,7 +50,9 @@ def test_the_strip_shows_the_body_in_each_panel(dropped):
             assert (panel[:20] > 200).all()  # the backdrop
 
 
-@pytest.mark.parametrize(("name", "why"), [("bottle", "no cage"), ("nothing", "no such asset"), (__file__, "unknown kind of file")])
+@pytest.mark.parametrize(
+    ("name", "why"), [("bottle", "no cage"), ("nothing", "no such asset"), (__file__, "unknown kind of file")]
+)
 def test_what_cannot_be_dropped_is_refused(name, why, capsys):
     assert vrgs.main(["tune", name]) == 2
     error = capsys.readouterr().err

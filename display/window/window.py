@@ -338,12 +338,13 @@ class Window:
                 draw_list.add_line(a, b, imgui.get_color_u32(colour), width * scale)
 
     def _draw_film_mark(self, seconds: float) -> None:
-        """Draw a red dot and the film's length in the upper right corner."""
+        """Draw a red dot and the film's length in the lower right corner, which notices leave free."""
         from imgui_bundle import imgui
 
         text, scale = f"{int(seconds) // 60}:{int(seconds) % 60:02d}", self._surface.scale
         draw_list, extent = imgui.get_foreground_draw_list(), imgui.calc_text_size(text)
-        left, middle = imgui.get_io().display_size.x - extent.x - 2 * MARGIN * scale, 2 * MARGIN * scale
+        area, edge = imgui.get_io().display_size, 2 * MARGIN * scale
+        left, middle = area.x - extent.x - edge, area.y - edge
         low, high = (left - 26 * scale, middle - extent.y), (left + extent.x + 8 * scale, middle + extent.y)
         draw_list.add_rect_filled(low, high, imgui.get_color_u32((0.0, 0.0, 0.0, 0.6)), 6 * scale)
         draw_list.add_circle_filled((left - 12 * scale, middle), 6 * scale, imgui.get_color_u32(FILMING))

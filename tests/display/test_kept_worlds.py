@@ -280,7 +280,7 @@ def test_a_damaged_state_is_refused_in_a_line(saved, tmp_path, says):
 def test_whatever_bytes_change_it_is_read_or_refused(saved, tmp_path):
     data, rng = bytearray(saved[0].read_bytes()), np.random.default_rng(3)
     other, refused = tmp_path / "other.h5", 0
-    for _ in range(150):
+    for _ in range(40):
         wrong = bytearray(data)
         for at in rng.integers(0, len(data), rng.integers(1, 8)):
             wrong[at] = rng.integers(256)
@@ -290,7 +290,7 @@ def test_whatever_bytes_change_it_is_read_or_refused(saved, tmp_path):
         except BadInput as e:
             refused += 1
             assert "\n" not in str(e)
-    assert refused > 20
+    assert refused > 5
 
 
 def test_a_state_of_another_scene_or_other_files_changes_nothing(world, saved, tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.gaussians import MAGNITUDE_MAX
 from core.errors import BadInput
 from prepare.train.capture import Capture, View, rigid
 from prepare.train.lens import Lens
@@ -71,6 +72,8 @@ def _lens(where: str, values: dict, image: Path) -> Lens:
         value = values.get(name, default)
         if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
             raise BadInput(f"{where}: {name} is not a number")
+        if isinstance(value, int) and abs(value) > MAGNITUDE_MAX:
+            raise BadInput(f"{where}: {name} is too large")
         return value
 
     width, height = number("w"), number("h")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from assets.library import default_material
 from core.material import Material
-from scenes.scene import Body, Capsule, Light, Plane, Room, Vec3
+from scenes.scene import Body, Capsule, Light, Plane, Room, Scene, Vec3
 
 PLAY_RADIUS = 1.2  # [m] of the lawn that a play needs
 BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
@@ -22,9 +23,16 @@ ANIMALS = {  # name: x, z on the path [m], turn [degrees], size of its own; x, z
 YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the asset's
 
 
-def furniture() -> list[Body]:
-    """The static body: the garden, whose distance grid holds the bench and the pots."""
-    return [Body("garden")]
+def garden_scene(bodies: Iterable[Body], **rest) -> Scene:
+    """A scene in the garden, whose distance grid holds the bench and the pots; `rest`: what else a Scene has."""
+    return Scene(
+        bodies=[Body("garden"), *bodies],
+        colliders=colliders(),
+        light=sun(),
+        background=BACKGROUND,
+        room=Room(("garden",), tuple(colliders()), (0.0, 0.0, 0.0), PLAY_RADIUS, on_floor=True),
+        **rest,
+    )
 
 
 def colliders() -> list[Plane | Capsule]:
@@ -37,11 +45,6 @@ def colliders() -> list[Plane | Capsule]:
         Plane((0, 0, 3.0), (0, 0, -1)),
         Capsule((-2.15, 0.0, -2.35), (-2.12, 1.3, -2.32), 0.13),
     ]
-
-
-def room() -> Room:
-    """The garden, from which a play moves on to another floor."""
-    return Room(("garden",), tuple(colliders()), (0.0, 0.0, 0.0), PLAY_RADIUS, on_floor=True)
 
 
 def sun(target: Vec3 = (0.0, 0.0, 0.0)) -> Light:

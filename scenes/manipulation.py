@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from assets.library import default_material
-from scenes.garden import BACKGROUND, colliders, furniture, room, sun
+from scenes.garden import garden_scene
 from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
 from scenes.scripted_throw import ease
 
@@ -97,14 +97,10 @@ def build(animal: Literal["fox", "bear", "horse"] = "fox") -> Scene:
     height, fixed, parts, young = ANIMALS[animal]
     soft = replace(default_material(animal), young=young)
     far = EYE_DISTANCE * max(height, 0.6)
-    return Scene(
-        bodies=[*furniture(), Body(animal, soft, fixed_below=fixed)],
-        colliders=colliders(),
-        light=sun(),
-        background=BACKGROUND,
+    return garden_scene(
+        [Body(animal, soft, fixed_below=fixed)],
         eye=(-0.75 * far, 0.75 * height + 0.35, far),
         target=(0.0, 0.5 * height, 0.0),
         game=Manipulation(parts),
         roles=(Role("animal", (animal,)),),
-        room=room(),
     )

@@ -1,4 +1,4 @@
-"""Scripted hand that takes a body, carries it and puts it down, for films, tests and demonstrations."""
+"""Scripted hands that take a body, carry it and put it down, for films, tests and demonstrations."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.scene import Hand, Vec3
+from scenes.scene import BodyState, Hand, Vec3
 from scenes.scripted_throw import ease
+
+PLACING_TIME = 1.4  # [s] that `placing_hands` take
 
 
 @dataclass(frozen=True)
@@ -43,3 +45,16 @@ class Carry:
         k = min(int(np.searchsorted(ends, t, side="right")), len(spans) - 1)
         position = path[k] + (path[k + 1] - path[k]) * ease((t - ends[k] + spans[k]) / spans[k])
         return Hand(tuple(position), grip=self.approach_time <= t < self.released_at, reach=self.reach)
+
+
+def placing_hands(body: BodyState, place: tuple[float, float], factor: float, t: float) -> list[Hand]:
+    """Two hands that put a standing body down at `place`, x and z [m], and draw it larger by `factor`.
+
+    `t` [s] after the start, when the body was as in `body`.
+    """
+    x, middle, z = body.centroid
+    s = ease((t - 0.3) / 0.8)
+    way = np.array([place[0] - x, (factor - 1) * (middle - body.low[1]), place[1] - z])
+    at = np.array([x, middle + 0.35 * np.sin(np.pi * s), z]) + s * way
+    apart = 0.06 * (1 + (factor - 1) * s)
+    return [Hand(tuple(at + [0.0, 0.0, d]), grip=0.2 < t < 1.25, reach=0.2) for d in (-apart, apart)]

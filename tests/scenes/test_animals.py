@@ -12,7 +12,7 @@ from tests.support.scripted_play import play
 
 def test_two_hands_place_an_animal_and_draw_it_larger(ti_cpu):
     scene = registry.load("animal_crossing")
-    world = play(scene, seconds=animal_crossing.MOVE_TIME)
+    world = play(scene, seconds=animal_crossing.PLACING_TIME)
     bear = list(animal_crossing.ANIMALS).index("bear")
     assert scene.game.guests[bear].placed and scene.game.score == 1
     assert_allclose(world.device.solver.body_models[bear].shape.factor, 1 / 0.62, rtol=0.02)
@@ -42,7 +42,7 @@ def test_an_animal_on_its_side_does_not_stand(upright, axis, expected):
     low, high = np.array([-0.1, 0.0, -0.3]), np.array([0.1, 0.5, 0.3])
     axis = np.array(axis) / np.linalg.norm(axis)
     body = BodyState("fox", np.array([0.0, 0.25, 0.0]), np.zeros(3), low, high, axis, False)
-    assert animal_crossing.stands(body, animal_crossing.Guest(0.5, upright)) == expected
+    assert animal_crossing.Guest(0.5, upright).stands(body) == expected
 
 
 def test_parts_of_an_animal_are_pulled_and_spring_back(ti_cpu):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import taichi as ti
 from numpy.testing import assert_allclose
+from scipy.spatial import cKDTree
 
 from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
@@ -11,7 +12,7 @@ from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.body_model import BodyModel
-from sim.contact.contact_samples import points_of, skin_depth, surface_points
+from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid
 from sim.contact.static_shapes import StaticGrid, StaticShapes
 from sim.rigid.rigid_body import RigidBody
@@ -191,6 +192,34 @@ def test_surface_points_cover_the_surface_evenly():
     anywhere = (x[surface[rng.integers(len(surface), size=3000)]] * rng.dirichlet([1, 1, 1], 3000)[..., None]).sum(1)
     assert np.linalg.norm(anywhere[:, None] - at[None], axis=-1).min(1).max() < 0.009
     assert len(surface_points(x, surface, 0.002, most=700).ids) <= 700
+
+
+@pytest.mark.parametrize(
+    ("thinnest", "size", "gap", "most"),
+    [(None, 0.2, 0.02, 1200), (0.012, 0.1, 0.006, 3500), (0.001, 0.05, 0.004, 2000)],
+)
+def test_nothing_slips_between_the_samples_of_a_scene(thinnest, size, gap, most):
+    """A thumb of 2 cm nowhere, a rod not by half its radius, and no more than 4 mm: a thinner one has samples itself.
+
+    Less is not worth more points than these on a cube of this size, of two triangles a side.
+    """
+    x, _, surface = box((size,) * 3, (1, 1, 1))
+    spacing = spacing_for([] if thinnest is None else [Capsule((0, 0, 0), (1, 0, 0), thinnest)])
+    points = surface_points(x, surface, spacing, most=100_000)
+    at = (x[points.ids] * points.weights[..., None]).sum(1)
+    rng = np.random.default_rng(0)
+    anywhere = (x[surface[rng.integers(len(surface), size=2000)]] * rng.dirichlet([1, 1, 1], 2000)[..., None]).sum(1)
+    assert cKDTree(at).query(anywhere)[0].max() < gap
+    assert len(at) < most
+
+
+def test_pegs_that_a_stretched_body_passes_between_its_samples_have_samples(ti_cpu):
+    """Stretched fourfold, a body has them 8 cm apart: as far as a peg of 16 cm is thick, but not a column of 50 cm."""
+    pegs = [Capsule((0, 0, 0), (0, 1, 0), radius) for radius in (0.25, 0.15, 0.08, 0.02)]
+    samples = CapsuleSamples(pegs, spacing_for([]))
+    radii = np.unique(samples.radius.to_numpy()[: samples.size])
+    destroy_fields(samples)
+    assert_allclose(radii, [0.02, 0.08, 0.15])
 
 
 def test_a_rigid_body_needs_few_points():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from assets.file_access import check_writable
 from commands.conditions import Condition
-from commands.options import positive
+from commands.options import add_scene_options, positive
 from commands.play import PREPARATION, STATE_CONDITION, add_scene_arguments, open_session
 from core.errors import BadInput
 
@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("record", "snapshot", "stats", "record_input", "study", "participant", "save_state", "web", "host")
     )
     parser.set_defaults(**unused)
+    add_scene_options(parser)
 
 
 def kind_of(args: argparse.Namespace) -> str:

@@ -111,6 +111,7 @@ def add_scene_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of all scenes, each once; their values become `options`, a dict by the parameter's name."""
     from scenes import registry
 
+    parser.set_defaults(options=None)
     takers: dict[str, list[tuple[str, SceneOption]]] = {}
     for demo in registry.demos():
         for option in demo.options:

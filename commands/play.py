@@ -114,6 +114,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--study", type=Path, metavar="OUT.h5", help=text)
     text = "--study: who plays; a name for each, by which both settings are compared"
     parser.add_argument("--participant", metavar="NAME", help=text)
+    add_scene_options(parser)
 
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
@@ -138,8 +139,6 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     text = "assets as shipped, or at the paper's sizes (make them: vrgs.py build --detail paper)"
     parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
     add_preparation(parser, "--body: ")
-    parser.set_defaults(options=None)
-    add_scene_options(parser)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,8 @@ import numpy as np
 
 from assets.library import default_material
 from core.material import Material
-from scenes.scene import Body, Capsule, Light, Plane, Room, Scene, Vec3
+from scenes import scene  # not its Scene: a module that has it and no `build` is a demo that lacks one
+from scenes.scene import Body, Capsule, Light, Plane, Room, Vec3
 
 PLAY_RADIUS = 1.2  # [m] of the lawn that a play needs
 BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
@@ -23,9 +24,9 @@ ANIMALS = {  # name: x, z on the path [m], turn [degrees], size of its own; x, z
 YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the asset's
 
 
-def garden_scene(bodies: Iterable[Body], **rest) -> Scene:
+def garden_scene(bodies: Iterable[Body], **rest) -> scene.Scene:
     """A scene in the garden, whose distance grid holds the bench and the pots; `rest`: what else a Scene has."""
-    return Scene(
+    return scene.Scene(
         bodies=[Body("garden"), *bodies],
         colliders=colliders(),
         light=sun(),

@@ -15,6 +15,7 @@ from tests.test_layers import MAY_IMPORT, product_files
 
 ROOT = Path(__file__).resolve().parents[1]
 NOT_SHIPPED = {".py", ".pyc", ".md", ".txt", ".gif", ".jpg", ".svg"}  # modules are listed apart; documentation
+PICTURES = Path("scenes/pictures")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def test_the_wheel_holds_all_modules_and_assets_and_nothing_else(wheel):
         names = [name for name in file.namelist() if ".dist-info/" not in name]
     modules = [path.relative_to(ROOT).as_posix() for path in product_files()]
     files = [path.relative_to(ROOT) for package in MAY_IMPORT for path in (ROOT / package).rglob("*.*")]
-    data = [file.as_posix() for file in files if file.suffix not in NOT_SHIPPED and file.is_file()]
+    data = [f.as_posix() for f in files if f.is_file() and (f.suffix not in NOT_SHIPPED or f.parent == PICTURES)]
     assert "assets/data/ring_red.h5" in data
     assert sorted(names) == sorted(["vrgs.py", *modules, *data])
 
@@ -52,7 +53,7 @@ def test_the_wheel_names_its_version_its_command_and_the_pinned_packages(wheel):
     pins = [line for line in (ROOT / "requirements.txt").read_text().splitlines() if line and line[0] != "#"]
     assert [line for line in needed if "extra ==" not in line] == pins
     extra = [line.split("==")[0] for line in needed if "extra ==" in line]
-    assert set(extra) == {"open3d", "open3d-cpu"}
+    assert set(extra) == {"open3d", "open3d-cpu", "miniaudio"}
 
 
 @pytest.mark.long

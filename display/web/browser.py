@@ -96,10 +96,14 @@ class Browser:
         self.close()
 
     def close(self) -> None:
-        """Say goodbye to the pages. Further calls do nothing."""
+        """Say goodbye to the pages. Further calls do nothing.
+
+        After an interrupt its handler stays, for it may come once more while the files are finished.
+        """
         self._server.close()
-        for kind, handler in self._handlers.items():
-            signal.signal(kind, handler)
+        if not self._quit:
+            for kind, handler in self._handlers.items():
+                signal.signal(kind, handler)
         self._handlers.clear()
 
     @property

@@ -107,7 +107,7 @@ def test_refusals_leave_everything_as_it_was(tmp_path, capsys):
         ("a.ply", "a.sog", "cannot write"),
         ("a.ply", "a.h5", "cannot write"),
         ("a.ply", "noname", "cannot write"),
-        ("a.obj", "b.ply", "unknown kind"),
+        ("a.xyz", "b.ply", "unknown kind"),
         ("none.ply", "old.spz", "no such file"),
         ("bad.ply", "old.spz", "understand"),
         ("a.ply", "none/b.ply", "does not exist"),

@@ -287,7 +287,7 @@ def test_what_cannot_be_an_environment_is_told_in_one_line(ti_cpu, name):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (["--cut", "7"], "belong to --static"),
+        (["--cut", "7"], "--cut belongs to --static"),
         (["--static", "--material", "foam"], "belongs to bodies"),
         (["--static", "--out", "no/such/folder.h5"], "does not exist"),
         (["--static", "--out", "room.ply"], "ends in .h5"),

@@ -81,6 +81,7 @@ class Browser:
         self._busy = True  # something moves, or may
         self._quit = self._started = False
         self._handlers: dict = {}  # of signals, before ours
+        self._asked: float | None = None  # [s] when a signal asked for the end
         self._time = 0.0  # [s] of all frames
         self._picture, self._shown = 0, None  # number of the picture, and which one of which world it is
         self._start: np.ndarray | None = None  # pixels of the first picture, while the world is made
@@ -98,12 +99,13 @@ class Browser:
     def close(self) -> None:
         """Say goodbye to the pages. Further calls do nothing.
 
-        After an interrupt its handler stays, for it may come once more while the files are finished.
+        An interrupt is waited for that may come once more: it would kill a program that is about to end.
         """
         self._server.close()
-        if not self._quit:
-            for kind, handler in self._handlers.items():
-                signal.signal(kind, handler)
+        if self._handlers and self._asked is not None:
+            sleep(max(0.0, self._asked + ONE_INTERRUPT - perf_counter()))
+        for kind, handler in self._handlers.items():
+            signal.signal(kind, handler)
         self._handlers.clear()
 
     @property
@@ -201,13 +203,10 @@ class Browser:
         if self._handlers or threading.current_thread() is not threading.main_thread():  # which alone may listen
             return
 
-        asked = perf_counter()
-
         def end(*_) -> None:
-            nonlocal asked
-            if self._quit and perf_counter() - asked > ONE_INTERRUPT:
+            self._asked = self._asked or perf_counter()
+            if perf_counter() - self._asked > ONE_INTERRUPT:
                 raise KeyboardInterrupt
-            asked = asked if self._quit else perf_counter()
             self._quit = True
 
         self._handlers = {kind: signal.signal(kind, end) for kind in (signal.SIGINT, signal.SIGTERM)}

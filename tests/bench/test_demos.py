@@ -50,6 +50,7 @@ def game(monkeypatch) -> Lift:
     return game
 
 
+@pytest.mark.long
 def test_a_demo_is_measured_and_put_beside_the_paper_s(ti_cpu, tmp_path, capsys, game):
     out = tmp_path / "rows.json"
     words = ["bench", "demos", "ring", "--size", "48x40", "--frames", "8", "--quick", "--json", str(out)]

@@ -79,6 +79,7 @@ def test_a_fixed_seed_repeats_a_cpu_run_exactly(tmp_path):
     assert films[0] == films[1]
 
 
+@pytest.mark.long
 def test_sandbox_takes_a_splat_that_stands_on_its_head(tmp_path, shared):
     """The real input: prepared on the way, cached, and dropped on the table."""
     stats = tmp_path / "cat.json"

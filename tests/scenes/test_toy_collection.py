@@ -11,6 +11,16 @@ from scenes.scene import BodyState
 from tests.support.scripted_play import play
 
 
+def test_each_hand_drops_a_toy_in_the_basket(ti_cpu):
+    """The beginning of the play, with the toys that it takes."""
+    scene = registry.load("toy_collection")
+    _, basket, *toys = scene.bodies
+    world = play(replace(scene, bodies=[basket, *toys[:4]]), seconds=1.5 * toy_collection.PERIOD + 0.2)
+    assert {0, 1} <= scene.game.inside and "2 of 12 toys in the basket" in scene.game.message
+    assert not scene.game.carried and world.stats()["finite"]
+
+
+@pytest.mark.long
 def test_toys_are_gathered_and_carried(ti_cpu):
     """Played with the toys that are gathered: the others lie about in any case."""
     scene = registry.load("toy_collection")

@@ -66,7 +66,7 @@ def test_a_demo_is_measured_and_put_beside_the_paper_s(ti_cpu, tmp_path, capsys,
     assert game.begun >= 4  # two plays, begun again within each
 
 
-def test_the_first_second_does_not_count_for_the_worst(monkeypatch, game):
+def test_the_first_second_does_not_count_for_the_worst(ti_cpu, monkeypatch, game):
     class Play:
         """Frames of which the first 90 are slow; those of the second play, stage by stage, slower still."""
 

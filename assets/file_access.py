@@ -102,7 +102,7 @@ def remove_stale_parts(path: Path) -> None:
 
 
 def reason_of(error: Exception) -> str:
-    """What the system said to a failed call, in a few words; HDF5 hides it in a long text."""
+    """The system's reason for a failed call, in a few words; HDF5 hides it in a long text."""
     number = re.search(r"errno = (\d+)", str(error))
     if number:
         return os.strerror(int(number[1]))

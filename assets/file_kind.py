@@ -1,4 +1,4 @@
-"""What a file can be in a play: told from its name and its first bytes, before any of it is loaded."""
+"""Kinds of files in a play: told from its name and its first bytes, before any of it is loaded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HEADER_MAX = 4096  # [bytes] of a .ply in which its elements are listed
 
 
 def kind_of(path: str | Path) -> FileKind:
-    """What a file can be: a mesh a body, a splat a body or a room, an .h5 these or a state. Raises BadInput."""
+    """Kinds of a file: a mesh a body, a splat a body or a room, an .h5 these or a state. Raises BadInput."""
     path = Path(path)
     file_size(path)
     suffix = path.suffix.lower()
@@ -30,7 +30,7 @@ def kind_of(path: str | Path) -> FileKind:
 
 
 def kind_of_asset(path: Path) -> FileKind:
-    """What an .h5 file is. Raises BadInput, which says what else can be done with it."""
+    """The kind of an .h5 file. Raises BadInput, which says what else can be done with it."""
     from assets.hdf5 import open_hdf5
 
     with open_hdf5(path) as file:

@@ -1,4 +1,4 @@
-"""What the user opens in a play: a scene, another room, a body. Files are prepared first, while the play goes on."""
+"""Opening in a play: a scene, another room, a body. Files are prepared first, while the play goes on."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Outputs:
-    """What a play leaves behind; None: not wanted."""
+    """Outputs of a play; None: not wanted."""
 
     film: FilmWriter | None
     recording: Recording | None

@@ -1,4 +1,4 @@
-"""What the program remembers of its user from one start to the next, in a JSON file of the configuration folder.
+"""Settings of the user that stay from one start to the next, in a JSON file of the configuration folder.
 
 One object whose keys name what is remembered:
 
@@ -81,7 +81,7 @@ class Preferences:
             self._write()
 
     def _read(self) -> dict:
-        """What the file holds; {} without one."""
+        """Content of the file; {} without one."""
         try:
             with open(self.path, "rb") as file:
                 data = file.read(SIZE_MAX + 1)

@@ -441,7 +441,7 @@ class WorldView(Protocol):
     """Number of the file that is shown, from 1, and how many there are."""
 
     facts: Sequence[tuple[str, str]] = ()
-    """What is known of the file, (name, value)."""
+    """Statistics of the file, (name, value)."""
 
     axes: bool = False
     """True if the axes are shown."""

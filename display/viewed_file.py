@@ -88,7 +88,7 @@ class ViewedFile:
         return len(kept)
 
     def facts(self) -> list[tuple[str, str]]:
-        """What is known of it: (name, value)."""
+        """Its statistics: (name, value)."""
         g, size = self.gaussians, self.bounds.high - self.bounds.low
         widths = np.exp(np.median(g.log_scales, axis=0).max())
         facts = [

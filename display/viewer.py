@@ -147,7 +147,7 @@ class Viewer(WorldView):
 
     @property
     def facts(self) -> list[tuple[str, str]]:
-        """What is known of the file that is shown."""
+        """Statistics of the file that is shown."""
         return self._facts
 
     @property

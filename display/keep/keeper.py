@@ -136,7 +136,7 @@ def written(path: Path, write: Callable[[], None]) -> tuple[str, str]:
 
 
 def one_line(error: Exception) -> str:
-    """What an error says, for the user."""
+    """Text of an error, for the user."""
     return " ".join(str(error).split())
 
 

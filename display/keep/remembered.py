@@ -1,4 +1,4 @@
-"""What a play takes from the last one: the light of its scene, and the state that was saved last."""
+"""Settings that a play takes from the last one: the light of its scene, and the state that was saved last."""
 
 from __future__ import annotations
 

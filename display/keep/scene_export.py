@@ -26,7 +26,7 @@ CAGES = {".vtu", ".obj"}
 
 
 def export_suffix(path: str | Path) -> str:
-    """What kind of file a name asks for: a suffix of CAGES, or a key of WRITERS. Raises BadInput."""
+    """Kind of file that a name asks for: a suffix of CAGES, or a key of WRITERS. Raises BadInput."""
     suffix = Path(path).suffix.lower()
     if suffix not in CAGES and suffix not in WRITERS:
         raise BadInput(f"{path}: cannot write {suffix!r}; written are {', '.join([*WRITERS, *sorted(CAGES)])}")
@@ -53,7 +53,7 @@ def exporter(world: World, path: Path, *, body: int | None = None, shadows: bool
 
 @dataclass(frozen=True)
 class ShownGaussians:
-    """What the device holds of N Gaussians, see render/splats.py: mean (N, 3), cov (N, 6), opacity (N,), sh (N, K, 3),
+    """Device arrays of N Gaussians, see render/splats.py: mean (N, 3), cov (N, 6), opacity (N,), sh (N, K, 3),
     rotation (N, 4), visibility (N,)."""
 
     mean: np.ndarray

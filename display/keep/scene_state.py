@@ -124,7 +124,7 @@ def put_state(world: World, state: SceneState, where: str) -> None:
 
 
 def hands_of(world: World, state: SceneState):
-    """What the hands hold; nothing where there are not as many."""
+    """Grips of the hands; nothing where there are not as many."""
     there = world.device.solver.snapshot()["grasps"]
     fits = there is not None and state.hands is not None and len(there.grasps) == len(state.hands.grasps)
     return state.hands if fits else None

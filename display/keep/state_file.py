@@ -221,7 +221,7 @@ def read_animations(file: Hdf5Reader, bodies: int) -> tuple[SavedAnimation, ...]
 
 
 def read_hands(file: Hdf5Reader, bodies: tuple[SavedBody, ...]) -> GraspState:
-    """What each hand holds, and where it was."""
+    """Grip and place of each hand."""
     held = file.array("hands/held", "iu", (None,)).astype(np.int64)
     count = len(held)
     if count > HANDS_MAX or (held < -1).any() or (held >= len(bodies)).any():

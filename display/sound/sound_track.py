@@ -68,7 +68,7 @@ class SoundTrack:
 
 
 def last_line(error: Exception) -> str:
-    """What ffmpeg said last, or the system."""
+    """The last line of ffmpeg, or the system's reason."""
     said = (getattr(error, "stderr", None) or b"").decode(errors="replace").strip().splitlines()
     return said[-1] if said else str(error)
 

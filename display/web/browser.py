@@ -330,7 +330,7 @@ class Browser:
         return commands
 
     def stats(self) -> dict:
-        """What went to the pages, for `--stats`: latency from the oldest input that a picture is the first to show."""
+        """Counts for `--stats`: latency from the oldest input that a picture is the first to show."""
         flows = self._server.flows
         latencies = 1e3 * np.concatenate([[], *(flow.latencies for flow in flows)])
         intervals = np.concatenate([[], *(flow.intervals for flow in flows)])

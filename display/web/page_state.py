@@ -38,7 +38,7 @@ SECTIONS = {"body": body_section.sliders, "world": world_section.sliders, "light
 
 
 def first_words(title: str, name: str, scene: Scene) -> dict:
-    """What a page is told first: what does not change while the scene of that `name` is played."""
+    """First message to a page: what does not change while the scene of that `name` is played."""
     editable = scene.light is not None or bool(scene.bodies)
     return {
         "title": title,
@@ -75,7 +75,7 @@ def scene_request(name: str, options: dict) -> OpenScene | None:
 
 
 def world_state(world: WorldView) -> dict:
-    """What the panel shows; cheap enough for every frame."""
+    """Content of the panel; cheap enough for every frame."""
     bodies, selected = world.bodies(), world.selected
     known = selected is not None and selected < len(bodies)
     score, message = score_line.score_and_message(world)

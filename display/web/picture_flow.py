@@ -17,7 +17,7 @@ HISTORY_LENGTH = 36_000  # latencies and intervals kept: ten minutes at 60 Hz
 
 
 class PictureFlow:
-    """What is under way to a page, and what arrived. Times in seconds.
+    """Pictures under way to a page, and those that arrived. Times in seconds.
 
     A picture is sent only while fewer than `window` are unanswered: one beyond those that the connection's delay keeps
     under way, so that none waits behind another. Its quality falls while pictures take SLOW longer than small

@@ -155,7 +155,7 @@ class GLWindow:
         return bool(self.glfw.window_should_close(self.handle))
 
     def geometry(self) -> dict:
-        """What `restore` takes: "size" and "place" in screen coordinates, or "maximized" alone."""
+        """Placement for `restore`: "size" and "place" in screen coordinates, or "maximized" alone."""
         if self.glfw.get_window_attrib(self.handle, self.glfw.MAXIMIZED):
             return {"maximized": True}
         return {"size": [*self.window_size], "place": [*self.glfw.get_window_pos(self.handle)], "maximized": False}

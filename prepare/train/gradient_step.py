@@ -72,7 +72,7 @@ class GradientStep:
         return sums
 
     def picture(self, camera: Camera) -> np.ndarray:
-        """What is drawn for a camera, (H, W, 3) uint8."""
+        """Picture for a camera, (H, W, 3) uint8."""
         self.draw(camera)
         rgb = self.renderer.rgb.to_numpy()[0, : camera.height, : camera.width]
         return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

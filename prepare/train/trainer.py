@@ -37,7 +37,7 @@ class TrainOptions:
 
 @dataclass(frozen=True)
 class Quality:
-    """How well an image is met: PSNR [dB], SSIM, mean absolute error, over the pixels that count."""
+    """Quality of a drawn image: PSNR [dB], SSIM, mean absolute error, over the pixels that count."""
 
     psnr: float
     ssim: float
@@ -102,7 +102,7 @@ class Trainer:
         return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
 
     def picture(self, camera) -> np.ndarray:
-        """What is drawn now for a camera, (H, W, 3) uint8."""
+        """Picture for a camera as of now, (H, W, 3) uint8."""
         return self.gradients.picture(camera)
 
     # a cut training goes on

@@ -51,7 +51,7 @@ class LineOfSight:
         return float(np.median(heights)) if len(heights) else None
 
     def _inside(self, points: np.ndarray) -> np.ndarray:
-        """Which points (N, 3) are under a surface by more than the tolerance, (N,) bool."""
+        """Mask of the points (N, 3) that are under a surface by more than the tolerance, (N,) bool."""
         low, high = points.min(0), points.max(0)
         inside = np.zeros(len(points), bool)
         for k in np.flatnonzero(((self._low <= high) & (self._high >= low)).all(1)):
@@ -77,7 +77,7 @@ def bounding_box(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
 
 
 def within(shape: Shape, points: np.ndarray) -> np.ndarray:
-    """Which points (N, 3) are under the surface of a shape by more than its tolerance, (N,) bool."""
+    """Mask of the points (N, 3) under the surface of a shape by more than its tolerance, (N,) bool."""
     if isinstance(shape, Plane):
         normal = np.asarray(shape.normal, np.float64)
         return (points - shape.point) @ (normal / np.linalg.norm(normal)) < -TOLERANCE

@@ -1,4 +1,4 @@
-"""What happens to files that are dropped on the window or chosen; without a window."""
+"""Files that are dropped on the window or chosen in its dialog; without a window."""
 
 import pytest
 

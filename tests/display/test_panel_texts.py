@@ -1,4 +1,4 @@
-"""What the panel and the lines over the picture say, without a window."""
+"""Texts of the panel and of the lines over the picture, without a window."""
 
 import pytest
 

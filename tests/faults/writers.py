@@ -50,7 +50,7 @@ def write_splat(name: str) -> Callable[[Path, int], None]:
 
 
 def splat_version(path: Path) -> int:
-    """Where all centres are."""
+    """The place of all centres."""
     from assets.splat_files import read_gaussians
 
     (k,) = np.unique(np.round(read_gaussians(path).means).astype(int))
@@ -70,7 +70,7 @@ def write_asset(make: str, quantised: bool) -> Callable[[Path, int], None]:
 
 
 def asset_version(path: Path) -> int:
-    """What its provenance says."""
+    """Content of its provenance."""
     from assets.asset import Asset
 
     return Asset.load(path).provenance["version"]
@@ -150,7 +150,7 @@ def write_preferences(folder: Path, k: int) -> None:
 
 
 def preferences_version(path: Path) -> int:
-    """What the settings say."""
+    """Content of the settings."""
     from display.preferences import Preferences
 
     preferences = Preferences(path)
@@ -203,7 +203,7 @@ def write_numbers(folder: Path, k: int) -> None:
 
 
 def numbers_version(path: Path) -> int:
-    """What they say."""
+    """Their content."""
     import json
 
     return json.loads(path.read_text())["version"]

@@ -71,7 +71,7 @@ def reset_peak() -> int:
 
 
 def wrong(target: Target, seed: int, number: int, folder: Path) -> str | None:
-    """What is wrong with the outcome of a case, in lines; None if nothing is. Its outcome is noted in TALLY."""
+    """Faults in the outcome of a case, in lines; None if nothing is. Its outcome is noted in TALLY."""
     try:
         found = outcome(target, seed, number, folder)
     except Exception:

@@ -1,4 +1,4 @@
-"""What static shapes hide from an eye, and what lies below a point; against shapes of which one knows it."""
+"""Sight hidden by static shapes, and the ground below a point, against shapes of which one knows it."""
 
 import numpy as np
 import pytest

@@ -47,7 +47,7 @@ class Panel:
 
     @property
     def right(self) -> float:
-        """Where the picture beside the panel begins [px]."""
+        """Left edge of the picture beside the panel [px]."""
         from imgui_bundle import imgui
 
         return pixels(WIDTH + 2 * MARGIN) + 2 * imgui.get_style().window_padding.x if self._visible else 0.0

@@ -12,7 +12,7 @@ Line = list[tuple[str, tuple[float, ...]]]  # texts side by side, with their col
 
 
 def lines_of(world: WorldView) -> list[Line]:
-    """What there is to say, a line each."""
+    """Lines to show, from the score to notices."""
     game = world.scene.game if world.editable else None
     score, message = ("", "") if game is None else score_and_message(world)
     state = PAUSED if world.paused else DEMONSTRATION if world.demo else ""

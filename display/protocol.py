@@ -158,7 +158,7 @@ class Settle:
     """After this frame, go on as from a saved state: forget what that does not hold, the impulses of contacts."""
 
 
-# What follows writes files, beside the frame and without changing the world (display/keep/). `size` is that of the
+# Commands that write files, beside the frame and without changing the world (display/keep/). `size` is that of the
 # picture [px]; None: as large as it is drawn, which a window may shrink while things move.
 
 
@@ -245,7 +245,7 @@ class CancelOpening:
     """Give up what is being opened."""
 
 
-# What follows is for a viewer of splat files (display/viewer.py), which has no bodies.
+# Commands of a viewer of splat files (display/viewer.py), which has no bodies.
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def logit(p: float) -> float:
 class AdaptiveDensity:
     """Kerbl 2023, Sec. 5: clone and split where the position is pulled, prune what is faint or huge, reset opacities.
 
-    cap      most Gaussians; those that are pulled hardest are divided where not all may be
+    cap      most Gaussians, frozen ones included; those that are pulled hardest are divided where not all may be
     stretch  of the schedule, for trainings of other than 30,000 steps: 1 keeps it
     """
 
@@ -52,7 +52,7 @@ class AdaptiveDensity:
         if step > START and step % EVERY == 0:
             self.refine(prune_large=step > RESET_EVERY)
         if step % RESET_EVERY == 0:
-            self.population.limit_logits(self.population.count, logit(OPACITY_RESET))
+            self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
             self.population.activate()
 
     def refine(self, *, prune_large: bool) -> None:
@@ -60,6 +60,7 @@ class AdaptiveDensity:
         p = self.population
         n = p.count
         pull = p.pull.to_numpy()[:n] / np.maximum(p.pulls.to_numpy()[:n], 1.0)
+        pull[: p.frozen] = 0.0
         scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
         divided = np.flatnonzero(pull > PULL_MIN)
         room = max(0, min(self.cap, p.capacity) - n)
@@ -81,6 +82,7 @@ class AdaptiveDensity:
         dead = p.parameters.logit.to_numpy()[:n] < logit(OPACITY_MIN)
         if prune_large:
             dead |= p.parameters.log_scale.to_numpy()[:n].max(axis=1) > np.log(LARGE * self.extent)
+        dead[: p.frozen] = False
         alive = max(1, n - int(dead.sum()))
         if alive == n:
             p.activate()
@@ -109,25 +111,30 @@ class MonteCarlo:
             self.relocate()
             self.grow()
             p.activate()
-        p.shake(p.count, NOISE * mean_rate, int(self.rng.integers(1 << 32)))
+        p.shake(p.frozen, p.count, NOISE * mean_rate, int(self.rng.integers(1 << 32)))
 
     def relocate(self) -> None:
         """Move dead Gaussians to live ones, drawn by their opacity."""
         p = self.population
-        opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[: p.count].astype(np.float64)))
+        opacity = self._opacities()
         dead, alive = np.flatnonzero(opacity <= OPACITY_MIN), np.flatnonzero(opacity > OPACITY_MIN)
         if len(dead) and len(alive):
-            self._share(alive[self._draw(opacity[alive], len(dead))], dead)
+            self._share(p.frozen + alive[self._draw(opacity[alive], len(dead))], p.frozen + dead)
 
     def grow(self) -> None:
         """Add Gaussians as long as the budget lasts."""
         p = self.population
         n = p.count
         added = min(self.cap, p.capacity, int(MCMC_GROWTH * n) + 1) - n
-        if added > 0:
-            opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[:n].astype(np.float64)))
+        if added > 0 and n > p.frozen:
+            opacity = self._opacities()
             p.splats.set_count(n + added)
-            self._share(self._draw(opacity, added), np.arange(n, n + added))
+            self._share(p.frozen + self._draw(opacity, added), np.arange(n, n + added))
+
+    def _opacities(self) -> np.ndarray:
+        """Opacities of all Gaussians that are not frozen, float64."""
+        p = self.population
+        return 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[p.frozen : p.count].astype(np.float64)))
 
     def _draw(self, weights: np.ndarray, count: int) -> np.ndarray:
         return self.rng.choice(len(weights), count, p=weights / weights.sum())

@@ -48,12 +48,13 @@ class GradientStep:
 
     def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float) -> None:
         """Draw, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels)."""
-        self.draw(camera).compute(photograph, camera.height, camera.width, self.population.count, scale, DSSIM_WEIGHT)
+        rows = self.population.frozen, self.population.count
+        self.draw(camera).compute(photograph, camera.height, camera.width, *rows, scale, DSSIM_WEIGHT)
 
     def update(self, camera: Camera, rates, biases, active: int, costs, sparse: bool = False) -> None:
         """A step of Adam with the gradients of the last `compute`, see `Population.update`."""
         numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, *costs, int(sparse))
-        self._passes.update(self.population.count, *numbers)
+        self._passes.update(self.population.frozen, self.population.count, *numbers)
 
     def compare(self, photograph: ti.Ndarray, camera: Camera) -> np.ndarray:
         """Sums of ImageLoss for a photograph alone."""
@@ -94,13 +95,13 @@ class _BackwardPass:
 
     @ti.kernel
     def compute(
-        self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, count: ti.i32, scale: ti.f32,
-        dssim: ti.f32,
+        self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, begin: ti.i32, end: ti.i32,
+        scale: ti.f32, dssim: ti.f32,
     ):  # fmt: skip
         self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
-        self.blend.clear(0, count)
+        self.blend.clear(0, end)
         self.blend.backward()
-        self.gradients.backward(0, count)
+        self.gradients.backward(begin, end)
 
     @ti.kernel
     def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):
@@ -108,12 +109,12 @@ class _BackwardPass:
 
     @ti.kernel
     def update(
-        self, count: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32, color: ti.f32,
-        harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32, half_height: ti.f32,
-        opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+        self, begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32,
+        color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32,
+        half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
     ):  # fmt: skip
         self.population.update(
-            self.gradients, count, mean, quat, log_scale, logit, color, harmonics, bias1, bias2, active, half_width,
-            half_height, opacity_cost, scale_cost, sparse,
+            self.gradients, begin, end, mean, quat, log_scale, logit, color, harmonics, bias1, bias2, active,
+            half_width, half_height, opacity_cost, scale_cost, sparse,
         )  # fmt: skip
-        self.population.parameters.activate(0, count)
+        self.population.parameters.activate(begin, end)

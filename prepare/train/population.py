@@ -25,11 +25,14 @@ class Population:
     pull        sum of the lengths of the gradient by the position in the picture [1/half picture], and `pulls`, how
                 many: of the steps since they were cleared in which a Gaussian was seen
 
+    frozen      the first rows, as many as this, are drawn but never change, move or die
+
     Rows beyond `count` are unused. Rows are copied by lists of indices from the host, which decides on births and
     deaths (prepare/train/densification.py); no kernel depends on `count`.
     """
 
-    def __init__(self, gaussians: Gaussians, capacity: int):
+    def __init__(self, gaussians: Gaussians, capacity: int, frozen: int = 0):
+        self.frozen = frozen
         self.splats = Splats(gaussians, capacity=capacity)
         self.splats.sh_range = (0, self.splats.capacity)  # all harmonics are evaluated: they will not stay zero
         self.parameters = Parameters(self.splats)
@@ -80,7 +83,9 @@ class Population:
         """The Gaussians as they are now, on the host."""
         p, n = self.parameters, self.count
         rows = (self.splats.mean, p.quat, p.log_scale, p.logit, self.splats.sh)
-        return Gaussians.of(*(field.to_numpy()[:n] for field in rows))
+        gaussians = Gaussians.of(*(field.to_numpy()[:n] for field in rows))
+        gaussians.quats[: self.frozen] = p.quat.to_numpy()[: self.frozen]  # normalised again they differ in a bit
+        return gaussians
 
     def activate(self) -> None:
         """Write covariances and opacities of all Gaussians to the splats."""
@@ -92,11 +97,11 @@ class Population:
 
     @ti.func
     def update(
-        self, gradients: ti.template(), count: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32,
-        color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32,
-        half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+        self, gradients: ti.template(), begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32,
+        logit: ti.f32, color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32,
+        half_width: ti.f32, half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
     ):  # fmt: skip
-        """A step of Adam for all Gaussians with the gradients of this step; outermost level of a kernel.
+        """A step of Adam for Gaussians [begin, end) with the gradients of this step; outermost level of a kernel.
 
         mean to harmonics      learning rates; bias1, bias2: 1 - beta^t of this step
         active                 coefficients of the harmonics that are learned already
@@ -104,7 +109,7 @@ class Population:
         opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
         sparse                 1: Gaussians out of the picture keep their place and their moments
         """
-        for g in range(count):
+        for g in range(begin, end):
             seen = gradients.seen(g)
             if seen or sparse == 0:
                 d = geometry(0.0)
@@ -195,9 +200,9 @@ class Population:
         self.pulls.fill(0.0)
 
     @ti.kernel
-    def limit_logits(self, count: ti.i32, limit: ti.f32):
-        """Lower logits of opacities to `limit`, and forget their moments."""
-        for g in range(count):
+    def limit_logits(self, begin: ti.i32, end: ti.i32, limit: ti.f32):
+        """Lower logits of opacities of Gaussians [begin, end) to `limit`, and forget their moments."""
+        for g in range(begin, end):
             self.parameters.logit[g] = ti.min(self.parameters.logit[g], limit)
             self.first[g][10], self.second[g][10] = 0.0, 0.0
 
@@ -214,12 +219,12 @@ class Population:
             self._set_moments(g, g, 0.0)
 
     @ti.kernel
-    def shake(self, count: ti.i32, amount: ti.f32, seed: ti.u32):
-        """Move Gaussians at random along their axes, the more the fainter they are (Kheradmand 2024, eq. 8).
+    def shake(self, begin: ti.i32, end: ti.i32, amount: ti.f32, seed: ti.u32):
+        """Move Gaussians [begin, end) at random along their axes, more the fainter they are (Kheradmand 2024, eq. 8).
 
         Sigma n times `amount`, n standard normal, times a logistic function that vanishes for opacities above 0.005.
         """
-        for g in range(count):
+        for g in range(begin, end):
             faint = 1.0 / (1.0 + ti.exp(-100.0 * (0.005 - self.splats.opacity[g])))
             s = self.splats.cov[g]
             n = vec3(normal(seed, g, 0), normal(seed, g, 1), normal(seed, g, 2)) * faint * amount

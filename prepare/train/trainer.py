@@ -22,8 +22,9 @@ class TrainOptions:
     """Options of a training.
 
     strategy   of births and deaths: "default" grows where detail is missing, "mcmc" fills the budget `cap`
-    cap        most Gaussians; memory for them is taken at the start
+    cap        most Gaussians, frozen ones included; memory for them is taken at the start
     sort       order of blending that is trained for, one of render.SORTS but "pixel"
+    frozen     the first Gaussians, as many as this, are drawn but stay as they are, bit for bit
     """
 
     steps: int = 30_000
@@ -33,6 +34,7 @@ class TrainOptions:
     antialias: bool = False
     sort: str = "radial"
     seed: int = 0
+    frozen: int = 0
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Trainer:
     def __init__(self, photographs: list[Photograph], start: Gaussians, extent: float, options: TrainOptions):
         self.options, self.extent = options, extent
         self.rng = np.random.default_rng(options.seed)
-        self.population = Population(start, max(options.cap, len(start)))
+        self.population = Population(start, max(options.cap, len(start)), options.frozen)
         self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
         self.cameras = [p.camera for p in photographs]
         self.counted = [int(p.mask.sum()) for p in photographs]
@@ -75,7 +77,8 @@ class Trainer:
         if not self._queue:
             self._queue = self.rng.permutation(len(self.images)).tolist()
         view = self._queue.pop()
-        o, r, n = self.options, self.rates, self.population.count
+        o, r = self.options, self.rates
+        learning = max(1, self.population.count - self.population.frozen)
         self.done += 1
         degree = min(o.degree, (self.done - 1) // SH_DEGREE_INTERVAL)
         mean_rate = r.of_mean(self.done - 1, o.steps, self.extent)
@@ -85,7 +88,7 @@ class Trainer:
             (mean_rate, r.quat, r.log_scale, r.logit, r.color, r.harmonics),
             (1.0 - BETA1**self.done, 1.0 - BETA2**self.done),
             SH_COUNTS[degree],
-            (self.strategy.opacity_cost / n, self.strategy.scale_cost / (3 * n)),
+            (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
         )
         self.strategy.after(self.done, o.steps, mean_rate)
 

@@ -101,6 +101,40 @@ def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
     p.write(kept)
 
 
+def test_frozen_gaussians_stay_as_they_are_bit_for_bit(trained):
+    """Through steps, both strategies, resets of opacities and noise; the others learn."""
+    trainer, _ = trained
+    p, frozen = trainer.population, 25
+    state = trainer.state()
+    p.frozen = frozen
+    try:
+        faint = np.where(np.arange(p.count) % 5 == 0, logit(0.001), 0.0).astype(np.float32)
+        p.write(p.read() | {"logit": faint, "pull": np.ones(p.count, np.float32)})
+        before, cov = p.read(), p.splats.cov.to_numpy()
+        adaptive = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
+        adaptive.refine(prune_large=True)
+        p.limit_logits(p.frozen, p.count, logit(0.01))
+        monte_carlo = MonteCarlo(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
+        monte_carlo.relocate()
+        monte_carlo.grow()
+        p.activate()
+        for _ in range(5):
+            trainer.step()
+            monte_carlo.after(1, 1000, 1e-3)
+        after = p.read()
+        for name in ("mean", "quat", "log_scale", "logit", "sh", "first", "second", "first_sh", "second_sh"):
+            assert_array_equal(after[name][:frozen], before[name][:frozen])
+        assert_array_equal(p.splats.cov.to_numpy()[:frozen], cov[:frozen])
+        assert_array_equal(p.gaussians().quats[:frozen], before["quat"][:frozen])
+        assert (
+            p.count != len(before["mean"])
+            and (after["mean"][frozen : frozen + 20] != before["mean"][25:45]).any(1).all()
+        )
+    finally:
+        p.frozen = 0
+        trainer.restore(state)
+
+
 def test_shared_opacity_looks_as_before():
     """N copies at one place with the new opacity are as opaque as the one was; scales shrink for more copies."""
     opacity, copies = np.array([0.9, 0.5, 0.1, 0.3]), np.array([1, 2, 3, 7])
@@ -121,10 +155,10 @@ def test_monte_carlo_fills_its_budget_and_revives_the_dead(trained):
     assert p.count == min(n + 30, CAP)
     p.activate()
     before = p.read()["mean"]
-    p.shake(p.count, 0.1, 7)
+    p.shake(0, p.count, 0.1, 7)
     assert np.linalg.norm(p.read()["mean"] - before, axis=1).max() < 1e-6  # opaque ones stay
     p.write(p.read() | {"logit": np.full(p.count, logit(0.001), np.float32)})
-    p.shake(p.count, 0.1, 7)
+    p.shake(0, p.count, 0.1, 7)
     moved = p.read()["mean"] - before
     cov = p.splats.cov.to_numpy()[: p.count, [0, 3, 5]]
     assert 0.3 < np.std(moved / (0.1 * cov)) < 3.0 and abs(np.mean(moved / cov)) < 0.05

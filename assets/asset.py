@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import h5py
@@ -12,7 +12,7 @@ import numpy as np
 from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
-from assets.gaussians import Gaussians
+from assets.gaussians import ROWS, Gaussians
 from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
 from assets.images import check_thumbnail
 from assets.integers import read_grid, write_grid
@@ -156,6 +156,7 @@ class Asset:
         with open_hdf5(Path(path)) as file:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
+            gaussians = replace(gaussians, objects=_read_objects(file))
             cage = _read_cage(file) if file.has("cage") else None
             embedding = None
             if file.has("embedding"):
@@ -185,6 +186,8 @@ class Asset:
             file.attrs["format"] = FORMAT
             file.attrs["version"] = QUANTISED if quantised else LOSSLESS
             file.attrs["provenance"] = json.dumps(self.provenance)
+            if self.gaussians.objects:
+                file.attrs["objects"] = json.dumps(self.gaussians.objects)
             lossless = {"cage": self.cage}
             if quantised:
                 write_quantised_gaussians(file, self.gaussians)
@@ -194,9 +197,10 @@ class Asset:
             else:
                 lossless |= {"gaussians": self.gaussians, "embedding": self.embedding}
             for group, arrays in lossless.items():
-                for f in fields(arrays) if arrays is not None else ():
-                    dtype = INTEGER_DATASETS.get(f.name, np.float32)
-                    write_dataset(file, f"{group}/{f.name}", getattr(arrays, f.name), dtype)
+                names = ROWS if group == "gaussians" else [f.name for f in fields(arrays)] if arrays is not None else ()
+                for name in names:
+                    dtype = INTEGER_DATASETS.get(name, np.float32)
+                    write_dataset(file, f"{group}/{name}", getattr(arrays, name), dtype)
             if self.sdf is not None:
                 write_grid(file, "sdf/values", self.sdf, quantised=quantised)
             if self.environment is not None:
@@ -247,6 +251,13 @@ def _read_gaussians(file: Hdf5Reader) -> Gaussians:
         file.floats("gaussians/sh", (n, None, 3)),
         file.indices("gaussians/object_id", (n,), np.uint16),
     )
+
+
+def _read_objects(file: Hdf5Reader) -> tuple[str, ...]:
+    names = file.json("", "objects") if file.has_attribute("", "objects") else []
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise file.error("the names of its objects are no list of texts")
+    return tuple(names)
 
 
 def _read_cage(file: Hdf5Reader) -> Cage:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,9 @@ SH_COUNTS = (1, 4, 9, 16)  # coefficients of degree 0, 1, 2, 3
 LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit float32
 MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
 UNIT_TOLERANCE = 1e-3  # of lengths and sums that should be 1: float16 is off by less
+ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")  # arrays with a row a Gaussian
+OBJECTS_MAX = 1024  # names of objects: in a .ply each is a line of the header
+OBJECT_NAME_MAX = 100  # [characters]
 
 Report = Callable[[str], None]
 
@@ -30,6 +33,7 @@ class Gaussians:
     logit_opacities  logit of the opacity, (N,)
     sh               spherical harmonics, (N, K, 3), K = 1, 4, 9 or 16; colour = 0.5 + SH(d)
     object_id        uint16, (N,); 0 = background
+    objects          names of the objects 1, 2, ...; an object beyond them has no name
     """
 
     means: np.ndarray
@@ -38,9 +42,10 @@ class Gaussians:
     logit_opacities: np.ndarray
     sh: np.ndarray
     object_id: np.ndarray
+    objects: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None) -> Gaussians:
+    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=()) -> Gaussians:
         """Convert dtypes and normalise quaternions; the inputs must be finite."""
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
@@ -55,6 +60,7 @@ class Gaussians:
             np.ascontiguousarray(logit_opacities, np.float32).reshape(n),
             sh.reshape(n, count, 3),
             np.ascontiguousarray(ids).reshape(n),
+            tuple(objects),
         )
 
     def __len__(self) -> int:
@@ -79,7 +85,7 @@ class Gaussians:
 
     def select(self, which: np.ndarray) -> Gaussians:
         """The Gaussians of an index array or boolean mask."""
-        return Gaussians(*(getattr(self, f.name)[which] for f in fields(self)))
+        return replace(self, **{name: getattr(self, name)[which] for name in ROWS})
 
     def with_sh_degree(self, degree: int) -> Gaussians:
         """Pad with zeros, or cut, to the given SH degree."""
@@ -95,7 +101,8 @@ class Gaussians:
         means = scale * self.means @ rotation.T + np.asarray(translation)
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
-        return Gaussians.of(means, quats, self.log_scales + np.log(scale), self.logit_opacities, sh, self.object_id)
+        log_scales = self.log_scales + np.log(scale)
+        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id, self.objects)
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
@@ -105,7 +112,7 @@ class Gaussians:
         if self.sh.ndim != 3 or self.sh.shape[1] not in SH_COUNTS:
             raise BadInput(f"{where}: sh has shape {self.sh.shape}, expected (N, K, 3) with K one of {SH_COUNTS}")
         shapes = [(n, 3), (n, 4), (n, 3), (n,), (n, self.sh.shape[1], 3), (n,)]
-        for name, shape in zip((f.name for f in fields(self)), shapes, strict=True):
+        for name, shape in zip(ROWS, shapes, strict=True):
             if getattr(self, name).shape != shape:
                 raise BadInput(f"{where}: {name} has shape {getattr(self, name).shape}, expected {shape}")
         wrong = n - int(drawable(self.means, self.quats, self.log_scales, self.logit_opacities, self.sh).sum())
@@ -115,13 +122,32 @@ class Gaussians:
             length = np.linalg.norm(self.quats, axis=1)
         if np.abs(length - 1).max() > UNIT_TOLERANCE:
             raise BadInput(f"{where}: the quaternions are not normalised")
+        if len(self.objects) > OBJECTS_MAX or not all(is_object_name(name) for name in self.objects):
+            what = f"at most {OBJECTS_MAX}, each of 1 to {OBJECT_NAME_MAX} printable characters"
+            raise BadInput(f"{where}: names of objects are {what}")
+
+
+def is_object_name(name: str) -> bool:
+    """True if this can name an object: one line of a header, without blanks around it."""
+    return 0 < len(name) <= OBJECT_NAME_MAX and name.isprintable() and name == name.strip()
 
 
 def concatenate(sets: list[Gaussians]) -> Gaussians:
-    """All Gaussians of the sets, padded to the highest SH degree among them."""
+    """All Gaussians of the sets, padded to the highest SH degree among them.
+
+    Named objects keep their names: those of later sets get other ids where the first set gave theirs away. The ids of
+    a set without names stay.
+    """
     degree = max(g.sh_degree for g in sets)
     sets = [g.with_sh_degree(degree) for g in sets]
-    return Gaussians(*(np.concatenate([getattr(g, f.name) for g in sets]) for f in fields(Gaussians)))
+    rows = {name: [getattr(g, name) for g in sets] for name in ROWS}
+    objects = tuple(dict.fromkeys(name for g in sets for name in g.objects))
+    for k, g in enumerate(sets):
+        if g.objects and g.objects != objects[: len(g.objects)]:
+            new = np.arange(np.iinfo(np.uint16).max + 1, dtype=np.uint16)
+            new[1 : len(g.objects) + 1] = [objects.index(name) + 1 for name in g.objects]
+            rows["object_id"][k] = new[g.object_id]
+    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects)
 
 
 def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
@@ -135,7 +161,9 @@ def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
         return mask & (norm > 1e-6) & np.isfinite(norm)
 
 
-def drawable_gaussians(path: Path, means, quats, log_scales, logit_opacities, sh, report: Report) -> Gaussians:
+def drawable_gaussians(
+    path: Path, means, quats, log_scales, logit_opacities, sh, report: Report, *, object_id=None, objects=()
+) -> Gaussians:
     """Gaussians of the rows of a file that can be drawn; `report` takes a line if others were dropped.
 
     Raises BadInput, naming `path`, if none can be drawn.
@@ -149,9 +177,9 @@ def drawable_gaussians(path: Path, means, quats, log_scales, logit_opacities, sh
     dropped = n - int(keep.sum())
     if dropped == n:
         raise BadInput(f"{path}: none of its {n} Gaussians is finite and has a rotation")
-    columns = [means, quats, log_scales, logit_opacities, sh]
+    columns = [means, quats, log_scales, logit_opacities, sh, np.zeros(n) if object_id is None else object_id]
     if dropped:
         report(f"{path}: dropped {dropped} of {n} Gaussians that are not finite or have no rotation")
         columns = [c[keep] for c in columns]
     columns[1] = columns[1] / np.linalg.norm(columns[1], axis=1, keepdims=True)
-    return Gaussians.of(*columns)
+    return Gaussians.of(*columns, objects)

@@ -32,6 +32,7 @@ READERS = {
 }
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
+KEEP_OBJECTS = (".ply", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
@@ -73,6 +74,12 @@ def kind_to_write(path: str | Path) -> str:
     return COMPRESSED if path.name.lower().endswith(COMPRESSED) else suffix
 
 
-def write_gaussians(path: str | Path, g: Gaussians) -> None:
-    """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput."""
-    WRITERS[kind_to_write(path)](path, g)
+def write_gaussians(path: str | Path, g: Gaussians, report: Report = print) -> None:
+    """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput.
+
+    `report` takes a line if the format keeps no objects and there are some.
+    """
+    kind = kind_to_write(path)
+    WRITERS[kind](path, g)
+    if kind not in KEEP_OBJECTS and g.object_id.any():
+        report(f"{path}: {kind} keeps no object ids; {' and '.join(KEEP_OBJECTS)} do")

@@ -18,12 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from assets.file_access import atomic_write
-from assets.gaussians import Gaussians
+from assets.gaussians import ROWS, Gaussians
 from core.errors import BadInput
 from core.program import cache_folder
 
 MAX_AGE = 14 * 86400.0  # [s]; older entries of abandoned runs are removed
-COLUMNS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")
 
 
 class Checkpoints:
@@ -87,10 +86,11 @@ def remove_old(entries: Path, *, keep: Path) -> None:
 
 def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
     """Gaussians as arrays by name; other keywords become JSON text in bytes."""
-    text = np.frombuffer(json.dumps(others).encode(), np.uint8)
-    return {name: vars(gaussians)[name] for name in COLUMNS} | {"json": text}
+    text = np.frombuffer(json.dumps([gaussians.objects, others]).encode(), np.uint8)
+    return {name: vars(gaussians)[name] for name in ROWS} | {"json": text}
 
 
 def gaussians_of(arrays: dict[str, np.ndarray]) -> tuple[Gaussians, dict]:
     """Inverse of `arrays_of`."""
-    return Gaussians(*(arrays[name] for name in COLUMNS)), json.loads(arrays["json"].tobytes())
+    objects, others = json.loads(arrays["json"].tobytes())
+    return Gaussians(*(arrays[name] for name in ROWS), tuple(objects)), others

@@ -1,8 +1,9 @@
 """Splats as INRIA .ply: one vertex a Gaussian (3D Gaussian Splatting, Kerbl et al. 2023).
 
 `x y z [nx ny nz] f_dc_0..2 [f_rest_0..] opacity scale_0..2 rot_0..3`, in any order; `f_rest` is
-channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. A .ply whose
-vertices are packed goes to `assets/formats/compressed_ply.py`.
+channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. Of a splat with
+objects there is an integer property `object_id` too, and a line `comment object 1 bear` for each name. A
+.ply whose vertices are packed goes to `assets/formats/compressed_ply.py`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from assets.file_access import atomic_write, open_input
 from assets.formats.compressed_ply import read_compressed
 from assets.formats.ply_header import REST_COUNTS, Element, binary_rows, read_header
 from assets.formats.quantization import ALPHA_EPSILON
-from assets.gaussians import Gaussians, Report, drawable_gaussians
+from assets.gaussians import OBJECTS_MAX, Gaussians, Report, drawable_gaussians, is_object_name
 from core.errors import BadInput
 
 MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
@@ -29,8 +31,9 @@ LOGIT_MAX = np.float32(np.log(1 / ALPHA_EPSILON - 1))  # for infinities, which t
 def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ply, SH degree 0 to 3; those that are not finite are dropped and reported. Raises BadInput."""
     path = Path(path)
+    comments: list[str] = []
     with open_input(path) as file:
-        order, elements = read_header(path, file)
+        order, elements = read_header(path, file, comments)
         vertex = next((e for e in elements if e.name == "vertex"), None)
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
@@ -43,13 +46,14 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         else:
             rows = binary_rows(path, file, file.tell(), elements, vertex, order)
 
-    plain = rows.dtype == np.dtype(
-        [(name, np.float32) for name in vertex.names]
-    )  # all float32, as in most files: a matrix
+    floats = [name for name in vertex.names if name != "object_id"]
+    matrix = None
+    if all(rows.dtype[name] == np.float32 for name in floats):  # as in most files
+        matrix = structured_to_unstructured(rows[floats])
 
     def columns(names: list[str]) -> np.ndarray:
-        if plain:
-            return rows.view(np.float32).reshape(len(rows), -1)[:, [vertex.names.index(name) for name in names]]
+        if matrix is not None:
+            return matrix[:, [floats.index(name) for name in names]]
         with np.errstate(over="ignore", invalid="ignore"):  # what overflows is dropped below
             return np.stack([rows[name].astype(np.float32) for name in names], axis=1)
 
@@ -60,7 +64,33 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         sh = np.concatenate([sh, channels.transpose(0, 2, 1)], axis=1)
     opacity = columns(["opacity"])[:, 0]
     opacity = np.where(np.isinf(opacity), np.copysign(LOGIT_MAX, opacity), opacity)
-    return drawable_gaussians(path, columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh, report)
+    shape = columns(MEANS), columns(ROTATION), columns(SCALES), opacity, sh
+    ids, objects = None, ()
+    if "object_id" in vertex.names:
+        ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
+    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects)
+
+
+def _object_ids(path: Path, values: np.ndarray, report: Report) -> np.ndarray:
+    """Ids of any type of number as uint16; those that are none become background, and are reported."""
+    with np.errstate(invalid="ignore"):
+        values = values.astype(np.float64)
+        sound = (values >= 0) & (values <= np.iinfo(np.uint16).max) & (values == np.rint(values))
+    if not sound.all():
+        report(
+            f"{path}: {int((~sound).sum())} of {len(values)} object ids are no whole numbers of 0 to 65535; taken as 0"
+        )
+    return np.where(sound, values, 0.0).astype(np.uint16)
+
+
+def _object_names(comments: list[str]) -> tuple[str, ...]:
+    """Names of the objects 1, 2, ... in the comments of a header; one that is missing is called by its number."""
+    names = {}
+    for comment in comments:
+        match = re.fullmatch(r"object (\d{1,5}) (.+)", comment)
+        if match and 0 < int(match[1]) <= OBJECTS_MAX and is_object_name(match[2]):
+            names[int(match[1])] = match[2]
+    return tuple(names.get(k, f"object_{k}") for k in range(1, max(names, default=0) + 1))
 
 
 def _check_vertex(path: Path, vertex: Element) -> None:
@@ -105,14 +135,24 @@ def _text_rows(path: Path, file, vertex: Element, before: list[Element]) -> np.n
 
 
 def write_ply(path: str | Path, g: Gaussians) -> None:
-    """Write Gaussians in INRIA's layout and order, normals 0. `object_id` is not stored. Raises BadInput."""
+    """Write Gaussians in INRIA's layout and order, normals 0, and `object_id` last if there are objects.
+
+    Raises BadInput.
+    """
     n, rest = len(g), 3 * (g.sh.shape[1] - 1)
     names = [*MEANS, "nx", "ny", "nz", *DC, *(f"f_rest_{i}" for i in range(rest)), "opacity", *SCALES, *ROTATION]
     channels = g.sh[:, 1:].transpose(0, 2, 1).reshape(n, rest)
     normals = np.zeros((n, 3), np.float32)
     columns = [g.means, normals, g.sh[:, 0], channels, g.logit_opacities[:, None], g.log_scales, g.quats]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
-    header += [f"property float {name}" for name in names] + ["end_header\n"]
+    rows = np.concatenate(columns, axis=1).astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += [f"comment object {k} {name}" for k, name in enumerate(g.objects, 1)]
+    header += [f"element vertex {n}", *(f"property float {name}" for name in names)]
+    if g.object_id.any() or g.objects:
+        header.append("property ushort object_id")
+        whole = np.empty(n, np.dtype([("floats", "<f4", rows.shape[1:]), ("object_id", "<u2")]))
+        whole["floats"], whole["object_id"] = rows, g.object_id
+        rows = whole
     with atomic_write(path) as beside, open(beside, "wb") as file:
-        file.write("\n".join(header).encode("ascii"))
-        file.write(np.concatenate(columns, axis=1).astype("<f4").tobytes())
+        file.write("\n".join([*header, "end_header\n"]).encode())
+        file.write(rows.tobytes())

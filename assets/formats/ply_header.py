@@ -35,8 +35,11 @@ class Element:
         return np.dtype({"names": self.names, "formats": [order + t for t in self.types]})
 
 
-def read_header(path: Path, file) -> tuple[str, list[Element]]:
-    """Byte order ("" for text) and elements; leaves the file at the first byte after the header."""
+def read_header(path: Path, file, comments: list[str] | None = None) -> tuple[str, list[Element]]:
+    """Byte order ("" for text) and elements; leaves the file at the first byte after the header.
+
+    Out: `comments` gets the text of each comment.
+    """
     if file.readline(LINE_MAX).rstrip() != b"ply":
         raise BadInput(f"{path}: not a .ply file")
     order, elements = None, []
@@ -50,6 +53,8 @@ def read_header(path: Path, file) -> tuple[str, list[Element]]:
                     if len(set(element.names)) < len(element.names):
                         raise BadInput(f"{path}: a property of {element.name} appears twice")
                 return order, elements
+            case ["comment", *_] if comments is not None:
+                comments.append(raw.decode("utf-8", "replace").strip().removeprefix("comment").strip())
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", name, "1.0"] if name in FORMATS:

@@ -44,8 +44,12 @@ def test_asset_to_ply(tmp_path, capsys):
     g = some_gaussians(9, 1)
     Asset(Gaussians.of(g.means, g.quats, g.log_scales, g.logit_opacities, g.sh, np.arange(9))).save(tmp_path / "a.h5")
     said = convert(tmp_path / "a.h5", tmp_path / "a.ply", capsys)
-    assert "object ids" in said and "all of the asset but its Gaussians" in said
-    np.testing.assert_array_equal(read_gaussians(tmp_path / "a.ply").means, g.means)
+    assert "object ids" not in said and "all of the asset but its Gaussians" in said
+    read = read_gaussians(tmp_path / "a.ply")
+    np.testing.assert_array_equal(read.means, g.means)
+    np.testing.assert_array_equal(read.object_id, np.arange(9))
+    said = convert(tmp_path / "a.ply", tmp_path / "a.spz", capsys)
+    assert "object ids" in said and said.count("\n") == 1
 
 
 def test_ply_to_compressed_ply_and_splat(tmp_path, capsys):

@@ -77,15 +77,55 @@ class Lens:
             return pixels, mask
         import cv2
 
+        along, down = self._photographed_places()
+        out = cv2.remap(pixels, along, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        # a pixel counts if all that it is interpolated from was photographed
+        whole = cv2.remap(mask.astype(np.float32), along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        return out, whole > 0.999
+
+    def undistort_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels (H, W) uint8 of the photograph's pixels as a pinhole camera sees them; 0 where it holds none."""
+        if not self.distorts:
+            return labels
+        import cv2
+
+        return cv2.remap(labels, *self._photographed_places(), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+
+    def distort_labels(self, labels: np.ndarray) -> np.ndarray:
+        """Labels (H, W) uint8 of the pinhole camera's pixels as the lens sees them; 0 where that sees none."""
+        if not self.distorts:
+            return labels
+        import cv2
+
+        down, along = np.mgrid[: self.height, : self.width]
+        places = self.undistort_points(np.stack([along, down], -1).reshape(-1, 2) + 0.5) - 0.5
+        places = np.where(np.isfinite(places), places, -2.0).clip(-2.0, SIDE_MAX + 2.0).astype(np.float32)
+        places = places.reshape(self.height, self.width, 2)
+        return cv2.remap(labels, places, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+
+    def undistort_points(self, points: np.ndarray) -> np.ndarray:
+        """Places (N, 2) [px] in the pinhole camera's image of places in the photograph."""
+        if not self.distorts:
+            return points
+        import cv2
+
+        fx, fy, cx, cy = self.pinhole()
+        new = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        old = np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+        undistort = cv2.fisheye.undistortPoints if self.fisheye else cv2.undistortPoints
+        points = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 2)
+        return undistort(points, old, self._coefficients(), R=np.eye(3), P=new).reshape(-1, 2)
+
+    def _photographed_places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Places in the photograph of the pinhole camera's pixels, along and down, (H, W) float32 each."""
+        import cv2
+
         fx, fy, cx, cy = self.pinhole()
         new = np.array([[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]])
         size, k = (self.width, self.height), self._coefficients()
         rectify = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
         along, down = rectify(self.matrix(), k, np.eye(3), new, size, cv2.CV_32FC1)
-        out = cv2.remap(pixels, along, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        # a pixel counts if all that it is interpolated from was photographed
-        whole = cv2.remap(mask.astype(np.float32), along, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        return out, whole > 0.999
+        return along, down
 
     def _coefficients(self) -> np.ndarray:
         count = 4 if self.fisheye else 8

@@ -161,6 +161,25 @@ def test_an_undistorted_picture_is_that_of_a_pinhole(lens):
     assert np.abs(straight[..., 0] - truth)[mask].max() < 6.0  # of 120; half a pixel off would be 8 to 15
 
 
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens(320, 240, 220.0, 225.0, 165.0, 118.0, (-0.2, 0.05, 0.002, -0.001)),
+        Lens(320, 240, 150.0, 150.0, 160.0, 120.0, (0.05, -0.01, 0.0, 0.0), fisheye=True),
+    ],
+)
+def test_labels_of_the_pinhole_come_back_through_the_lens(lens):
+    """A disc away from the middle: bent straight and back it is the same but for its rim."""
+    down, along = np.mgrid[: lens.height, : lens.width]
+    disc = (np.hypot(along - 220, down - 80) < 40).astype(np.uint8)
+    straight = lens.undistort_labels(disc)
+    back = lens.distort_labels(straight)
+    assert (back & disc).sum() / (back | disc).sum() > 0.96
+    dot = lens.undistort_labels((np.hypot(along - 220, down - 80) < 6).astype(np.uint8))
+    centre = lens.undistort_points(np.array([[220.5, 80.5]]))[0]
+    assert np.hypot(*(centre - np.argwhere(dot).mean(axis=0)[::-1] - 0.5)) < 1.0 < np.hypot(*(centre - (220.5, 80.5)))
+
+
 def test_transparent_and_masked_pixels_do_not_count(folder):
     rgba = np.full((HEIGHT, WIDTH, 4), 200, np.uint8)
     rgba[:10, :, 3] = 0

@@ -1,0 +1,183 @@
+"""Marks of a user: strokes inside and outside of objects, and boxes around them, in photographs of a capture."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import atomic_write
+from core.errors import BadInput
+from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
+
+FORM = '{"objects": {"NAME": {"PHOTOGRAPH.jpg": {"inside": [[[x, y], ...], ...], "outside": [...], "boxes": [...]}}}}'
+POINTS_MAX = 100_000  # of all strokes of an object in a view
+
+
+@dataclass
+class ViewMarks:
+    """Marks of an object in one photograph, in its pixels, x to the right and y down from the upper left corner.
+
+    inside, outside  strokes: polylines (P, 2); one point is a click
+    boxes            around the object, (4,) each: x0, y0, x1, y1
+    """
+
+    inside: list[np.ndarray] = field(default_factory=list)
+    outside: list[np.ndarray] = field(default_factory=list)
+    boxes: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def points(self) -> np.ndarray:
+        """All points of all marks, (N, 2)."""
+        parts = [*self.inside, *self.outside, *(b.reshape(2, 2) for b in self.boxes)]
+        return np.concatenate(parts) if parts else np.zeros((0, 2))
+
+
+@dataclass
+class Marks:
+    """Marks of each object by its name, and within by the name of the photograph's file."""
+
+    objects: dict[str, dict[str, ViewMarks]] = field(default_factory=dict)
+
+    @property
+    def views(self) -> list[str]:
+        """Names of the photographs with marks, sorted."""
+        return sorted({view for views in self.objects.values() for view in views})
+
+    def in_view(self, view: str) -> dict[str, ViewMarks]:
+        """The marks of each object in a photograph."""
+        return {name: views[view] for name, views in self.objects.items() if view in views}
+
+
+def read_marks(path: str | Path, sizes: Mapping[str, tuple[int, int]]) -> Marks:
+    """The marks in a JSON file. `sizes` holds (width, height) [px] of each photograph by its file's name.
+
+    Raises BadInput for an unknown photograph, for marks outside of it, and for an object without marks inside.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > 16 * JSON_MAX:
+            raise BadInput(f"{path}: larger than {16 * JSON_MAX >> 20} MiB")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    except (ValueError, RecursionError) as e:
+        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    return marks_of(data, sizes, str(path))
+
+
+def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:
+    """The marks of parsed JSON, as `read_marks`; `where` is named in errors."""
+    objects = data.get("objects") if isinstance(data, dict) else None
+    if not isinstance(objects, dict) or not all(isinstance(v, dict) for v in objects.values()):
+        raise BadInput(f"{where}: no marks; the form is {FORM}")
+    if not 0 < len(objects) <= OBJECTS_MAX:
+        raise BadInput(f"{where}: {len(objects)} objects are marked, not 1 to {OBJECTS_MAX}")
+    marks = Marks()
+    for name, views in objects.items():
+        check_name(name, where)
+        marks.objects[name] = {}
+        for view, entry in views.items():
+            place = f"{where}: {name!r} in {view}"
+            if view not in sizes:
+                raise BadInput(f"{place}: no such photograph; there are {_some(sizes)}")
+            marks.objects[name][view] = _view_marks(entry, sizes[view], place)
+        if not any(m.inside or m.boxes for m in marks.objects[name].values()):
+            raise BadInput(f"{where}: {name!r} has no stroke inside of it and no box around it")
+    return marks
+
+
+def write_marks(path: str | Path, marks: Marks) -> None:
+    """Write marks as JSON. Raises BadInput."""
+    text = json.dumps({"objects": marks_json(marks)}, indent=1, ensure_ascii=False)
+    with atomic_write(path) as beside:
+        beside.write_text(text + "\n", encoding="utf-8")
+
+
+def marks_json(marks: Marks) -> dict:
+    """The value of "objects" in a file of marks; pixels are rounded to a tenth."""
+
+    def rounded(parts: list[np.ndarray]) -> list:
+        return [np.round(p, 1).tolist() for p in parts]
+
+    def kinds(m: ViewMarks) -> dict:
+        return {k: rounded(v) for k, v in vars(m).items() if v}
+
+    return {name: {view: kinds(m) for view, m in views.items()} for name, views in marks.objects.items()}
+
+
+def drawn_strokes(strokes: list[np.ndarray], shape: tuple[int, int], width: int = 3) -> np.ndarray:
+    """Mask (H, W) bool of the pixels under strokes of `width` [px]."""
+    import cv2
+
+    mask = np.zeros(shape, np.uint8)
+    for stroke in strokes:
+        points = np.round((np.asarray(stroke, np.float64) - 0.5) * 16).astype(np.int32)  # 4 bits of fraction
+        if len(points) == 1:
+            points = np.repeat(points, 2, axis=0)
+        cv2.polylines(mask, [points], False, 1, width, cv2.LINE_8, 4)
+    return mask > 0
+
+
+def drawn_boxes(boxes: list[np.ndarray], shape: tuple[int, int]) -> np.ndarray:
+    """Mask (H, W) bool of the pixels whose centres lie in one of the boxes."""
+    mask = np.zeros(shape, bool)
+    for box in boxes:
+        x0, y0, x1, y1 = np.round(box).astype(int)
+        mask[max(y0, 0) : max(y1, y0 + 1), max(x0, 0) : max(x1, x0 + 1)] = True
+    return mask
+
+
+def _view_marks(entry, size: tuple[int, int], where: str) -> ViewMarks:
+    if not isinstance(entry, dict) or not set(entry) <= {"inside", "outside", "boxes"}:
+        raise BadInput(f"{where}: not an object with inside, outside and boxes")
+    for kind, parts in entry.items():
+        if not isinstance(parts, list):
+            raise BadInput(f"{where}: {kind} is no list")
+    strokes = {k: [_points(s, size, f"{where}: a stroke {k}") for s in entry.get(k, [])] for k in ("inside", "outside")}
+    marks = ViewMarks(**strokes, boxes=[_box(b, size, where) for b in entry.get("boxes", [])])
+    if not 0 < len(marks.points) <= POINTS_MAX:
+        raise BadInput(f"{where}: {len(marks.points)} points, not 1 to {POINTS_MAX}")
+    return marks
+
+
+def _points(stroke, size: tuple[int, int], where: str) -> np.ndarray:
+    if not isinstance(stroke, list) or not stroke:
+        raise BadInput(f"{where} is empty, or no list of [x, y]")
+    for point in stroke:
+        if not isinstance(point, list) or len(point) != 2 or not all(map(_finite, point)):
+            raise BadInput(f"{where}: {point!r:.60} is not [x, y]")
+    points = np.array(stroke, np.float64)
+    _check_inside(points, size, where)
+    return points
+
+
+def _box(box, size: tuple[int, int], where: str) -> np.ndarray:
+    if not isinstance(box, list) or len(box) != 4 or not all(map(_finite, box)):
+        raise BadInput(f"{where}: {box!r:.60} is not a box [x0, y0, x1, y1]")
+    x0, y0, x1, y1 = box
+    if x0 > x1 or y0 > y1 or x1 - x0 < 1 or y1 - y0 < 1:
+        raise BadInput(f"{where}: the box {box} has no area; its form is [left, top, right, bottom]")
+    found = np.array(box, np.float64)
+    _check_inside(found.reshape(2, 2), size, where)
+    return found
+
+
+def _check_inside(points: np.ndarray, size: tuple[int, int], where: str) -> None:
+    out = ((points < 0) | (points > size)).any(axis=1)
+    if out.any():
+        x, y = points[out][0]
+        raise BadInput(f"{where}: ({x:g}, {y:g}) is outside of the photograph, {size[0]}x{size[1]}")
+
+
+def _finite(value) -> bool:
+    return not isinstance(value, bool) and isinstance(value, (int, float)) and math.isfinite(value)
+
+
+def _some(names: Mapping[str, object]) -> str:
+    shown = sorted(names)[:3]
+    return ", ".join(shown) + (f" and {len(names) - len(shown)} more" if len(names) > len(shown) else "")

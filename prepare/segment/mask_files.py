@@ -1,0 +1,234 @@
+"""Masks of objects in photographs: a folder of PNGs, one colour an object, and objects.json with their names."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import make_folder, part_beside, reason_of
+from assets.images import read_image_header
+from core.errors import BadInput
+from prepare.train.capture import View
+from prepare.train.photographs import HEADER_BYTES, image_size, read_image
+
+NAMES_FILE = "objects.json"
+OBJECTS_MAX = 255  # ids fit a byte, 0 is the background
+JSON_MAX = 1 << 20  # [bytes]
+VIEWS_MIN = 2  # that must show an object: from one view its depth is not known
+NAME = re.compile(r"[^\x00-\x1f\x7f/\\:*?\"<>|.\s](?:[^\x00-\x1f\x7f/\\:*?\"<>|]{0,62}[^\x00-\x1f\x7f/\\:*?\"<>|.\s])?")
+# Colours far apart, of Kelly's list of maximum contrast, the strongest first.
+COLORS = (
+    (230, 60, 50), (60, 130, 230), (250, 200, 40), (50, 180, 90), (170, 80, 200), (240, 130, 40), (80, 210, 220),
+    (240, 120, 180), (140, 90, 50), (160, 210, 60), (110, 110, 240), (200, 200, 200),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Masks:
+    """Objects in photographs.
+
+    names   of the objects; the object with id k is names[k - 1]
+    colors  of the objects in files and overlays, (K, 3) uint8 RGB
+    ids     of each view (H, W) uint8, 0 the background, in the size of the photograph as it was taken;
+            None: nothing is known of that view
+    """
+
+    names: list[str]
+    colors: np.ndarray
+    ids: list[np.ndarray | None]
+
+    def pixels(self, name: str) -> int:
+        """Number of pixels of an object in all views."""
+        return int(sum((i == self.names.index(name) + 1).sum() for i in self.ids if i is not None))
+
+
+def object_colors(count: int) -> np.ndarray:
+    """Colours of `count` objects, (count, 3) uint8 RGB: distinct, none of them black."""
+    k = np.arange(count)[:, None]
+    rest = 55 + (k * (67, 101, 149) + (23, 89, 5)) % 200  # periods of 200: distinct for 200 objects a colour
+    colors = np.where(k < len(COLORS), np.resize(np.array(COLORS), (count, 3)), rest)
+    taken: set[tuple] = set()
+    for row in colors:
+        while tuple(row) in taken:
+            row[0] = 55 + (row[0] - 54) % 200
+        taken.add(tuple(row))
+    return colors.astype(np.uint8)
+
+
+def check_name(name: str, where: str) -> None:
+    """Raise BadInput, naming `where`, unless an object's name can be that of a file on any system."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise BadInput(
+            f"{where}: {name!r:.80} cannot be an object's name: 1 to 64 characters without / \\ : * ? \" < > |"
+        )
+
+
+def photograph_size(view: View) -> tuple[int, int]:
+    """(height, width) of a photograph as it was taken. Raises BadInput."""
+    try:
+        with open(view.image, "rb") as file:
+            header = read_image_header(file.read(HEADER_BYTES))
+    except OSError as e:
+        raise BadInput(f"{view.image}: cannot be read ({e.strerror})") from e
+    if header is not None:
+        return header.height, header.width
+    width, height = image_size(view.image)
+    return height, width
+
+
+def mask_file(folder: Path, view: View) -> Path:
+    """The mask of a view in a folder of masks."""
+    return folder / f"{view.image.stem}.png"
+
+
+def read_masks(folder: str | Path, views: Sequence[View]) -> Masks:
+    """The masks of these views in a folder.
+
+    Raises BadInput for a mask of another size than its photograph or of no photograph, for a colour that objects.json
+    does not name, if there is no object, and for one that fewer than VIEWS_MIN views show.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder of masks")
+    _check_stems(folder, views)
+    named = _read_names(folder / NAMES_FILE)
+    pictures = [_read_colors(mask_file(folder, v), v) for v in views]
+    missing = [v.image.name for v, p in zip(views, pictures, strict=True) if p is None]
+    stray = sorted({f.stem for f in folder.glob("*.png")} - {v.image.stem for v in views})
+    if missing and stray:
+        raise BadInput(f"{folder}: {stray[0]}.png is of no photograph, and {missing[0]} has no mask")
+    if len(missing) == len(views):
+        raise BadInput(f"{folder}: no mask in it; a mask is called as its photograph, with the ending .png")
+    codes = np.unique(np.concatenate([np.unique(p) for p in pictures if p is not None]))
+    codes = codes[codes != 0]
+    if not len(codes):
+        raise BadInput(f"{folder}: no object in any mask: all are black")
+    if named is None:
+        if len(codes) > OBJECTS_MAX:
+            text = "a mask has one plain colour an object, without soft edges"
+            raise BadInput(f"{folder}: {len(codes)} colours, at most {OBJECTS_MAX} can be objects; {text}")
+        named = {f"object_{k + 1}": int(code) for k, code in enumerate(codes)}
+    order = np.array(list(named.values()))
+    if len(strange := np.setdiff1d(codes, order)):
+        raise BadInput(f"{folder}: the colour {_rgb(strange[0])} is not in {NAMES_FILE}")
+    ids = [None if p is None else _ids(p, order) for p in pictures]
+    masks = Masks(list(named), np.array([_rgb(c) for c in order], np.uint8), ids)
+    seen = np.array([np.bincount(np.unique(i), minlength=len(order) + 1)[1:] for i in ids if i is not None]).sum(0)
+    for name, count in zip(masks.names, seen, strict=True):
+        if count < VIEWS_MIN:
+            raise BadInput(
+                f"{folder}: {name!r} is seen in {count} masks; its shape shows only from {VIEWS_MIN} or more"
+            )
+    return masks
+
+
+def write_masks(folder: str | Path, views: Sequence[View], masks: Masks) -> None:
+    """Write a folder of masks, whole or not at all. One of earlier masks is replaced. Raises BadInput."""
+    import cv2
+
+    folder = Path(folder)
+    _check_stems(folder, views)
+    check_masks_folder(folder)
+    colors = np.concatenate([np.zeros((1, 3), np.uint8), masks.colors])
+    make_folder(folder.parent)
+    beside = part_beside(folder)
+    try:
+        beside.mkdir()
+        for view, ids in zip(views, masks.ids, strict=True):
+            if ids is not None:
+                png = cv2.imencode(".png", np.ascontiguousarray(colors[ids][..., ::-1]))[1]
+                mask_file(beside, view).write_bytes(png.tobytes())
+        text = json.dumps(dict(zip(masks.names, masks.colors.tolist(), strict=True)), indent=1, ensure_ascii=False)
+        (beside / NAMES_FILE).write_text(text + "\n", encoding="utf-8")
+        if folder.exists():
+            old = part_beside(folder)
+            folder.rename(old)
+            beside.rename(folder)
+            shutil.rmtree(old)
+        else:
+            beside.rename(folder)
+    except OSError as e:
+        raise BadInput(f"{folder}: cannot be written ({reason_of(e)})") from e
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def check_masks_folder(folder: Path) -> None:
+    """Raise BadInput unless nothing is there, or a folder of masks and nothing else: it will be replaced."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: is a file, not a folder")
+    for found in folder.iterdir():
+        if found.name != NAMES_FILE and (found.suffix != ".png" or not found.is_file()):
+            raise BadInput(f"{folder}: holds {found.name}, which is no mask; choose an empty or another folder")
+
+
+def _check_stems(folder: Path, views: Sequence[View]) -> None:
+    """Raise BadInput if two photographs would share a mask."""
+    first: dict[str, Path] = {}
+    for view in views:
+        other = first.setdefault(view.image.stem, view.image)
+        if other != view.image:
+            raise BadInput(f"{folder}: {other} and {view.image} would have the same mask; rename one of them")
+
+
+def _read_names(path: Path) -> dict[str, int] | None:
+    """Colour code of each object's name; None if there is no such file."""
+    if not path.is_file():
+        return None
+    try:
+        if path.stat().st_size > JSON_MAX:
+            raise BadInput(f"{path}: larger than {JSON_MAX >> 20} MiB")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    except (ValueError, RecursionError) as e:
+        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    if not isinstance(data, dict) or not 0 < len(data) <= OBJECTS_MAX:
+        raise BadInput(f'{path}: has to be {{"NAME": [R, G, B], ...}} with 1 to {OBJECTS_MAX} objects')
+    named: dict[str, int] = {}
+    for name, color in data.items():
+        check_name(name, str(path))
+        whole = isinstance(color, list) and len(color) == 3 and all(type(c) is int and 0 <= c <= 255 for c in color)
+        if not whole or not any(color):
+            raise BadInput(f"{path}: the colour of {name!r} is not [R, G, B] of 0 to 255, other than black")
+        code = int(_codes(np.array(color, np.uint8)))
+        if code in named.values():
+            raise BadInput(f"{path}: two objects have the colour {color}")
+        named[name] = code
+    return named
+
+
+def _read_colors(path: Path, view: View) -> np.ndarray | None:
+    """Colour codes (H, W) uint32 of a mask; None if there is none."""
+    if not path.is_file():
+        return None
+    pixels, _ = read_image(path)
+    height, width = photograph_size(view)
+    if pixels.shape[:2] != (height, width):
+        raise BadInput(f"{path}: the mask is {pixels.shape[1]}x{pixels.shape[0]}, its photograph {width}x{height}")
+    return _codes(pixels)
+
+
+def _codes(colors: np.ndarray) -> np.ndarray:
+    """Colours (..., 3) uint8 as numbers (...) uint32: 0xRRGGBB."""
+    c = colors.astype(np.uint32)
+    return c[..., 0] << 16 | c[..., 1] << 8 | c[..., 2]
+
+
+def _rgb(code) -> tuple[int, int, int]:
+    return int(code) >> 16, int(code) >> 8 & 255, int(code) & 255
+
+
+def _ids(codes: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Ids (H, W) uint8 of colour codes, all of which are 0 or in `order`."""
+    sorted_ = np.argsort(order)
+    place = np.searchsorted(order[sorted_], codes).clip(0, len(order) - 1)
+    return np.where(codes == 0, 0, sorted_[place] + 1).astype(np.uint8)

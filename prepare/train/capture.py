@@ -11,6 +11,7 @@ from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import rotation_between
+from prepare.orientation.camera_up import up_of_cameras
 from prepare.train.lens import Lens
 
 VIEWS_MIN = 3  # two views of a point have one depth that explains them, a third one tells whether it is right
@@ -66,10 +67,8 @@ class Capture:
 
     @property
     def up(self) -> np.ndarray:
-        """The world's up as the cameras saw it, (3,) unit: photographs are held upright more often than not."""
-        up = -np.sum([v.world_to_camera[1, :3] for v in self.views], axis=0)
-        length = np.linalg.norm(up)
-        return up / length if length > 1e-6 * len(self.views) else np.array([0.0, 1.0, 0.0])
+        """The world's vertical as the cameras saw it, (3,) unit (prepare/orientation/camera_up.py)."""
+        return up_of_cameras(np.array([v.world_to_camera for v in self.views])).direction
 
     def upright(self) -> Capture:
         """The same capture in a world whose +y is `up`."""

@@ -1,0 +1,204 @@
+"""Frame of a captured place: +y up, its floor at y = 0, in metres, its front towards +z."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from assets.level_planes import LEVEL_COS, find_floor_plane, normals_and_areas, refine_direction
+from core.errors import BadInput
+from core.rotation import rotation_between
+from prepare.environment.support_planes import fit_floor
+from prepare.orientation.camera_up import up_of_cameras
+from prepare.train.capture import Capture
+
+SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
+REACH = 2.5  # what lies farther, in distances of the cameras from what they look at, is background
+AGREEMENT, AGREEMENT_MIN, AGREEMENT_MAX = 2.5, np.radians(3.0), np.radians(30.0)  # plane to cameras, in errors; [rad]
+PLANE_ERROR = np.radians(0.5)  # of a plane's normal, fitted to thousands of Gaussians
+PLANE_SHARE = 0.04  # of the area of all Gaussians below the cameras, at least, in a support plane
+LOWER_SHARE = 0.25  # of the support plane's area in a level plane under it: that is the floor, the upper one a table
+EYE_HEIGHT, EYE_SPREAD = 1.5, 1.35  # [m] of a camera held by a standing person, and a factor for those who stoop
+VIEW_DISTANCE, VIEW_SPREAD = 1.5, 2.5  # [m] to what one photographs, where no floor was seen; it is a wide guess
+FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below, cameras went all around
+LENGTH_RANGE = (1e-3, 1e3)  # [m] that a user may have measured
+
+
+@dataclass(frozen=True)
+class CaptureOrientation:
+    """From a capture's frame to the world's: x_world = scale rotation x + shift.
+
+    rotation      (3, 3);   scale [m per unit];   shift [m], (3,): the floor is at y = 0, what is looked at over (0, 0)
+    up            in the capture's frame, (3,), and its error, a standard deviation [rad]
+    up_from       "cameras", or "support plane" where one agrees with them
+    scale_from    "measured", "eye height" or "viewing distance"; the last two are guesses
+    scale_spread  factor by which a guess may be too large or too small (two times of three); 1.0: measured
+    front_from    "most photographs" or "first photograph"
+    floor_seen    a floor was found; else y = 0 is the lowest surface
+    """
+
+    rotation: np.ndarray
+    scale: float
+    shift: np.ndarray
+    up: np.ndarray
+    error: float
+    up_from: str
+    scale_from: str
+    scale_spread: float
+    front_from: str
+    floor_seen: bool
+
+    def points(self, x: np.ndarray) -> np.ndarray:
+        """Points (..., 3) of the capture in the world [m]."""
+        return self.scale * (x @ self.rotation.T) + self.shift
+
+    def gaussians(self, g: Gaussians) -> Gaussians:
+        """Gaussians of the capture in the world."""
+        return g.transformed(self.rotation, self.shift, self.scale)
+
+    def pose(self, world_to_camera: np.ndarray) -> np.ndarray:
+        """The pose (4, 4) in the world of a camera with this one in the capture."""
+        moved = np.eye(4)
+        moved[:3, :3] = world_to_camera[:3, :3] @ self.rotation.T
+        moved[:3, 3] = self.scale * world_to_camera[:3, 3] - moved[:3, :3] @ self.shift
+        return moved
+
+    def described(self) -> list[str]:
+        """Lines for the user: what was found, from what, and how far it may be off."""
+        known = {
+            "measured": "measured",
+            "eye height": f"guessed: cameras about {EYE_HEIGHT} m over the floor",
+            "viewing distance": f"guessed: cameras about {VIEW_DISTANCE} m from what they show, no floor was seen",
+        }[self.scale_from]
+        may = f"; may be {self.scale_spread:g} times too large or too small" if self.scale_spread > 1.0 else ""
+        plane = ", and the plane that things stand on" if self.up_from == "support plane" else ""
+        return [
+            f"up: from the cameras{plane}, to about {np.degrees(self.error):.1f} degrees",
+            f"scale: {self.scale:.4g} m per unit, {known}{may}",
+            f"front: the side of {'most photographs' if self.front_from.startswith('most') else 'the first photograph'}",
+        ]
+
+
+def capture_orientation(
+    capture: Capture,
+    gaussians: Gaussians | None,
+    *,
+    measured: tuple[np.ndarray, np.ndarray] | None = None,
+    length: float | None = None,
+) -> CaptureOrientation:
+    """Up, size and front of what was captured.
+
+    gaussians  trained from the capture, in its frame; None: cameras alone
+    measured   two points (3,) of the capture's frame that are `length` [m] apart; else the scale is guessed
+    Raises BadInput for a length or points that give no scale.
+    """
+    poses = np.array([v.world_to_camera for v in capture.views])
+    places = np.array([v.position for v in capture.views])
+    found = up_of_cameras(poses)
+    target = capture.looked_at()
+    up, error, planes = found.direction, found.error, None
+    if gaussians is not None:
+        planes = support_plane(gaussians, places, target, up, error)
+    if planes is not None:
+        up, error = planes[0], PLANE_ERROR
+    upright = rotation_between(up, (0.0, 1.0, 0.0))
+    turn, front_from = _front(poses, upright)
+    rotation = turn @ upright
+    height = np.median(places @ up) - planes[1] if planes is not None else None
+    if measured is not None or length is not None:
+        scale, scale_from, spread = measured_scale(measured, length), "measured", 1.0
+    elif height is not None:
+        scale, scale_from, spread = EYE_HEIGHT / height, "eye height", EYE_SPREAD
+    else:
+        away = float(np.median(np.linalg.norm(places - target, axis=1)))
+        scale, scale_from, spread = VIEW_DISTANCE / max(away, 1e-9), "viewing distance", VIEW_SPREAD
+    floor = planes[1] if planes is not None else lowest_surface(gaussians, places, target, up)
+    shift = -scale * (rotation @ target)
+    shift[1] = -scale * floor
+    plane = "support plane" if planes is not None else "cameras"
+    how = (plane, scale_from, spread, front_from, planes is not None)
+    return CaptureOrientation(rotation, float(scale), shift, up, float(error), *how)
+
+
+def measured_scale(measured, length: float | None) -> float:
+    """Metres per unit of two points (3,) that are `length` [m] apart. Raises BadInput."""
+    if measured is None or length is None:
+        raise BadInput("a scale needs two points and the length between them in metres")
+    a, b = (np.asarray(p, np.float64) for p in measured)
+    low, high = LENGTH_RANGE
+    if not low <= length <= high:
+        raise BadInput(f"a length of {length:g} m is out of range ({low:g} to {high:g})")
+    apart = float(np.linalg.norm(b - a)) if a.shape == b.shape == (3,) else np.nan
+    if not (np.isfinite(apart) and apart > 1e-9 * max(np.abs(a).max(), np.abs(b).max(), 1e-9)):
+        raise BadInput("the two points of a measured length must be different, and finite")
+    return length / apart
+
+
+def near_gaussians(gaussians: Gaussians, places: np.ndarray, target: np.ndarray) -> Gaussians:
+    """The opaque Gaussians near what the cameras at `places` (V, 3) look at and where they stand: no background."""
+    middle = 0.5 * (target + places.mean(0))
+    reach = REACH * np.linalg.norm(places - middle, axis=1).max()
+    return gaussians.select(
+        (gaussians.opacities > SURFACE_OPACITY) & (np.linalg.norm(gaussians.means - middle, axis=1) < reach)
+    )
+
+
+def support_plane(
+    gaussians: Gaussians, places: np.ndarray, target: np.ndarray, up: np.ndarray, error: float
+) -> tuple[np.ndarray, float] | None:
+    """Normal (3,) of the largest level plane below the cameras, and the height along it of the floor.
+
+    The floor is that plane, or one under it that is not much smaller. None: there is no plane, or none that agrees with
+    the cameras' vertical `up` with its `error` [rad].
+    """
+    near = near_gaussians(gaussians, places, target)
+    below = near.means @ up < np.percentile(places @ up, 5.0)
+    if below.sum() < 100:
+        return None
+    near = near.select(below)
+    points = near.means.astype(np.float64)
+    normals, areas = normals_and_areas(near)
+    areas = np.minimum(areas, np.percentile(areas, 99.0))  # a smear must not outweigh a floor
+    direction = refine_direction(up, normals, areas)
+    for _ in range(2):  # the height of a leaning plane is known only once it is level
+        level = np.abs(normals @ direction) > LEVEL_COS
+        height, share, _ = largest_level_plane(points @ direction, level, areas)
+        height, direction = fit_floor(points, normals, areas, height, direction)
+    apart = np.arccos(np.clip(direction @ up, -1.0, 1.0))
+    if share < PLANE_SHARE or apart > np.clip(AGREEMENT * error, AGREEMENT_MIN, AGREEMENT_MAX):
+        return None
+    heights, level = points @ direction, np.abs(normals @ direction) > LEVEL_COS
+    gap = 0.15 * (np.median(places @ direction) - height)
+    under = heights < height - gap
+    if under.sum() > 100 and level[under].any():
+        lower, part, _ = find_floor_plane(heights[under], level[under], areas[under])
+        if part * areas[under].sum() > LOWER_SHARE * share * areas.sum():
+            height = lower
+    return direction, float(height)
+
+
+def largest_level_plane(heights, level, areas) -> tuple[float, float, float]:
+    """As `find_floor_plane`, of all heights: the halves of the range are searched one after the other."""
+    lower = find_floor_plane(heights, level, areas)
+    upper = find_floor_plane(-heights, level, areas)
+    return lower if lower[1] >= upper[1] else (-upper[0], *upper[1:])
+
+
+def lowest_surface(gaussians: Gaussians | None, places: np.ndarray, target: np.ndarray, up: np.ndarray) -> float:
+    """Height along `up` below which there is hardly anything; without Gaussians, of what is looked at."""
+    near = None if gaussians is None else near_gaussians(gaussians, places, target)
+    return float(np.percentile(near.means @ up, 1.0)) if near is not None and len(near) else float(target @ up)
+
+
+def _front(poses: np.ndarray, upright: np.ndarray) -> tuple[np.ndarray, str]:
+    """Rotation (3, 3) about +y after which the cameras look along -z on average; if they look everywhere, the first."""
+    ahead = poses[:, 2, :3] @ upright.T
+    ahead = ahead[:, [0, 2]]
+    mean = ahead.sum(0) / max(np.linalg.norm(ahead, axis=1).sum(), 1e-12)
+    most = np.linalg.norm(mean) > FRONT_MIN
+    x, z = mean if most else ahead[0]
+    turn = np.arctan2(-x, -z)  # of -ahead, which points to the viewer
+    c, s = np.cos(turn), np.sin(turn)
+    return np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]), "most photographs" if most else "first photograph"

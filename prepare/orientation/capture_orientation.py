@@ -35,7 +35,7 @@ class CaptureOrientation:
     up_from       "cameras", or "support plane" where one agrees with them
     scale_from    "measured", "eye height" or "viewing distance"; the last two are guesses
     scale_spread  factor by which a guess may be too large or too small (two times of three); 1.0: measured
-    front_from    "most photographs" or "first photograph"
+    front_from    which photographs were taken from the front: "most photographs" or "first photograph"
     floor_seen    a floor was found; else y = 0 is the lowest surface
     """
 
@@ -77,7 +77,7 @@ class CaptureOrientation:
         return [
             f"up: from the cameras{plane}, to about {np.degrees(self.error):.1f} degrees",
             f"scale: {self.scale:.4g} m per unit, {known}{may}",
-            f"front: the side of {'most photographs' if self.front_from.startswith('most') else 'the first photograph'}",
+            f"front: the side of the {self.front_from}",
         ]
 
 

@@ -107,7 +107,7 @@ def table():
 
 def test_a_floor_that_agrees_with_the_cameras_makes_up_exact_and_gives_the_size(table):
     """The floor is the plane under the table, whose top is nearer and dense; eyes were 1.5 m over it."""
-    gaussians, capture, poses = table
+    gaussians, capture, _ = table
     found = capture_orientation(capture, gaussians)
     assert found.up_from == "support plane" and found.floor_seen and found.scale_from == "eye height"
     assert degrees_apart(found.up, TURN[:, 1]) < 0.3

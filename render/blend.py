@@ -33,10 +33,14 @@ BLEND_THREADS = 32 * ACROSS * DOWN  # of a block
 
 @ti.data_oriented
 class Blend:
-    """Draws binned splats. `with_color` and `with_depth` select the sums to compute; the others stay 0."""
+    """Draws binned splats. `with_color` and `with_depth` select the sums to compute; the others stay 0.
 
-    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool):
+    color  three numbers a Gaussian, vec3 (capacity,), to be blended in place of its colour
+    """
+
+    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None):
         self.bins, self.projection = bins, bins.projection
+        self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
         self.on_gpu = ti.cfg.arch == ti.cuda
 
@@ -72,7 +76,7 @@ class Blend:
             for i in range(self.bins.begin[tile], self.bins.end[tile]):
                 g = value_of(self.bins.members[i])
                 mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
-                color = self.projection.color[v, g]
+                color = splat_color(self, v, g)
                 A, B, C = conic[0], 2 * conic[1], conic[2]
                 half_height = self.projection.box[v, g][1]
                 dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
@@ -178,12 +182,23 @@ class Blend:
     @ti.func
     def words(self, v, g, mean2d, conic):
         """Numbers of a splat in shared memory: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
-        color = ti.math.vec4(0.0)
+        color = ti.math.vec3(0.0)
         if ti.static(self.with_color):
-            color = self.projection.color[v, g]
+            color = splat_color(self, v, g)
         x, y, log_opacity, z = mean2d[0], mean2d[1], mean2d[2], mean2d[3]
         A, B2, C = conic[0], 2 * conic[1], conic[2]
         return ti.Vector([x, y, log_opacity, z, A, B2, C, color[0], color[1], color[2]])
+
+
+@ti.func
+def splat_color(drawer: ti.template(), v, g) -> ti.math.vec3:
+    """What is blended of Gaussian g in view v: the numbers of `drawer.color` if it has such, else the colour."""
+    value = ti.math.vec3(0.0)
+    if ti.static(drawer.other_color):
+        value = drawer.color[g]
+    else:
+        value = drawer.projection.color[v, g].xyz
+    return value
 
 
 @ti.func

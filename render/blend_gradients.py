@@ -6,6 +6,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from render.binning import TileBins
+from render.blend import splat_color
 from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
 from render.tile_batch import ALPHA_MAX, CPU_TILE, MIN_TRANSMITTANCE, exp2, tile_origin
@@ -29,6 +30,9 @@ class BlendGradients:
     d_conic    (A, B, C), as in `Projection.conic`
     d_color    (r, g, b)
 
+    With `color`, three numbers a Gaussian, vec3 (capacity,), the picture is of those in place of colours. With `into`,
+    the gradients of another picture from the same bins, d_mean2d and d_conic are added to its, and are the same fields.
+
     With w_i = alpha_i T_i and s_i = dL/dC . c_i + dL/dD z_i + dL/dA, a pixel's loss changes by sum w_i s_i, and
 
         dL/dalpha_i = T_i s_i - (sum_{j > i} w_j s_j) / (1 - alpha_i).
@@ -37,8 +41,9 @@ class BlendGradients:
     through from front to back as when they are drawn, and pixels end where they ended then.
     """
 
-    def __init__(self, bins: TileBins, picture):
+    def __init__(self, bins: TileBins, picture, *, color=None, into: "BlendGradients | None" = None):
         self.bins, self.projection, self.picture = bins, bins.projection, picture
+        self.color, self.other_color, self.adds = color, color is not None, into is not None
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
         _, height, width = picture.alpha.shape
@@ -50,7 +55,11 @@ class BlendGradients:
         )
         capacity = self.projection.splats.capacity
         with f.interleaved(capacity):
-            self.d_mean2d, self.d_conic, self.d_color = f.vector(capacity, n=4), f.vector(capacity), f.vector(capacity)
+            if into is None:
+                self.d_mean2d, self.d_conic = f.vector(capacity, n=4), f.vector(capacity)
+            else:
+                self.d_mean2d, self.d_conic = into.d_mean2d, into.d_conic
+            self.d_color = f.vector(capacity)
         f.build()
 
     def destroy(self) -> None:
@@ -59,9 +68,11 @@ class BlendGradients:
 
     @ti.func
     def clear(self, begin: ti.i32, end: ti.i32):
-        """Set the gradients of Gaussians [begin, end) to zero; outermost level of a kernel."""
+        """Set the gradients of Gaussians [begin, end) to zero, but those of `into`; outermost level of a kernel."""
         for g in range(begin, end):
-            self.d_mean2d[g], self.d_conic[g], self.d_color[g] = vec4(0.0), vec3(0.0), vec3(0.0)
+            if ti.static(not self.adds):
+                self.d_mean2d[g], self.d_conic[g] = vec4(0.0), vec3(0.0)
+            self.d_color[g] = vec3(0.0)
 
     @ti.func
     def backward(self):
@@ -90,11 +101,7 @@ class BlendGradients:
                 T[q] = -1.0
         for i in range(self.bins.begin[tile], self.bins.end[tile]):
             g = value_of(self.bins.members[i])
-            mean2d, conic, color = (
-                self.projection.mean2d[0, g],
-                self.projection.conic[0, g],
-                self.projection.color[0, g],
-            )
+            mean2d, conic, color = self.projection.mean2d[0, g], self.projection.conic[0, g], splat_color(self, 0, g)
             half_height = self.projection.box[0, g][1]
             A, B, C = conic[0], conic[1], conic[2]
             dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y

@@ -8,10 +8,12 @@ import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
+from core.spherical_harmonics import C0
 from prepare.train.parameters import Parameters
+from render.blend import Blend
 from render.blend_gradients import BlendGradients
 from render.projection_gradients import ProjectionGradients
-from render.renderer import Renderer
+from render.renderer import FloatImages, Renderer
 from render.splats import Splats
 from tests.support import reference_render as reference
 
@@ -36,26 +38,46 @@ class Differentiable:
         self.d_quat, self.d_log_scale = ti.Vector.field(4, ti.f32, n), ti.Vector.field(3, ti.f32, n)
         self.d_logit = ti.field(ti.f32, n)
 
+        self.labels = ti.Vector.field(3, ti.f32, n)  # of a second picture from the same bins
+        self.labelled = FloatImages(1, HEIGHT, WIDTH)
+        bins = self.blend.bins
+        self.draw_labels = Blend(bins, with_color=True, with_depth=False, color=self.labels)
+        self.by_labels = BlendGradients(bins, self.labelled, color=self.labels, into=self.blend)
+
+    @ti.kernel
+    def draw_second(self):
+        self.draw_labels.draw(self.labelled, 0)
+
     @ti.kernel
     def activate(self, count: ti.i32):
         self.parameters.activate(0, count)
 
     @ti.kernel
-    def backward(self, count: ti.i32):
+    def backward(self, count: ti.i32, second: ti.template()):
         self.blend.clear(0, count)
         self.blend.backward()
+        if ti.static(second):
+            self.by_labels.clear(0, count)
+            self.by_labels.backward()
         self.gradients.backward(0, count)
         for g in range(count):
             self.d_quat[g], self.d_log_scale[g], self.d_logit[g] = self.parameters.backward(g, self.gradients)
 
-    def __call__(self, g: Gaussians, camera: Camera, d_rgb, d_alpha, d_depth):
-        """Picture (rgb, alpha, depth), gradients by NAMES, and by the camera's rows (3, 4)."""
+    def __call__(self, g: Gaussians, camera: Camera, d_rgb, d_alpha, d_depth, labels=None, d_labelled=None):
+        """Picture (rgb, alpha, depth), gradients by NAMES, and by the camera's rows (3, 4).
+
+        With labels (N, 3): the picture of those, and the gradient by them, follow.
+        """
         p, s, b, n = self.parameters, self.splats, self.blend, len(g)
         s.set_count(n)
         fields = (s.mean, p.quat, p.log_scale, p.logit, s.sh)
         for field, name in zip(fields, NAMES, strict=True):
             field.from_numpy(s.padded(getattr(g, name)))
-        for field, values in ((b.d_rgb, d_rgb), (b.d_alpha, d_alpha), (b.d_depth, d_depth)):
+        pixels = [(b.d_rgb, d_rgb), (b.d_alpha, d_alpha), (b.d_depth, d_depth)]
+        if labels is not None:
+            self.labels.from_numpy(s.padded(labels))
+            pixels.append((self.by_labels.d_rgb, d_labelled))
+        for field, values in pixels:
             whole = np.zeros((HEIGHT, WIDTH, *values.shape[2:]), np.float32)
             whole[: camera.height, : camera.width] = values
             field.from_numpy(whole)
@@ -64,10 +86,16 @@ class Differentiable:
         r.rasterizer.resize(camera.width, camera.height)
         r.width, r.height = camera.width, camera.height
         r.render([camera])
-        self.backward(n)
+        if labels is not None:
+            self.draw_second()
+        self.backward(n, labels is not None)
         out = (self.gradients.d_mean, self.d_quat, self.d_log_scale, self.d_logit, self.gradients.d_sh)
         picture = [image.to_numpy()[0, : camera.height, : camera.width] for image in (r.rgb, r.alpha, r.depth)]
-        return picture, [field.to_numpy()[:n] for field in out], self.gradients.d_camera.to_numpy()
+        results = picture, [field.to_numpy()[:n] for field in out], self.gradients.d_camera.to_numpy()
+        if labels is None:
+            return results
+        labelled = self.labelled.rgb.to_numpy()[0, : camera.height, : camera.width]
+        return *results, labelled, self.by_labels.d_color.to_numpy()[:n]
 
 
 @pytest.fixture(scope="module")
@@ -152,3 +180,40 @@ def test_what_is_not_seen_has_no_gradient(differentiable):
     _, gradients, _ = made(g, camera, np.ones((16, 16, 3)), ones, ones)
     sh = np.abs(gradients[NAMES.index("sh")]).max(axis=(1, 2))
     assert sh[0] > 1.0 and sh[1] <= 2e-3 * sh[0] and sh[2] == 0.0
+
+
+def test_gradients_of_a_second_picture_of_other_numbers_equal_finite_differences(differentiable):
+    """By those numbers, and, added to those of the first picture, by all that both are drawn from."""
+    rng = np.random.default_rng(6)
+    n = 7
+    shapes = rng.normal(size=(n, 4)), rng.uniform(-0.5, 0.2, (n, 3)), rng.uniform(-1.5, -0.5, n)
+    sh = np.zeros((n, 16, 3))
+    sh[:, 0] = rng.uniform(0.2, 2.0, (n, 3))
+    g = Gaussians(rng.uniform(-0.5, 0.5, (n, 3)), *shapes, sh, np.zeros(n, np.uint16))
+    labels = rng.uniform(0.1, 0.9, (n, 3))
+    camera = perspective(SIZE, SIZE, 0.8, look_at((0.3, 0.4, -2.6), (0, 0, 0)))
+    nothing, first, second = np.zeros((SIZE, SIZE)), rng.normal(size=(SIZE, SIZE, 3)), rng.normal(size=(SIZE, SIZE, 3))
+    picture, gradients, _, labelled, by_labels = differentiable[False](
+        g, camera, first, nothing, nothing, labels, second
+    )
+
+    def drawn(g: Gaussians, labels: np.ndarray) -> np.ndarray:
+        return reference.render(replace(g, sh=((labels - 0.5) / C0)[:, None]), camera)[0]
+
+    def loss(g: Gaussians, labels: np.ndarray) -> float:
+        return float((first * reference.render(g, camera)[0]).sum() + (second * drawn(g, labels)).sum())
+
+    np.testing.assert_allclose(picture[0], reference.render(g, camera)[0], atol=2e-5)
+    np.testing.assert_allclose(labelled, drawn(g, labels), atol=2e-5)
+    step = 1e-5
+    for name, gradient in zip(("labels", *NAMES[:4]), (by_labels, *gradients[:4]), strict=True):
+        values = labels if name == "labels" else getattr(g, name)
+        truth = np.zeros_like(values)
+        for at in np.ndindex(values.shape):
+            ends = []
+            for sign in (1, -1):
+                new = values.copy()
+                new[at] += sign * step
+                ends.append(loss(g, new) if name == "labels" else loss(replace(g, **{name: new}), labels))
+            truth[at] = (ends[0] - ends[1]) / (2 * step)
+        assert_near(gradient, truth, 1e-3, name)

@@ -28,7 +28,7 @@ def read_cameras(path: str | Path) -> list[Camera]:
     items = data if isinstance(data, list) else [data]
     if not items:
         raise BadInput(f"{path}: holds no camera")
-    cameras = [_camera(path, i, item) for i, item in enumerate(items)]
+    cameras = [parse_camera(f"{path}: camera {i}", item) for i, item in enumerate(items)]
     if len({(c.width, c.height) for c in cameras}) > 1:
         raise BadInput(f"{path}: the cameras differ in size")
     return cameras
@@ -36,16 +36,19 @@ def read_cameras(path: str | Path) -> list[Camera]:
 
 def write_cameras(path: str | Path, cameras: list[Camera]) -> None:
     """Write a CAM.json: an object, or a list of several. Raises BadInput."""
-    items = []
-    for c in cameras:
-        sides = {"width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy}
-        items.append(sides | {"world_to_camera": np.asarray(c.world_to_camera, np.float64).tolist()})
+    items = [camera_entry(c) for c in cameras]
     with atomic_write(path) as beside:
         beside.write_text(json.dumps(items if len(items) != 1 else items[0], indent=1) + "\n", encoding="utf-8")
 
 
-def _camera(path: Path, index: int, item) -> Camera:
-    where = f"{path}: camera {index}"
+def camera_entry(c: Camera) -> dict:
+    """A camera as an object of a JSON file."""
+    sides = {"width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy}
+    return sides | {"world_to_camera": np.asarray(c.world_to_camera, np.float64).tolist()}
+
+
+def parse_camera(where: str, item) -> Camera:
+    """The camera of an object of a JSON file. Raises BadInput, naming `where`."""
     if not isinstance(item, dict):
         raise BadInput(f"{where}: expected an object")
     names = ("width", "height", "fx", "fy", "cx", "cy", "world_to_camera")

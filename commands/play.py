@@ -40,6 +40,7 @@ EXAMPLES = """examples:
   python vrgs.py                                        play the ring toss in a window
   python vrgs.py --body cat.ply                         drop your own splat on the table
   python vrgs.py --scene my_scene.py                    play a scene file of yours (docs/writing_a_scene.md)
+  python vrgs.py --scene ROOM/                          play in a room that was captured (vrgs.py capture)
   python vrgs.py --scene ring_toss --headless --record toss.mp4 --stats toss.json
   python vrgs.py --xr --record-input play.h5            play in a headset, and keep what you do
   python vrgs.py --web                                  play in a browser: for machines without a display
@@ -119,8 +120,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what is played, and how long."""
-    text = "demo to play (see: vrgs.py scenes), or your own scene file, which is run (default ring_toss; with --body "
-    parser.add_argument("--scene", default="ring_toss", metavar="NAME|FILE.py", help=f"{text}sandbox)")
+    text = "demo to play (see: vrgs.py scenes), a captured room, or your own scene file, which is run (default "
+    text += "ring_toss; with --body sandbox)"
+    parser.add_argument("--scene", default="ring_toss", metavar="NAME|ROOM/|FILE.py", help=text)
     add_arch(parser)
     text = "effect of a grip: it deforms and throws bodies, or moves them as they are"
     parser.add_argument("--interaction", choices=("physics", "transform"), default="physics", help=text)

@@ -1,4 +1,4 @@
-"""The demos by name: every module of this package with a function `build` is one, and so is a scene file by its path.
+"""The demos by name: each module of this package with a function `build` is one. Scene files and rooms have paths.
 
 A scene file is a program: only a path that the user has written on the command line comes here.
 """
@@ -13,11 +13,13 @@ import sys
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import scenes
 from assets.file_access import file_size
+from assets.room_folder import MANIFEST, is_room_folder
 from core.errors import BadInput
 from scenes.scene_options import SceneOption, options_of
 
@@ -39,6 +41,10 @@ class Demo:
 def demo(name: str) -> Demo | None:
     """The demo in a module of this package, or in a file; None for a module that neither has `build` nor uses Scene:
     others share it."""
+    if is_room(name):
+        from scenes.captured_room import room_scene
+
+        return Demo(name, f"{label(name)}: a captured room", partial(room_scene, name))
     try:
         module = module_of_file(Path(name)) if is_scene_file(name) else importlib.import_module(f"scenes.{name}")
     except BadInput as e:
@@ -62,9 +68,27 @@ def is_scene_file(name: str) -> bool:
     return name.endswith(".py")
 
 
+def is_room(name: str) -> bool:
+    """True for the path of a captured room; a demo's name is none, whatever folders there are."""
+    return name not in module_names() and not is_scene_file(name) and is_room_folder(name)
+
+
+def module_names() -> list[str]:
+    """Names of the modules of this package, sorted."""
+    return sorted(m.name for m in pkgutil.iter_modules(scenes.__path__))
+
+
+def rooms() -> list[str]:
+    """The captured rooms in the working directory, sorted."""
+    try:
+        return sorted(p.parent.name for p in Path().glob(f"*/{MANIFEST}") if is_room(p.parent.name))
+    except OSError:
+        return []
+
+
 def label(name: str) -> str:
-    """The name of a scene for titles and files: of a scene file its own without the folder."""
-    return Path(name).stem if is_scene_file(name) else name
+    """The name of a scene for titles and files: of a scene file its own without the folder, of a room its folder's."""
+    return Path(name).stem if is_scene_file(name) else Path(name).absolute().name if is_room(name) else name
 
 
 def module_of_file(path: Path):
@@ -111,8 +135,8 @@ def built(found: Demo, values: dict) -> Scene:
 
 
 def demos() -> list[Demo]:
-    """All demos and faulty scene files, sorted by name."""
-    found = (demo(name) for name in sorted(m.name for m in pkgutil.iter_modules(scenes.__path__)))
+    """All demos and faulty scene files, sorted by name, then the captured rooms in the working directory."""
+    found = (demo(name) for name in (*module_names(), *rooms()))
     return [d for d in found if d is not None]
 
 
@@ -140,10 +164,12 @@ def load(
 
     Raises BadInput, also for what the scene does not take.
     """
-    there = is_scene_file(name) or name in {m.name for m in pkgutil.iter_modules(scenes.__path__)}
+    there = is_scene_file(name) or is_room(name) or name in module_names()
     found = demo(name) if there else None
     if found is None and is_scene_file(name):
         raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
+    if found is None and Path(name).is_dir():
+        raise BadInput(f"{name}: holds no {MANIFEST}; a captured room is made by: vrgs.py capture")
     if found is None:
         raise BadInput(f"no scene named {name!r}; there are: {', '.join(names())}")
     if found.build is None:

@@ -6,6 +6,7 @@ import re
 from functools import cache
 from pathlib import Path
 
+from assets.room_folder import PICTURE as ROOM_PICTURE
 from display.protocol import Command, OpenScene, WorldView
 from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE
 from display.window.panel.widgets import pixels
@@ -45,7 +46,10 @@ def line_of(demo: Demo) -> str:
 
 
 def picture_file(request: OpenScene) -> Path | None:
-    """The picture of a scene with these options, or that of the scene; None if there is none."""
+    """The picture of a scene with these options, or that of the scene or captured room; None if there is none."""
+    if registry.is_room(request.name):
+        path = Path(request.name) / ROOM_PICTURE
+        return path if path.is_file() else None
     names = ("_".join((request.name, *map(str, request.options.values()))), request.name)
     return next((path for path in (PICTURES / f"{name}.jpg" for name in names) if path.is_file()), None)
 
@@ -129,8 +133,12 @@ class SceneMenu:
         path = picture_file(request)
         if path is not None and path not in self._textures:
             import cv2
+            import numpy as np
 
-            pixels_ = cv2.imread(str(path))[..., ::-1]
+            pixels_ = cv2.imread(str(path))
+            if pixels_ is None:  # of a captured room, which may hold anything
+                return None
+            pixels_ = np.ascontiguousarray(pixels_[..., ::-1])
             texture = self._gl.texture(pixels_.shape[1::-1], 3, pixels_.tobytes(), alignment=1)
             self._textures[path] = texture
         return self._textures.get(path)

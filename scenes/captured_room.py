@@ -1,0 +1,110 @@
+"""A captured room, made by `vrgs.py capture`: its objects can be grabbed, each at its place; --scene ROOM/ plays it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.library import default_material
+from assets.room_folder import RoomObject, read_room
+from core.rotation import matrices_from_quaternions
+from scenes import scene  # not its Scene: a module that has it and no `build` is a demo that lacks one
+from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Vec3
+from scenes.scripted_throw import ease
+
+BACKGROUND = (0.12, 0.13, 0.14)  # where no photograph showed anything
+SUN_HEIGHT = 10.0  # [m] above what is looked at
+SHADOW = {"strength": 0.35, "softness": 0.03}  # the photographs have shadows of their own
+SETTLE_TIME, TURN_TIME = 0.5, 2.4  # [s] before the scripted hand's first object, and with each
+TURNS_MAX = 3  # objects that it takes
+LIFT = 0.2  # [m] by which it lifts a free object
+DRAWN = 0.15  # of a fixed object's size, by which it is drawn off
+MOVED = 0.03  # [m] that an object which was taken has moved at least
+SUNK = 0.05  # [m] under the floor at which an object has fallen through it
+
+
+class CapturedRoom:
+    """No goal. The scripted hand lifts free objects a little and lets them fall; it draws at those that are fixed."""
+
+    def __init__(self, objects: tuple[RoomObject, ...], floor: float):
+        self.objects, self.floor = objects, floor
+        turns = min(len(objects), TURNS_MAX)
+        self.duration = SETTLE_TIME + TURN_TIME * turns + 0.4
+        self.away = [matrices_from_quaternions(np.array(o.rotation))[:, 1] for o in objects]  # from what holds it
+        self.reset()
+
+    def reset(self) -> None:
+        self.starts: dict[int, BodyState] = {}
+        self.farthest: dict[int, float] = {}
+
+    def update(self, time: float, bodies: list[BodyState]) -> None:
+        for k, body in enumerate(bodies):
+            if body.held and k in self.starts:
+                moved = np.abs(np.subtract([body.low, body.high], [self.starts[k].low, self.starts[k].high])).max()
+                self.farthest[k] = max(self.farthest.get(k, 0.0), float(moved))
+
+    def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
+        since = max(time - SETTLE_TIME, 0.0)
+        k = int(since / TURN_TIME)
+        if k >= min(len(bodies), TURNS_MAX):
+            return []
+        body, t = self.starts.setdefault(k, bodies[k]), since - k * TURN_TIME
+        size, fixed = body.high - body.low, self.objects[k].fixed_below is not None
+        if fixed:
+            grasp = 0.5 * (body.low + body.high) + 0.4 * self.away[k] * (np.abs(self.away[k]) @ size)
+            way, reach = DRAWN * size.max() * self.away[k], 0.25 * float(size.max())
+        else:
+            grasp = 0.5 * (body.low + body.high) + [0.0, 0.2 * size[1], 0.0]
+            way, reach = np.array([0.0, LIFT, 0.0]), 0.45 * float(size.max())
+        position = grasp + 0.15 * self.away[k] * (1 - ease(t / 0.3)) + way * ease((t - 0.3) / 0.8)
+        return [Hand(tuple(position), grip=0.3 <= t < 1.4, reach=max(reach, 0.05))]
+
+    @property
+    def score(self) -> int:
+        return 0
+
+    @property
+    def message(self) -> str:
+        return (
+            "Grab what is here, squeeze it, throw it." if self.objects else "Walk about; --body FILE brings something."
+        )
+
+    def verify(self, bodies: list[BodyState]) -> None:
+        """Assert the outcome of the scripted play: what was taken has moved, and nothing fell out of the room."""
+        for k, (body, thing) in enumerate(zip(bodies, self.objects, strict=True)):
+            assert np.isfinite(body.centroid).all() and body.high[1] > self.floor - SUNK, f"{thing.name} fell out"
+            if k < TURNS_MAX and thing.fixed_below is None:
+                assert self.farthest.get(k, 0.0) > MOVED, f"{thing.name} was not moved"
+
+
+def room_scene(folder: str) -> scene.Scene:
+    """The scene of a captured room: the player stands where a photographer stood. Raises BadInput."""
+    path, room = Path(folder), read_room(folder)
+    objects = [object_body(path, o) for o in room.objects]
+    return scene.Scene(
+        bodies=[Body(str(path / room.background)), *objects],
+        colliders=[Plane((0.0, room.floor, 0.0), (0.0, 1.0, 0.0), friction=0.8)],
+        light=light_over(room.target),
+        background=BACKGROUND,
+        eye=room.eye,
+        target=room.target,
+        fov_y=room.fov_y,
+        floor=room.floor,
+        game=CapturedRoom(room.objects, room.floor),
+        roles=(Role("object", tuple(b.asset for b in objects)),) if objects else (),
+    )
+
+
+def object_body(folder: Path, thing: RoomObject) -> Body:
+    """An object at its captured place."""
+    asset = str(folder / thing.asset)
+    placed = Body(asset, default_material(asset), position=thing.position, rotation=thing.rotation)
+    return replace(placed, fixed_below=thing.fixed_below)
+
+
+def light_over(target: Vec3) -> Light:
+    """A light from above, as most rooms have; the photographs do not tell where theirs was."""
+    x, y, z = target
+    return Light(position=(x + 2.0, y + SUN_HEIGHT, z + 3.0), target=target, kind="directional", **SHADOW)

@@ -1,0 +1,99 @@
+"""A captured room as a scene: read from its folder, strictly; played, reset; it names no file outside of it."""
+
+import json
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+from assets.library import find_asset
+from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from scenes import registry
+from tests.support.scripted_play import play
+
+EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)
+
+
+def link(source, target):
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The dining room as if it were captured, with a ring on the table and a ring that its end is fixed of."""
+    (tmp_path / "dining" / "objects").mkdir(parents=True)
+    path = tmp_path / "dining"
+    link(find_asset("dining_room"), path / "room.h5")
+    for name in ("ring_red", "ring_blue"):
+        link(find_asset(name), path / "objects" / f"{name}.h5")
+    half = np.sqrt(0.5)
+    objects = (
+        RoomObject("red ring", "objects/ring_red.h5", (0.0, 0.017, 0.14), (1.0, 0.0, 0.0, 0.0)),
+        RoomObject("wreath", "objects/ring_blue.h5", (0.0, 1.1, -0.2), (half, half, 0.0, 0.0), 0.0),
+    )
+    camera = perspective(640, 360, 0.9, look_at(EYE, TARGET))
+    write_room(
+        path, RoomManifest("room.h5", objects, EYE, TARGET, 0.9, 0.0, 0.5, np.diag([0.5, 0.5, 0.5, 1]), (camera,))
+    )
+    return path
+
+
+def test_a_room_is_played_from_where_its_photographer_stood(folder, ti_cpu):
+    scene = registry.load(str(folder))
+    assert scene.eye == EYE and scene.target == TARGET and registry.label(f"{folder}/") == "dining"
+    assert [b.fixed_below for b in scene.bodies[1:]] == [None, 0.0]
+    world = play(scene)
+    scene.game.verify(world.bodies())
+    assert not np.allclose(world.bodies()[0].low, scene.bodies[1].position, atol=0.05)
+    world.reset()
+    assert world.time == 0.0 and not scene.game.farthest
+
+
+def test_rooms_in_the_working_directory_are_in_the_menu_of_scenes(folder, monkeypatch):
+    monkeypatch.chdir(folder.parent)
+    assert registry.rooms() == ["dining"] and registry.demos()[-1].summary == "dining: a captured room"
+    (folder.parent / "ring_toss").mkdir()
+    shutil.copyfile(folder / "room.json", folder.parent / "ring_toss" / "room.json")
+    assert registry.rooms() == ["dining"], "a folder hides no demo"
+    with pytest.raises(BadInput, match="holds no room"):
+        registry.load("..")
+
+
+@pytest.mark.parametrize(
+    "change, said",
+    [
+        (lambda d: d.update(version=2), "version 2"),
+        (lambda d: d.pop("eye"), "eye is missing"),
+        (lambda d: d.update(script="os.system"), "'script' is unknown"),
+        (lambda d: d["objects"][0].update(asset="../other.h5"), "asset is not the name"),
+        (lambda d: d["objects"][0].update(asset="/etc/objects/a.h5"), "asset is not the name"),
+        (lambda d: d["objects"][0].update(rotation=[1, 1, 0, 0]), "no unit quaternion"),
+        (lambda d: d["objects"][0].update(position=[0, float("nan"), 0]), "not finite"),
+        (lambda d: d["objects"][0].update(asset="objects/none.h5"), "objects/none.h5 is missing"),
+        (lambda d: d["objects"][1].update(name="red ring"), "same name"),
+        (lambda d: d.update(fov_y=0), "fov_y"),
+        (lambda d: d.update(eye=d["target"]), "the eye is where"),
+        (lambda d: d["cameras"][0].update(fx=-1), "camera 0: fx"),
+        (lambda d: d["room_from_capture"][0].__setitem__(0, -0.5), "room_from_capture"),
+    ],
+)
+def test_a_manifest_that_is_not_sound_is_refused_in_one_line(folder, change, said):
+    data = json.loads((folder / "room.json").read_text())
+    change(data)
+    (folder / "room.json").write_text(json.dumps(data))
+    with pytest.raises(BadInput, match=said) as error:
+        registry.load(str(folder))
+    assert "\n" not in str(error.value)
+
+
+def test_a_manifest_is_read_as_it_was_written(folder):
+    room = read_room(folder)
+    before = (folder / "room.json").read_bytes()
+    write_room(folder, room)
+    assert (folder / "room.json").read_bytes() == before

@@ -71,28 +71,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Train, test, and write the Gaussians. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
-    from prepare.train.photographs import load_photograph
+    from prepare.train.photographs import kept_for_test, load_photographs
 
     kind_to_write(args.out)
     for file in filter(None, (args.out, args.report)):
         check_writable(file)
-    if args.test_every < 0 or args.checkpoint_every < 0:
-        raise BadInput("--test-every and --checkpoint-every are 0 or more")
+    if args.checkpoint_every < 0:
+        raise BadInput("--checkpoint-every is 0 or more")
     if args.preview:
         from display.window.gl_window import has_display
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
     capture = _capture(args).upright()
-    every = args.test_every
-    if every == 1:
-        raise BadInput("--test-every 1 leaves no photograph to learn from")
-    photographs = []
-    for k, view in enumerate(capture.views):
-        photographs.append(load_photograph(view, args.reduce))
-        _tell(f"photographs {k + 1}/{len(capture.views)}", end=k + 1 == len(capture.views))
-    test = photographs[::every] if every else []
-    train = [p for k, p in enumerate(photographs) if not every or k % every]
+    kept_for_test(capture.views, args.test_every)  # refused before all photographs are loaded
+
+    def tell(count: int) -> None:
+        _tell(f"photographs {count}/{len(capture.views)}", end=count == len(capture.views))
+
+    photographs = load_photographs(capture.views, args.reduce, progress=tell)
+    train, test = kept_for_test(photographs, args.test_every)
     start_taichi(args.arch)
     trainer, about = _trainer(args, capture, train)
     kept = args.out.with_name(f"{args.out.name}.checkpoint.h5")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,6 +46,31 @@ def load_photograph(view: View, reduce: int = 1) -> Photograph:
         sx, sy = size[0] / width, size[1] / height
         camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
     return Photograph(pixels, mask, camera)
+
+
+def load_photographs(
+    views: list[View], reduce: int = 1, *, progress: Callable[[int], None] | None = None
+) -> list[Photograph]:
+    """The photographs of all views, see `load_photograph`; `progress` is told how many are loaded. Raises BadInput."""
+    photographs = []
+    for view in views:
+        photographs.append(load_photograph(view, reduce))
+        if progress is not None:
+            progress(len(photographs))
+    return photographs
+
+
+def kept_for_test(items: list, every: int) -> tuple[list, list]:
+    """(what is learned from, what is kept for the test): every `every`th from the first on, none for 0.
+
+    Raises BadInput if nothing is left to learn from.
+    """
+    if every < 0:
+        raise BadInput("--test-every is 0 or more")
+    if every == 1:
+        raise BadInput("--test-every 1 leaves no photograph to learn from")
+    kept = items[::every] if every else []
+    return [item for k, item in enumerate(items) if not every or k % every], kept
 
 
 def image_size(path: Path) -> tuple[int, int]:

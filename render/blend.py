@@ -181,13 +181,18 @@ class Blend:
 
     @ti.func
     def words(self, v, g, mean2d, conic):
-        """Numbers of a splat in shared memory: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
+        """Numbers of a splat in shared memory."""
         color = ti.math.vec3(0.0)
         if ti.static(self.with_color):
             color = splat_color(self, v, g)
-        x, y, log_opacity, z = mean2d[0], mean2d[1], mean2d[2], mean2d[3]
-        A, B2, C = conic[0], 2 * conic[1], conic[2]
-        return ti.Vector([x, y, log_opacity, z, A, B2, C, color[0], color[1], color[2]])
+        return splat_words(mean2d, conic, color)
+
+
+@ti.func
+def splat_words(mean2d, conic, color):
+    """Numbers of a splat in shared memory: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
+    x, y, log_opacity, z = mean2d[0], mean2d[1], mean2d[2], mean2d[3]
+    return ti.Vector([x, y, log_opacity, z, conic[0], 2 * conic[1], conic[2], color[0], color[1], color[2]])
 
 
 @ti.func

@@ -6,14 +6,30 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from render.binning import TileBins
-from render.blend import splat_color
+from render.blend import BLEND_THREADS, PIXELS, ROW_STEP, splat_color, splat_words
 from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
-from render.tile_batch import ALPHA_MAX, CPU_TILE, MIN_TRANSMITTANCE, exp2, tile_origin
+from render.tile_batch import (
+    ACROSS,
+    ALPHA_MAX,
+    BATCH,
+    CELL,
+    CELL_BITS,
+    CPU_TILE,
+    GPU_TILE,
+    MIN_TRANSMITTANCE,
+    QUAD,
+    exp2,
+    load_member,
+    tile_origin,
+)
 
 LN2 = math.log(2.0)
-PIXELS = CPU_TILE * CPU_TILE  # of a block that is walked through at once
+CPU_PIXELS = CPU_TILE * CPU_TILE  # of a block that the CPU walks through at once
 MIN_ALPHA = 1e-10  # of a pixel whose depth is divided by it, as in the picture
+SUMS = 10  # numbers of a Gaussian that pixels add to
+GEOMETRY = 7  # the first of them, which `into` shares
+INDEX = 2 * QUAD + 3  # word of shared memory that holds a splat's Gaussian
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
@@ -23,15 +39,16 @@ class BlendGradients:
     """Gradients of a loss with respect to binned splats of one view.
 
     In, fields of shape (height, width): `d_rgb` vec3, `d_alpha`, `d_depth`, derivatives with respect to the picture of
-    a FloatImages sink, which has been drawn from the same bins.
+    a FloatImages sink, which has been drawn from the same bins. `with_depth=False`: the loss depends on colours alone,
+    and there are no such fields as the last two.
 
-    Out, of shape (capacity,), zero for Gaussians that are not in the picture:
+    Out, functions of a Gaussian, zero for those that are not in the picture:
     d_mean2d   (x, y [1/px], log2 opacity, camera z [1/m])
     d_conic    (A, B, C), as in `Projection.conic`
     d_color    (r, g, b)
 
     With `color`, three numbers a Gaussian, vec3 (capacity,), the picture is of those in place of colours. With `into`,
-    the gradients of another picture from the same bins, d_mean2d and d_conic are added to its, and are the same fields.
+    the gradients of another picture from the same bins, d_mean2d and d_conic are added to its, and are the same.
 
     With w_i = alpha_i T_i and s_i = dL/dC . c_i + dL/dD z_i + dL/dA, a pixel's loss changes by sum w_i s_i, and
 
@@ -39,27 +56,26 @@ class BlendGradients:
 
     The sum behind i is that of the whole pixel, which the picture gives, less the sum up to i: splats are walked
     through from front to back as when they are drawn, and pixels end where they ended then.
+
+    `sums` (capacity, SUMS) are what pixels add up, with d their distance [px] from the splat's centre and p the
+    derivative with respect to the exponent: p, p d_x, p d_y, p d_x^2, p d_x d_y, p d_y^2, then dL/dz, dL/dcolour.
     """
 
-    def __init__(self, bins: TileBins, picture, *, color=None, into: "BlendGradients | None" = None):
+    def __init__(
+        self, bins: TileBins, picture, *, with_depth: bool = True, color=None, into: "BlendGradients | None" = None
+    ):
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
+        self.with_depth, self.on_gpu = with_depth, ti.cfg.arch == ti.cuda
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
         _, height, width = picture.alpha.shape
         self.fields = f = FieldGroup()
-        self.d_rgb, self.d_alpha, self.d_depth = (
-            f.vector(height, width),
-            f.scalar(height, width),
-            f.scalar(height, width),
-        )
-        capacity = self.projection.splats.capacity
-        with f.interleaved(capacity):
-            if into is None:
-                self.d_mean2d, self.d_conic = f.vector(capacity, n=4), f.vector(capacity)
-            else:
-                self.d_mean2d, self.d_conic = into.d_mean2d, into.d_conic
-            self.d_color = f.vector(capacity)
+        self.d_rgb = f.vector(height, width)
+        if with_depth:
+            self.d_alpha, self.d_depth = f.scalar(height, width), f.scalar(height, width)
+        self.sums = f.scalar(self.projection.splats.capacity, SUMS)
+        self.geometry = self.sums if into is None else into.geometry
         f.build()
 
     def destroy(self) -> None:
@@ -70,15 +86,52 @@ class BlendGradients:
     def clear(self, begin: ti.i32, end: ti.i32):
         """Set the gradients of Gaussians [begin, end) to zero, but those of `into`; outermost level of a kernel."""
         for g in range(begin, end):
-            if ti.static(not self.adds):
-                self.d_mean2d[g], self.d_conic[g] = vec4(0.0), vec3(0.0)
-            self.d_color[g] = vec3(0.0)
+            for k in ti.static(range(SUMS)):
+                self.sums[g, k] = 0.0
+
+    @ti.func
+    def d_mean2d(self, g: ti.i32) -> vec4:
+        """Gradient with respect to (x, y, log2 opacity, z) of Gaussian g."""
+        conic, x, y = self.projection.conic[0, g], self.geometry[g, 1], self.geometry[g, 2]
+        d_x, d_y = 2 * (conic[0] * x + conic[1] * y), 2 * (conic[1] * x + conic[2] * y)
+        return vec4(d_x, d_y, self.geometry[g, 0], self.geometry[g, 6])
+
+    @ti.func
+    def d_conic(self, g: ti.i32) -> vec3:
+        """Gradient with respect to (A, B, C) of Gaussian g."""
+        return -vec3(self.geometry[g, 3], 2 * self.geometry[g, 4], self.geometry[g, 5])
+
+    @ti.func
+    def d_color(self, g: ti.i32) -> vec3:
+        """Gradient with respect to the colour, or to `color`, of Gaussian g."""
+        return vec3(self.sums[g, 7], self.sums[g, 8], self.sums[g, 9])
 
     @ti.func
     def backward(self):
-        """Add the gradients of all tiles; outermost level of a kernel, after `clear`."""
+        """Add the gradients of all tiles; after `clear`.
+
+        Outermost level of a kernel that has no other shared arrays.
+        """
+        if ti.static(self.on_gpu):
+            self._backward_gpu()
+        else:
+            self._backward_cpu()
+
+    @ti.func
+    def pixel(self, y: ti.i32, x: ti.i32):
+        """Derivatives with respect to a pixel's sums of w c, w z and w; and those times the sums themselves, added."""
+        d_c, c, d_sum, d_alpha = self.d_rgb[y, x], self.picture.rgb[0, y, x], 0.0, 0.0
+        total = d_c.dot(c)
+        if ti.static(self.with_depth):
+            alpha, z = self.picture.alpha[0, y, x], self.picture.depth[0, y, x]
+            d_sum = self.d_depth[y, x] / ti.max(alpha, MIN_ALPHA)  # depth = sum w z / alpha
+            d_alpha = self.d_alpha[y, x] - d_sum * z
+            total += d_sum * z * alpha + d_alpha * alpha
+        return d_c, d_sum, d_alpha, total
+
+    @ti.func
+    def _backward_cpu(self):
         columns, rows = ti.static(self.projection.tile[0] // CPU_TILE, self.projection.tile[1] // CPU_TILE)
-        ti.loop_config(block_dim=4)
         for block in range(self.bins.tiles_per_view() * columns * rows):
             tile, part = block // (columns * rows), block % (columns * rows)
             x0, y0 = tile_origin(self.projection, tile, self.projection.tile)
@@ -89,14 +142,12 @@ class BlendGradients:
         """Add the gradients of a block of pixels of a tile; the pixels' states are arrays, as in `Blend`."""
         T, behind = filled(1.0), filled(0.0)
         red, green, blue, depth, opaque = filled(0.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
-        for q in range(PIXELS):
+        for q in range(CPU_PIXELS):
             x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE
             if x < self.projection.grid[None][0] and y < self.projection.grid[None][1]:
-                c, alpha, z = self.picture.rgb[0, y, x], self.picture.alpha[0, y, x], self.picture.depth[0, y, x]
-                d_c, d_sum = self.d_rgb[y, x], self.d_depth[y, x] / ti.max(alpha, MIN_ALPHA)  # depth = sum w z / alpha
-                d_alpha = self.d_alpha[y, x] - d_sum * z
+                d_c, d_sum, d_alpha, total = self.pixel(y, x)
                 red[q], green[q], blue[q], depth[q], opaque[q] = d_c.r, d_c.g, d_c.b, d_sum, d_alpha
-                behind[q] = d_c.dot(c) + d_sum * z * alpha + d_alpha * alpha
+                behind[q] = total
             else:
                 T[q] = -1.0
         for i in range(self.bins.begin[tile], self.bins.end[tile]):
@@ -107,8 +158,7 @@ class BlendGradients:
             dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
             first = ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32)
             last = ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32)
-            d_x, d_y, d_log, d_z, d_A, d_B, d_C = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            d_r, d_g, d_b = 0.0, 0.0, 0.0
+            sums = ti.Vector([0.0] * SUMS)
             for row in range(first, last + 1):
                 dy = dy0 + row
                 base, tilt = mean2d.z - C * dy * dy, 2 * B * dy
@@ -126,24 +176,164 @@ class BlendGradients:
                     value = red[q] * color.r + green[q] * color.g + blue[q] * color.b + depth[q] * mean2d.w + opaque[q]
                     behind[q] -= weight * value
                     d_alpha = before * value - behind[q] / (1.0 - alpha)
-                    d_power = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
-                    d_x += d_power * 2 * (A * dx + B * dy)
-                    d_y += d_power * 2 * (B * dx + C * dy)
-                    d_log += d_power
-                    d_A -= d_power * dx * dx
-                    d_B -= d_power * 2 * dx * dy
-                    d_C -= d_power * dy * dy
-                    d_r += weight * red[q]
-                    d_g += weight * green[q]
-                    d_b += weight * blue[q]
-                    d_z += weight * depth[q]
+                    p = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
+                    sums[0] += p
+                    sums[1] += p * dx
+                    sums[2] += p * dy
+                    sums[3] += p * dx * dx
+                    sums[4] += p * dx * dy
+                    sums[5] += p * dy * dy
+                    sums[6] += weight * depth[q]
+                    sums[7] += weight * red[q]
+                    sums[8] += weight * green[q]
+                    sums[9] += weight * blue[q]
             if last >= first:
-                self.d_mean2d[g] += vec4(d_x, d_y, d_log, d_z)
-                self.d_conic[g] += vec3(d_A, d_B, d_C)
-                self.d_color[g] += vec3(d_r, d_g, d_b)
+                for k in ti.static(range(GEOMETRY)):
+                    self.geometry[g, k] += sums[k]
+                for k in ti.static(range(GEOMETRY, SUMS)):
+                    self.sums[g, k] += sums[k]
+
+    @ti.func
+    def _backward_gpu(self):
+        """One tile per block of threads, one cell per warp, PIXELS of a column per thread, as `Blend` draws."""
+        ti.loop_config(block_dim=BLEND_THREADS)
+        for thread in range(self.bins.tiles_per_view() * BLEND_THREADS):
+            tile, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
+            width, height = self.projection.grid[None][0], self.projection.grid[None][1]
+            x0, y0 = tile_origin(self.projection, tile, GPU_TILE)
+            cell, member = lane // 32, lane % 32
+            x, y = x0 + cell % ACROSS * CELL + member % CELL, y0 + cell // ACROSS * CELL + member // CELL
+            shared = ti.simt.block.SharedArray((3 * QUAD,), ti.f32)
+            all_lanes = ti.u32(0xFFFFFFFF)
+            T, behind = ti.Vector([1.0] * PIXELS), ti.Vector([0.0] * PIXELS)
+            limit = ti.Vector([MIN_TRANSMITTANCE] * PIXELS)  # T must stay above it to go on; no T is above 1
+            red, green, blue = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
+            depth, opaque = ti.Vector([0.0] * PIXELS), ti.Vector([0.0] * PIXELS)
+            for p in ti.static(range(PIXELS)):
+                if x < width and y + p * ROW_STEP < height:
+                    d_c, d_sum, d_alpha, total = self.pixel(y + p * ROW_STEP, x)
+                    red[p], green[p], blue[p], depth[p], opaque[p] = d_c.r, d_c.g, d_c.b, d_sum, d_alpha
+                    behind[p] = total
+                else:
+                    limit[p] = 1.0
+            place = place_of_lane(member)
+            begin, end = self.bins.begin[tile], self.bins.end[tile]
+            for batch in range((end - begin + BATCH - 1) // BATCH):
+                # the barrier also keeps the last batch in place until every thread has read it
+                if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
+                    break
+                first = begin + batch * BATCH
+                for load in range((BATCH + BLEND_THREADS - 1) // BLEND_THREADS):
+                    j = load * BLEND_THREADS + lane
+                    if j < BATCH:  # the same for the whole warp
+                        exists = ti.cast(first + j < end, ti.i32)
+                        load_member(self, shared, 0, first + j, j, exists, x0, y0)
+                        if exists != 0:
+                            g = ti.cast(value_of(self.bins.members[first + j]), ti.i32)
+                            shared[INDEX + 4 * j] = ti.bit_cast(g, ti.f32)
+                ti.simt.block.sync()
+                for group in range((ti.min(BATCH, end - first) + 31) // 32):
+                    bits = ti.bit_cast(shared[CELL_BITS + 4 * (group * 32 + cell)], ti.u32)
+                    # a warp goes through its splats together: all lanes add up what a splat gets from its cell
+                    if ti.simt.warp.any_nonzero(all_lanes, ti.cast(limit.min() < 1.0, ti.i32)) == 0:
+                        bits = ti.u32(0)
+                    while bits != ti.u32(0):
+                        less = bits - ti.u32(1)
+                        j = group * 32 + ti.cast(ti.math.popcnt(less & ~bits), ti.i32)
+                        bits &= less
+                        splat = ti.Vector([0.0] * 12)
+                        for k in ti.static(range(12)):  # in a row and within known bounds: three wide loads
+                            splat[k] = shared[QUAD * (k // 4) + 4 * (j & (BATCH - 1)) + k % 4]
+                        sums = ti.Vector([0.0] * SUMS)
+                        touched = 0
+                        dx, dy0 = x + 0.5 - splat[0], y + 0.5 - splat[1]
+                        tilt, base = splat[5] * dx, splat[2] - splat[4] * dx * dx
+                        for p in ti.static(range(PIXELS)):
+                            dy = dy0 + p * ROW_STEP
+                            power = base - dy * (tilt + splat[6] * dy)
+                            exact = ti.select(power < -CUTOFF_BITS, 0.0, exp2(power))
+                            alpha = ti.min(ALPHA_MAX, exact)
+                            before = T[p]
+                            after = before - alpha * before
+                            visible = after > limit[p]
+                            limit[p] = ti.select(visible, limit[p], 1.0)
+                            T[p] = ti.select(visible, after, before)
+                            weight = before - T[p]
+                            value = red[p] * splat[7] + green[p] * splat[8] + blue[p] * splat[9]
+                            if ti.static(self.with_depth):
+                                value += depth[p] * splat[3] + opaque[p]
+                                sums[6] += weight * depth[p]
+                            behind[p] -= weight * value
+                            d_alpha = before * value - behind[p] / (1.0 - alpha)
+                            q = ti.select(visible & (exact < ALPHA_MAX), LN2 * alpha * d_alpha, 0.0)
+                            touched |= ti.cast(weight > 0.0, ti.i32)
+                            sums[0] += q
+                            sums[1] += q * dx
+                            sums[2] += q * dy
+                            sums[3] += q * dx * dx
+                            sums[4] += q * dx * dy
+                            sums[5] += q * dy * dy
+                            sums[7] += weight * red[p]
+                            sums[8] += weight * green[p]
+                            sums[9] += weight * blue[p]
+                        if ti.simt.warp.any_nonzero(all_lanes, touched) != 0:
+                            total = warp_sums(sums, member)
+                            g = ti.bit_cast(splat[11], ti.i32)
+                            if place >= 0:
+                                if ti.static(self.adds):
+                                    if place < GEOMETRY:
+                                        self.geometry[g, place] += total
+                                    else:
+                                        self.sums[g, place] += total
+                                else:
+                                    self.sums[g, place] += total
+
+    @ti.func
+    def words(self, v, g, mean2d, conic):
+        """Numbers of a splat in shared memory."""
+        return splat_words(mean2d, conic, splat_color(self, v, g))
 
 
 @ti.func
 def filled(value: ti.f32):
-    """A value for each pixel of a block."""
-    return ti.Vector([value] * PIXELS)
+    """A value for each pixel of a CPU block."""
+    return ti.Vector([value] * CPU_PIXELS)
+
+
+@ti.func
+def warp_sums(values: ti.template(), lane: ti.i32) -> ti.f32:
+    """Sum over a warp of the SUMS values of each lane; a lane gets the sum of value `place_of_lane`.
+
+    Lanes exchange halves of what they hold with a partner 16 lanes away, then quarters with one 8 away, and so on: 12
+    exchanges instead of 50.
+    """
+    a = ti.Vector([0.0] * 5)
+    for k in ti.static(range(5)):
+        a[k] = halved(values[k], values[5 + k], lane, 16)
+    b = ti.Vector([0.0] * 3)
+    b[0], b[1], b[2] = halved(a[0], a[3], lane, 8), halved(a[1], a[4], lane, 8), halved(a[2], 0.0, lane, 8)
+    c0, c1 = halved(b[0], b[2], lane, 4), halved(b[1], 0.0, lane, 4)
+    d = halved(c0, c1, lane, 2)
+    return d + exchanged(d, 1)
+
+
+@ti.func
+def place_of_lane(lane: ti.i32) -> ti.i32:
+    """Index of the value whose sum `warp_sums` gives to a lane; -1 for a lane that has none, or a double."""
+    inner = (lane >> 2 & 1) * 2 + (lane >> 1 & 1)
+    within = (lane >> 3 & 1) * 3 + inner
+    return ti.select((lane & 1 == 0) & (inner < 3) & (within < 5), (lane >> 4) * 5 + within, -1)
+
+
+@ti.func
+def halved(low: ti.f32, high: ti.f32, lane: ti.i32, distance: ti.i32) -> ti.f32:
+    """`low`, or `high` where `distance` is a bit of the lane, and what the partner adds to it."""
+    upper = (lane & distance) != 0
+    return ti.select(upper, high, low) + exchanged(ti.select(upper, low, high), distance)
+
+
+@ti.func
+def exchanged(value: ti.f32, distance: ti.i32) -> ti.f32:
+    """The value of the lane whose number differs by the bit `distance`."""
+    bits = ti.simt.warp.shfl_xor_i32(ti.u32(0xFFFFFFFF), ti.bit_cast(value, ti.i32), distance)
+    return ti.bit_cast(bits, ti.f32)

@@ -26,11 +26,11 @@ class ProjectionGradients:
     d_cov      vec6 [1/m^2], with respect to the six stored entries: an off-diagonal one stands for two
     d_opacity  scalar
     d_sh       vec3 (capacity, coefficients)
-    d_camera   vec4 (3,): with respect to the rows of world_to_camera, a sum over all Gaussians
+    d_camera   vec4 (3,): with respect to the rows of world_to_camera, a sum over all Gaussians; with `of_camera`
     """
 
-    def __init__(self, blend: BlendGradients):
-        self.blend, self.projection = blend, blend.projection
+    def __init__(self, blend: BlendGradients, *, of_camera: bool = True):
+        self.blend, self.projection, self.of_camera = blend, blend.projection, of_camera
         self.splats = splats = self.projection.splats
         self.fields = f = FieldGroup()
         self.d_mean, self.d_cov, self.d_opacity = (
@@ -67,7 +67,7 @@ class ProjectionGradients:
         W = ti.Matrix.rows([camera[0, 0].xyz, camera[0, 1].xyz, camera[0, 2].xyz])
         offset = vec3(camera[0, 0].w, camera[0, 1].w, camera[0, 2].w)
         p = W @ mean + offset
-        d_mean2d = self.blend.d_mean2d[g]
+        d_mean2d = self.blend.d_mean2d(g)
         d_p = vec3(0.0, 0.0, d_mean2d.w)
 
         # the centre: x = fx p.x / p.z + cx
@@ -91,7 +91,7 @@ class ProjectionGradients:
         sx, sy = times(s, mx), times(s, my)  # Sigma M^T
         conic = self.projection.conic[0, g] / HALF_LOG2_E  # S^-1 = [[a, b], [b, c]]
         a, b, c = conic[0], conic[1], conic[2]
-        d_conic = self.blend.d_conic[g] * HALF_LOG2_E
+        d_conic = self.blend.d_conic(g) * HALF_LOG2_E
         d_a, d_b, d_c = d_conic[0], 0.5 * d_conic[1], d_conic[2]  # a half for each off-diagonal entry
         # dL/dS = -S^-1 (dL/dS^-1) S^-1
         u, v, w = d_a * a + d_b * b, d_a * b + d_b * c, d_b * a + d_c * b
@@ -130,12 +130,13 @@ class ProjectionGradients:
         ray = mean - self.eye()
         d_ray = self._backward_color(g, ray)
         self.d_mean[g] = W.transpose() @ d_p + d_ray
-        d_eye = -d_ray  # eye = -W^T offset
-        rows = ti.Matrix.rows([scale_x * d_mx, scale_y * d_my, d_forward])
-        for k in ti.static(range(3)):
-            d_row = d_p[k] * mean + vec3(rows[k, 0], rows[k, 1], rows[k, 2]) - offset[k] * d_eye
-            d_w = d_p[k] - d_eye.dot(camera[0, k].xyz)
-            self.d_camera[k] += vec4(d_row, d_w)
+        if ti.static(self.of_camera):
+            d_eye = -d_ray  # eye = -W^T offset
+            rows = ti.Matrix.rows([scale_x * d_mx, scale_y * d_my, d_forward])
+            for k in ti.static(range(3)):
+                d_row = d_p[k] * mean + vec3(rows[k, 0], rows[k, 1], rows[k, 2]) - offset[k] * d_eye
+                d_w = d_p[k] - d_eye.dot(camera[0, k].xyz)
+                self.d_camera[k] += vec4(d_row, d_w)
 
     @ti.func
     def eye(self) -> vec3:
@@ -149,7 +150,7 @@ class ProjectionGradients:
     def _backward_color(self, g: ti.i32, ray: vec3) -> vec3:
         """Write the gradient of the harmonics; returns that of the ray from the eye to the mean."""
         value = color_of(self.splats, g, ray)
-        d_value = self.blend.d_color[g] * self.splats.visibility[g]
+        d_value = self.blend.d_color(g) * self.splats.visibility[g]
         for k in ti.static(range(3)):
             d_value[k] = d_value[k] if value[k] > 0.0 else 0.0
         length = ti.max(ray.norm(), 1e-12)

@@ -85,8 +85,8 @@ class _BackwardPass:
 
     def __init__(self, population: Population, bins, picture, loss: ImageLoss):
         self.population, self.bins, self.picture, self.loss = population, bins, picture, loss
-        self.blend = BlendGradients(bins, picture)
-        self.gradients = ProjectionGradients(self.blend)
+        self.blend = BlendGradients(bins, picture, with_depth=False)
+        self.gradients = ProjectionGradients(self.blend, of_camera=False)
 
     def destroy(self) -> None:
         """Free the device memory."""

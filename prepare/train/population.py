@@ -114,7 +114,7 @@ class Population:
             if seen or sparse == 0:
                 d = geometry(0.0)
                 if seen:
-                    pull = gradients.blend.d_mean2d[g]
+                    pull = gradients.blend.d_mean2d(g)
                     self.pull[g] += ti.math.vec2(pull.x * half_width, pull.y * half_height).norm()
                     self.pulls[g] += 1.0
                     d_mean = gradients.d_mean[g]

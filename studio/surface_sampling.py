@@ -118,9 +118,9 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewe
     edge_spacing = _spacing(0.5 * (edges.a + edges.b) @ stretch, edge_normals, surface, viewer)
     edge_points = points_along(edges, edge_spacing)
 
-    mesh = _subdivided(world, 12 * surface.spacing)
+    mesh = subdivided(world, max(12 * surface.spacing, 0.12))
     centre, normal = mesh.vertices[mesh.faces].mean(1), face_normals(mesh)
-    corner_normals = _unit(_corner_normals(mesh, normal) @ stretch)
+    corner_normals = _unit(smooth_normals(mesh, normal) @ stretch)
     v = (mesh.vertices @ compress)[mesh.faces]
     spacing = np.minimum(
         _spacing(centre, normal, surface, viewer),
@@ -188,16 +188,16 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-20)
 
 
-def _subdivided(mesh: Mesh, longest: float) -> Mesh:
-    """Split triangles until no edge exceeds `longest` [m], so that the spacing can vary over them."""
+def subdivided(mesh: Mesh, longest: float) -> Mesh:
+    """Split triangles until no edge exceeds `longest` [m]."""
     import trimesh
 
-    v, f = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=max(longest, 0.12), max_iter=12)
+    v, f = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=longest, max_iter=12)
     return welded(Mesh(v, f))
 
 
-def _corner_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    """Normals (F, 3, 3) at the corners, area-weighted over the faces that meet there without a crease."""
+def smooth_normals(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
+    """Normals (F, 3, 3) at corners: of the faces, with normals (F, 3), that meet without a crease, weighted by area."""
     v = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(v[:, 1] - v[:, 0], v[:, 2] - v[:, 0]), axis=1)
     corner = mesh.faces.reshape(-1)

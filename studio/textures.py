@@ -12,6 +12,14 @@ HONEY = ((0.47, 0.245, 0.098), (0.215, 0.088, 0.031))
 WALNUT = ((0.235, 0.125, 0.062), (0.085, 0.040, 0.020))
 BEECH = ((0.60, 0.40, 0.225), (0.42, 0.25, 0.125))
 
+LATTICE_PRIMES = (73856093, 19349663, 83492791)  # Teschner et al. 2003
+# The twelve edge directions of a cube, four of them twice (Perlin 2002), (3, 16).
+GRADIENTS = np.array(
+    [(1, 1, 0), (-1, 1, 0), (1, -1, 0), (-1, -1, 0), (1, 0, 1), (-1, 0, 1), (1, 0, -1), (-1, 0, -1)]
+    + [(0, 1, 1), (0, -1, 1), (0, 1, -1), (0, -1, -1), (1, 1, 0), (-1, 1, 0), (0, -1, 1), (0, -1, -1)],
+    float,
+).T.copy()
+
 
 def srgb(code: str) -> np.ndarray:
     """Linear RGB of a display colour such as "c86432"."""
@@ -37,12 +45,14 @@ def noise(points: np.ndarray, seed: int = 0) -> np.ndarray:
     f = points - cell
     cell = cell.astype(np.int64)
     u = f * f * f * (f * (f * 6 - 15) + 10)
+    keys = [[(cell[:, k] + d) * LATTICE_PRIMES[k] for d in (0, 1)] for k in range(3)]
+    weights = [(1 - u[:, k], u[:, k]) for k in range(3)]
     total = np.zeros(len(points))
     for corner in range(8):
-        d = np.array([corner & 1, corner >> 1 & 1, corner >> 2 & 1])
-        gradient = _gradient(cell + d, seed)
-        weight = np.where(d, u, 1 - u).prod(1)
-        total += weight * (gradient * (f - d)).sum(1)
+        i, j, k = corner & 1, corner >> 1 & 1, corner >> 2 & 1
+        g = GRADIENTS[:, _hash(keys[0][i] ^ keys[1][j] ^ keys[2][k], seed) & 15]
+        weight = weights[0][i] * weights[1][j] * weights[2][k]
+        total += weight * (g[0] * (f[:, 0] - i) + g[1] * (f[:, 1] - j) + g[2] * (f[:, 2] - k))
     return total
 
 
@@ -133,11 +143,3 @@ def _hash(values: np.ndarray, seed: int) -> np.ndarray:
         h = (h ^ (h >> np.uint64(31))) * np.uint64(0xBF58476D1CE4E5B9)
         h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return (h ^ (h >> np.uint64(32))).astype(np.int64)
-
-
-def _gradient(cell: np.ndarray, seed: int) -> np.ndarray:
-    """Gradient of each lattice cell (N, 3): one of the twelve edge directions of a cube."""
-    h = _hash(cell[:, 0] * 73856093 ^ cell[:, 1] * 19349663 ^ cell[:, 2] * 83492791, seed) & 15
-    table = [(1, 1, 0), (-1, 1, 0), (1, -1, 0), (-1, -1, 0), (1, 0, 1), (-1, 0, 1), (1, 0, -1), (-1, 0, -1)]
-    table += [(0, 1, 1), (0, -1, 1), (0, 1, -1), (0, -1, -1), (1, 1, 0), (-1, 1, 0), (0, -1, 1), (0, -1, -1)]
-    return np.array(table, float)[h]

@@ -21,7 +21,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     " --checkpoint-every --preview --seed",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
-    "build": "--help --arch --detail --out",
+    "build": "--help --capture",
     "tune": "--help --arch --height --json --material --out --young",
     "materials": "--help",
     "check": "--help --arch --json --quick",
@@ -73,6 +73,11 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("bench scaling --from r.json --rounds 3", "--from only reads"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
     ("build --force", "--force belongs to --detail paper"),
+    *(
+        (f"build {o}", "belongs to --capture")
+        for o in ("--views 9", "--size 32x32", "--seed 1", "--up +z", "--scale 2")
+    ),
+    *((f"build --capture c {o}", "is for assets") for o in ("--detail rough", "--out d", "--arch cpu")),
     *((f"tune a --young 1e4 {o}", "that --young does not list") for o in ("--from 1e3", "--to 1e5", "--steps 3")),
     *((f"study s.h5 --form {o}", "is for the comparison") for o in ("--out p.html", "--json j.json")),
     ("study s.h5 --form --answers a.json", "--answers and --form do not go together"),

@@ -13,6 +13,7 @@ from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
 from assets.up_axis import body_size, guess_up_axis, rotation_to_up
 from core.distance_grid import DistanceGrid
+from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
 from core.tetmesh import tet_volumes
 from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN, VERTEX_TOLERANCE, NoSoundCage, check_count
@@ -55,6 +56,7 @@ class Options:
     mesher    a name of component_cages.MESHERS; stuffing makes the cage where another fails
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone
+    metres    the splat is in metres, so that its size stays whatever it is; then `scale` is None
     """
 
     vertices: int = 2000
@@ -64,12 +66,15 @@ class Options:
     mesher: str = "stuffing"
     adaptive: bool = True
     pieces: bool = False
+    metres: bool = False
 
     def check(self) -> None:
         """Raise BadInput for a value that cannot be used."""
         Material.named(self.material or DEFAULT_MATERIAL)
         check_count(self.vertices)
         check_mesher(self.mesher)
+        if self.metres and self.scale is not None:
+            raise BadInput("a splat in metres has its size already")
         body_size(1.0, self.scale)
         if self.up is not None:
             rotation_to_up(self.up)
@@ -79,7 +84,8 @@ class Options:
         found = {"vertices": self.vertices, "scale": self.scale, "up": self.up, "material": self.material}
         found |= {} if self.mesher == "stuffing" else {"mesher": self.mesher}
         found |= {} if self.adaptive else {"cells": "uniform"}
-        return found | ({"pieces": True} if self.pieces else {})
+        found |= {"pieces": True} if self.pieces else {}
+        return found | ({"metres": True} if self.metres else {})
 
 
 def prepare(
@@ -119,7 +125,7 @@ def prepare(
     own = np.concatenate([c.component.indices for c in cages])
     counts |= {"stray": counts["kept"] - len(own), "kept": len(own)}
     longest, foot = extent_of(cages)
-    size = body_size(longest, options.scale)
+    size = body_size(longest, longest if options.metres else options.scale)
     factor = size / longest
     cage, first = joined_cage(cages, lambda x: (x - foot) * factor)
     g = g.select(own).transformed(np.eye(3), -factor * foot, factor)

@@ -1,4 +1,7 @@
-"""A captured room, made by `vrgs.py capture`: its objects can be grabbed, each at its place; --scene ROOM/ plays it."""
+"""A captured room, made by `vrgs.py capture`: its objects can be grabbed, each at its place; --scene ROOM/ plays it.
+
+In a room without objects there is a ball, or what the user brings.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.environment import Environment
 from assets.library import default_material
 from assets.room_folder import RoomObject, read_room
 from core.rotation import matrices_from_quaternions
@@ -14,6 +18,7 @@ from scenes import scene  # not its Scene: a module that has it and no `build` i
 from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Vec3
 from scenes.scripted_throw import ease
 
+TOY, TOY_DROP = "ball", 0.02  # where no object was captured; [m] over the free place
 BACKGROUND = (0.12, 0.13, 0.14)  # where no photograph showed anything
 SUN_HEIGHT = 10.0  # [m] above what is looked at
 SHADOW = {"strength": 0.35, "softness": 0.03}  # the photographs have shadows of their own
@@ -83,6 +88,10 @@ def room_scene(folder: str) -> scene.Scene:
     """The scene of a captured room: the player stands where a photographer stood. Raises BadInput."""
     path, room = Path(folder), read_room(folder)
     objects = [object_body(path, o) for o in room.objects]
+    things = room.objects or (RoomObject(TOY, TOY, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),)
+    if not objects:
+        x, y, z = Environment.load(path / room.background).drop_point
+        objects = [Body(TOY, default_material(TOY), position=(x, y + TOY_DROP, z))]
     return scene.Scene(
         bodies=[Body(str(path / room.background)), *objects],
         colliders=[Plane((0.0, room.floor, 0.0), (0.0, 1.0, 0.0), friction=0.8)],
@@ -92,8 +101,8 @@ def room_scene(folder: str) -> scene.Scene:
         target=room.target,
         fov_y=room.fov_y,
         floor=room.floor,
-        game=CapturedRoom(room.objects, room.floor),
-        roles=(Role("object", tuple(b.asset for b in objects)),) if objects else (),
+        game=CapturedRoom(things, room.floor),
+        roles=(Role("object", tuple(b.asset for b in objects), resize=bool(room.objects)),),
     )
 
 

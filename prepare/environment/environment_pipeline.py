@@ -210,16 +210,22 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     return Upright(rest, cut, low, high, up, sure, rotation, size, factor)
 
 
-def orient_surface(scene: Upright, cell: float | None) -> Surface:
-    """Surfels of the scene, turned towards the open space that viewers over the floor see."""
+def orient_surface(scene: Upright, cell: float | None, cameras: np.ndarray | None = None) -> Surface:
+    """Surfels of the scene, turned towards the open space that viewers over the floor see.
+
+    cameras  points (V, 3) [m] where photographs were taken, which are the viewers then; None: chosen over the floor
+    """
     low, high, g = scene.low, scene.high, scene.gaussians
     h = cell or max(float(np.cbrt((high - low).prod() / USUAL_CELLS)), 2 * MIN_CELL)
     origin, shape = grid_around(low, high, h)
     solid = g.select((g.opacities > SURFACE_OPACITY) & ~haze(g, h))
     found = without_floaters(surfels(solid, origin, h, shape), shape, h)
     voxels = VoxelGrid.of(found.cells, origin, h, shape)
-    space = open_space(voxels, 0.0)
-    viewers = viewers_in(space, low[[0, 2]], high[[0, 2]], 0.0, np.random.default_rng(0))
+    if cameras is None:
+        space = open_space(voxels, 0.0)
+        viewers = viewers_in(space, low[[0, 2]], high[[0, 2]], 0.0, np.random.default_rng(0))
+    else:
+        space, viewers = open_space(voxels, float(low[1]), cameras), cameras
     return Surface(solid, oriented(found, viewers, voxels, voxels), voxels, space, viewers, origin, h, shape)
 
 

@@ -33,12 +33,19 @@ class VoxelGrid:
         return cls(occupied, np.asarray(origin, np.float64), float(spacing))
 
 
-def open_space(room: VoxelGrid, floor: float) -> VoxelGrid:
-    """The largest connected empty space over the floor [m], as the occupied voxels of a grid."""
+def open_space(room: VoxelGrid, floor: float, viewers: np.ndarray | None = None) -> VoxelGrid:
+    """The largest connected empty space over the floor [m], or that with most of the viewers (V, 3) [m], as the
+    occupied voxels of a grid."""
     free = ~binary_dilation(room.occupied, np.ones((3, 3, 3)))  # holes in a surface are closed
     free &= (room.origin[1] + room.spacing * (np.arange(free.shape[1]) + 0.5) > floor)[None, :, None]
     labels, count = label(free)
-    if count:
+    here = np.zeros(0, int)
+    if viewers is not None:
+        i = np.floor((viewers - room.origin) / room.spacing).astype(int)
+        here = labels[tuple(i[((i >= 0) & (i < free.shape)).all(1)].T)]
+    if (here > 0).any():
+        free = labels == np.bincount(here[here > 0]).argmax()
+    elif count:
         free = labels == np.bincount(labels.ravel())[1:].argmax() + 1
     return VoxelGrid(free, room.origin, room.spacing)
 

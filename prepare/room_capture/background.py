@@ -1,0 +1,250 @@
+"""The background of a captured room as a static environment: its collider, its level planes, where things fall.
+
+Unlike `prepare --static` nothing is guessed that the cameras know: up and the floor come with the room's frame, what is
+free is what the cameras looked through, and the player stands where a photographer stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from assets.asset import Asset
+from assets.environment import Environment
+from assets.gaussians import Gaussians
+from core.camera import Camera
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from prepare.environment.environment_pipeline import (
+    BELOW_FLOOR,
+    FINE_CELLS,
+    FINE_MARGIN,
+    MAX_FINE_GRIDS,
+    MIN_CELL,
+    Surface,
+    Upright,
+    box_around,
+    depth_in_box,
+    fine_grid,
+    flattened,
+    level_surface,
+    orient_surface,
+    plane_row,
+)
+from prepare.environment.spawn_points import DROP_SPACE, cell_centres, clearance, unobstructed
+from prepare.environment.support_planes import CELL, SupportPlane, support_planes
+from prepare.environment.visibility import VoxelGrid
+from prepare.environment.winding_number import COARSENING, signed_distance, winding_number
+from prepare.progress import Progress, no_progress
+
+VIEWERS = 40  # cameras from which the surface is looked at; more tell nothing new
+AROUND_CAMERAS = 0.6  # [m] of the room beyond the outermost camera
+SHOWN = 1.0, 99.0  # percentiles, by what the pictures show, of the room's extent
+REACH = 4.0  # [m] of the room beyond the cameras at most: the rest is a backdrop
+EYE_HEIGHT = 1.5  # [m] of the cameras over a floor that none of them saw
+NEAR_TARGET = 0.5  # [1/m]; a free place counts less the farther it is from what the cameras look at
+AMPLE = 0.3  # [m] radius of a free place; more is no better
+MIN_FREE = 0.05  # [m] radius of a free place at least
+OVER = 0.08  # [m] over a free place that the player must see
+TRIED = 600  # free places that are tested, the best first
+FOV_RANGE = 0.6, 1.1  # [rad] of the player's view
+
+
+@dataclass(frozen=True)
+class RoomView:
+    """Cameras of the photographs in the room [m], +y up, and what each shows: its median depth, (V,) [m].
+
+    floor_seen  whether y = 0 is a floor that the cameras saw; else it is the lowest surface
+    """
+
+    cameras: Sequence[Camera]
+    depths: np.ndarray
+    floor_seen: bool
+
+    @property
+    def places(self) -> np.ndarray:
+        """Centres of the cameras, (V, 3)."""
+        return np.array([c.position for c in self.cameras])
+
+    @property
+    def targets(self) -> np.ndarray:
+        """The point on each camera's axis at its depth, (V, 3)."""
+        ahead = np.array([c.world_to_camera[2, :3] for c in self.cameras])
+        return self.places + np.nan_to_num(self.depths, nan=1.0)[:, None] * ahead
+
+    @property
+    def floor(self) -> float:
+        """Height on which the player stands: the floor, or one that lies under the cameras where none was seen."""
+        return 0.0 if self.floor_seen else min(0.0, float(np.median(self.places[:, 1])) - EYE_HEIGHT)
+
+    def photographer(self) -> int:
+        """The camera where the player stands: about as high and as far as most, on the front side (+z)."""
+        places, targets = self.places, self.targets
+        toward = places - np.median(targets, axis=0)
+        away = np.linalg.norm(toward, axis=1)
+        front = toward[:, 2] / np.maximum(np.hypot(toward[:, 0], toward[:, 2]), 1e-9)
+        high = np.abs(places[:, 1] - np.median(places[:, 1]))
+        typical = np.abs(away - np.median(away))
+        return int(np.argmin((high + typical) / np.median(away) - front))
+
+
+def room_extent(gaussians: Gaussians, weight: np.ndarray, view: RoomView) -> tuple[np.ndarray, np.ndarray]:
+    """Corners [m] of the part of a capture that collides: around the cameras, and what they show near them.
+
+    weight  of the Gaussians in the pictures, (N,)
+    """
+    places = view.places
+    low, high = places.min(0) - AROUND_CAMERAS, places.max(0) + AROUND_CAMERAS
+    inside = ((gaussians.means > low - REACH) & (gaussians.means < high + REACH)).all(1) & (weight > 0)
+    if inside.sum() < 100:
+        raise BadInput("the cameras show nothing that lies near them")
+    points, w = gaussians.means[inside].astype(np.float64), weight[inside]
+    for axis in range(3):
+        order = np.argsort(points[:, axis])
+        share = np.cumsum(w[order]) / w.sum()
+        shown = np.interp(np.divide(SHOWN, 100.0), share, points[order, axis])
+        low[axis], high[axis] = min(low[axis], shown[0]), max(high[axis], shown[1])
+    low[1] = -BELOW_FLOOR
+    return low, high
+
+
+def captured_environment(
+    gaussians: Gaussians,
+    view: RoomView,
+    extent: tuple[np.ndarray, np.ndarray],
+    *,
+    near: Sequence[tuple[np.ndarray, np.ndarray]] = (),
+    cell: float | None = None,
+    progress: Progress = no_progress,
+) -> Asset:
+    """The static environment of a background [m] with its floor at y = 0. Taichi must be running.
+
+    extent    corners of what collides
+    near      corners (low, high) of the boxes where objects stood, in which the grids are fine
+    cell      spacing [m] of the coarse distance grid; None: as suits the size
+    progress  called with "surface", "planes" or "distance" and the fraction of it that is done
+    """
+    low, high = extent
+    progress("surface", 0.0)
+    scene = Upright(gaussians, {}, low, high, "+y", 1.0, np.eye(3), float((high - low).max()), 1.0)
+    places = view.places
+    chosen = np.linspace(0, len(places) - 1, min(VIEWERS, len(places))).round().astype(int)
+    surface = orient_surface(scene, cell, places[chosen])
+    progress("planes", 0.0)
+    floor, planes = seen_planes(scene, surface, view)
+    drop, clear, on = free_place(([floor] if view.floor_seen else []) + planes, surface, view)
+    progress("distance", 0.0)
+    known = [floor, *planes] if view.floor_seen else planes
+    coarse, fine = room_grids(surface, known, on, drop, near, progress)
+    k = view.photographer()
+    environment = Environment(
+        view.floor,
+        tuple(map(float, drop)),
+        tuple(map(float, places[k])),
+        clear,
+        tuple(plane_row(p, np.zeros(3)) for p in (floor, *planes)),
+        tuple(fine),
+    )
+    provenance = {
+        "made_by": "vrgs capture",
+        "floor_seen": view.floor_seen,
+        "drop_on": "nothing" if on is None else on.kind,
+        "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
+        "spacings": [coarse.spacing, *(f.spacing for f in fine)],
+        "surfels": len(surface.surfels.points),
+    }
+    progress("distance", 1.0)
+    grid = DistanceGrid(coarse.values.astype(np.float16), coarse.origin, coarse.spacing)
+    return Asset(gaussians, sdf=grid, provenance=provenance, environment=environment)
+
+
+def seen_planes(scene: Upright, surface: Surface, view: RoomView) -> tuple[SupportPlane, list[SupportPlane]]:
+    """The floor, seen or assumed under the cameras, and the tables and shelves over it that the cameras saw."""
+    points, normals = level_surface(scene, surface)
+    places = view.places
+    corner = places.min(0)[[0, 2]] - AROUND_CAMERAS
+    cells = np.ceil((places.max(0)[[0, 2]] + AROUND_CAMERAS - corner) / CELL).astype(int)
+    assumed = SupportPlane("floor", view.floor, corner, np.ones(cells, bool))
+    # A floor for the search of planes; those of a room without one are measured from where the player stands.
+    if not view.floor_seen:
+        under = np.insert(cell_centres(assumed).reshape(-1, 2), 1, view.floor, axis=1)
+        points = np.concatenate([points, under])
+        normals = np.concatenate([normals, np.tile([0.0, 1.0, 0.0], (len(under), 1))])
+    try:
+        floor, *planes = support_planes(points, normals, view.floor)
+    except BadInput:  # the floor was seen in few places
+        return assumed, []
+    return floor if view.floor_seen else assumed, planes
+
+
+def free_place(
+    planes: Sequence[SupportPlane], surface: Surface, view: RoomView
+) -> tuple[np.ndarray, float, SupportPlane | None]:
+    """Where a body may fall so that the player sees it: the point (3,), the free radius [m] there, and the plane.
+
+    Free places on planes, in the open space and in sight of the player, count by their radius and their nearness to
+    what the player looks at. Without any, a place over what the player looks at.
+    """
+    k = view.photographer()
+    eye, target, candidates = view.places[k], view.targets[k], []
+    for plane in planes:
+        radius = clearance(plane, surface.surfels.points, DROP_SPACE)
+        at = np.insert(cell_centres(plane), 1, plane.height, axis=2)[radius >= MIN_FREE]
+        radius = radius[radius >= MIN_FREE]
+        score = np.minimum(radius, AMPLE) / AMPLE - NEAR_TARGET * np.linalg.norm(at - target, axis=1)
+        candidates += [(score[i], at[i], float(radius[i]), plane) for i in np.argsort(-score)[:TRIED]]
+    for _, at, radius, plane in sorted(candidates, key=lambda c: -c[0])[:TRIED]:
+        over = at + [0.0, max(OVER, 2.5 * surface.spacing), 0.0]
+        if is_open(surface.space, over) and unobstructed(surface.voxels, eye, over):
+            return at, radius, plane
+    return np.array([target[0], max(target[1], view.floor), target[2]]), MIN_FREE, None
+
+
+def is_open(space: VoxelGrid, point: np.ndarray) -> bool:
+    """True if a point (3,) [m] lies in the open space."""
+    i = np.floor((point - space.origin) / space.spacing).astype(int)
+    return bool((i >= 0).all() and (i < space.occupied.shape).all() and space.occupied[tuple(i)])
+
+
+def room_grids(
+    surface: Surface,
+    planes: list[SupportPlane],
+    on: SupportPlane | None,
+    drop: np.ndarray,
+    near: Sequence[tuple[np.ndarray, np.ndarray]],
+    progress: Progress,
+) -> tuple[DistanceGrid, list[DistanceGrid]]:
+    """The coarse distance grid, and fine ones around objects, the drop and planes, where the coarse one gives way."""
+    origin, h, shape = surface.origin, surface.spacing, surface.shape
+    nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
+    winding = winding_number(surface.surfels, origin, COARSENING * h, nodes)
+    coarse = signed_distance(surface.surfels, winding, origin, h, shape, surface.space)
+    phi = flattened(coarse, planes).values
+    side, below, above = FINE_MARGIN
+    boxes = [(low - side, high + side) for low, high in near]
+    if on is not None:
+        boxes.append((drop - [0.5, below, 0.5], drop + [0.5, above, 0.5]))
+    boxes += [box_around(p, h) for p in planes if p.kind != "floor"]
+    fine = []
+    for k, (low, high) in enumerate(boxes[:MAX_FINE_GRIDS]):
+        progress("distance", k / len(boxes))
+        low, high = np.maximum(low, origin), np.minimum(high, origin + h * (np.array(shape) - 1))
+        if (high - low).min() <= 0:
+            continue
+        step = max(MIN_CELL, float(np.cbrt((high - low).prod() / FINE_CELLS)))
+        if (high - low).min() < 8 * step or step > 0.7 * h:
+            continue
+        fine.append(fine_grid(surface, winding, low, high, step, planes))
+        phi = np.maximum(phi, depth_in_box(coarse, low + 1.5 * h, high - 1.5 * h))
+    return replace(coarse, values=phi), fine
+
+
+def view_of(view: RoomView) -> tuple[tuple, tuple, float]:
+    """Eye, target [m] and vertical field of view [rad] of the player: those of the photographer."""
+    k = view.photographer()
+    camera = view.cameras[k]
+    fov = 2.0 * float(np.arctan(0.5 * min(camera.height / camera.fy, camera.width / camera.fx)))  # beside it: nothing
+    eye, target = view.places[k], view.targets[k]
+    return tuple(map(float, eye)), tuple(map(float, target)), float(np.clip(fov, *FOV_RANGE))

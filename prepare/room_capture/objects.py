@@ -1,0 +1,152 @@
+"""Objects of a captured room as bodies: what holds each of them, its cage, and its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from assets.asset import Asset
+from assets.gaussians import Gaussians
+from assets.room_folder import RoomObject
+from assets.up_axis import convex_hull, robust_bounds
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
+from prepare.cage.cage_generation import NoSoundCage
+from prepare.cleaning import MIN_GAUSSIANS
+from prepare.pipeline import Options, prepare
+from prepare.progress import Progress, no_progress
+
+SOLID = 0.3  # opacity of the Gaussians that touch
+TOUCH = 0.06  # of an object's size: what is nearer to it touches it
+TOUCHES_MIN = 12  # Gaussians of an object that touch something, at least
+BASE = 0.2  # of an object's height in which its foot lies
+HELD = 0.15  # of the extent of a hung object, from what holds it, that is held fast
+
+
+@dataclass(frozen=True)
+class Support:
+    """What holds an object: `direction` (3,) leads from there to the object; it stands if that is up."""
+
+    direction: np.ndarray
+    stands: bool
+
+
+def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
+    """What of the rest of a room [m], +y up, holds an object.
+
+    It stands if the places near its foot where it touches something go all around its centre, as a base must; else it
+    hangs, as a trophy does on a wall. Raises BadInput if it touches nothing.
+    """
+    own = thing.means[thing.opacities > SOLID].astype(np.float64)
+    others = rest.means[rest.opacities > SOLID].astype(np.float64)
+    if len(own) < MIN_GAUSSIANS:
+        raise BadInput(f"{name}: only {len(own)} opaque Gaussians belong to it; mark more of it")
+    low, high = robust_bounds(own)
+    size = float((high - low).max())
+    touch = np.zeros(0, int)
+    if len(others):
+        touch = np.flatnonzero(cKDTree(others).query(own, distance_upper_bound=TOUCH * size)[0] < np.inf)
+    if len(touch) < TOUCHES_MIN:
+        raise BadInput(
+            f"{name}: touches nothing that holds it up; photograph what it stands on, or mark it as background"
+        )
+    centre, touching = np.median(own, axis=0), own[touch]
+    foot = touching[touching[:, 1] < low[1] + BASE * (high[1] - low[1])][:, [0, 2]]
+    if len(foot) >= TOUCHES_MIN and holds_centre(foot, centre[[0, 2]]):
+        return Support(np.array([0.0, 1.0, 0.0]), True)
+    away = centre - touching.mean(0)
+    if np.linalg.norm(away) < 1e-3 * size:
+        return Support(np.array([0.0, 1.0, 0.0]), True)
+    return Support(away / np.linalg.norm(away), False)
+
+
+def holds_centre(points: np.ndarray, centre: np.ndarray) -> bool:
+    """True if a point (2,) lies within the convex hull of points (N, 2)."""
+    hull = convex_hull(points)
+    if len(hull) < 3:
+        return False
+    along, to = np.roll(hull, -1, axis=0) - hull, centre - hull
+    return bool((along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0] > 0).all())
+
+
+def object_body(
+    name: str,
+    file: str,
+    thing: Gaussians,
+    support: Support,
+    *,
+    vertices: Sequence[int],
+    material: str | None = None,
+    progress: Progress = no_progress,
+    say: Callable[[str], None] = print,
+) -> tuple[Asset, RoomObject]:
+    """The body of an object's Gaussians in the room [m], and its place; +y of its asset leads away from what holds it.
+
+    file      of its asset, in the room's folder
+    vertices  of the cage; the next number where a shape finds no sound cage with one
+    Raises BadInput, naming the object.
+    """
+    turn = rotation_between(support.direction, (0.0, 1.0, 0.0))
+    thing, wanted = (
+        replace(thing.transformed(turn), object_id=np.zeros(len(thing), np.uint16), objects=()),
+        list(vertices),
+    )
+    while True:
+        options = Options(wanted.pop(0), up="+y", material=material, metres=True)
+        try:
+            asset = prepare(thing, options, progress=progress, say=say)
+            break
+        except NoSoundCage as e:
+            if not wanted:
+                raise BadInput(f"{name}: {e}") from e
+            say(f"{name}: {e}; trying {wanted[0]} vertices")
+        except BadInput as e:
+            raise BadInput(f"{name}: {e}") from e
+    position = -turn.T @ np.array(asset.provenance["moved"])
+    heights = asset.cage.vertices[:, 1]
+    fixed = None if support.stands else float(heights.min() + HELD * np.ptp(heights))
+    rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
+    return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
+
+
+def object_files(names: Sequence[str]) -> list[str]:
+    """File names of objects in a room's folder, whatever they are called."""
+    files = []
+    for k, name in enumerate(names):
+        stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)[:60]
+        stem = stem if stem.strip("_-") else f"object_{k + 1}"
+        files.append(f"objects/{stem}.h5" if f"objects/{stem}.h5" not in files else f"objects/{stem}_{k + 1}.h5")
+    return files
+
+
+def hollowed(background: Asset, bodies: Sequence[tuple[Asset, RoomObject]]) -> Asset:
+    """The background without what is solid in the places of its objects, so that none of them is pushed at the start.
+
+    The cages are a voxel wider than what they hold, and reach that far into the surface that they touch.
+    """
+    grids = [background.sdf, *background.environment.fine_grids]
+    for asset, thing in bodies:
+        grids = [without_solid(grid, asset.sdf, thing) for grid in grids]
+    environment = replace(background.environment, fine_grids=tuple(grids[1:]))
+    return replace(background, sdf=grids[0], environment=environment)
+
+
+def without_solid(grid: DistanceGrid, body: DistanceGrid, thing: RoomObject) -> DistanceGrid:
+    """A room's distance grid less a body at its place: the maximum of the one and minus the other."""
+    turn = matrices_from_quaternions(np.array(thing.rotation))
+    corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), body.upper, body.origin) @ turn.T
+    low, high = corners.min(0) + thing.position, corners.max(0) + thing.position
+    first = np.floor((low - grid.origin) / grid.spacing).astype(int).clip(0, grid.shape)
+    last = (np.ceil((high - grid.origin) / grid.spacing).astype(int) + 1).clip(0, grid.shape)
+    if (last <= first).any():
+        return grid
+    part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+    nodes = grid.origin + grid.spacing * (np.moveaxis(np.indices(tuple(last - first)), 0, -1) + first)
+    depth = -body.sample_extended((nodes - thing.position) @ turn)
+    values = np.array(grid.values)
+    values[part] = np.maximum(values[part], depth).astype(values.dtype)
+    return replace(grid, values=values)

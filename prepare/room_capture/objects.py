@@ -14,6 +14,7 @@ from assets.room_folder import RoomObject
 from assets.up_axis import convex_hull, robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.material import DEFAULT_MATERIAL, MATERIALS, Material
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.cleaning import MIN_GAUSSIANS
@@ -24,6 +25,7 @@ SOLID = 0.3  # opacity of the Gaussians that touch
 TOUCH = 0.06  # of an object's size: what is nearer to it touches it
 TOUCHES_MIN = 12  # Gaussians of an object that touch something, at least
 BASE = 0.2  # of an object's height in which its foot lies
+MASS_MAX = 3.0  # [kg] of an object whose material nobody named: half of what a hand of 80 N lifts
 HELD = 0.15  # of the extent of a hung object, from what holds it, that is held fast
 
 
@@ -106,11 +108,21 @@ def object_body(
             say(f"{name}: {e}; trying {wanted[0]} vertices")
         except BadInput as e:
             raise BadInput(f"{name}: {e}") from e
+    if material is None:
+        asset = replace(asset, material=liftable(asset.material, float(asset.cage.volumes().sum())))
     position = -turn.T @ np.array(asset.provenance["moved"])
     heights = asset.cage.vertices[:, 1]
     fixed = None if support.stands else float(heights.min() + HELD * np.ptp(heights))
     rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
     return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
+
+
+def liftable(material: Material, volume: float) -> Material:
+    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and as much
+    softer, since it bears less weight."""
+    share = min(1.0, MASS_MAX / (material.density * volume))
+    young = max(material.young * share, min(material.young, MATERIALS[DEFAULT_MATERIAL].young))
+    return replace(material, density=share * material.density, young=young)
 
 
 def object_files(names: Sequence[str]) -> list[str]:

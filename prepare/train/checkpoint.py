@@ -16,6 +16,7 @@ FORMAT, VERSION = "vrgs-training", 1
 COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
 COLUMNS |= {"pull": (), "pulls": ()}
 HARMONICS = ("sh", "first_sh", "second_sh")
+LABELS = ("label", "first_label", "second_label")  # if objects are learned
 
 
 def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
@@ -38,6 +39,8 @@ def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarr
         state = {name: file.floats(name, (count, *shape)) for name, shape in COLUMNS.items()}
         coefficients = SH_COUNTS[options["degree"]]
         state |= {name: file.floats(name, (count, coefficients, 3)) for name in HARMONICS}
+        if options.get("objects"):
+            state |= {name: file.floats(name, (count, 3)) for name in LABELS}
         for name, values in state.items():
             if not np.isfinite(values).all():
                 raise file.error(f"{name} is not finite")

@@ -5,10 +5,11 @@ import taichi as ti
 
 from core.camera import Camera
 from prepare.train.image_loss import DSSIM_WEIGHT, ImageLoss
+from prepare.train.object_labels import LabelPass
 from prepare.train.population import Population
 from render.blend_gradients import BlendGradients
 from render.projection_gradients import ProjectionGradients
-from render.renderer import Renderer
+from render.renderer import FloatImages, Renderer
 
 
 @ti.data_oriented
@@ -23,12 +24,15 @@ class GradientStep:
         self.population = population
         self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
         self.loss = ImageLoss(height, width)
+        self._labelled = FloatImages(1, height, width) if population.labelled else None  # pictures of labels
         self._passes: _BackwardPass | None = None
 
     def destroy(self) -> None:
         """Free the device memory."""
         if self._passes is not None:
             self._passes.destroy()
+        if self._labelled is not None:
+            self._labelled.destroy()
         self.loss.destroy()
         self.renderer.destroy()
 
@@ -43,13 +47,25 @@ class GradientStep:
         if self._passes is None or self._passes.bins is not bins:
             if self._passes is not None:
                 self._passes.destroy()
-            self._passes = _BackwardPass(self.population, bins, self.renderer.sink, self.loss)
+            self._passes = _BackwardPass(self.population, bins, self.renderer.sink, self.loss, self._labelled)
         return self._passes
 
-    def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float) -> None:
-        """Draw, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels)."""
-        rows = self.population.frozen, self.population.count
-        self.draw(camera).compute(photograph, camera.height, camera.width, *rows, scale, DSSIM_WEIGHT)
+    def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float, mask=None, mask_scale=0.0) -> None:
+        """Draw, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels).
+
+        mask, mask_scale  `packed_labels` of the photograph and the factor of its loss: labels are compared, too
+        """
+        rows, passes = (self.population.frozen, self.population.count), self.draw(camera)
+        if mask is None:
+            passes.compute(photograph, camera.height, camera.width, *rows, scale, DSSIM_WEIGHT)
+        else:
+            passes.labels.draw()
+            size = camera.height, camera.width
+            passes.compute_with_labels(photograph, mask, *size, *rows, scale, DSSIM_WEIGHT, mask_scale)
+
+    def update_labels(self, biases) -> None:
+        """A step of Adam for the labels with the gradients of the last `compute` with a mask."""
+        self._passes.update_labels(self.population.frozen, self.population.count, *biases)
 
     def update(self, camera: Camera, rates, biases, active: int, costs, sparse: bool = False) -> None:
         """A step of Adam with the gradients of the last `compute`, see `Population.update`."""
@@ -72,6 +88,11 @@ class GradientStep:
             self.loss.sums.fill(0.0)
         return sums
 
+    def labels(self, camera: Camera) -> np.ndarray:
+        """Picture of the labels for a camera, (H, W, 3) float32."""
+        self.draw(camera).labels.draw()
+        return self._labelled.rgb.to_numpy()[0, : camera.height, : camera.width]
+
     def picture(self, camera: Camera) -> np.ndarray:
         """Picture for a camera, (H, W, 3) uint8."""
         self.draw(camera)
@@ -83,13 +104,16 @@ class GradientStep:
 class _BackwardPass:
     """The kernels that depend on the bins of a picture."""
 
-    def __init__(self, population: Population, bins, picture, loss: ImageLoss):
+    def __init__(self, population: Population, bins, picture, loss: ImageLoss, labelled: FloatImages | None):
         self.population, self.bins, self.picture, self.loss = population, bins, picture, loss
         self.blend = BlendGradients(bins, picture, with_depth=False)
         self.gradients = ProjectionGradients(self.blend, of_camera=False)
+        self.labels = LabelPass(population.labels, self.blend, labelled) if labelled is not None else None
 
     def destroy(self) -> None:
         """Free the device memory."""
+        if self.labels is not None:
+            self.labels.destroy()
         self.gradients.destroy()
         self.blend.destroy()
 
@@ -102,6 +126,21 @@ class _BackwardPass:
         self.blend.clear(0, end)
         self.blend.backward()
         self.gradients.backward(begin, end)
+
+    @ti.kernel
+    def compute_with_labels(
+        self, photograph: ti.types.ndarray(ti.u32, 2), mask: ti.types.ndarray(ti.u32, 2), height: ti.i32,
+        width: ti.i32, begin: ti.i32, end: ti.i32, scale: ti.f32, dssim: ti.f32, mask_scale: ti.f32,
+    ):  # fmt: skip
+        self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+        self.blend.clear(0, end)
+        self.blend.backward()
+        self.labels.backward(mask, end, height, width, mask_scale)
+        self.gradients.backward(begin, end)
+
+    @ti.kernel
+    def update_labels(self, begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
+        self.population.labels.update(self.labels.gradients.d_color, begin, end, bias1, bias2)
 
     @ti.kernel
     def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):

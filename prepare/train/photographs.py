@@ -19,15 +19,19 @@ HEADER_BYTES = 1 << 20  # of a file that is searched for its size: the preview i
 
 
 class Photograph(NamedTuple):
-    """An undistorted image (H, W, 3) uint8 RGB, the pixels that count (H, W) bool, and its pinhole camera."""
+    """An undistorted image (H, W, 3) uint8 RGB, the pixels that count (H, W) bool, and its pinhole camera.
+
+    objects  ids of what the pixels show, (H, W) uint8, 0 = background; None where that is not known
+    """
 
     pixels: np.ndarray
     mask: np.ndarray
     camera: Camera
+    objects: np.ndarray | None = None
 
 
-def load_photograph(view: View, reduce: int = 1) -> Photograph:
-    """The view's photograph, its sides divided by `reduce`. Raises BadInput."""
+def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = None) -> Photograph:
+    """The view's photograph, its sides divided by `reduce`, and so the ids of its pixels. Raises BadInput."""
     pixels, mask = read_image(view.image)
     if view.mask is not None:
         mask &= read_mask(view.mask, mask.shape)
@@ -36,6 +40,8 @@ def load_photograph(view: View, reduce: int = 1) -> Photograph:
     height, width = mask.shape
     lens = view.lens.resized(width, height, str(view.image))
     pixels, mask = lens.undistort(pixels, mask)
+    if objects is not None:
+        objects = lens.undistort_labels(objects)
     camera = View(view.image, lens, view.world_to_camera).camera()
     if reduce > 1:
         import cv2
@@ -43,9 +49,13 @@ def load_photograph(view: View, reduce: int = 1) -> Photograph:
         size = (max(1, width // reduce), max(1, height // reduce))
         pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
         mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+        if objects is not None:
+            there = np.unique(objects)
+            shares = [cv2.resize((objects == k).astype(np.float32), size, interpolation=cv2.INTER_AREA) for k in there]
+            objects = there[np.argmax(shares, axis=0)]
         sx, sy = size[0] / width, size[1] / height
         camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
-    return Photograph(pixels, mask, camera)
+    return Photograph(pixels, mask, camera, objects)
 
 
 def load_photographs(

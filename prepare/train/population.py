@@ -5,6 +5,7 @@ import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.fields import FieldGroup
+from prepare.train.object_labels import Labels
 from prepare.train.optimizer import BETA1, BETA2, EPSILON
 from prepare.train.parameters import Parameters
 from render.splats import Splats
@@ -25,18 +26,21 @@ class Population:
     pull        sum of the lengths of the gradient by the position in the picture [1/half picture], and `pulls`, how
                 many: of the steps since they were cleared in which a Gaussian was seen
 
+    labels      of the objects that they belong to, if those are learned too
+
     frozen      the first rows, as many as this, are drawn but never change, move or die
 
     Rows beyond `count` are unused. Rows are copied by lists of indices from the host, which decides on births and
     deaths (prepare/train/densification.py); no kernel depends on `count`.
     """
 
-    def __init__(self, gaussians: Gaussians, capacity: int, frozen: int = 0):
-        self.frozen = frozen
+    def __init__(self, gaussians: Gaussians, capacity: int, frozen: int = 0, *, labelled: bool = False):
+        self.frozen, self.labelled = frozen, labelled
         self.splats = Splats(gaussians, capacity=capacity)
         self.splats.sh_range = (0, self.splats.capacity)  # all harmonics are evaluated: they will not stay zero
         self.parameters = Parameters(self.splats)
         self.capacity, coefficients = self.splats.capacity, self.splats.coefficients
+        self.labels = Labels(self.capacity) if labelled else None
         self.fields = f = FieldGroup()
         self.first, self.second = (f.vector(self.capacity, n=GEOMETRY) for _ in range(2))
         self.first_sh, self.second_sh = (f.vector(self.capacity, coefficients) for _ in range(2))
@@ -60,12 +64,17 @@ class Population:
         self.parameters.destroy()
         self.splats.destroy()
         self.fields.destroy()
+        if self.labelled:
+            self.labels.destroy()
 
     def arrays(self) -> dict:
         """All fields with a row a Gaussian, by name."""
         p, s = self.parameters, self.splats
         names = {"mean": s.mean, "sh": s.sh, "quat": p.quat, "log_scale": p.log_scale, "logit": p.logit}
         names |= {"first": self.first, "second": self.second, "first_sh": self.first_sh, "second_sh": self.second_sh}
+        if self.labelled:
+            own = self.labels
+            names |= {"label": own.value, "first_label": own.first, "second_label": own.second}
         return names | {"pull": self.pull, "pulls": self.pulls}
 
     def read(self) -> dict[str, np.ndarray]:
@@ -168,6 +177,8 @@ class Population:
             self.parameters.logit[b] = self.parameters.logit[a]
             for k in range(self.splats.coefficients):
                 self.splats.sh[b, k] = self.splats.sh[a, k]
+            if ti.static(self.labelled):
+                self.labels.copy(a, b)
             self._set_moments(a, b, ti.cast(moments, ti.f32))
 
     @ti.func
@@ -177,6 +188,8 @@ class Population:
         for k in range(self.splats.coefficients):
             self.first_sh[b, k], self.second_sh[b, k] = keep * self.first_sh[a, k], keep * self.second_sh[a, k]
         self.pull[b], self.pulls[b] = keep * self.pull[a], keep * self.pulls[a]
+        if ti.static(self.labelled):
+            self.labels.set_moments(a, b, keep)
 
     def scatter(self, rows, normals: np.ndarray, shrink: float) -> None:
         """Move each of `rows` to a sample of its own Gaussian, and divide its scales by `shrink`.

@@ -10,6 +10,7 @@ import taichi as ti
 from assets.gaussians import SH_COUNTS, Gaussians
 from prepare.train.densification import AdaptiveDensity, MonteCarlo
 from prepare.train.gradient_step import GradientStep
+from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
 from prepare.train.optimizer import BETA1, BETA2, SH_DEGREE_INTERVAL, LearningRates
 from prepare.train.photographs import Photograph
 from prepare.train.population import Population
@@ -51,16 +52,21 @@ class Trainer:
 
     photographs  undistorted; each stays on the device as 4 bytes a pixel
     extent       of the capture: the unit of the learning rate of positions, and of what is large
+    objects      names of the objects in the photographs' masks: those teach labels, by L + lambda_seg L_seg
     """
 
-    def __init__(self, photographs: list[Photograph], start: Gaussians, extent: float, options: TrainOptions):
-        self.options, self.extent = options, extent
+    def __init__(
+        self, photographs: list[Photograph], start: Gaussians, extent: float, options: TrainOptions, objects=()
+    ):
+        self.options, self.extent, self.objects = options, extent, tuple(objects)
         self.rng = np.random.default_rng(options.seed)
-        self.population = Population(start, max(options.cap, len(start)), options.frozen)
+        capacity = max(options.cap, len(start))
+        self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
         self.cameras = [p.camera for p in photographs]
         self.counted = [int(p.mask.sum()) for p in photographs]
         self.images = [_packed(p) for p in photographs]
+        self.masks = [_packed_mask(p, len(self.objects)) for p in photographs]  # (labels, counted pixels)
         size = max(c.height for c in self.cameras), max(c.width for c in self.cameras)
         self.gradients = GradientStep(self.population, *size, antialias=options.antialias, sort=options.sort)
         self.rates = LearningRates()
@@ -82,11 +88,16 @@ class Trainer:
         self.done += 1
         degree = min(o.degree, (self.done - 1) // SH_DEGREE_INTERVAL)
         mean_rate = r.of_mean(self.done - 1, o.steps, self.extent)
-        self.gradients.compute(self.images[view], self.cameras[view], 1.0 / (3 * self.counted[view]))
+        mask, known = self.masks[view]
+        biases = 1.0 - BETA1**self.done, 1.0 - BETA2**self.done
+        scales = 1.0 / (3 * self.counted[view]), mask, SEGMENTATION_WEIGHT / (3 * max(known, 1))
+        self.gradients.compute(self.images[view], self.cameras[view], *scales)
+        if mask is not None:
+            self.gradients.update_labels(biases)
         self.gradients.update(
             self.cameras[view],
             (mean_rate, r.quat, r.log_scale, r.logit, r.color, r.harmonics),
-            (1.0 - BETA1**self.done, 1.0 - BETA2**self.done),
+            biases,
             SH_COUNTS[degree],
             (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
         )
@@ -107,6 +118,26 @@ class Trainer:
     def picture(self, camera) -> np.ndarray:
         """Picture for a camera as of now, (H, W, 3) uint8."""
         return self.gradients.picture(camera)
+
+    # objects
+
+    def labels(self) -> np.ndarray:
+        """Labels of the Gaussians, (N, 3)."""
+        return self.population.labels.value.to_numpy()[: self.population.count]
+
+    def seen_objects(self, camera, ids: np.ndarray | None = None) -> np.ndarray:
+        """Id of the object that each pixel of a picture shows, (H, W) uint8; `ids`: those of the Gaussians, (N,).
+
+        Without `ids` they are as the learned labels say.
+        """
+        count, value = len(self.objects), self.population.labels.value
+        if ids is None:
+            return nearest_label(self.gradients.labels(camera), count)
+        kept = value.to_numpy()
+        value.from_numpy(self.population.splats.padded(label_colors(count)[ids]))
+        seen = nearest_label(self.gradients.labels(camera), count)
+        value.from_numpy(kept)
+        return seen
 
     # a cut training goes on
 
@@ -137,3 +168,12 @@ def _packed(photograph: Photograph) -> ti.Ndarray:
     image = ti.ndarray(ti.u32, rgba.shape[:2])
     image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
     return image
+
+
+def _packed_mask(photograph: Photograph, count: int) -> tuple[ti.Ndarray | None, int]:
+    """The mask of a photograph as labels of `count` objects, None without one, and the number of pixels it counts."""
+    ids = photograph.objects
+    if ids is None or count == 0:
+        return None, 0
+    known = photograph.mask & (ids <= count)
+    return (packed_labels(ids, known, count), int(known.sum())) if known.any() else (None, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from core.spherical_harmonics import C0
+from prepare.train.object_labels import label_colors, nearest_label
 from prepare.train.photographs import Photograph
 from prepare.train.transforms_json import OPENGL_TO_OPENCV
 from tests.support import reference_render as reference
@@ -69,3 +71,15 @@ def sparse_points(count: int = 150) -> tuple[np.ndarray, np.ndarray]:
     chosen = rng.integers(0, len(g), count)
     colors = ((0.5 + C0 * g.sh[chosen, 0]).clip(0, 1) * 255).astype(np.uint8)
     return g.means[chosen] + rng.normal(0.0, 0.05, (count, 3)), colors
+
+
+def painted_objects() -> np.ndarray:
+    """Object of each painted Gaussian, (60,): 1 on one side, 2 on the other; there is nothing else."""
+    return np.where(painted_gaussians().means[:, 0] > 0.0, 1, 2)
+
+
+def masks() -> list[np.ndarray]:
+    """Ids (H, W) uint8 of the objects that the photographs show."""
+    g = painted_gaussians()
+    labelled = replace(g, sh=(label_colors(2)[painted_objects()][:, None] - 0.5) / C0)
+    return [nearest_label(reference.render(labelled, camera)[0], 2) for camera in cameras()]

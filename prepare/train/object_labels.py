@@ -1,0 +1,136 @@
+"""Labels: three learned numbers a Gaussian that say to which object it belongs, and the loss that teaches them."""
+
+import numpy as np
+import taichi as ti
+
+from core.fields import FieldGroup
+from prepare.train.optimizer import BETA1, BETA2, EPSILON
+from render.blend import Blend
+from render.blend_gradients import BlendGradients
+from render.renderer import FloatImages
+
+SEGMENTATION_WEIGHT = 0.1  # lambda_seg of the paper
+LABEL_RATE = 0.02  # of Adam: the way from the background's label to an object's is some 50 steps that see it
+UNKNOWN = 255  # in masks: no object and no background
+
+vec3 = ti.math.vec3
+
+
+def label_colors(count: int) -> np.ndarray:
+    """Labels of the background, black, and of `count` objects, (count + 1, 3) float64 in 0..1, far from each other.
+
+    The next one is always that point of a lattice which is farthest from those before. They stand for the colours of
+    the masks, which may lie as close together as their author likes.
+    """
+    side = 2
+    while side**3 <= count:
+        side += 1
+    lattice = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, side)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    chosen, distance = [0], np.full(len(lattice), np.inf)
+    for _ in range(count):
+        distance = np.minimum(distance, np.linalg.norm(lattice - lattice[chosen[-1]], axis=1))
+        chosen.append(int(distance.argmax()))
+    return lattice[chosen]
+
+
+def nearest_label(labels: np.ndarray, count: int) -> np.ndarray:
+    """Object id of the nearest of `label_colors(count)`, (...) uint8, of labels (..., 3)."""
+    best, ids = np.full(labels.shape[:-1], np.inf), np.zeros(labels.shape[:-1], np.uint8)
+    for k, color in enumerate(label_colors(count)):
+        distance = np.square(labels - color).sum(axis=-1)
+        ids[distance < best] = k
+        best = np.minimum(best, distance)
+    return ids
+
+
+def packed_labels(ids: np.ndarray, counted: np.ndarray, count: int) -> ti.Ndarray:
+    """A mask (H, W) uint8 on the device, as labels: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
+    levels = np.zeros((UNKNOWN + 1, 4), np.uint8)
+    levels[: count + 1, :3] = np.rint(255 * label_colors(count))
+    levels[: count + 1, 3] = 255
+    rgba = levels[ids]
+    rgba[~counted] = 0
+    packed = ti.ndarray(ti.u32, ids.shape)
+    packed.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
+    return packed
+
+
+@ti.data_oriented
+class Labels:
+    """Labels of up to `capacity` Gaussians, of shape (capacity,), and the moments of Adam. They begin as background.
+
+    value          vec3; those of `label_colors` are what they are taught
+    first, second  moments
+    """
+
+    def __init__(self, capacity: int):
+        self.fields = f = FieldGroup()
+        self.value, self.first, self.second = (f.vector(capacity) for _ in range(3))
+        f.build()
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.fields.destroy()
+
+    @ti.func
+    def copy(self, a: ti.i32, b: ti.i32):
+        """Give row b the label of row a."""
+        self.value[b] = self.value[a]
+
+    @ti.func
+    def set_moments(self, a: ti.i32, b: ti.i32, keep: ti.f32):
+        """Moments of row b: `keep` times those of row a."""
+        self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
+
+    @ti.func
+    def update(self, gradient: ti.template(), begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
+        """A step of Adam for rows [begin, end) with `gradient` vec3 (capacity,); outermost level of a kernel."""
+        for g in range(begin, end):
+            d = gradient[g]
+            first, second = BETA1 * self.first[g] + (1.0 - BETA1) * d, BETA2 * self.second[g] + (1.0 - BETA2) * d * d
+            self.first[g], self.second[g] = first, second
+            self.value[g] -= LABEL_RATE * (first / bias1) / (ti.sqrt(second / bias2) + EPSILON)
+
+
+@ti.data_oriented
+class LabelPass:
+    """The picture of labels over the bins of a picture, and the gradient of its distance from a mask.
+
+    L_seg = |M - I_seg|, the mean over three numbers and the pixels whose object is known   (VR-GS, Sec. 4.1)
+
+    It belongs to the total loss: its gradient by shapes and opacities is added to `blend`'s, so that Gaussians come to
+    end where objects do. With shapes left to the photographs, those that straddle a border of two like colours stay.
+    """
+
+    def __init__(self, labels: Labels, blend: BlendGradients, images: FloatImages):
+        self.labels, self.images = labels, images
+        self.drawer = Blend(blend.bins, with_color=True, with_depth=False, color=labels.value)
+        self.gradients = BlendGradients(blend.bins, images, color=labels.value, into=blend)
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.gradients.destroy()
+
+    @ti.kernel
+    def draw(self):
+        """Draw the labels of the Gaussians that are binned."""
+        self.drawer.draw(self.images, 0)
+
+    @ti.func
+    def backward(self, mask: ti.template(), count: ti.i32, height: ti.i32, width: ti.i32, scale: ti.f32):
+        """Gradients of `scale` times the sum of |M - I_seg|; outermost level of a kernel, after `blend.clear`.
+
+        mask: `packed_labels` of the picture that was drawn; count: Gaussians whose gradients are set.
+        """
+        for y, x in ti.ndrange(height, width):
+            packed = mask[y, x]
+            truth = (
+                vec3(packed & ti.u32(255), (packed >> ti.u32(8)) & ti.u32(255), (packed >> ti.u32(16)) & ti.u32(255))
+                / 255.0
+            )
+            d = vec3(0.0)
+            if (packed >> ti.u32(24)) != ti.u32(0):
+                d = scale * ti.math.sign(self.images.rgb[0, y, x] - truth)
+            self.gradients.d_rgb[y, x] = d
+        self.gradients.clear(0, count)
+        self.gradients.backward()

@@ -60,8 +60,9 @@ class GradientStep:
             passes.compute(photograph, camera.height, camera.width, *rows, scale, DSSIM_WEIGHT)
         else:
             passes.labels.draw()
-            size = camera.height, camera.width
-            passes.compute_with_labels(photograph, mask, *size, *rows, scale, DSSIM_WEIGHT, mask_scale)
+            passes.compute_blend(photograph, camera.height, camera.width, rows[1], scale, DSSIM_WEIGHT)
+            passes.labels.backward(mask, rows[1], camera.height, camera.width, mask_scale)
+            passes.compute_projection(*rows)
 
     def update_labels(self, biases) -> None:
         """A step of Adam for the labels with the gradients of the last `compute` with a mask."""
@@ -128,19 +129,22 @@ class _BackwardPass:
         self.gradients.backward(begin, end)
 
     @ti.kernel
-    def compute_with_labels(
-        self, photograph: ti.types.ndarray(ti.u32, 2), mask: ti.types.ndarray(ti.u32, 2), height: ti.i32,
-        width: ti.i32, begin: ti.i32, end: ti.i32, scale: ti.f32, dssim: ti.f32, mask_scale: ti.f32,
+    def compute_blend(
+        self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, end: ti.i32, scale: ti.f32,
+        dssim: ti.f32,
     ):  # fmt: skip
+        """The first half of `compute`: labels add their gradients before the second."""
         self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
         self.blend.clear(0, end)
         self.blend.backward()
-        self.labels.backward(mask, end, height, width, mask_scale)
+
+    @ti.kernel
+    def compute_projection(self, begin: ti.i32, end: ti.i32):
         self.gradients.backward(begin, end)
 
     @ti.kernel
     def update_labels(self, begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
-        self.population.labels.update(self.labels.gradients.d_color, begin, end, bias1, bias2)
+        self.population.labels.update(self.labels.gradients, begin, end, bias1, bias2)
 
     @ti.kernel
     def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):

@@ -83,10 +83,10 @@ class Labels:
         self.first[b], self.second[b] = keep * self.first[a], keep * self.second[a]
 
     @ti.func
-    def update(self, gradient: ti.template(), begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
-        """A step of Adam for rows [begin, end) with `gradient` vec3 (capacity,); outermost level of a kernel."""
+    def update(self, gradients: ti.template(), begin: ti.i32, end: ti.i32, bias1: ti.f32, bias2: ti.f32):
+        """A step of Adam for rows [begin, end) with BlendGradients by labels; outermost level of a kernel."""
         for g in range(begin, end):
-            d = gradient[g]
+            d = gradients.d_color(g)
             first, second = BETA1 * self.first[g] + (1.0 - BETA1) * d, BETA2 * self.second[g] + (1.0 - BETA2) * d * d
             self.first[g], self.second[g] = first, second
             self.value[g] -= LABEL_RATE * (first / bias1) / (ti.sqrt(second / bias2) + EPSILON)
@@ -105,7 +105,7 @@ class LabelPass:
     def __init__(self, labels: Labels, blend: BlendGradients, images: FloatImages):
         self.labels, self.images = labels, images
         self.drawer = Blend(blend.bins, with_color=True, with_depth=False, color=labels.value)
-        self.gradients = BlendGradients(blend.bins, images, color=labels.value, into=blend)
+        self.gradients = BlendGradients(blend.bins, images, with_depth=False, color=labels.value, into=blend)
 
     def destroy(self) -> None:
         """Free the device memory."""
@@ -116,9 +116,9 @@ class LabelPass:
         """Draw the labels of the Gaussians that are binned."""
         self.drawer.draw(self.images, 0)
 
-    @ti.func
-    def backward(self, mask: ti.template(), count: ti.i32, height: ti.i32, width: ti.i32, scale: ti.f32):
-        """Gradients of `scale` times the sum of |M - I_seg|; outermost level of a kernel, after `blend.clear`.
+    @ti.kernel
+    def backward(self, mask: ti.types.ndarray(ti.u32, 2), count: ti.i32, height: ti.i32, width: ti.i32, scale: ti.f32):
+        """Gradients of `scale` times the sum of |M - I_seg|, after `blend.clear`. A kernel of its own for shared arrays.
 
         mask: `packed_labels` of the picture that was drawn; count: Gaussians whose gradients are set.
         """

@@ -84,7 +84,7 @@ class GradientStep:
 
     def take_sums(self, *, clear: bool = True) -> np.ndarray:
         """Sums of ImageLoss since they were taken last."""
-        sums = self.loss.sums.to_numpy().astype(np.float64).reshape(4)
+        sums = self.loss.sums.to_numpy().reshape(4)
         if clear:
             self.loss.sums.fill(0.0)
         return sums

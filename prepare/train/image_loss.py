@@ -36,7 +36,7 @@ class ImageLoss:
             self.blurred = [f.vector(height, width) for _ in range(5)]  # along rows: x, y, x^2, y^2, x y
         with f.interleaved(height, width):
             self.slopes = [f.vector(height, width) for _ in range(3)]  # by the means of x, x^2, x y
-        self.sums = f.vector(n=4)
+        self.sums = f.vector(n=4, dtype=ti.f64)  # float32 would count no pixel after the first 16 million
         f.build()
 
     def destroy(self) -> None:
@@ -108,9 +108,8 @@ class ImageLoss:
             self.slopes[1][y, x] = counts * by_square
             self.slopes[2][y, x] = counts * by_product
             difference = a - b
-            self.sums[None] += ti.math.vec4(
-                ti.abs(difference).sum(), difference.dot(difference), counts * similarity, counts
-            )
+            pixel = ti.math.vec4(ti.abs(difference).sum(), difference.dot(difference), counts * similarity, counts)
+            self.sums[None] += ti.cast(pixel, ti.f64)
         for y, x in ti.ndrange(height, width):
             sums = ti.Matrix.zero(ti.f32, 3, 3)
             for k in range(WINDOW):

@@ -75,18 +75,17 @@ class GradientStep:
 
     def compare(self, photograph: ti.Ndarray, camera: Camera) -> np.ndarray:
         """Sums of ImageLoss for a photograph alone."""
-        kept = self.take_sums(clear=False)
+        kept = self.loss.sums.to_numpy()
         self.loss.sums.fill(0.0)
         self.draw(camera).compare(photograph, camera.height, camera.width)
         sums = self.take_sums()
-        self.loss.sums[None] = kept.tolist()
+        self.loss.sums.from_numpy(kept)
         return sums
 
-    def take_sums(self, *, clear: bool = True) -> np.ndarray:
-        """Sums of ImageLoss since they were taken last."""
-        sums = self.loss.sums.to_numpy().reshape(4)
-        if clear:
-            self.loss.sums.fill(0.0)
+    def take_sums(self) -> np.ndarray:
+        """Sums of ImageLoss since they were taken last, (4,)."""
+        sums = self.loss.sums.to_numpy().sum(axis=0)
+        self.loss.sums.fill(0.0)
         return sums
 
     def labels(self, camera: Camera) -> np.ndarray:

@@ -10,6 +10,7 @@ WINDOW, SIGMA = 11, 1.5  # [px] of the Gaussian window of SSIM
 RADIUS = WINDOW // 2
 C1, C2 = 0.01**2, 0.03**2
 DSSIM_WEIGHT = 0.2  # lambda
+SLOTS = 4096  # of the sums
 _WEIGHTS = [math.exp(-0.5 * ((k - RADIUS) / SIGMA) ** 2) for k in range(WINDOW)]
 WEIGHTS = [w / sum(_WEIGHTS) for w in _WEIGHTS]
 
@@ -23,7 +24,8 @@ class ImageLoss:
     Pixels are at most (height, width); `photograph` is an ndarray u32 R | G<<8 | B<<16 | A<<24, a pixel counts if A
     is 255. Where it does not, x is taken for y: nothing is learned there.
 
-    Out: `sums` = (sum of |x - y|, of (x - y)^2, of SSIM over colours, and counted pixels) since `clear`.
+    Out: `sums` (SLOTS,), which together are the sums of (|x - y|, (x - y)^2, SSIM over colours, counted pixels) since
+    they were set to zero. A pixel adds to one of them: to a single number a GPU would add one after the other.
 
     SSIM = (2 mx my + C1) (2 sxy + C2) / ((mx^2 + my^2 + C1) (sxx + syy + C2)), Wang 2004, with a Gaussian window of 11
     pixels and zeros outside of the image, as 3DGS has it. Its gradient is the same window applied to the derivatives
@@ -36,7 +38,7 @@ class ImageLoss:
             self.blurred = [f.vector(height, width) for _ in range(5)]  # along rows: x, y, x^2, y^2, x y
         with f.interleaved(height, width):
             self.slopes = [f.vector(height, width) for _ in range(3)]  # by the means of x, x^2, x y
-        self.sums = f.vector(n=4, dtype=ti.f64)  # float32 would count no pixel after the first 16 million
+        self.sums = f.vector(SLOTS, n=4, dtype=ti.f64)  # float32 would count no pixel after the first 16 million
         f.build()
 
     def destroy(self) -> None:
@@ -109,7 +111,7 @@ class ImageLoss:
             self.slopes[2][y, x] = counts * by_product
             difference = a - b
             pixel = ti.math.vec4(ti.abs(difference).sum(), difference.dot(difference), counts * similarity, counts)
-            self.sums[None] += ti.cast(pixel, ti.f64)
+            self.sums[(y * width + x) % SLOTS] += ti.cast(pixel, ti.f64)
         for y, x in ti.ndrange(height, width):
             sums = ti.Matrix.zero(ti.f32, 3, 3)
             for k in range(WINDOW):

@@ -147,15 +147,17 @@ class Population:
                 for k in ti.static(range(4)):
                     self.parameters.quat[g][k] -= quat * move[3 + k]
                 self.parameters.logit[g] -= logit * move[10]
-                for k in range(active):
-                    d_sh = vec3(0.0)
-                    if seen:
-                        d_sh = gradients.d_sh[g, k]
-                    first_sh = BETA1 * self.first_sh[g, k] + (1.0 - BETA1) * d_sh
-                    second_sh = BETA2 * self.second_sh[g, k] + (1.0 - BETA2) * d_sh * d_sh
-                    self.first_sh[g, k], self.second_sh[g, k] = first_sh, second_sh
-                    rate = color if k == 0 else harmonics
-                    self.splats.sh[g, k] -= rate * (first_sh / bias1) / (ti.sqrt(second_sh / bias2) + EPSILON)
+        for g, k in ti.ndrange((begin, end), active):
+            seen = gradients.seen(g)
+            if seen or sparse == 0:
+                d_sh = vec3(0.0)
+                if seen:
+                    d_sh = gradients.d_sh[g, k]
+                first_sh = BETA1 * self.first_sh[g, k] + (1.0 - BETA1) * d_sh
+                second_sh = BETA2 * self.second_sh[g, k] + (1.0 - BETA2) * d_sh * d_sh
+                self.first_sh[g, k], self.second_sh[g, k] = first_sh, second_sh
+                rate = color if k == 0 else harmonics
+                self.splats.sh[g, k] -= rate * (first_sh / bias1) / (ti.sqrt(second_sh / bias2) + EPSILON)
 
     # births and deaths
 

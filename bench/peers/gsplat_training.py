@@ -249,6 +249,8 @@ def train(path: Path, args, device) -> list[dict]:
         if device.type == "cuda":
             row |= {"tensors_mb": torch.cuda.max_memory_allocated() / 2**20, "device": torch.cuda.get_device_name()}
         rows.append(row)
+        text = f"{path.name}: {psnr:.2f} dB, SSIM {ssim:.3f}, {row['gaussians']} Gaussians, {seconds:.1f} s"
+        print(f"{text}, of which refining {training.refining:.1f} s", file=sys.stderr, flush=True)
     if args.out:
         from assets.splat_files import write_gaussians
 

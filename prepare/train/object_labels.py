@@ -118,9 +118,10 @@ class LabelPass:
 
     @ti.kernel
     def backward(self, mask: ti.types.ndarray(ti.u32, 2), count: ti.i32, height: ti.i32, width: ti.i32, scale: ti.f32):
-        """Gradients of `scale` times the sum of |M - I_seg|, after `blend.clear`. A kernel of its own for shared arrays.
+        """Gradients of `scale` times the sum of |M - I_seg|, after `blend.clear`.
 
-        mask: `packed_labels` of the picture that was drawn; count: Gaussians whose gradients are set.
+        mask: `packed_labels` of the picture that was drawn; count: Gaussians whose gradients are set. It stands in no
+        kernel with another backward pass: on CUDA both share arrays between threads.
         """
         for y, x in ti.ndrange(height, width):
             packed = mask[y, x]

@@ -109,5 +109,6 @@ def test_masks_go_through_lens_and_reduction_with_the_photograph(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), (ids * 100)[..., None].repeat(3, axis=2))
     photograph = load_photograph(View(tmp_path / "a.png", lens, np.eye(4)), 3, ids)
     assert photograph.objects.shape == (20, 26) and set(np.unique(photograph.objects)) == {0, 1, 2}
-    seen = np.rint(photograph.pixels[..., 0] / 100.0)
-    assert (seen != photograph.objects)[photograph.mask].mean() < 0.02
+    seen = photograph.pixels[..., 0] / 100.0
+    plain = photograph.mask & (np.abs(seen - np.rint(seen)) < 0.05)  # no border between objects
+    assert plain.mean() > 0.5 and (np.rint(seen) == photograph.objects)[plain].all()

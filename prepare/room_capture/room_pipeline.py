@@ -1,0 +1,196 @@
+"""From trained Gaussians and the cameras of their photographs to the parts of a ROOM/ folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from assets.asset import Asset
+from assets.gaussians import Gaussians, concatenate
+from assets.room_folder import RoomManifest, RoomObject
+from core.camera import Camera
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
+from prepare.orientation.capture_orientation import CaptureOrientation, capture_orientation
+from prepare.progress import Progress, no_progress
+from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
+from prepare.room_capture.contributions import Contributions, WeightSums, contributions, ids_in_masks, needed
+from prepare.room_capture.objects import Support, hollowed, object_body, object_files, support_of
+from prepare.segment.mask_files import Masks
+from prepare.train.capture import Capture
+from prepare.train.photographs import load_photograph
+
+OBJECT_SHARE = 0.002  # of what the pictures show, at least, in an object: less cannot be touched
+NEAR_MARGIN = 0.03  # [m] around an object where the collider is fine
+
+
+@dataclass(frozen=True)
+class PlacedRoom:
+    """A capture in metres, +y up, with the floor at y = 0.
+
+    gaussians    that the photographs need, and the `weight` of each in them, (N,)
+    view         the cameras, and what they show
+    orientation  from the capture's frame
+    """
+
+    gaussians: Gaussians
+    weight: np.ndarray
+    view: RoomView
+    orientation: CaptureOrientation
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the objects."""
+        ids = np.unique(self.gaussians.object_id)
+        return [object_name(self.gaussians, k) for k in ids if k]
+
+    def parts(self) -> tuple[list[Gaussians], Gaussians]:
+        """Gaussians of each object, and all others."""
+        ids = self.gaussians.object_id
+        return [self.gaussians.select(ids == k) for k in np.unique(ids) if k], self.gaussians.select(ids == 0)
+
+
+def object_name(gaussians: Gaussians, k: int) -> str:
+    """Name of the object with an id."""
+    return gaussians.objects[k - 1] if k <= len(gaussians.objects) else f"object_{k}"
+
+
+def cameras_of(capture: Capture) -> list[Camera]:
+    """Cameras of all photographs."""
+    return [view.camera() for view in capture.views]
+
+
+def labelled(gaussians: Gaussians, capture: Capture, masks: Masks, progress: Progress = no_progress) -> Gaussians:
+    """The Gaussians with the objects that the masks of the photographs show. Raises BadInput."""
+    ids = []
+    for view, mask in zip(capture.views, masks.ids, strict=True):
+        ids.append(None if mask is None else load_photograph(view, objects=mask).objects)
+    found = ids_in_masks(gaussians, cameras_of(capture), ids, len(masks.names), progress=progress)
+    return replace(gaussians, object_id=found, objects=tuple(masks.names))
+
+
+def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Contributions:
+    """What each Gaussian contributes to the photographs. Raises BadInput if they show nothing."""
+    found = contributions(gaussians, cameras_of(capture), progress=progress)
+    if not np.isfinite(found.depth).any():
+        raise BadInput("the photographs show nothing: the training has failed")
+    return found
+
+
+def placed_room(
+    gaussians: Gaussians,
+    capture: Capture,
+    found: Contributions,
+    *,
+    measured: tuple[np.ndarray, np.ndarray] | None = None,
+    length: float | None = None,
+) -> PlacedRoom:
+    """The room in metres without what no camera needs; `measured` points of the capture are `length` [m] apart."""
+    cameras = cameras_of(capture)
+    keep = needed(gaussians, cameras, found)
+    gaussians, weight = gaussians.select(keep), found.weight[keep]
+    o = capture_orientation(capture, gaussians, measured=measured, length=length)
+    placed = [replace(c, world_to_camera=o.pose(c.world_to_camera)) for c in cameras]
+    view = RoomView(placed, o.scale * found.depth, o.floor_seen)
+    return PlacedRoom(o.gaussians(gaussians), weight, view, o)
+
+
+def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: float, y: float) -> np.ndarray:
+    """The point (3,) of the capture at a pixel of a photograph. Raises BadInput."""
+    views = [v for v in capture.views if v.name == name]
+    if not views:
+        raise BadInput(f"there is no photograph {name}; there are: {', '.join(v.name for v in capture.views[:5])} ...")
+    camera = views[0].camera()
+    if not (0 <= x < camera.width and 0 <= y < camera.height):
+        raise BadInput(f"{name} has {camera.width}x{camera.height} pixels: {x:g},{y:g} is none of them")
+    sums = WeightSums(gaussians, [camera])
+    sums.of(0)
+    depth = sums.depth_at(x / camera.width, y / camera.height)
+    sums.destroy()
+    if not np.isfinite(depth):
+        raise BadInput(f"{name}: at {x:g},{y:g} nothing was captured")
+    origin, direction = camera.ray(x, y)
+    return origin + direction * depth / (camera.world_to_camera[2, :3] @ direction)
+
+
+def supports(room: PlacedRoom) -> list[Support]:
+    """What holds each object. Raises BadInput, naming an object that nothing holds, or that is hardly seen."""
+    things, rest = room.parts()
+    total, found, ids = room.weight.sum(), [], room.gaussians.object_id
+    for name, k, thing in zip(room.names, np.unique(ids[ids > 0]), things, strict=True):
+        if room.weight[ids == k].sum() < OBJECT_SHARE * total:
+            raise BadInput(f"{name}: the photographs hardly show it; mark more of it, or leave it out")
+        found.append(support_of(name, thing, rest))
+    return found
+
+
+def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], painter=None) -> Gaussians:
+    """The background with the places of its objects closed, one after the other. Raises BadInput."""
+    from prepare.inpaint.inpaint_pipeline import inpaint
+
+    things, rest = room.parts()
+    how = {} if painter is None else {"painter": painter}
+    for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
+        rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
+    return rest
+
+
+def bodies(
+    room: PlacedRoom,
+    held: Sequence[Support],
+    *,
+    vertices: Sequence[int],
+    material: str | None,
+    progress: Callable[[str, int, int], Progress],
+    say: Callable[[str], None],
+) -> list[tuple[Asset, RoomObject]]:
+    """A body for each object, and its place. Raises BadInput, naming one for which there is no cage."""
+    things, _ = room.parts()
+    found, files = [], object_files(room.names)
+    for k, (name, thing, support) in enumerate(zip(room.names, things, held, strict=True)):
+        how = {"vertices": vertices, "material": material, "progress": progress(name, k, len(things)), "say": say}
+        found.append(object_body(name, files[k], thing, support, **how))
+    return found
+
+
+def background(
+    room: PlacedRoom,
+    rest: Gaussians,
+    things: Sequence[tuple[Asset, RoomObject]],
+    *,
+    cell: float | None = None,
+    progress: Progress = no_progress,
+) -> Asset:
+    """The environment of the room without its objects, hollow where they stand."""
+    near = []
+    for asset, thing in things:
+        x = placed_points(asset.cage.vertices, thing)
+        near.append((x.min(0) - NEAR_MARGIN, x.max(0) + NEAR_MARGIN))
+    extent = room_extent(room.gaussians, room.weight, room.view)
+    made = captured_environment(rest, room.view, extent, near=near, cell=cell, progress=progress)
+    return hollowed(made, things)
+
+
+def placed_points(points: np.ndarray, thing: RoomObject) -> np.ndarray:
+    """Points (N, 3) of an object's asset in the room [m]."""
+    return points @ matrices_from_quaternions(np.array(thing.rotation)).T + thing.position
+
+
+def with_objects(rest: Gaussians, things: Sequence[tuple[Asset, RoomObject]]) -> Gaussians:
+    """The Gaussians of the room with its objects in their places."""
+    turned = [
+        asset.gaussians.transformed(matrices_from_quaternions(np.array(thing.rotation)), thing.position)
+        for asset, thing in things
+    ]
+    return concatenate([replace(g, objects=()) for g in (rest, *turned)])
+
+
+def manifest(room: PlacedRoom, things: Sequence[RoomObject]) -> RoomManifest:
+    """The manifest of the room."""
+    eye, target, fov = view_of(room.view)
+    o, matrix = room.orientation, np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = o.scale * o.rotation, o.shift
+    where = (eye, target, fov, room.view.floor, o.scale, matrix)
+    return RoomManifest("room.h5", tuple(things), *where, tuple(room.view.cameras))

@@ -1,0 +1,116 @@
+"""Stages of a long pipeline: their results are kept in a folder, so that a cut run goes on; progress on stderr.
+
+A stage is known by its inputs. Its folder holds stage.json with their digest; while it is being made it is called
+NAME.part, and becomes NAME when it is complete.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from assets.file_access import make_folder
+from core.errors import BadInput
+
+ABOUT = "stage.json"
+LINE_SECONDS = 0.3  # [s] between two progress lines of a terminal; elsewhere twenty times as long
+WIDTH = 110  # [characters] of a progress line, to cover the last one
+
+
+class Stages:
+    """Makes stages one after the other, or takes their results of an earlier run.
+
+    folder   of all results
+    names    of the stages, in the order in which they come
+    seconds  that each took, in this run or in the one that made it, by name
+    """
+
+    def __init__(self, folder: Path, names: tuple[str, ...]):
+        make_folder(folder)
+        self.folder, self.names, self.seconds = folder, names, {}
+        self._digest = ""  # of all inputs so far
+        self._now, self._begin, self._told = "", 0.0, 0.0
+
+    def run(self, name: str, inputs: dict, make: Callable[[Path], None]) -> Path:
+        """The folder with the result of a stage: kept, or made now by `make`, which writes into a folder.
+
+        inputs  all that the result depends on, besides the stages before; JSON
+        """
+        text = json.dumps([self._digest, name, inputs], sort_keys=True)
+        self._digest = hashlib.sha256(text.encode()).hexdigest()
+        done, part = self.folder / name, self.folder / f"{name}.part"
+        self._now, self._begin, self._told = name, time.perf_counter(), 0.0
+        kept = about_of(done)
+        if kept.get("digest") == self._digest:
+            self.seconds[name] = float(kept.get("seconds", 0.0))
+            self._print(f"kept from an earlier run ({self.seconds[name]:.0f} s)", end=True)
+            return done
+        if about_of(part).get("digest") != self._digest:
+            remove(part)
+        make_folder(part)
+        spent = float(about_of(part).get("seconds", 0.0))
+        write_about(part, {"digest": self._digest, "seconds": spent})
+        try:
+            make(part)
+        finally:  # what was spent counts, also if it was cut
+            spent += time.perf_counter() - self._begin
+            write_about(part, {"digest": self._digest, "seconds": spent})
+        remove(done)
+        part.rename(done)
+        self.seconds[name] = spent
+        self._print(f"{spent:.1f} s", end=True)
+        return done
+
+    def progress(self, step: str, done: float) -> None:
+        """Tell how far the present stage is, a fraction of `step`, and how long that will still take."""
+        now = time.perf_counter()
+        if now - self._told < LINE_SECONDS * (1 if sys.stderr.isatty() else 20):
+            return
+        self._told, passed = now, now - self._begin
+        left = f", {passed * (1 - done) / done:.0f} s left" if done > 0.02 else ""
+        self._print(f"{step} {done:.0%}, {passed:.0f} s{left}", end=False)
+
+    def part(self, label: str, k: int, count: int) -> Callable[[str, float], None]:
+        """`progress` for the k-th of `count` equal parts of the present stage."""
+        return lambda step, done: self.progress(f"{label}: {step}", (k + min(max(done, 0.0), 1.0)) / count)
+
+    def _print(self, text: str, *, end: bool) -> None:
+        line = f"[{self.names.index(self._now) + 1}/{len(self.names)}] {self._now}: {text}"
+        over = sys.stderr.isatty()
+        print(f"\r{line:<{WIDTH}}" if over else line, end="\n" if end or not over else "", file=sys.stderr, flush=True)
+
+
+def about_of(folder: Path) -> dict:
+    """Content of a stage's stage.json; {} if there is none that can be read."""
+    try:
+        found = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) and isinstance(found.get("seconds", 0.0), (int, float)) else {}
+
+
+def write_about(folder: Path, about: dict) -> None:
+    """Write a stage's stage.json. Raises BadInput."""
+    try:
+        (folder / ABOUT).write_text(json.dumps(about), encoding="utf-8")
+    except OSError as e:
+        raise BadInput(f"{folder}: cannot be written to ({e.strerror})") from e
+
+
+def remove(folder: Path) -> None:
+    """Remove a stage's folder, if there is one."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def file_key(path: Path) -> list:
+    """A file's name, size and time of change: enough to see that it was replaced."""
+    try:
+        found = path.stat()
+    except OSError as e:
+        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
+    return [path.name, found.st_size, found.st_mtime_ns]

@@ -1,11 +1,75 @@
-"""`vrgs.py bench train`: quality, speed and memory of a training, and where the time of its steps goes."""
+"""`vrgs.py bench train`: quality, speed and memory of a training, and where the time of its steps goes.
+
+Options of the training that no user needs are tried here: a variant is a list like `sparse=1,coarse=0.3` of fields of
+TrainOptions, or `fast`, the recipe of `train --fast`. bench/peers/gsplat_training.py prints the same rows for gsplat.
+"""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import fields, replace
 from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from bench.device_memory import device_memory
+from core.errors import BadInput
+from display.run_stats import peak_memory_mb, write_stats
+from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 STAGE_STEPS = 100  # that are timed stage by stage, with the device waited for after each
+
+
+def run(args) -> None:
+    """Run the command: a row for each capture, variant and time of testing; with --orders a table of orders."""
+    if not args.names:
+        raise BadInput("bench train: name captures, folders as `train` takes them")
+    variants = [(text, variant_of(text)) for text in args.variants]
+    rows = []
+    for name in args.names:
+        read = read_training_capture(Path(name), args.reduce, args.test_every)
+        if not read[2]:
+            raise BadInput("bench train compares with photographs that are kept for the test: --test-every 8")
+        if args.orders:
+            from bench.training_orders import measure_orders, print_orders
+
+            rows += measure_orders(Path(name).name, read, training_options(args, TrainOptions(), "plain"))
+            print_orders(rows)
+        else:
+            for text, options in variants:
+                rows += measure(Path(name).name, text, read, training_options(args, options, text), args.at)
+                print_rows(rows)
+        if args.json:
+            write_stats(args.json, rows)
+
+
+def variant_of(text: str) -> TrainOptions:
+    """Options of a variant: `plain`, `fast`, and fields with values, separated by commas. Raises BadInput."""
+    options, kinds = TrainOptions(), {f.name: type(getattr(TrainOptions(), f.name)) for f in fields(TrainOptions)}
+    for word in text.split(","):
+        name, given, value = word.partition("=")
+        if word == "fast":
+            options = fast(options)
+        elif given and name in kinds:
+            try:
+                number = value if kinds[name] is str else kinds[name](float(value))
+            except ValueError as e:
+                raise BadInput(f"--variants: {word}: not a number") from e
+            options = replace(options, **{name: number})
+        elif word != "plain":
+            raise BadInput(f"--variants: {word!r} is none of plain, fast, or NAME=VALUE of {', '.join(kinds)}")
+    return options
+
+
+def training_options(args, options: TrainOptions, text: str) -> TrainOptions:
+    """The options with the command's, and the device's defaults, where the variant does not say."""
+    import taichi as ti
+
+    arch, said = "cuda" if ti.cfg.arch == ti.cuda else "cpu", text.replace("=", ",").split(",")
+    steps, cap = args.steps or (FAST_STEPS if "fast" in said else STEPS)[arch], args.cap or CAPS[arch]
+    numbers = {"steps": steps, "cap": cap, "seed": args.seed}
+    return replace(options, **{name: value for name, value in numbers.items() if name not in said})
 
 
 def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
@@ -18,17 +82,109 @@ def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
     return capture, *kept_for_test(photographs, test_every)
 
 
+def new_trainer(capture, photographs: list, options: TrainOptions):
+    """A trainer at its start, from the capture's points as `train` begins."""
+    from prepare.train.seeds import seeds
+    from prepare.train.trainer import Trainer
+
+    start = seeds(capture, degree=options.degree, count=options.cap, rng=np.random.default_rng(options.seed))
+    return Trainer(photographs, start, capture.extent, options)
+
+
+def measure(name: str, variant: str, read: tuple, options: TrainOptions, test_at) -> list[dict]:
+    """Train; a row (dict) for each step of `test_at` and the last, with the time of training alone.
+
+    The first step compiles the kernels and is timed by itself.
+    """
+    import taichi as ti
+
+    capture, learned, kept = read
+    trainer = new_trainer(capture, learned, options)
+    refining = _time_refinement(trainer)
+    begin = perf_counter()
+    trainer.step()
+    ti.sync()
+    first, seconds, rows = perf_counter() - begin, 0.0, []
+    while trainer.done < options.steps:
+        end = min([at for at in test_at if at > trainer.done], default=options.steps)
+        begin = perf_counter()
+        while trainer.done < min(end, options.steps):
+            trainer.step()
+            if trainer.done % 1000 == 0:
+                ti.sync()
+                rate = (trainer.done - 1) / (seconds + perf_counter() - begin)
+                text = f"{name}, {variant}: step {trainer.done}/{options.steps}, {rate:.1f} steps/s"
+                print(f"{text}, {trainer.population.count} Gaussians", file=sys.stderr, flush=True)
+        ti.sync()
+        seconds += perf_counter() - begin
+        qualities = [trainer.quality(p) for p in kept]
+        row = {"bench": "train", "program": "vrgs", "capture": name, "variant": variant, "step": trainer.done}
+        row |= {"psnr": np.mean([q.psnr for q in qualities]), "ssim": np.mean([q.ssim for q in qualities])}
+        row |= {"gaussians": trainer.population.count, "seconds": seconds, "first_step_seconds": first}
+        row |= {"steps_per_second": (trainer.done - 1) / seconds, "refining_seconds": refining["seconds"]}
+        row |= {"device_mb": device_memory(), "process_mb": peak_memory_mb(), "views": len(learned)}
+        row |= {"test_views": len(kept), "sort": options.sort, "arch": str(ti.cfg.arch).removeprefix("Arch.")}
+        rows.append(row)
+    rows[-1]["stages_ms"] = stages(trainer, min(STAGE_STEPS, options.steps))
+    trainer.destroy()
+    return rows
+
+
+def _time_refinement(trainer) -> dict[str, float]:
+    """Sum up the time of births and deaths of a trainer from now on, in what is returned."""
+    import taichi as ti
+
+    from prepare.train.densification import EVERY
+
+    act, spent = trainer.strategy.after, {"seconds": 0.0}
+
+    def after(step: int, steps: int, mean_rate: float) -> None:
+        if step % EVERY:
+            act(step, steps, mean_rate)
+            return
+        ti.sync()
+        begin = perf_counter()
+        act(step, steps, mean_rate)
+        ti.sync()
+        spent["seconds"] += perf_counter() - begin
+
+    trainer.strategy.after = after
+    return spent
+
+
+def stages(trainer, count: int) -> dict[str, float]:
+    """Milliseconds of a step by stage, means over `count` more steps without births, deaths and noise."""
+    import taichi as ti
+
+    from bench.training_stages import StagedStep
+
+    spent: dict[str, float] = {}
+    step = StagedStep(trainer)
+    for k in range(count + 1):  # the first one compiles
+        times = step.run(k % len(trainer.views))
+        for name, seconds in times.items() if k else ():
+            spent[name] = spent.get(name, 0.0) + 1e3 * seconds / count
+    ti.sync()
+    return spent
+
+
 def print_rows(rows: list[dict]) -> None:
     """A table of the rows, and the stages of those that have them."""
-    head = f"{'capture':10} {'step':>6} {'PSNR dB':>8} {'SSIM':>6} {'Gaussians':>10} {'s':>7} {'steps/s':>8} {'MiB':>7}"
-    print(head)
+    width = max(len(row.get("variant", row["program"])) for row in rows)
+    head = (
+        f"{'capture':10} {'':{width}} {'step':>6} {'PSNR dB':>8} {'SSIM':>6} {'Gaussians':>10} {'s':>7} {'steps/s':>8}"
+    )
+    print(f"{head} {'MiB':>7}")
     for row in rows:
         memory = "-" if row["device_mb"] is None else f"{row['device_mb']:.0f}"
         figures = f"{row['psnr']:8.2f} {row['ssim']:6.3f} {row['gaussians']:10,} {row['seconds']:7.1f}"
-        print(f"{row['capture']:10} {row['step']:6} {figures} {row['steps_per_second']:8.1f} {memory:>7}")
+        name = f"{row['capture']:10} {row.get('variant', row['program']):{width}}"
+        print(f"{name} {row['step']:6} {figures} {row['steps_per_second']:8.1f} {memory:>7}")
     for row in rows:
         if "stages_ms" in row:
-            total = sum(row["stages_ms"].values())
             parts = ", ".join(f"{name} {ms:.3f}" for name, ms in row["stages_ms"].items())
-            print(f"{row['capture']}: a step after {row['step']}: {total:.3f} ms = {parts}")
+            refining = 1e3 * row["refining_seconds"] / row["step"]
+            total = sum(row["stages_ms"].values()) + refining
+            about = f"{row['capture']}, {row.get('variant', row['program'])}, after {row['step']} steps"
+            print(f"{about}: a step {total:.3f} ms = {parts}, births and deaths {refining:.3f} (mean of all)")
     sys.stdout.flush()

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
     from scenes.paper_demos import PaperDemo
 
 HELP = "measure speed"
-EXAMPLES = ("bench sim --json sim.json", "bench demos ring_toss --quick")
+EXAMPLES = (
+    "bench sim --json sim.json",
+    "bench demos ring_toss --quick",
+    "bench train fox/ bear/ --variants plain fast --json train.json",
+)
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
     "scene": ("bench.scene_speed", "the solver, real bodies dropped, thrown, squeezed, piled up"),
@@ -27,6 +31,7 @@ SUBJECTS = {
     "demos": ("bench.demos", "the paper's nine demos, beside its figures"),
     "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
+    "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
     "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
 }
 OPTION_SUBJECTS = {  # of those that not all take
@@ -40,6 +45,14 @@ OPTION_SUBJECTS = {  # of those that not all take
     "--acts": ("scene",),
     "--bodies": ("scene",),
     "--frames": ("scene", "demos"),
+    "--steps": ("train",),
+    "--at": ("train",),
+    "--reduce": ("train",),
+    "--test-every": ("train",),
+    "--cap": ("train",),
+    "--seed": ("train",),
+    "--variants": ("train",),
+    "--orders": ("train",),
     "--quick": ("scene", "demos"),
     "--gaussians": ("render",),
     "--size": ("render", "demos"),
@@ -62,7 +75,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     parser.add_argument("subject", choices=tuple(SUBJECTS), help=text)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="demos: which (default: all that are there)")
+    text = "demos: which (default: all that are there); train: captures"
+    parser.add_argument("names", nargs="*", metavar="NAME", help=text)
     text = "demos: assets as shipped, or at the paper's sizes, which are built first where they are missing"
     parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
     text = "popping: splats to draw (default: the dining room); embedding: a body"
@@ -90,6 +104,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "render, demos: picture of an eye (default 1800x1920)"
     parser.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help=text)
     parser.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
+    text = "train: steps (default 30000 on a GPU, 3000 on a CPU)"
+    parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
+    text = "train: steps after which it is tested as well (default 7000)"
+    parser.add_argument("--at", type=positive(int), nargs="+", metavar="N", default=[7000], help=text)
+    text = "train: divide the photographs' sides by N"
+    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
+    text = "train: keep every Nth photograph for the test (default 8)"
+    parser.add_argument("--test-every", type=positive(int), default=8, metavar="N", help=text)
+    parser.add_argument("--cap", type=positive(int), metavar="N", help="train: most Gaussians (default as train's)")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="train: seed of all random numbers")
+    text = "train: kinds of training, each `plain`, `fast` or like sparse=1,coarse=0.3 (default plain)"
+    parser.add_argument("--variants", nargs="+", default=["plain"], metavar="V", help=text)
+    text = "train: a table of orders of blending, trained for and played"
+    parser.add_argument("--orders", action="store_true", help=text)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
     parser.add_argument("--plot", type=Path, metavar="OUT.svg", help="scaling: draw the curves")
     text = "scaling: read rows that --json wrote instead of measuring"
@@ -99,7 +127,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int | None:
     """Measure the subject. Raises BadInput."""
-    if args.names and args.subject != "demos":
+    if args.names and args.subject not in ("demos", "train"):
         raise BadInput(f"bench {args.subject} takes no names: {' '.join(args.names)}")
     if not args.earlier:
         start_taichi(args.arch)

@@ -16,6 +16,7 @@ from commands.conditions import Condition
 from commands.options import add_arch, positive
 from core.errors import BadInput
 from core.runtime import start_taichi
+from prepare.train.train_options import CAPS, STEPS
 
 HELP = "make Gaussians of photographs or a video"
 EXAMPLES = (
@@ -26,8 +27,6 @@ EXAMPLES = (
     "train walk.mp4 --out garden.ply                           needs pycolmap",
 )
 CONDITIONS = (Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),)
-CAPS = {"cuda": 2_000_000, "cpu": 100_000}
-STEPS = {"cuda": 30_000, "cpu": 3_000}
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
 PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
 TEST_PICTURES = 4  # of the report

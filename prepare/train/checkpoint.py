@@ -15,6 +15,7 @@ from assets.hdf5 import open_hdf5
 FORMAT, VERSION = "vrgs-training", 1
 COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
 COLUMNS |= {"pull": (), "pulls": ()}
+OF_VIEWS = (("exposure", "exposure", 12), ("poses", "pose", 6))  # option, dataset, numbers a view
 HARMONICS = ("sh", "first_sh", "second_sh")
 LABELS = ("label", "first_label", "second_label")  # if objects are learned
 
@@ -41,9 +42,15 @@ def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarr
         state |= {name: file.floats(name, (count, coefficients, 3)) for name in HARMONICS}
         if options.get("objects"):
             state |= {name: file.floats(name, (count, 3)) for name in LABELS}
+        for option, name, numbers in OF_VIEWS:
+            if options.get(option):
+                state[name] = file.floats(name, (views, 3, numbers))
         for name, values in state.items():
             if not np.isfinite(values).all():
                 raise file.error(f"{name} is not finite")
+        for option, name, _ in OF_VIEWS:
+            if options.get(option):
+                state[f"{name}_steps"] = file.indices(f"{name}_steps", (views,), np.int64)
         state["done"] = file.indices("done", (1,), np.int64)
         state["queue"] = file.indices("queue", (None,))
         state["rng"] = file.array("rng", "iu", (4,)).astype(np.uint64)

@@ -34,7 +34,9 @@ class AdaptiveDensity:
     """Kerbl 2023, Sec. 5: clone and split where the position is pulled, prune what is faint or huge, reset opacities.
 
     cap      most Gaussians, frozen ones included; those that are pulled hardest are divided where not all may be
-    stretch  of the schedule, for trainings of other than 30,000 steps: 1 keeps it
+    budgeted what may be added grows towards `cap` by a schedule, fast at first: every step costs less until then
+    resets   opacities are lowered each RESET_EVERY steps
+    start    Gaussians from which the schedule begins
     """
 
     population: Population
@@ -43,6 +45,9 @@ class AdaptiveDensity:
     rng: np.random.Generator
     opacity_cost: float = 0.0
     scale_cost: float = 0.0
+    budgeted: bool = False
+    resets: bool = True
+    start: int = 0
 
     def after(self, step: int, steps: int, mean_rate: float) -> None:
         """Act after a step, counted from 1, of `steps`."""
@@ -50,20 +55,25 @@ class AdaptiveDensity:
         if step >= stop:
             return
         if step > START and step % EVERY == 0:
-            self.refine(prune_large=step > RESET_EVERY)
-        if step % RESET_EVERY == 0:
+            self.refine(prune_large=step > RESET_EVERY, most=self.budget((step - START) / max(1, stop - START)))
+        if self.resets and step % RESET_EVERY == 0:
             self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
             self.population.activate()
 
-    def refine(self, *, prune_large: bool) -> None:
-        """Clone, split and prune once."""
+    def budget(self, progress: float) -> int:
+        """Most Gaussians at a part of the time in which they grow: the cap, or what a parabola towards it allows."""
+        grown = progress * (2.0 - progress) if self.budgeted else 1.0
+        return self.start + round((self.cap - self.start) * grown)
+
+    def refine(self, *, prune_large: bool, most: int | None = None) -> None:
+        """Clone, split and prune once, up to `most` Gaussians (default: the cap)."""
         p = self.population
         n = p.count
         pull = p.pull.to_numpy()[:n] / np.maximum(p.pulls.to_numpy()[:n], 1.0)
         pull[: p.frozen] = 0.0
         scale = np.exp(p.parameters.log_scale.to_numpy()[:n].max(axis=1))
         divided = np.flatnonzero(pull > PULL_MIN)
-        room = max(0, min(self.cap, p.capacity) - n)
+        room = max(0, min(self.cap if most is None else most, p.capacity) - n)
         if len(divided) > room:
             divided = np.sort(divided[np.argsort(-pull[divided], kind="stable")[:room]])
         added = np.arange(n, n + len(divided))

@@ -4,6 +4,7 @@ import numpy as np
 import taichi as ti
 
 from core.camera import Camera
+from prepare.train.exposure import Exposure
 from prepare.train.image_loss import DSSIM_WEIGHT, ImageLoss
 from prepare.train.object_labels import LabelPass
 from prepare.train.population import Population
@@ -18,13 +19,27 @@ class GradientStep:
 
     A renderer keeps its kernels while pictures change their size, and its buffers for pairs of tile and Gaussian grow
     on demand; the kernels that read those are compiled again then.
+
+    exposes    colours are mapped before they are compared with a photograph, see `exposure`
+    of_camera  gradients by the camera are computed as well
     """
 
-    def __init__(self, population: Population, height: int, width: int, *, antialias: bool, sort: str):
-        self.population = population
+    def __init__(
+        self,
+        population: Population,
+        height: int,
+        width: int,
+        *,
+        antialias: bool,
+        sort: str,
+        exposes: bool = False,
+        of_camera: bool = False,
+    ):
+        self.population, self.of_camera = population, of_camera
         self.renderer = Renderer(population.splats, width, height, outputs="float", antialias=antialias, sort=sort)
         self.loss = ImageLoss(height, width)
         self._labelled = FloatImages(1, height, width) if population.labelled else None  # pictures of labels
+        self.exposure = Exposure(height, width) if exposes else None
         self._passes: _BackwardPass | None = None
 
     def destroy(self) -> None:
@@ -34,6 +49,8 @@ class GradientStep:
         if self._labelled is not None:
             self._labelled.destroy()
         self.loss.destroy()
+        if self.exposure is not None:
+            self.exposure.destroy()
         self.renderer.destroy()
 
     def draw(self, camera: Camera) -> "_BackwardPass":
@@ -47,7 +64,8 @@ class GradientStep:
         if self._passes is None or self._passes.bins is not bins:
             if self._passes is not None:
                 self._passes.destroy()
-            self._passes = _BackwardPass(self.population, bins, self.renderer.sink, self.loss, self._labelled)
+            sink, corrections = self.renderer.sink, (self.exposure, self.of_camera)
+            self._passes = _BackwardPass(self.population, bins, sink, self.loss, self._labelled, *corrections)
         return self._passes
 
     def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float, mask=None, mask_scale=0.0) -> None:
@@ -73,8 +91,12 @@ class GradientStep:
         numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, *costs, int(sparse))
         self._passes.update(self.population.frozen, self.population.count, *numbers)
 
+    def camera_gradient(self) -> np.ndarray:
+        """Gradient of the last `compute` by the rows of world_to_camera, (3, 4); waits for the device."""
+        return self._passes.gradients.d_camera.to_numpy()
+
     def compare(self, photograph: ti.Ndarray, camera: Camera) -> np.ndarray:
-        """Sums of ImageLoss for a photograph alone."""
+        """Sums of ImageLoss for a photograph alone, beside colours within 0..1, without exposure."""
         kept = self.loss.sums.to_numpy()
         self.loss.sums.fill(0.0)
         self.draw(camera).compare(photograph, camera.height, camera.width)
@@ -104,10 +126,14 @@ class GradientStep:
 class _BackwardPass:
     """The kernels that depend on the bins of a picture."""
 
-    def __init__(self, population: Population, bins, picture, loss: ImageLoss, labelled: FloatImages | None):
+    def __init__(
+        self, population: Population, bins, picture, loss: ImageLoss, labelled: FloatImages | None,
+        exposure: Exposure | None, of_camera: bool,
+    ):  # fmt: skip
         self.population, self.bins, self.picture, self.loss = population, bins, picture, loss
+        self.exposure, self.exposes = exposure, exposure is not None
         self.blend = BlendGradients(bins, picture, with_depth=False)
-        self.gradients = ProjectionGradients(self.blend, of_camera=False)
+        self.gradients = ProjectionGradients(self.blend, of_camera=of_camera)
         self.labels = LabelPass(population.labels, self.blend, labelled) if labelled is not None else None
 
     def destroy(self) -> None:
@@ -122,10 +148,20 @@ class _BackwardPass:
         self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32, begin: ti.i32, end: ti.i32,
         scale: ti.f32, dssim: ti.f32,
     ):  # fmt: skip
-        self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+        self._compare(photograph, height, width, scale, dssim)
         self.blend.clear(0, end)
         self.blend.backward()
         self.gradients.backward(begin, end)
+
+    @ti.func
+    def _compare(self, photograph: ti.template(), height: ti.i32, width: ti.i32, scale: ti.f32, dssim: ti.f32):
+        """Write the gradient by the picture, through its exposure; outermost level of a kernel."""
+        if ti.static(self.exposes):
+            self.exposure.apply(self.picture.rgb, height, width)
+            self.loss.backward(self.exposure.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+            self.exposure.backward(self.picture.rgb, self.blend.d_rgb, height, width)
+        else:
+            self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
 
     @ti.kernel
     def compute_blend(
@@ -133,7 +169,7 @@ class _BackwardPass:
         dssim: ti.f32,
     ):  # fmt: skip
         """The first half of `compute`: labels add their gradients before the second."""
-        self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)
+        self._compare(photograph, height, width, scale, dssim)
         self.blend.clear(0, end)
         self.blend.backward()
 
@@ -147,6 +183,8 @@ class _BackwardPass:
 
     @ti.kernel
     def compare(self, photograph: ti.types.ndarray(ti.u32, 2), height: ti.i32, width: ti.i32):
+        for y, x in ti.ndrange(height, width):
+            self.picture.rgb[0, y, x] = ti.math.clamp(self.picture.rgb[0, y, x], 0.0, 1.0)  # as they are shown
         self.loss.backward(self.picture.rgb, photograph, self.blend.d_rgb, height, width, 0.0, 0.0)
 
     @ti.kernel

@@ -43,18 +43,26 @@ def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = No
     if objects is not None:
         objects = lens.undistort_labels(objects)
     camera = View(view.image, lens, view.world_to_camera).camera()
-    if reduce > 1:
-        import cv2
+    return reduced(Photograph(pixels, mask, camera, objects), reduce)
 
-        size = (max(1, width // reduce), max(1, height // reduce))
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-        mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
-        if objects is not None:
-            there = np.unique(objects)
-            shares = [cv2.resize((objects == k).astype(np.float32), size, interpolation=cv2.INTER_AREA) for k in there]
-            objects = there[np.argmax(shares, axis=0)]
-        sx, sy = size[0] / width, size[1] / height
-        camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
+
+def reduced(photograph: Photograph, divisor: int) -> Photograph:
+    """The photograph with its sides divided; a pixel counts if all that it is the mean of did."""
+    if divisor == 1:
+        return photograph
+    import cv2
+
+    pixels, mask, camera, objects = photograph
+    width, height = camera.width, camera.height
+    size = (max(1, width // divisor), max(1, height // divisor))
+    pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    mask = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.999
+    if objects is not None:
+        there = np.unique(objects)
+        shares = [cv2.resize((objects == k).astype(np.float32), size, interpolation=cv2.INTER_AREA) for k in there]
+        objects = there[np.argmax(shares, axis=0)]
+    sx, sy = size[0] / width, size[1] / height
+    camera = Camera(*size, camera.fx * sx, camera.fy * sy, camera.cx * sx, camera.cy * sy, camera.world_to_camera)
     return Photograph(pixels, mask, camera, objects)
 
 

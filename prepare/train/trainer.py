@@ -5,37 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
 
 from assets.gaussians import SH_COUNTS, Gaussians
 from prepare.train.densification import AdaptiveDensity, MonteCarlo
 from prepare.train.gradient_step import GradientStep
-from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label, packed_labels
-from prepare.train.optimizer import BETA1, BETA2, SH_DEGREE_INTERVAL, LearningRates
+from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label
+from prepare.train.optimizer import BETA1, BETA2, LearningRates
 from prepare.train.photographs import Photograph
 from prepare.train.population import Population
+from prepare.train.train_options import TrainOptions
+from prepare.train.training_views import TrainingViews, packed
+from prepare.train.view_corrections import Exposures, Poses
 
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
-
-
-@dataclass(frozen=True)
-class TrainOptions:
-    """Options of a training.
-
-    strategy   of births and deaths: "default" grows where detail is missing, "mcmc" fills the budget `cap`
-    cap        most Gaussians, frozen ones included; memory for them is taken at the start
-    sort       order of blending that is trained for, one of render.SORTS but "pixel"
-    frozen     the first Gaussians, as many as this, are drawn but stay as they are, bit for bit
-    """
-
-    steps: int = 30_000
-    strategy: str = "default"
-    cap: int = 1_000_000
-    degree: int = 3
-    antialias: bool = False
-    sort: str = "radial"
-    seed: int = 0
-    frozen: int = 0
 
 
 @dataclass(frozen=True)
@@ -63,12 +45,17 @@ class Trainer:
         capacity = max(options.cap, len(start))
         self.population = Population(start, capacity, options.frozen, labelled=bool(self.objects))
         self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
-        self.cameras = [p.camera for p in photographs]
-        self.counted = [int(p.mask.sum()) for p in photographs]
-        self.images = [_packed(p) for p in photographs]
-        self.masks = [_packed_mask(p, len(self.objects)) for p in photographs]  # (labels, counted pixels)
-        size = max(c.height for c in self.cameras), max(c.width for c in self.cameras)
-        self.gradients = GradientStep(self.population, *size, antialias=options.antialias, sort=options.sort)
+        if isinstance(self.strategy, AdaptiveDensity):
+            self.strategy.budgeted, self.strategy.resets = options.budgeted, options.resets
+            self.strategy.start = len(start)
+        self.views = TrainingViews(photographs, options.coarse, len(self.objects))
+        cameras = self.views.cameras
+        size = max(c.height for c in cameras), max(c.width for c in cameras)
+        drawn = {"antialias": options.antialias, "sort": options.sort}
+        drawn |= {"exposes": options.exposure, "of_camera": options.poses}
+        self.gradients = GradientStep(self.population, *size, **drawn)
+        self.exposures = Exposures(len(cameras)) if options.exposure else None
+        self.poses = Poses([c.world_to_camera for c in cameras], extent) if options.poses else None
         self.rates = LearningRates()
         self.done = 0  # steps
         self._queue: list[int] = []  # views that follow, in a random order without repetition
@@ -81,31 +68,40 @@ class Trainer:
     def step(self) -> None:
         """Learn from one view."""
         if not self._queue:
-            self._queue = self.rng.permutation(len(self.images)).tolist()
+            self._queue = self.rng.permutation(len(self.views)).tolist()
         view = self._queue.pop()
         o, r = self.options, self.rates
         learning = max(1, self.population.count - self.population.frozen)
+        progress = self.done / max(o.steps, 1)
+        mean_rate = r.of_mean(self.done, o.steps, self.extent)
+        degree = min(o.degree, self.done // o.degree_interval)
         self.done += 1
-        degree = min(o.degree, (self.done - 1) // SH_DEGREE_INTERVAL)
-        mean_rate = r.of_mean(self.done - 1, o.steps, self.extent)
-        mask, known = self.masks[view]
         biases = 1.0 - BETA1**self.done, 1.0 - BETA2**self.done
-        scales = 1.0 / (3 * self.counted[view]), mask, SEGMENTATION_WEIGHT / (3 * max(known, 1))
-        self.gradients.compute(self.images[view], self.cameras[view], *scales)
-        if mask is not None:
+        target = self.views.at(view, progress)
+        if self.exposures is not None:
+            self.gradients.exposure.set(self.exposures.of(view))
+        mask_scale = SEGMENTATION_WEIGHT / (3 * max(target.known, 1))
+        self.gradients.compute(target.image, target.camera, 1.0 / (3 * target.counted), target.mask, mask_scale)
+        if self.exposures is not None:
+            self.exposures.step(view, self.gradients.exposure.d_affine.to_numpy(), progress)
+        if self.poses is not None:
+            self.poses.learn(view, self.gradients.camera_gradient(), progress)
+            self.views.set_pose(view, self.poses.of(view))
+        if target.mask is not None:
             self.gradients.update_labels(biases)
         self.gradients.update(
-            self.cameras[view],
+            target.camera,
             (mean_rate, r.quat, r.log_scale, r.logit, r.color, r.harmonics),
             biases,
-            SH_COUNTS[degree],
+            SH_COUNTS[degree] if self.done % o.harmonics_every == 0 else 1,
             (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
+            o.sparse,
         )
         self.strategy.after(self.done, o.steps, mean_rate)
 
     def quality(self, photograph: Photograph) -> Quality:
         """Quality of what is drawn now of a photograph."""
-        sums = self.gradients.compare(_packed(photograph), photograph.camera)
+        sums = self.gradients.compare(packed(photograph), photograph.camera)
         values = 3.0 * max(float(sums[3]), 1.0)
         return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
 
@@ -150,30 +146,25 @@ class Trainer:
             "queue": np.array(self._queue, np.int32),
             "rng": np.array(words, np.uint64),
         }
+        for name, learned in self._of_views().items():
+            own |= learned.state(name)
         return {**self.population.read(), **own}
+
+    def _of_views(self) -> dict:
+        """What is learned of each view, by name."""
+        known = {"exposure": self.exposures, "pose": self.poses}
+        return {name: learned for name, learned in known.items() if learned is not None}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         """Go back to what `state` gave."""
         self.population.write({name: state[name] for name in self.population.arrays()})
         self.done, self._queue = int(state["done"][0]), state["queue"].tolist()
+        for name, learned in self._of_views().items():
+            learned.restore(name, state)
+        if self.poses is not None:
+            for view in range(len(self.views)):
+                self.views.set_pose(view, self.poses.of(view))
         low, high, inc_low, inc_high = (int(w) for w in state["rng"])
         rng = self.rng.bit_generator.state
         rng["state"] = {"state": low | high << 64, "inc": inc_low | inc_high << 64}
         self.rng.bit_generator.state = rng
-
-
-def _packed(photograph: Photograph) -> ti.Ndarray:
-    """A photograph on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
-    rgba = np.dstack([photograph.pixels, np.where(photograph.mask, 255, 0).astype(np.uint8)])
-    image = ti.ndarray(ti.u32, rgba.shape[:2])
-    image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
-    return image
-
-
-def _packed_mask(photograph: Photograph, count: int) -> tuple[ti.Ndarray | None, int]:
-    """The mask of a photograph as labels of `count` objects, None without one, and the number of pixels it counts."""
-    ids = photograph.objects
-    if ids is None or count == 0:
-        return None, 0
-    known = photograph.mask & (ids <= count)
-    return (packed_labels(ids, known, count), int(known.sum())) if known.any() else (None, 0)

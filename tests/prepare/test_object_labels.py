@@ -58,7 +58,7 @@ def test_objects_of_unseen_photographs_are_met_after_some_hundred_steps(trained)
 
 def test_a_photograph_without_a_mask_teaches_no_labels(trained):
     trainer, _ = trained
-    blind = [k for k, (mask, _) in enumerate(trainer.masks) if mask is None]
+    blind = [k for k in range(len(trainer.views)) if trainer.views.at(k, 1.0).mask is None]
     assert len(blind) == 1
     before, means = trainer.labels(), trainer.population.splats.mean.to_numpy()
     trainer._queue.append(blind[0])
@@ -91,7 +91,7 @@ def test_what_is_divided_hands_its_label_down(trained):
 def test_a_checkpoint_keeps_labels(trained, tmp_path):
     trainer, options = trained[0], {"degree": 0, "objects": NAMES}
     write_checkpoint(tmp_path / "a.h5", trainer.state(), options)
-    state = read_checkpoint(tmp_path / "a.h5", {**options, "objects": list(NAMES)}, len(trainer.masks))
+    state = read_checkpoint(tmp_path / "a.h5", {**options, "objects": list(NAMES)}, len(trainer.views))
     kept = {name: trainer.state()[name] for name in LABELS}
     trainer.step()
     assert all((trainer.state()[name] != kept[name]).any() for name in LABELS)

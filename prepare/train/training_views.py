@@ -1,0 +1,76 @@
+"""The photographs that are learned from, on the device, in full size and reduced ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import taichi as ti
+
+from core.camera import Camera
+from prepare.train.object_labels import packed_labels
+from prepare.train.photographs import Photograph, reduced
+
+COARSE = (4, 2)  # sides are divided by these while a training is coarse, each for an equal part of that time
+SIDE_MIN = 32  # [px] below which nothing is reduced: SSIM's window is 11
+
+
+class Target(NamedTuple):
+    """What is learned from: an image, its camera, how many of its pixels count, and labels of objects, if known.
+
+    mask   `packed_labels`, or None; known: the number of pixels that it counts
+    """
+
+    image: ti.Ndarray
+    camera: Camera
+    counted: int
+    mask: ti.Ndarray | None
+    known: int
+
+
+class TrainingViews:
+    """Photographs by view, as they are learned from at a time of the training.
+
+    coarse   part of the steps in which pictures are drawn smaller; 0: never, and no reduced copies are kept
+    objects  number of objects in their masks
+    """
+
+    def __init__(self, photographs: list[Photograph], coarse: float, objects: int):
+        self.cameras, self.coarse = [p.camera for p in photographs], coarse
+        side = min(min(c.width, c.height) for c in self.cameras)
+        divisors = [d for d in COARSE if side >= d * SIDE_MIN] if coarse > 0.0 else []
+        self.levels = [[target(reduced(p, d), objects) for p in photographs] for d in (*divisors, 1)]
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def at(self, view: int, progress: float) -> Target:
+        """A view after a part `progress` of the steps."""
+        stages = len(self.levels) - 1
+        k = min(stages, math.floor(stages * progress / self.coarse)) if stages else 0
+        found = self.levels[k][view]
+        return found._replace(camera=replace(found.camera, world_to_camera=self.cameras[view].world_to_camera))
+
+    def set_pose(self, view: int, world_to_camera: np.ndarray) -> None:
+        """Draw a view from elsewhere from now on."""
+        self.cameras[view] = replace(self.cameras[view], world_to_camera=world_to_camera)
+
+
+def target(photograph: Photograph, objects: int) -> Target:
+    """A photograph on the device, with labels if it knows its `objects`."""
+    ids, mask, known = photograph.objects, None, 0
+    if ids is not None and objects > 0:
+        counts = photograph.mask & (ids <= objects)
+        known = int(counts.sum())
+        mask = packed_labels(ids, counts, objects) if known else None
+    return Target(packed(photograph), photograph.camera, max(1, int(photograph.mask.sum())), mask, known)
+
+
+def packed(photograph: Photograph) -> ti.Ndarray:
+    """A photograph on the device: u32 R | G<<8 | B<<16 | A<<24, A = 255 where a pixel counts."""
+    rgba = np.dstack([photograph.pixels, np.where(photograph.mask, 255, 0).astype(np.uint8)])
+    image = ti.ndarray(ti.u32, rgba.shape[:2])
+    image.from_numpy(np.ascontiguousarray(rgba).view("<u4")[..., 0])
+    return image

@@ -1,0 +1,90 @@
+"""What is learned of each photograph beside the Gaussians: its exposure, and small corrections of its pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prepare.train.exposure import IDENTITY
+from prepare.train.optimizer import BETA1, BETA2, EPSILON
+
+EXPOSURE_RATE = (1e-2, 1e-3)  # first and last, as in 3DGS's own exposure compensation
+POSE_RATE = (1e-4, 1e-6)  # [rad], and of the capture's extent
+
+
+class ViewAdam:
+    """Adam for a few numbers a view, on the host: `values` (views, numbers), each view with its own count of steps."""
+
+    def __init__(self, start: np.ndarray, views: int, rates: tuple[float, float]):
+        self.values = np.tile(np.asarray(start, np.float64).ravel(), (views, 1))
+        self.first, self.second = np.zeros_like(self.values), np.zeros_like(self.values)
+        self.steps, self.rates = np.zeros(views, np.int64), rates
+
+    def step(self, view: int, gradient: np.ndarray, progress: float) -> np.ndarray:
+        """Move a view's numbers; `progress` is the part of the training that is done. Returns the move."""
+        self.steps[view] += 1
+        t, d = self.steps[view], np.asarray(gradient, np.float64).ravel()
+        self.first[view] += (1.0 - BETA1) * (d - self.first[view])
+        self.second[view] += (1.0 - BETA2) * (d * d - self.second[view])
+        rate = self.rates[0] * (self.rates[1] / self.rates[0]) ** progress
+        mean, spread = self.first[view] / (1.0 - BETA1**t), self.second[view] / (1.0 - BETA2**t)
+        move = -rate * mean / (np.sqrt(spread) + EPSILON)
+        self.values[view] += move
+        return move
+
+    def state(self, name: str) -> dict[str, np.ndarray]:
+        """All that later steps depend on, by names that begin with `name`."""
+        rows = np.stack([self.values, self.first, self.second], axis=1)
+        return {name: rows, f"{name}_steps": self.steps.copy()}
+
+    def restore(self, name: str, state: dict[str, np.ndarray]) -> None:
+        """Go back to what `state` gave."""
+        self.values, self.first, self.second = (np.array(a, np.float64) for a in state[name].transpose(1, 0, 2))
+        self.steps = np.array(state[f"{name}_steps"], np.int64)
+
+
+class Exposures(ViewAdam):
+    """[A b] of each view. Their mean is the identity: a photograph that has none is compared with the plain picture."""
+
+    def __init__(self, views: int):
+        super().__init__(IDENTITY, views, EXPOSURE_RATE)
+
+    def of(self, view: int) -> np.ndarray:
+        """[A b] of a view, (3, 4)."""
+        return self.values[view].reshape(3, 4)
+
+    def step(self, view: int, gradient: np.ndarray, progress: float) -> np.ndarray:
+        """Move a view's numbers, and all back so that their mean stays."""
+        move = super().step(view, gradient, progress)
+        self.values -= move / len(self.values)
+        return move
+
+
+class Poses(ViewAdam):
+    """A twist (rotation [rad], translation [extents]) that is added to each view's world_to_camera from the left."""
+
+    def __init__(self, given: list[np.ndarray], extent: float):
+        super().__init__(np.zeros(6), len(given), POSE_RATE)
+        self.given, self.extent = given, extent
+
+    def of(self, view: int) -> np.ndarray:
+        """world_to_camera (4, 4) of a view, corrected."""
+        return twisted(self.values[view, :3], self.extent * self.values[view, 3:]) @ self.given[view]
+
+    def learn(self, view: int, d_camera: np.ndarray, progress: float) -> None:
+        """Move a view; d_camera (3, 4): the gradient by the rows of world_to_camera.
+
+        The twist w, v of a small further motion changes column c of the matrix by w x c (and the last by v as well),
+        so dL/dw = sum c x dL/dc. It stands for the gradient by the whole twist, which is small.
+        """
+        columns = self.of(view)[:3].T
+        d_rotation = np.cross(columns, d_camera.T).sum(axis=0)
+        self.step(view, np.concatenate([d_rotation, self.extent * d_camera[:, 3]]), progress)
+
+
+def twisted(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The rigid transform (4, 4) of a rotation vector [rad] and a translation."""
+    from scipy.spatial.transform import Rotation
+
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = Rotation.from_rotvec(rotation).as_matrix(), translation
+    return out

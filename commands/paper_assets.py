@@ -37,12 +37,16 @@ def parts_of(scene: Scene) -> list[Part]:
 
 
 def detail_of(part: Part, left: list[Part], gaussians: int, vertices: int) -> Detail:
-    """The detail of a part, when it and the others of `left` are to have so many Gaussians and vertices in all."""
+    """The detail of a part, when it and the others of `left` are to have so many Gaussians and vertices in all.
+
+    Gaussians closer together need fewer rays each: of f times as many, each gets f^-1/2 of the rays.
+    """
     factor = gaussians / sum(p.count * p.gaussians for p in left)
     if factor <= 0:
         raise BadInput(f"{part.asset}: the other assets have more Gaussians than the whole demo is to have")
+    rays = min(factor**-0.5, 1.0)
     if not part.simulated:
-        return Detail(factor)
+        return Detail(factor, rays=rays)
     own = sum(p.count * p.vertices for p in left if p.simulated)
     return Detail(factor, max(round(vertices * part.vertices / own), 1))
 

@@ -165,7 +165,7 @@ def _nearest_edges(edges: EdgePoints, points, normals, count: int, max_distance:
     The distance is infinite for edges of another face or beyond `max_distance` (N,).
     """
     count = min(count, len(edges.points))
-    near = edges.tree.query(np.concatenate([points, edges.apart * normals], 1), k=[*range(1, count + 1)], workers=2)[1]
+    near = edges.tree.query(np.concatenate([points, edges.apart * normals], 1), k=[*range(1, count + 1)])[1]
     offset = edges.points[near] - points[:, None]
     far = np.linalg.norm(offset, axis=2)
     d = edges.directions[near]

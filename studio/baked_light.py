@@ -9,17 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
 from core.open3d_package import open3d
+from core.threads import batches, in_threads
 from studio.light_sources import LightSources
 from studio.shapes import Surface
 from studio.surface_sampling import Surfels, Viewer
 
 RAY_OFFSET = 1.5e-3  # [m] of ray origins above the surface
 LOOKUP_OFFSET = 0.02  # [m] of look-up points off the surface, which separates the two sides of a board
-RAY_BATCH = 1_000_000  # rays at a time
+RAY_BATCH = 1 << 17  # rays at a time in each thread
 COVERED_RAY_FRACTION = 0.92  # of short rays at a covered point; the rest may pass between faces that touch
 BOUNCES = 5
 SUN_RAYS = 8
@@ -117,17 +118,20 @@ class BakedLight:
     def radiance(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) that arrives at `origins` (N, 3) from `directions` (N, 3)."""
         total = np.zeros((len(origins), 3))
-        for i in range(0, len(origins), RAY_BATCH):
-            o, d = origins[i : i + RAY_BATCH], directions[i : i + RAY_BATCH]
+
+        def look_up(s: slice) -> None:
+            o, d = origins[s], directions[s]
             t, geometry, normal = self._cast_rays(o, d)
             hit = np.isfinite(t)
             incident = np.zeros((len(o), 3))
             incident[~hit] = self._sources.sky(d[~hit])
             incident[hit] = self._emission[geometry[hit]]
             valid = hit & ((normal * d).sum(1) < 0)
-            near = self._tree.query((o + t[:, None] * d + LOOKUP_OFFSET * normal)[valid], workers=2)[1]
+            near = self._tree.query((o + t[:, None] * d + LOOKUP_OFFSET * normal)[valid])[1]
             incident[valid] += self._radiosity[near]
-            total[i : i + RAY_BATCH] = incident
+            total[s] = incident
+
+        in_threads(look_up, batches(len(origins), RAY_BATCH))
         return total
 
     def _solve_radiosity(
@@ -142,8 +146,9 @@ class BakedLight:
         tree = cKDTree(points + LOOKUP_OFFSET * normals)
         direct = self._direct_light(points, normals, rng)
         n = len(points)
-        transport, emitted, _ = self._gather(points, normals, rays, np.full(n, SHORT_RAY), tree, rng)
-        first = direct + emitted
+        near, jobs = np.full(n, SHORT_RAY), _jobs(n, rays, rng)
+        parts = in_threads(lambda job: self._gather(points, normals, rays, near, tree, *job), jobs)
+        transport, first = vstack([part[0] for part in parts]), direct + np.concatenate([part[1] for part in parts])
         total = first
         for _ in range(BOUNCES):
             total = first + transport @ (albedo * total / np.pi)
@@ -161,20 +166,24 @@ class BakedLight:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Irradiance (N, 3) on the side of the normals, and mask (N,) of points whose rays are nearly all short."""
         total, hidden = self._direct_light(points, normals, rng), np.zeros(len(points), bool)
-        step = max(RAY_BATCH // rays, 1)
-        for i in range(0, len(points), step):
-            s = slice(i, i + step)
-            transport, emitted, short = self._gather(points[s], normals[s], rays, near[s], self._tree, rng)
+
+        def light(job: tuple[slice, np.random.Generator]) -> None:
+            s, own_rng = job
+            transport, emitted, short = self._gather(points, normals, rays, near, self._tree, s, own_rng)
             total[s] += transport @ self._radiosity + emitted
             hidden[s] = short > COVERED_RAY_FRACTION
-            progress(min((i + step) / len(points), 1.0))
+            progress(s.stop / len(points))
+
+        in_threads(light, _jobs(len(points), rays, rng))
         return total, hidden
 
-    def _gather(self, points, normals, rays, near, tree, rng) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
-        """Final gather: transport matrix (N, look-up points), emitted irradiance (N, 3), fraction of short rays (N,).
+    def _gather(self, points, normals, rays, near, tree, s: slice, rng) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+        """Final gather at the points `s`: transport matrix (N, look-up points), emitted irradiance (N, 3), and
+        fraction of short rays (N,).
 
         Irradiance = matrix @ radiosity + emitted. Cosine-distributed rays have equal weights of pi / rays.
         """
+        points, normals, near = points[s], normals[s], near[s]
         n = len(points)
         k = np.arange(rays)
         u = (k[None] + rng.random((n, rays))) / rays  # stratified in elevation, golden angle in azimuth
@@ -192,12 +201,20 @@ class BakedLight:
             emitted[~hit] = self._sources.sky(d[~hit])
         emitted = emitted.reshape(n, rays, 3).sum(1) * (np.pi / rays)
         valid = np.flatnonzero(hit & ~behind)
-        source = tree.query(o[valid] + t[valid, None] * d[valid] + LOOKUP_OFFSET * normal[valid], workers=2)[1]
+        source = tree.query(o[valid] + t[valid, None] * d[valid] + LOOKUP_OFFSET * normal[valid])[1]
         matrix = csr_matrix((np.full(len(valid), np.pi / rays), (valid // rays, source)), (n, tree.n))
         return matrix, emitted, (behind | (t < np.repeat(near, rays))).reshape(n, rays).mean(1)
 
     def _direct_light(self, points, normals, rng, samples: int = 5) -> np.ndarray:
         """Irradiance (N, 3) from openings (`samples` squared points each), sun and lamps."""
+
+        def light(job: tuple[slice, np.random.Generator]) -> np.ndarray:
+            return self._direct_light_at(points[job[0]], normals[job[0]], job[1], samples)
+
+        return np.concatenate([np.zeros((0, 3)), *in_threads(light, _jobs(len(points), 1, rng))])
+
+    def _direct_light_at(self, points, normals, rng, samples: int) -> np.ndarray:
+        """Irradiance (N, 3) as `_direct_light`, of one batch."""
         total = np.zeros((len(points), 3))
         origins = points + RAY_OFFSET * normals
         for opening in self._sources.openings or ():
@@ -229,12 +246,10 @@ class BakedLight:
         """Add `light` (N, 3) to `total` where nothing blocks the ray up to the distance `far`."""
         lit = np.flatnonzero(light.max(1) > 1e-6)
         far = np.broadcast_to(far, (len(origins),))
-        for i in range(0, len(lit), RAY_BATCH):
-            s = lit[i : i + RAY_BATCH]
-            length = np.minimum(far[s], 1e3)[:, None]
-            rays = np.concatenate([origins[s], directions[s] * length], 1).astype(np.float32)
-            unoccluded = ~self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=0.999).numpy()
-            total[s[unoccluded]] += light[s[unoccluded]]
+        length = np.minimum(far[lit], 1e3)[:, None]
+        rays = np.concatenate([origins[lit], directions[lit] * length], 1).astype(np.float32)
+        unoccluded = lit[~self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=0.999).numpy()]
+        total[unoccluded] += light[unoccluded]
 
     def _cast_rays(self, origins, directions) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distance [m] (inf: no hit), surface index and normal of the first hits; sheets face the ray."""
@@ -246,6 +261,12 @@ class BakedLight:
         flip = self._sheet[geometry] & ((normal * directions).sum(1) > 0)
         normal[flip] *= -1
         return t, geometry, normal
+
+
+def _jobs(count: int, rays: int, rng: np.random.Generator) -> list[tuple[slice, np.random.Generator]]:
+    """Batches of `count` points with `rays` rays each, and random numbers of their own."""
+    parts = batches(count, max(RAY_BATCH // rays, 1))
+    return list(zip(parts, rng.spawn(len(parts)), strict=True))
 
 
 def _translucency(surfels: Surfels, surfaces: list[Surface]) -> np.ndarray:

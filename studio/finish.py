@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from assets.gaussians import SH_COUNTS, Gaussians
 from core.spherical_harmonics import C0, sh_basis
+from core.threads import batches, in_threads
 from studio.shapes import Surface
 from studio.surface_sampling import Surfels, Viewer
 
@@ -23,6 +25,7 @@ THICKNESS_RATIO = 0.12  # over the smaller width
 MAX_THICKNESS = 0.002  # [m]
 SPHERE_VIEWS, PLAYER_VIEWS = 96, 64  # directions that colours are fitted to: all around, and from the player's space
 SOLVE_BATCH = 4096  # Gaussians at a time
+BATCH = 16384  # Gaussians at a time in each thread
 
 
 def tone_map(radiance: np.ndarray, exposure: float = EXPOSURE) -> np.ndarray:
@@ -35,30 +38,49 @@ def tone_map(radiance: np.ndarray, exposure: float = EXPOSURE) -> np.ndarray:
 
 def sample_albedo(surfels: Surfels, surfaces: list[Surface], rng: np.random.Generator) -> np.ndarray:
     """Linear albedo (N, 3), averaged over the core of each footprint so that textures do not alias."""
-    total = np.zeros((len(surfels), 3))
-    across = np.cross(surfels.normals, surfels.tangents)
-    for _ in range(TEXTURE_SAMPLES):
-        offset = 0.55 * surfels.sigma * rng.normal(size=(len(surfels), 2)).clip(-1.5, 1.5)
-        points = surfels.points + offset[:, :1] * surfels.tangents + offset[:, 1:] * across
-        for k in np.unique(surfels.surface):
-            own = surfels.surface == k
-            total[own] += surfaces[k].albedo(points[own], surfels.normals[own])
-    return np.clip(total / TEXTURE_SAMPLES, 0, 1)
+    result = np.zeros((len(surfels), 3))
+    order = np.argsort(surfels.surface, kind="stable")
+    ends = np.cumsum(np.bincount(surfels.surface, minlength=len(surfaces)))
+    parts = [order[a:b][s] for a, b in zip([0, *ends], ends, strict=False) for s in batches(b - a, BATCH)]
+
+    def sample(part: np.ndarray, own_rng: np.random.Generator) -> None:
+        own, surface = surfels.select(part), surfaces[surfels.surface[part[0]]]
+        across = np.cross(own.normals, own.tangents)
+        for _ in range(TEXTURE_SAMPLES):
+            offset = 0.55 * own.sigma * own_rng.normal(size=(len(own), 2)).clip(-1.5, 1.5)
+            points = own.points + offset[:, :1] * own.tangents + offset[:, 1:] * across
+            result[part] += surface.albedo(points, own.normals)
+
+    in_threads(lambda job: sample(*job), zip(parts, rng.spawn(len(parts)), strict=True))
+    return np.clip(result / TEXTURE_SAMPLES, 0, 1)
 
 
-def smoothed(surfels: Surfels, values: np.ndarray, width: float = 1.0, neighbours: int = 12) -> np.ndarray:
-    """Values (N, C) averaged over neighbours on the same surface, which removes the noise of the rays."""
-    weight, near = _weights(surfels, neighbours, width)
-    return (weight[..., None] * values[near]).sum(1) / weight.sum(1)[:, None]
+def smoothed(
+    surfels: Surfels,
+    values: np.ndarray,
+    width: float = 1.0,
+    neighbours: int = 12,
+    *,
+    rounds: int = 1,
+    which: np.ndarray | None = None,
+) -> np.ndarray:
+    """Values (N, C) averaged over neighbours on the same surface, `rounds` times: removes the noise of the rays.
+
+    which  mask (N,) of the surfels whose values change (default: all)
+    """
+    changing = np.arange(len(surfels)) if which is None else np.flatnonzero(which)
+    averages, result = _averages(surfels, neighbours, width, changing), np.array(values)
+    for _ in range(rounds):
+        result[changing] = averages @ result
+    return result
 
 
 def sharpened(surfels: Surfels, colours: np.ndarray, neighbours: int = 12) -> np.ndarray:
     """Colours (N, 3) whose blend over overlapping Gaussians reproduces `colours` (van Cittert's iteration)."""
-    weight, near = _weights(surfels, neighbours, 1.0)
-    weight = weight / weight.sum(1, keepdims=True)
+    averages = _averages(surfels, neighbours, 1.0, np.arange(len(surfels)))
     result = colours
     for _ in range(SHARPENING_ROUNDS):
-        result = result + 0.8 * (colours - (weight[..., None] * result[near]).sum(1))
+        result = result + 0.8 * (colours - averages @ result)
     return np.clip(result, colours - 0.2, colours + 0.2).clip(0, 1)
 
 
@@ -118,13 +140,22 @@ def fit_view_dependence(normals: np.ndarray, colour: Callable, degree: int, view
     return result
 
 
-def _weights(surfels: Surfels, neighbours: int, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Weight (N, k) of each neighbour's Gaussian at each point, and the neighbours' indices (N, k)."""
-    _, near = cKDTree(surfels.points).query(surfels.points, k=min(neighbours, len(surfels)), workers=2)
-    offset = surfels.points[:, None] - surfels.points[near]
+def _averages(surfels: Surfels, neighbours: int, width: float, which: np.ndarray) -> csr_matrix:
+    """Matrix (M, N) that averages over the neighbours' Gaussians on the same surface at the surfels `which` (M,)."""
+    tree, k = cKDTree(surfels.points), min(neighbours, len(surfels))
     across = np.cross(surfels.normals, surfels.tangents)
-    u = (offset * surfels.tangents[near]).sum(2) / (width * surfels.sigma[near, 0])
-    v = (offset * across[near]).sum(2) / (width * surfels.sigma[near, 1])
-    alike = (surfels.normals[near] * surfels.normals[:, None]).sum(2) > 0.5
-    alike &= surfels.surface[near] == surfels.surface[:, None]
-    return np.exp(-0.5 * (u * u + v * v)) * alike, near
+
+    def weights(s: slice) -> tuple[np.ndarray, np.ndarray]:
+        i = which[s]
+        near = tree.query(surfels.points[i], k=k)[1].reshape(len(i), k)
+        offset = surfels.points[i, None] - surfels.points[near]
+        u = np.einsum("nkc,nkc->nk", offset, surfels.tangents[near]) / (width * surfels.sigma[near, 0])
+        v = np.einsum("nkc,nkc->nk", offset, across[near]) / (width * surfels.sigma[near, 1])
+        alike = np.einsum("nkc,nc->nk", surfels.normals[near], surfels.normals[i]) > 0.5
+        alike &= surfels.surface[near] == surfels.surface[i, None]
+        weight = np.exp(-0.5 * (u * u + v * v)) * alike
+        return weight / weight.sum(1, keepdims=True), near.astype(np.int32)
+
+    parts = in_threads(weights, batches(len(which), BATCH))
+    weight, near = (np.concatenate([part[i] for part in parts]) if parts else np.zeros((0, k)) for i in range(2))
+    return csr_matrix((weight.ravel(), near.ravel(), np.arange(len(which) + 1) * k), (len(which), len(surfels)))

@@ -119,12 +119,10 @@ def visible_surfels(lit: LitRoom, rng: np.random.Generator, progress) -> tuple[S
     irradiance, covered = lit.light.irradiance(surfels, surfaces, lit.detail.ray_count(GATHER_RAYS), rng, progress)
     keep = ~covered | np.array([not s.blocks_light for s in surfaces])[surfels.surface]
     surfels, irradiance = surfels.select(keep), irradiance[keep]
-    for _ in range(3):  # against the noise of the rays; contact shadows stay two Gaussians wide
-        irradiance = smoothed(surfels, irradiance, 1.3, 16)
+    # Against the noise of the rays; contact shadows stay two Gaussians wide. On walls, few wide ones would show clouds.
+    irradiance = smoothed(surfels, irradiance, 1.3, 16, rounds=3)
     wide = surfels.sigma.max(1) > lit.detail.spacing(WIDE_SIGMA)
-    for _ in range(4):  # on walls, few wide Gaussians show noise as clouds
-        irradiance[wide] = smoothed(surfels, irradiance, 1.5, 20)[wide]
-    return surfels, irradiance
+    return surfels, smoothed(surfels, irradiance, 1.5, 20, rounds=4, which=wide)
 
 
 def _radiance(lit: LitRoom, surfels: Surfels, irradiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -143,7 +141,7 @@ def _radiance(lit: LitRoom, surfels: Surfels, irradiance: np.ndarray, rng: np.ra
     cosine = (view * own.normals).sum(1)
     fresnel = gloss + (1 - gloss) * (1 - np.clip(cosine, 0, 1)) ** 5 * 0.5
     spread = np.array([s.roughness for s in surfaces])[own.surface]
-    reflected = smoothed(own, smoothed(own, lit.light.reflected(own.points, own.normals, eye, spread, 16, rng)))
+    reflected = smoothed(own, lit.light.reflected(own.points, own.normals, eye, spread, 16, rng), rounds=2)
     metal = gloss > 0.2
     tint = np.where(metal[:, None], albedo / albedo.max(1, keepdims=True), 1.0)
     radiance[glossy] += (fresnel * (cosine > 0.02))[:, None] * tint * reflected

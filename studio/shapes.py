@@ -25,7 +25,7 @@ class Surface:
     width           factor on the standard deviations; plain surfaces close better with wide Gaussians
     uniform         keep `spacing` at any distance from the player
     blocks_light    casts shadows and reflects light; False for the bulb and the garden
-    leaves          the mesh is of `leaf_mesh`: every leaf becomes one Gaussian, whatever the spacing
+    leaves          the mesh is of `leaf_mesh`: as shipped every leaf becomes one Gaussian, whatever the spacing
     """
 
     name: str

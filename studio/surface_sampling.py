@@ -16,6 +16,7 @@ from core.edge_sampling import (
     points_along,
     rows_along,
 )
+from core.threads import in_threads
 from core.triangle_mesh import Mesh
 from studio.detail import SHIPPED, Detail
 from studio.shapes import Surface, welded
@@ -23,6 +24,7 @@ from studio.shapes import Surface, welded
 CANDIDATES, ROUNDS = 4, 3  # random points per squared spacing and round; after three rounds gaps are rare
 SIGMA_OVER_SPACING = 0.95  # closes the surface even where neighbours are farthest apart
 SIGMA_OVER_LEAF = 0.3  # standard deviation over the length of a leaf
+GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # between a point of a sunflower's spiral and the next
 RADIUS_RATIO = 1.3  # sampling radii are rounded down to powers of this
 MIN_SPACING_RATIO = 0.55  # lower bound of the spacing on thin tubes, over the surface's own
 
@@ -82,11 +84,14 @@ def sample_surfaces(
 
     def sampled(density: float) -> Surfels:
         scaled = [replace(s, spacing=s.spacing / density) for s in surfaces]
-        return join_surfels([sample_surface(s, i, rng, viewer) for i, s in enumerate(scaled)])
+        own = rng.spawn(len(scaled))
+        sets = in_threads(lambda i: sample_surface(scaled[i], i, own[i], viewer, density**2), range(len(scaled)))
+        return join_surfels(sets)
 
     if detail.gaussians <= 1:
         return sampled(detail.gaussians**0.5)
-    # At x times the density along a line, faces hold a x^2 surfels, edges and thin parts b x: two samplings tell both.
+    # At x times the density along a line, faces and leaves hold a x^2 surfels, edges and thin parts b x; two samplings
+    # tell both.
     low, high = 1.0, 2**0.5
     a, b = np.linalg.solve([[low**2, low], [high**2, high]], [len(sampled(low)), len(sampled(high))])
     wanted = detail.gaussians * (a + b)
@@ -100,13 +105,17 @@ def sample_surfaces(
     return surfels
 
 
-def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewer: Viewer | None = None) -> Surfels:
+def sample_surface(
+    surface: Surface, index: int, rng: np.random.Generator, viewer: Viewer | None = None, per_leaf: float = 1.0
+) -> Surfels:
     """Surfels of one surface, numbered `index`; denser near the player and where the player can look.
+
+    per_leaf  mean number of surfels for each leaf, if the surface is of leaves; at least 1
 
     Works in a space compressed along the grain, in which elongated Gaussians are round.
     """
     if surface.leaves:
-        return _one_for_each_leaf(surface, index)
+        return _surfels_of_leaves(surface, index, per_leaf, rng)
     a = np.array([1.0, 0.0, 0.0])
     if surface.grain is not None:
         a = surface.rotation @ np.asarray(surface.grain, float)
@@ -155,12 +164,27 @@ def sample_surface(surface: Surface, index: int, rng: np.random.Generator, viewe
     return Surfels(p @ stretch, normals, tangents, sigma, np.full(len(p), index))
 
 
-def _one_for_each_leaf(surface: Surface, index: int) -> Surfels:
-    """A surfel for each rectangle of `leaf_mesh`, rounded as a leaf is."""
+def _surfels_of_leaves(surface: Surface, index: int, per_leaf: float, rng: np.random.Generator) -> Surfels:
+    """About `per_leaf` surfels for each rectangle of `leaf_mesh`, which together are as round and wide as one.
+
+    They lie on a sunflower's spiral: the k-th of n at a radius of R sqrt(k / n) standard deviations of the leaf, and
+    each is R / sqrt(n) wide, where R^2 ((n - 1) / 4n + 1 / n) = 1 gives all of them about the leaf's own variance.
+    """
     corner = surface.world.vertices.reshape(-1, 4, 3)
     a, b = corner[:, 1] - corner[:, 0], corner[:, 3] - corner[:, 0]
+    centre, normal, tangent = corner.mean(1), _unit(np.cross(a, b)), _unit(a)
     sigma = SIGMA_OVER_LEAF * surface.width * np.stack([np.linalg.norm(a, axis=1), np.linalg.norm(b, axis=1)], 1)
-    return Surfels(corner.mean(1), _unit(np.cross(a, b)), _unit(a), sigma, np.full(len(corner), index))
+    number = np.full(len(centre), max(int(per_leaf), 1))
+    if per_leaf > 1:
+        number += rng.random(len(centre)) < per_leaf % 1
+    leaf = np.repeat(np.arange(len(centre)), number)
+    k, n = np.arange(len(leaf)) - np.repeat(np.cumsum(number) - number, number), number[leaf]
+    wide = np.sqrt(n / ((n - 1) / 4 + 1))
+    u, v = np.sqrt(k / n) * wide * np.stack([np.cos(GOLDEN_ANGLE * k), np.sin(GOLDEN_ANGLE * k)])
+    u, v = ((x - (np.bincount(leaf, x) / number)[leaf]) * own for x, own in zip((u, v), sigma[leaf].T, strict=True))
+    points = centre[leaf] + u[:, None] * tangent[leaf] + v[:, None] * _unit(b)[leaf]
+    own = sigma[leaf] * (wide / np.sqrt(n))[:, None]
+    return Surfels(points, normal[leaf], tangent[leaf], own, np.full(len(leaf), index))
 
 
 def _spacing(points: np.ndarray, normals: np.ndarray, surface: Surface, viewer: Viewer | None) -> np.ndarray:

@@ -10,17 +10,18 @@ from collections.abc import Callable
 from itertools import permutations
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.sparse import coo_matrix, csr_matrix
 
 from assets.asset import Cage
 from core.distance_grid import DistanceGrid
-from core.tetmesh import tet_volumes
+from core.tetmesh import cross_columns, edge_vectors, tet_volumes
 from prepare.cage.mesh_quality import dihedral_angles
 
 Surface = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # points -> signed distances, unit gradients
 
 CORE = 0.6  # of the greatest depth: points from there on shall lie inside the cage, which is never in doubt
-BATCH = 65536  # points at a time
+COARSE = 4  # nodes of the grid from one whose distance is found exactly to the next, but for those near the surface
 ROUNDS, STEP = 60, 0.3  # of the way to the surface a round
 SLIDE = 0.2  # of the way to the middle of its neighbours that a vertex slides along the surface a round
 SPREAD = 12  # averagings of the displacement over the inner vertices
@@ -37,7 +38,13 @@ def solid_grid(surface: Surface, low, high, vertices: int) -> DistanceGrid:
     grid = Grid.over(np.array([low, high], float), vertices)
     found = DistanceGrid(np.zeros(grid.shape, np.float32), grid.origin, grid.spacing)
     points = found.nodes().reshape(-1, 3)
-    values = np.concatenate([surface(points[i : i + BATCH])[0] for i in range(0, len(points), BATCH)])
+    coarse = np.ix_(*(np.append(np.arange(0, n - 1, COARSE), n - 1) for n in grid.shape))
+    nodes = found.nodes()[coarse]
+    values = surface(nodes.reshape(-1, 3))[0].reshape(nodes.shape[:-1])
+    known = RegularGridInterpolator([k.ravel() for k in coarse], values)
+    values = known(np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), -1)).ravel()
+    near = np.flatnonzero(np.abs(values) < 3 * COARSE * grid.spacing)
+    values[near] = surface(points[near])[0]
     return DistanceGrid(values.reshape(grid.shape).astype(np.float32), grid.origin, grid.spacing)
 
 
@@ -92,12 +99,13 @@ def stiffness(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
     Times (lambda + 2 mu) / rho it bounds the squared frequency of the tet (sim/elastic/time_step.py).
     """
-    corners = x[tets]
-    gradients = np.linalg.pinv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-    gradients = np.concatenate([-gradients.sum(1, keepdims=True), gradients], 1)
-    volume = np.abs(tet_volumes(x, tets))
+    a, b, c = edge_vectors(x, tets)
+    areas = [cross_columns(b, c), cross_columns(c, a), cross_columns(a, b)]  # grad N_a times 6 V, corners 1 to 3
+    areas = np.stack([-sum(areas), *areas])  # (4, 3, T)
+    volume = np.abs((a * areas[1]).sum(0)) / 6
     around = np.bincount(tets.ravel(), np.repeat(0.25 * volume, 4), len(x))
-    return volume * ((gradients**2).sum(2) / np.maximum(around[tets], 1e-20)).sum(1)
+    squares = ((areas**2).sum(1) / np.maximum(around[tets.T], 1e-20)).sum(0)
+    return squares / np.maximum(36 * volume, 1e-30)
 
 
 def edges_of(simplices: np.ndarray) -> np.ndarray:

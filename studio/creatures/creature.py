@@ -8,12 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.material import Material
+from core.threads import batches, in_threads
 from studio.creatures.implicit import Shape, mirrored, smooth_union, unit
 from studio.textures import srgb
 
 # Density of an animal with its fur, and its friction on grass. Living tissue damps far more than rubber: an animal that
 # is set down stands still after a second or two.
 TISSUE = Material(young=1e5, poisson=0.35, density=180.0, friction=0.8, kinetic_friction=0.6, damping=40.0)
+BATCH = 16384  # points at a time in each thread
 Pattern = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # points, normals, albedo -> albedo
 
 
@@ -103,10 +105,16 @@ def pair(part: Part) -> list[Part]:
 
 def surface_of(parts: list[Part], points: np.ndarray, sole: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Signed distance (N,) [m] and its unit gradient (N, 3) of joined parts, cut flat at y = `sole` to stand on."""
-    distance, gradient = smooth_union([p.shape(points) for p in parts], [p.blend for p in parts])
-    depth = sole - points[:, 1]
-    below = depth > distance
-    return np.where(below, depth, distance), np.where(below[:, None], (0.0, -1.0, 0.0), gradient)
+
+    def found(s: slice) -> tuple[np.ndarray, np.ndarray]:
+        p = points[s]
+        distance, gradient = smooth_union([part.shape(p) for part in parts], [part.blend for part in parts])
+        depth = sole - p[:, 1]
+        below = depth > distance
+        return np.where(below, depth, distance), np.where(below[:, None], (0.0, -1.0, 0.0), gradient)
+
+    pieces = in_threads(found, batches(len(points), BATCH)) or [found(slice(0))]
+    return np.concatenate([piece[0] for piece in pieces]), np.concatenate([piece[1] for piece in pieces])
 
 
 @dataclass(frozen=True)

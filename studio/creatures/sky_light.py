@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from core.distance_grid import DistanceGrid
+from core.threads import batches, in_threads
 from studio.creatures.implicit import unit
 
 NODES = 72  # of the distance grid on the longest side
@@ -13,7 +14,7 @@ STEPS = 5  # along each direction
 REACH = (0.02, 0.5)  # first and last step over the body's extent
 CONE = 2.5  # distance over path below which a direction counts as hidden in part: cones of about 45 degrees
 KEY, KEY_STRENGTH = (0.35, 0.8, 0.5), 0.9  # direction and radiance of the bright spot
-BATCH = 65536  # points at a time
+BATCH = 16384  # points at a time in each thread
 
 
 def distance_grid(distance, low, high) -> DistanceGrid:
@@ -23,8 +24,7 @@ def distance_grid(distance, low, high) -> DistanceGrid:
     shape = np.ceil((high - low) / spacing).astype(int) + 1
     grid = DistanceGrid(np.zeros(shape, np.float32), low, spacing)
     points = grid.nodes().reshape(-1, 3)
-    parts = [distance(points[i : i + BATCH]) for i in range(0, len(points), BATCH)]
-    return DistanceGrid(np.concatenate(parts).reshape(shape).astype(np.float32), low, spacing)
+    return DistanceGrid(distance(points).reshape(shape).astype(np.float32), low, spacing)
 
 
 def irradiance(grid: DistanceGrid, points: np.ndarray, normals: np.ndarray, from_below: float) -> np.ndarray:
@@ -42,8 +42,9 @@ def irradiance(grid: DistanceGrid, points: np.ndarray, normals: np.ndarray, from
     extent = float((grid.upper - grid.origin).max())
     lengths = extent * np.geomspace(*REACH, STEPS)
     total = np.zeros(len(points))
-    for s in range(0, len(points), BATCH):
-        p, n = points[s : s + BATCH] + 0.004 * extent * normals[s : s + BATCH], normals[s : s + BATCH]
+
+    def light_up(s: slice) -> None:
+        p, n = points[s] + 0.004 * extent * normals[s], normals[s]
         for direction, light in zip(directions, radiance, strict=True):
             facing = np.clip(n @ direction, 0, None)
             front = np.flatnonzero(facing > 0)
@@ -51,5 +52,7 @@ def irradiance(grid: DistanceGrid, points: np.ndarray, normals: np.ndarray, from
             for t in lengths:
                 clear = grid.sample_extended(p[front] + t * direction)
                 visible = np.minimum(visible, np.clip(CONE * clear / t, 0, 1))
-            total[s + front] += light * facing[front] * visible
+            total[s.start + front] += light * facing[front] * visible
+
+    in_threads(light_up, batches(len(points), BATCH))
     return total / full

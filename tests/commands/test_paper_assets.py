@@ -61,7 +61,7 @@ def test_parts_are_counted_and_ordered(stage):
 def test_details_share_what_is_left():
     soft, room = Part("cat", 3, 100, 50, True), Part("room", 1, 700, 0, False)
     detail = detail_of(soft, [soft, room], 10_000, 600)
-    assert detail.gaussians == 10.0 and detail.vertices == 200
+    assert detail.gaussians == 10.0 and detail.vertices == 200 and detail.rays == pytest.approx(10**-0.5)
     assert detail_of(room, [room], 8_400, 0).gaussians == 12.0
     with pytest.raises(BadInput, match="room: the other assets have more"):
         detail_of(room, [room], -5, 0)

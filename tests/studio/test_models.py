@@ -23,7 +23,7 @@ from studio.dining_room.room_model import GRID_HIGH, GRID_LOW, VIEWER
 from studio.dining_room.shell import ROOM_HIGH, ROOM_LOW
 from studio.finish import fit_view_dependence, flat_sh, sharpened, smoothed, to_gaussians, view_directions
 from studio.ring import RING_MAJOR, RING_TUBE, torus_cage, torus_surfaces
-from studio.shapes import Surface, beveled_box, box, lathe, quad, rotation_about, superellipsoid, tube
+from studio.shapes import Surface, beveled_box, box, lathe, leaf_mesh, quad, rotation_about, superellipsoid, tube
 from studio.surface_sampling import sample_surface, sample_surfaces
 from studio.textures import fbm, plain
 
@@ -194,6 +194,17 @@ def test_sharpening_undoes_the_blur_of_overlap():
     assert np.abs(corrected - wish).mean() < 0.5 * np.abs(blurred - wish).mean()
 
 
+def test_smoothing_in_rounds_changes_the_chosen_values_alone():
+    c, _ = sampled(quad((0, 0, 0), (1, 0, 0), (0, 0, -1)))
+    values = np.random.default_rng(4).random((len(c), 3))
+    assert_allclose(smoothed(c, values, 1.3, 16, rounds=2), smoothed(c, smoothed(c, values, 1.3, 16), 1.3, 16))
+    chosen = c.points[:, 0] > 0.5
+    some = smoothed(c, values, 1.3, 16, which=chosen)
+    assert np.array_equal(some[~chosen], values[~chosen])
+    assert_allclose(some[chosen], smoothed(c, values, 1.3, 16)[chosen])
+    assert_allclose(smoothed(c, np.full((len(c), 3), 0.7)), 0.7)
+
+
 def test_solids_measure_distances():
     p = np.random.default_rng(2).uniform(-1, 1, (500, 3))
     assert_allclose(solids.sphere((0, 0.5, 0), 0.3)(p), np.linalg.norm(p - (0, 0.5, 0), axis=1) - 0.3)
@@ -231,6 +242,7 @@ def test_detail_multiplies_the_number_of_surfels(factor):
     surfaces = [
         Surface("plate", quad((0, 0, 0), (0.5, 0, 0), (0, 0, -0.5)), plain("808080"), 0.02, uniform=True),
         Surface("block", box((0, 0, 0), (0.2, 0.5, 0.2)), plain("808080"), 0.02, uniform=True),
+        Surface("leaves", leaf_mesh(np.zeros((9000, 3)), (0.1, 0, 0), (0, 0.04, 0)), plain("808080"), 9.0, leaves=True),
     ]
     counts = [len(sample_surfaces(surfaces, np.random.default_rng(1), Detail(f))) for f in (1.0, factor)]
     assert abs(counts[1] / counts[0] / factor - 1) < 0.05

@@ -116,3 +116,15 @@ def test_each_leaf_is_one_gaussian():
     assert_allclose(c.normals, [(0, 0, 1), (1, 0, 0)], atol=1e-12)
     assert_allclose(c.sigma, [(0.03, 0.012), (0.06, 0.018)], atol=1e-12)
     assert (c.surface == 4).all()
+
+
+def test_more_gaussians_on_a_leaf_keep_its_shape():
+    """The mean and the variances of a mixture of equal Gaussians: those of its members and of their centres."""
+    mesh = leaf_mesh([(0.5, 0, 0)] * 400, np.tile([0.1, 0, 0], (400, 1)), np.tile([0, 0.04, 0], (400, 1)))
+    surface = Surface("leaves", mesh, plain("808080"), 9.0, leaves=True)
+    for per_leaf in (2.5, 20.0):
+        c = sample_surface(surface, 0, np.random.default_rng(0), None, per_leaf)
+        assert len(c) == pytest.approx(400 * per_leaf, rel=0.04)
+        assert_allclose(c.points.mean(0), (0.5, 0, 0), atol=0.006)
+        variance = c.points.var(0)[:2] + (c.sigma**2).mean(0)
+        assert_allclose(np.sqrt(variance), (0.03, 0.012), rtol=0.25 if per_leaf < 3 else 0.06)

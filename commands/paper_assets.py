@@ -48,7 +48,7 @@ def detail_of(part: Part, left: list[Part], gaussians: int, vertices: int) -> De
     if not part.simulated:
         return Detail(factor, rays=rays)
     own = sum(p.count * p.vertices for p in left if p.simulated)
-    return Detail(factor, max(round(vertices * part.vertices / own), 1))
+    return Detail(factor, max(round(vertices * part.vertices / own), 1), rays)
 
 
 def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, force: bool = False) -> None:

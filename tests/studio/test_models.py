@@ -45,7 +45,7 @@ def at(asset: Asset, points) -> np.ndarray:
 
 def test_an_unknown_name_is_refused(tmp_path):
     with pytest.raises(BadInput, match="teapot"):
-        run(Namespace(names=["teapot"], out=tmp_path, detail="shipped"))
+        run(Namespace(names=["teapot"], out=tmp_path, detail="shipped", capture=None))
     assert not list(tmp_path.iterdir())
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from commands import (
     bench,
     build,
+    capture,
     convert,
     export,
     figures,
@@ -39,6 +40,7 @@ COMMANDS = {
     "view": view,
     "render": render,
     "train": train,
+    "capture": capture,
     "prepare": prepare,
     "convert": convert,
     "export": export,

@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> None:
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
-    capture = _capture(args).upright()
+    capture = posed_capture(args).upright()
     kept_for_test(capture.views, args.test_every)  # refused before all photographs are loaded
 
     def tell(count: int) -> None:
@@ -120,17 +120,27 @@ def run(args: argparse.Namespace) -> None:
         _report(args.report, numbers, trainer, test, qualities)
 
 
-def _capture(args: argparse.Namespace):
+def is_posed(path: Path) -> bool:
+    """True for a capture with poses; False for photographs alone or a video."""
+    from prepare.train.colmap_model import find_colmap_model
+    from prepare.train.structure_from_motion import VIDEOS, photographs_in
+
+    if path.is_file():
+        return path.suffix.lower() not in VIDEOS
+    posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
+    return posed or not photographs_in(path)
+
+
+def posed_capture(args: argparse.Namespace):
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
     from prepare.train.capture import checked, read_capture
-    from prepare.train.colmap_model import find_colmap_model, read_colmap
-    from prepare.train.structure_from_motion import VIDEOS, find_poses, photographs_in, sharpest_frames
+    from prepare.train.colmap_model import read_colmap
+    from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
 
     path, beside = args.capture, args.out.with_name(f"{args.out.name}.poses")
-    video = path.is_file() and path.suffix.lower() in VIDEOS
-    posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
-    if not video and (posed or not photographs_in(path)):
+    if is_posed(path):
         return read_capture(path)
+    video = path.is_file()
     images, model = beside / "images" if video else path, beside / "sparse"
     beside.mkdir(exist_ok=True)
     if video and not images.is_dir():

@@ -10,6 +10,7 @@ from scipy.ndimage import find_objects, label
 
 from assets.gaussians import Gaussians
 from assets.level_planes import normals_and_areas
+from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 
 SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
@@ -64,8 +65,11 @@ def surfels(g: Gaussians, origin: np.ndarray, spacing: float, shape: tuple[int, 
     Voxel (i, j, k) has its corner at origin + spacing (i, j, k) [m].
 
     The normal is the direction of the least spread of the Gaussians of the voxel and of its 26 neighbours, with their
-    own extents: sum w ((x - mean)(x - mean)^T + n-flattened Sigma). Area: that of a plane in a cube.
+    own extents: sum w ((x - mean)(x - mean)^T + n-flattened Sigma). Area: that of a plane in a cube. Raises BadInput
+    where there are no Gaussians.
     """
+    if not len(g):
+        raise BadInput("nothing is opaque and thin enough to be solid; there is no surface")
     x, w, owner = disc_samples(g, 0.7 * spacing)
     cell = np.floor((x - origin) / spacing).astype(np.int64)
     within = ((cell >= 0) & (cell < shape)).all(1)

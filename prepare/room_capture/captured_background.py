@@ -231,7 +231,8 @@ def room_grids(
     for k, (low, high) in enumerate(boxes[:MAX_FINE_GRIDS]):
         progress("distance", k / len(boxes))
         low, high = np.maximum(low, origin), np.minimum(high, origin + h * (np.array(shape) - 1))
-        if (high - low).min() <= 0:
+        means = surface.solid.means
+        if (high - low).min() <= 0 or not ((means > low) & (means < high)).all(1).any():
             continue
         step = max(MIN_CELL, float(np.cbrt((high - low).prod() / FINE_CELLS)))
         if (high - low).min() < 8 * step or step > 0.7 * h:

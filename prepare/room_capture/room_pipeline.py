@@ -128,9 +128,9 @@ def supports(room: PlacedRoom) -> list[Support]:
 
 def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], painter=None) -> Gaussians:
     """The background with the places of its objects closed, one after the other. Raises BadInput."""
-    from prepare.inpaint.inpaint_pipeline import inpaint
-
     things, rest = room.parts()
+    if things:
+        from prepare.inpaint.inpaint_pipeline import inpaint
     how = {} if painter is None else {"painter": painter}
     for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
         rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)

@@ -19,6 +19,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "convert": "--help",
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
     " --checkpoint-every --preview --seed",
+    "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
     "build": "--help --capture",
@@ -42,6 +43,10 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("export --out a.ply --every 3", "--every is for a sequence"),
     ("export --out a.vtu --no-shadows", "--no-shadows is for splats"),
     ("prepare a.ply --cache --quantised", "--quantised belongs to --out"),
+    *(
+        (f"capture a --out r --no-objects {o}", "not for --no-objects")
+        for o in ("--lama n", "--vertices 9", "--material wood")
+    ),
     ("--participant Ida", "--participant belongs to --study"),
     ("--body a.h5 --up=-y", "--up is for a splat file"),
     ("--body ring_red --scale 1", "--scale is for a splat file"),

@@ -1,0 +1,354 @@
+"""`vrgs.py capture`: photographs become a room to play in, with objects that can be grabbed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import atomic_write, make_folder
+from commands import train
+from commands.conditions import Condition
+from commands.options import add_arch, positive
+from core.errors import BadInput
+from core.material import MATERIALS
+from core.rotation import rotation_between
+from core.runtime import end_taichi, start_taichi
+from prepare.room_capture.stages import Stages, file_key
+from prepare.segment.marks import read_marks
+from prepare.segment.mask_files import photograph_size, read_masks
+from prepare.train.capture import read_capture
+
+HELP = "make a room to play in of photographs: its objects can be grabbed, and what they hid is filled in"
+EXAMPLES = (
+    "capture bear/ --marks marks.json --out bear_room/          then: python vrgs.py --scene bear_room/",
+    "capture kitchen.mp4 --no-objects --out kitchen/            the room alone; needs pycolmap",
+    "capture toys/ --masks toys/masks --out room/ --steps 2000 --reduce 2",
+    "capture bear/ --marks m.json --out r/ --scale-points frame_00001.jpg:210,380 frame_00001.jpg:310,385 0.46",
+)
+STAGES = ("train", "cameras", "objects", "inpaint", "cages", "room")
+TRAINED = "trained.ply"
+CAPTURE_FILES = {".json", ".txt", ".bin", ".jpg", ".jpeg", ".png", ".webp", ".ply"}
+NO_PART = {"work", "masks", "depth", "behind"}  # folders beside the photographs, which the training does not read
+STEPS = {"cuda": 10_000, "cpu": 3_000}
+CONDITIONS = (
+    Condition(("--lama", "--vertices", "--material"), lambda args: not args.no_objects, "is not for --no-objects"),
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    text = "folder with transforms.json or a COLMAP model, a transforms.json, photographs alone, or a video"
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
+    parser.add_argument("--out", type=Path, required=True, metavar="ROOM/", help="folder; a cut run goes on there")
+    which = parser.add_mutually_exclusive_group()
+    text = "marks of the objects in some photographs (default: asks in a window; CAPTURE/masks where there are such)"
+    which.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
+    text = "folder of masks, one colour an object"
+    which.add_argument("--masks", type=Path, metavar="FOLDER", help=text)
+    which.add_argument("--no-objects", action="store_true", help="just the room; nothing in it can be grabbed")
+    text = (
+        "two points, each PHOTOGRAPH:x,y [px] or x,y,z of the capture, and the metres between them (default: guessed)"
+    )
+    parser.add_argument("--scale-points", nargs=3, metavar=("A", "B", "M"), help=text)
+    text = f"steps of the training (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
+    parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
+    text = "divide the photographs' sides by N"
+    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
+    text = f"most Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
+    parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
+    text = "vertices of each object's cage (default: as suits the device)"
+    parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
+    text = "of all objects (default: plush, light enough for a hand; see: vrgs.py materials)"
+    parser.add_argument("--material", metavar="NAME", help=text)
+    text = "a LaMa network that paints what objects hid (default: from what is around them)"
+    parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
+    text = "spacing of the room's distance grid (default: by size)"
+    parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
+    add_arch(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Make the room, stage by stage. Raises BadInput before anything long where an input is at fault."""
+    make_room(args)
+    print(f"{args.out}: play it with: python vrgs.py --scene {args.out}")
+
+
+def make_room(args: argparse.Namespace) -> None:
+    """Make the room of a capture in the folder `args.out`. Raises BadInput."""
+    check(args)
+    make_folder(args.out)
+    start_taichi(args.arch, args.seed)
+    stages = Stages(args.out / "work", STAGES)
+    RoomMaking(args, stages).make()
+
+
+def check(args: argparse.Namespace) -> None:
+    """Check what can be checked before anything long. Raises BadInput."""
+    if not args.capture.exists():
+        raise BadInput(f"{args.capture}: no such file or folder")
+    if args.out.exists() and not args.out.is_dir():
+        raise BadInput(f"{args.out}: is a file; a room is a folder")
+    if args.material is not None and args.material not in MATERIALS:
+        raise BadInput(f"no material named {args.material!r}; see: vrgs.py materials")
+    for path in filter(None, (args.marks, args.masks, args.lama)):
+        if not path.exists():
+            raise BadInput(f"{path}: no such file or folder")
+    if args.scale_points:
+        for text in args.scale_points[:2]:
+            parsed_point(text)
+        parsed_length(args.scale_points[2])
+
+
+def parsed_length(text: str) -> float:
+    """A length [m]. Raises BadInput."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e6:
+        raise BadInput(f"--scale-points: {text!r} is no length in metres")
+    return value
+
+
+def parsed_point(text: str) -> tuple[str, list[float]]:
+    """A photograph's name and two numbers, or "" and three. Raises BadInput."""
+    name, _, numbers = text.rpartition(":")
+    try:
+        values = [float(x) for x in numbers.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != (2 if name else 3) or not np.isfinite(values).all():
+        raise BadInput(f"--scale-points: {text!r} is neither PHOTOGRAPH:x,y nor x,y,z")
+    return name, values
+
+
+class RoomMaking:
+    """The stages of a room, each with what it needs of those before it."""
+
+    def __init__(self, args: argparse.Namespace, stages):
+        self.args, self.stages, self.notes = args, stages, []
+
+    def say(self, text: str) -> None:
+        """Tell the user, and note it for the report."""
+        self.notes.append(text)
+        print(text, file=sys.stderr, flush=True)
+
+    def make(self) -> None:
+        """All stages. Raises BadInput."""
+        from prepare.room_capture.room_pipeline import placed_room, supports
+
+        self.train()
+        found = self.look()
+        self.segment()
+        room = placed_room(self.gaussians, self.capture, found, **self.measured())
+        for line in room.orientation.described():
+            self.say(line)
+        self.say(
+            f"{len(room.gaussians):,} of {len(self.gaussians):,} Gaussians are needed by the photographs; "
+            + (", ".join(room.names) or "no objects")
+        )
+        held = supports(room)
+        rest = self.inpaint(room)
+        things = self.cages(room, held)
+        self.finish(room, rest, things)
+
+    def train(self) -> None:
+        """Poses, if there are none, and Gaussians."""
+        import taichi as ti
+
+        from assets.splat_files import read_gaussians
+
+        a = self.args
+        steps = a.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
+        options = {"steps": steps, "reduce": a.reduce, "cap": a.cap, "seed": a.seed}
+        if train.is_posed(a.capture):  # else their files can be checked only once there are poses
+            self.check_objects(read_capture(a.capture))
+
+        def arguments(folder: Path) -> argparse.Namespace:
+            parser = argparse.ArgumentParser()
+            train.add_arguments(parser)
+            words = [str(a.capture), "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
+            for key, value in options.items():
+                words += [f"--{key}", str(value)] if value is not None else []
+            return parser.parse_args([*words, *(["--arch", a.arch] if a.arch else [])])
+
+        def make(folder: Path) -> None:
+            train.run(arguments(folder))
+            end_taichi()  # and with it the memory of the training
+            start_taichi(a.arch, a.seed)
+
+        inputs = {**options, "capture": str(a.capture.resolve()), "files": capture_files(a.capture)}
+        done = self.stages.run("train", inputs, make)
+        as_filed = train.posed_capture(arguments(done))
+        self.turn, self.capture = rotation_between(as_filed.up, (0.0, 1.0, 0.0)), as_filed.upright()
+        self.check_objects(self.capture)
+        self.gaussians = read_gaussians(done / TRAINED, self.say)
+        self.training = json.loads((done / "trained.json").read_text(encoding="utf-8"))
+
+    def masks_folder(self) -> Path | None:
+        """The folder of masks; None where marks say what the objects are."""
+        a = self.args
+        beside = (a.capture if a.capture.is_dir() else a.capture.parent) / "masks"
+        return a.masks or (beside if a.marks is None and beside.is_dir() else None)
+
+    def check_objects(self, capture) -> None:
+        """Check masks or marks against the photographs. Raises BadInput."""
+        if self.args.no_objects:
+            return
+        folder = self.masks_folder()
+        if folder is not None:
+            read_masks(folder, capture.views)
+        elif self.args.marks is not None:
+            read_marks(self.args.marks, {view.name: photograph_size(view)[::-1] for view in capture.views})
+        else:
+            check_can_ask()
+
+    def look(self):
+        """What the cameras need."""
+        from prepare.room_capture.contributions import Contributions
+        from prepare.room_capture.room_pipeline import seen_by_cameras
+
+        def make(folder: Path) -> None:
+            found = seen_by_cameras(self.gaussians, self.capture, self.stages.progress)
+            np.savez(folder / "seen.npz", weight=found.weight, views=found.views, depth=found.depth)
+
+        done = self.stages.run("cameras", {}, make)
+        with np.load(done / "seen.npz", allow_pickle=False) as file:
+            return Contributions(file["weight"], file["views"], file["depth"])
+
+    def segment(self) -> None:
+        """Objects of the Gaussians: by masks, by masks made from marks, or none."""
+        from assets.splat_files import read_gaussians, write_gaussians
+        from prepare.room_capture.room_pipeline import labelled
+
+        a, folder, marks = self.args, self.masks_folder(), self.args.marks
+        if a.no_objects:
+            self.stages.run("objects", {}, lambda folder: None)
+            return
+        if folder is not None:
+            files = [file_key(p) for p in sorted(folder.iterdir())]
+            inputs = {"masks": files}
+        else:
+            marks = a.marks or self.asked_marks()
+            inputs = {"marks": marks.read_text(encoding="utf-8", errors="replace")}
+
+        def make(into: Path) -> None:
+            found = read_masks(folder, self.capture.views) if folder is not None else self.masks_of(marks)
+            made = labelled(self.gaussians, self.capture, found, self.stages.progress)
+            write_gaussians(into / "objects.ply", made)
+
+        done = self.stages.run("objects", inputs, make)
+        self.gaussians = read_gaussians(done / "objects.ply", self.say)
+
+    def masks_of(self, marks: Path):
+        """Masks of all photographs, from marks in some."""
+        from prepare.segment.mask_propagation import propagate_marks
+        from prepare.train.photographs import load_photographs
+
+        read = read_marks(marks, {view.name: photograph_size(view)[::-1] for view in self.capture.views})
+        photographs = load_photographs(self.capture.views, self.args.reduce)
+        return propagate_marks(self.capture, photographs, read, self.gaussians, self.stages.progress)
+
+    def asked_marks(self) -> Path:
+        """Marks that the user makes in the window, kept beside the stages."""
+        raise BadInput("which objects? --marks MARKS.json or --masks FOLDER says it; --no-objects makes just the room")
+
+    def measured(self) -> dict:
+        """Points and length of --scale-points."""
+        from prepare.room_capture.room_pipeline import point_in_photograph
+
+        if not self.args.scale_points:
+            return {}
+        points = []
+        for text in self.args.scale_points[:2]:
+            name, values = parsed_point(text)
+            if name:
+                points.append(point_in_photograph(self.gaussians, self.capture, name, *values))
+            else:
+                points.append(self.turn @ np.array(values))
+        return {"measured": tuple(points), "length": parsed_length(self.args.scale_points[2])}
+
+    def inpaint(self, room):
+        """The background, closed where objects stood."""
+        from assets.splat_files import read_gaussians, write_gaussians
+        from prepare.room_capture.room_pipeline import inpainted
+
+        a = self.args
+        inputs = {"scale_points": a.scale_points, "lama": str(a.lama) if a.lama else None}
+
+        def make(folder: Path) -> None:
+            painter = None
+            if a.lama:
+                from prepare.inpaint.picture_inpainting import lama_painter
+
+                painter = lama_painter(a.lama)
+            write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, painter))
+
+        done = self.stages.run("inpaint", inputs, make)
+        return read_gaussians(done / "background.ply", self.say)
+
+    def cages(self, room, held) -> list:
+        """A body for each object."""
+        from assets.asset import Asset
+        from assets.room_folder import RoomObject
+        from prepare.prepared_files import device_vertices
+        from prepare.room_capture.room_pipeline import bodies
+
+        a = self.args
+        vertices = (a.vertices,) if a.vertices else device_vertices(animated=False)
+
+        def make(folder: Path) -> None:
+            found = bodies(room, held, vertices=vertices, material=a.material, progress=self.stages.part, say=self.say)
+            make_folder(folder / "objects")
+            for asset, thing in found:
+                asset.save(folder / thing.asset)
+            (folder / "objects.json").write_text(json.dumps([asdict(thing) for _, thing in found]), encoding="utf-8")
+
+        done = self.stages.run("cages", {"vertices": vertices, "material": a.material}, make)
+        rows = json.loads((done / "objects.json").read_text(encoding="utf-8"))
+        things = [RoomObject(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in rows]
+        return [(Asset.load(done / thing.asset), thing) for thing in things]
+
+    def finish(self, room, rest, things: list) -> None:
+        """The collider, the report, and the folder as it is played; its manifest is written last."""
+        from assets.asset import Asset
+        from assets.room_folder import MANIFEST, write_room
+        from commands.capture_report import write_report
+        from prepare.room_capture.room_pipeline import background, manifest
+
+        def make(folder: Path) -> None:
+            background(room, rest, things, cell=self.args.cell, progress=self.stages.progress).save(folder / "room.h5")
+
+        done, out = self.stages.run("room", {"cell": self.args.cell}, make), self.args.out
+        (out / MANIFEST).unlink(missing_ok=True)  # until all parts are there this is no room
+        shutil.rmtree(out / "objects", ignore_errors=True)
+        make_folder(out / "objects")
+        copies = {"room.h5": done / "room.h5"} | {t.asset: self.stages.folder / "cages" / t.asset for _, t in things}
+        for name, source in copies.items():
+            with atomic_write(out / name) as beside:
+                shutil.copyfile(source, beside)
+        about = {"seconds": self.stages.seconds, "training": self.training, "notes": self.notes}
+        images = [view.image for view in self.capture.views]
+        write_report(out, room, Asset.load(out / "room.h5").gaussians, things, images, about)
+        write_room(out, manifest(room, [thing for _, thing in things]))
+
+
+def check_can_ask() -> None:
+    """Raise BadInput where the user cannot be asked for marks in a window."""
+    raise BadInput("which objects? --marks MARKS.json or --masks FOLDER says it; --no-objects makes just the room")
+
+
+def capture_files(path: Path) -> list:
+    """Keys of the files of a capture: if one changes, all is made anew."""
+    if path.is_file() and path.suffix.lower() != ".json":
+        return [file_key(path)]
+    folder = path if path.is_dir() else path.parent
+    found = (p for p in sorted(folder.rglob("*")) if p.suffix.lower() in CAPTURE_FILES and p.is_file())
+    return [file_key(p) for p in found if not NO_PART & set(p.relative_to(folder).parts[:-1])]

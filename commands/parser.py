@@ -14,7 +14,7 @@ from pathlib import Path
 from commands import (
     bench,
     build,
-    capture,
+    capture_room,
     convert,
     export,
     figures,
@@ -40,7 +40,7 @@ COMMANDS = {
     "view": view,
     "render": render,
     "train": train,
-    "capture": capture,
+    "capture": capture_room,
     "prepare": prepare,
     "convert": convert,
     "export": export,

@@ -156,7 +156,8 @@ class Asset:
         with open_hdf5(Path(path)) as file:
             quantised = _version(file) == QUANTISED
             gaussians = read_quantised_gaussians(file) if quantised else _read_gaussians(file)
-            gaussians = replace(gaussians, objects=_read_objects(file))
+            sort = file.text("", "sort") if file.has_attribute("", "sort") else ""
+            gaussians = replace(gaussians, objects=_read_objects(file), sort=sort)
             cage = _read_cage(file) if file.has("cage") else None
             embedding = None
             if file.has("embedding"):
@@ -188,6 +189,8 @@ class Asset:
             file.attrs["provenance"] = json.dumps(self.provenance)
             if self.gaussians.objects:
                 file.attrs["objects"] = json.dumps(self.gaussians.objects)
+            if self.gaussians.sort:
+                file.attrs["sort"] = self.gaussians.sort
             lossless = {"cage": self.cage}
             if quantised:
                 write_quantised_gaussians(file, self.gaussians)

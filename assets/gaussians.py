@@ -17,6 +17,7 @@ LOG_SCALE_MAX = 40.0  # exp(2 * 40) = 5.5e34: sums of such variances still fit f
 MAGNITUDE_MAX = 1e15  # [m] squared distances between such points still fit float32
 UNIT_TOLERANCE = 1e-3  # of lengths and sums that should be 1: float16 is off by less
 ROWS = ("means", "quats", "log_scales", "logit_opacities", "sh", "object_id")  # arrays with a row a Gaussian
+SORTS = ("z", "radial", "pixel")  # orders of blending, see render/__init__.py
 OBJECTS_MAX = 1024  # names of objects: in a .ply each is a line of the header
 OBJECT_NAME_MAX = 100  # [characters]
 
@@ -34,6 +35,7 @@ class Gaussians:
     sh               spherical harmonics, (N, K, 3), K = 1, 4, 9 or 16; colour = 0.5 + SH(d)
     object_id        uint16, (N,); 0 = background
     objects          names of the objects 1, 2, ...; an object beyond them has no name
+    sort             order of blending that they were trained for, one of SORTS, or "" if that is not known
     """
 
     means: np.ndarray
@@ -43,9 +45,10 @@ class Gaussians:
     sh: np.ndarray
     object_id: np.ndarray
     objects: tuple[str, ...] = ()
+    sort: str = ""
 
     @classmethod
-    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=()) -> Gaussians:
+    def of(cls, means, quats, log_scales, logit_opacities, sh, object_id=None, objects=(), sort="") -> Gaussians:
         """Convert dtypes and normalise quaternions; the inputs must be finite."""
         n = len(means)
         quats = np.asarray(quats, np.float32).reshape(n, 4)
@@ -61,6 +64,7 @@ class Gaussians:
             sh.reshape(n, count, 3),
             np.ascontiguousarray(ids).reshape(n),
             tuple(objects),
+            sort,
         )
 
     def __len__(self) -> int:
@@ -102,7 +106,7 @@ class Gaussians:
         quats = multiply_quaternions(quaternions_from_matrices(rotation)[None], self.quats)
         sh = rotate_sh(self.sh, rotation)
         log_scales = self.log_scales + np.log(scale)
-        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id, self.objects)
+        return Gaussians.of(means, quats, log_scales, self.logit_opacities, sh, self.object_id, self.objects, self.sort)
 
     def check(self, where: str) -> None:
         """Raise BadInput, naming `where`, unless there are Gaussians and all of them can be drawn."""
@@ -122,6 +126,8 @@ class Gaussians:
             length = np.linalg.norm(self.quats, axis=1)
         if np.abs(length - 1).max() > UNIT_TOLERANCE:
             raise BadInput(f"{where}: the quaternions are not normalised")
+        if self.sort not in ("", *SORTS):
+            raise BadInput(f"{where}: {self.sort!r} is no order of blending ({', '.join(SORTS)})")
         if len(self.objects) > OBJECTS_MAX or not all(is_object_name(name) for name in self.objects):
             what = f"at most {OBJECTS_MAX}, each of 1 to {OBJECT_NAME_MAX} printable characters"
             raise BadInput(f"{where}: names of objects are {what}")
@@ -136,7 +142,7 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
     """All Gaussians of the sets, padded to the highest SH degree among them.
 
     Named objects keep their names: those of later sets get other ids where the first set gave theirs away. The ids of
-    a set without names stay.
+    a set without names stay. The order of blending is that of most Gaussians.
     """
     degree = max(g.sh_degree for g in sets)
     sets = [g.with_sh_degree(degree) for g in sets]
@@ -147,7 +153,8 @@ def concatenate(sets: list[Gaussians]) -> Gaussians:
             new = np.arange(np.iinfo(np.uint16).max + 1, dtype=np.uint16)
             new[1 : len(g.objects) + 1] = [objects.index(name) + 1 for name in g.objects]
             rows["object_id"][k] = new[g.object_id]
-    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects)
+    counts = {sort: sum(len(g) for g in sets if g.sort == sort) for sort in ("", *SORTS)}
+    return Gaussians(*(np.concatenate(rows[name]) for name in ROWS), objects, max(counts, key=counts.get))
 
 
 def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
@@ -162,7 +169,7 @@ def drawable(means, quats, log_scales, logit_opacities, sh) -> np.ndarray:
 
 
 def drawable_gaussians(
-    path: Path, means, quats, log_scales, logit_opacities, sh, report: Report, *, object_id=None, objects=()
+    path: Path, means, quats, log_scales, logit_opacities, sh, report: Report, *, object_id=None, objects=(), sort=""
 ) -> Gaussians:
     """Gaussians of the rows of a file that can be drawn; `report` takes a line if others were dropped.
 
@@ -182,4 +189,4 @@ def drawable_gaussians(
         report(f"{path}: dropped {dropped} of {n} Gaussians that are not finite or have no rotation")
         columns = [c[keep] for c in columns]
     columns[1] = columns[1] / np.linalg.norm(columns[1], axis=1, keepdims=True)
-    return Gaussians.of(*columns, objects)
+    return Gaussians.of(*columns, objects, sort)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from assets.asset import Asset
@@ -33,6 +34,7 @@ READERS = {
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
 KEEP_OBJECTS = (".ply", ".h5")
+KEEP_SORT = (".ply", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",
@@ -46,7 +48,8 @@ MAGICS = {
 def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     """Gaussians of a .ply (plain or compressed), .splat, .ksplat, .spz, .sog or of an asset (.h5), or on a mesh.
 
-    A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped.
+    A SOG that is not zipped is read by its meta.json. `report` takes one line if some were dropped. Splats that do not
+    say which order of blending they were trained for are from elsewhere, and there it is z; assets and meshes are not.
     Raises BadInput.
     """
     path = Path(path)
@@ -62,7 +65,8 @@ def read_gaussians(path: str | Path, report: Report = print) -> Gaussians:
     found = next((kind for magic, kind in MAGICS.items() if head.startswith(magic)), suffix)
     if found != suffix:
         raise BadInput(f"{path}: is named {suffix} but its content is {found}")
-    return READERS[suffix](path, report)
+    gaussians = READERS[suffix](path, report)
+    return gaussians if gaussians.sort or suffix == ".h5" else replace(gaussians, sort="z")
 
 
 def kind_to_write(path: str | Path) -> str:
@@ -77,9 +81,11 @@ def kind_to_write(path: str | Path) -> str:
 def write_gaussians(path: str | Path, g: Gaussians, report: Report = print) -> None:
     """Write a .ply, .compressed.ply, .spz or .splat, in one step: either the whole file or none. Raises BadInput.
 
-    `report` takes a line if the format keeps no objects and there are some.
+    `report` takes a line if the format keeps no objects and there are some, or not the order of blending.
     """
     kind = kind_to_write(path)
     WRITERS[kind](path, g)
     if kind not in KEEP_OBJECTS and g.object_id.any():
         report(f"{path}: {kind} keeps no object ids; {' and '.join(KEEP_OBJECTS)} do")
+    if kind not in KEEP_SORT and g.sort not in ("", "z"):
+        report(f"{path}: trained for the order {g.sort}, which {kind} does not keep (--sort {g.sort} plays it so)")

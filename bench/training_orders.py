@@ -32,7 +32,7 @@ def measure_orders(name: str, read: tuple, options: TrainOptions, *, size: tuple
                 print(
                     f"{name}, trained for {trained}: step {trainer.done}/{options.steps}", file=sys.stderr, flush=True
                 )
-        gaussians = trainer.population.gaussians()
+        gaussians = trainer.gaussians()
         trainer.destroy()
         moved = measure_popping(gaussians, wide(kept[len(kept) // 2].camera, size), size=size)
         of = {row["sort"]: row for row in moved}

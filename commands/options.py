@@ -89,9 +89,9 @@ def add_arch(parser: argparse.ArgumentParser) -> None:
 
 
 def add_sort(parser: argparse.ArgumentParser, mode: str) -> None:
-    """Add --sort; `mode` is the default."""
-    text = f"order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default {mode})"
-    parser.add_argument("--sort", choices=SORTS, help=text, default=mode)
+    """Add --sort; `mode`: the default for splats that do not know theirs."""
+    text = "order of Gaussians: by depth, by distance, or by distance along each pixel's ray (default: what they were"
+    parser.add_argument("--sort", choices=SORTS, help=f"{text} trained for, z for files from elsewhere; else {mode})")
 
 
 def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:

@@ -18,6 +18,7 @@ from core.camera import Camera
 from core.errors import BadInput
 from core.runtime import start_taichi
 
+DEFAULT_SORT = "z"  # as other renderers draw
 HELP = "draw a splat file, or film a turn around it"
 EXAMPLES = ("render cat.ply --camera cam.json --out cat.png", "render cat.ply --turntable --out cat.mp4")
 CONDITIONS = (
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=positive(int), default=180, metavar="N", help=text)
     text = "turntable: elevation of the camera (default 15)"
     parser.add_argument("--elevation", type=elevation, default=15.0, metavar="DEG", help=text)
-    add_sort(parser, "z")
+    add_sort(parser, DEFAULT_SORT)
     parser.add_argument("--antialias", action="store_true", help="opacity compensation of Mip-Splatting")
     add_arch(parser)
 
@@ -73,14 +74,15 @@ def draw_pictures(args: argparse.Namespace) -> None:
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     cameras = read_cameras(args.camera)
     gaussians = read_gaussians(args.splats)
+    sort = args.sort or gaussians.sort or DEFAULT_SORT
     start = time.perf_counter()
     if out.suffix.lower() == ".npz":
-        images = draw_float(gaussians, cameras, antialias=args.antialias, sort=args.sort)
+        images = draw_float(gaussians, cameras, antialias=args.antialias, sort=sort)
         with atomic_write(out) as beside, open(beside, "wb") as file:
             np.savez_compressed(file, **images)
     else:
         for path, picture in zip(
-            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, args.antialias, args.sort), strict=True
+            picture_names(out, len(cameras)), draw_rgba8(gaussians, cameras, args.antialias, sort), strict=True
         ):
             _write_png(path, picture)
     pixels = f"{cameras[0].width}x{cameras[0].height}"
@@ -144,7 +146,8 @@ def film_turntable(args: argparse.Namespace) -> None:
         at_end.callback(video.discard)
         start = time.perf_counter()
         gaussians, up = upright(args.splats, args.up)
-        options = {"antialias": args.antialias, "sort": args.sort, "background": BACKGROUND}
+        sort = args.sort or gaussians.sort or DEFAULT_SORT
+        options = {"antialias": args.antialias, "sort": sort, "background": BACKGROUND}
         renderer = Renderer(Splats(gaussians), width, height, **options)
         progress = Progress(args.frames)
         for k in range(args.frames):

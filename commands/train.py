@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> None:
         progress.step()
     seconds = progress.seconds
     qualities = [trainer.quality(p) for p in test]
-    gaussians = trainer.population.gaussians()
+    gaussians = trainer.gaussians()
     write_gaussians(args.out, gaussians)
     kept.unlink(missing_ok=True)
     numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
@@ -225,7 +225,7 @@ def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) ->
 
     with Window(scene, title=f"VR-GS: training {args.capture.name}", width=None, height=None) as window:
         splats, antialias = trainer.population.splats, trainer.options.antialias
-        viewer = LiveViewer(splats, scene, advance, size=window.size, antialias=antialias)
+        viewer = LiveViewer(splats, scene, advance, size=window.size, antialias=antialias, sort=trainer.options.sort)
         for frame in window.frames(viewer):
             viewer.step(frame)
             window.present(viewer)

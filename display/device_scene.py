@@ -57,7 +57,7 @@ class DeviceScene:
         views: int = 1,
         interaction: str = "physics",
         embedding: str = "two-level",
-        sort: str = MOVING_SORT,
+        sort: str | None = None,
         depth: bool = False,
         fingers: bool = False,
         props: Sequence[Skin] = (),
@@ -72,8 +72,9 @@ class DeviceScene:
         self.first = len(still) + sum(len(s.gaussians) for s in props)
         first_caster = len(still) + sum(len(s.gaussians) for s in props if not s.solid)  # of those that move
         self.gaussian_counts = [len(embedded.gaussians) for _, embedded in moving]  # of each body of the scene
+        gaussians = concatenate([still, *(s.gaussians for s in props), *(embedded.gaussians for _, embedded in moving)])
         self.splats = Splats(
-            concatenate([still, *(s.gaussians for s in props), *(embedded.gaussians for _, embedded in moving)]),
+            gaussians,
             capacity=self.first
             + max(math.ceil(HEADROOM * sum(self.gaussian_counts)), 2 * sum(len(p.part.gaussians) for p in reserved)),
         )
@@ -103,7 +104,7 @@ class DeviceScene:
             *picture_size,
             views=views,
             background=scene.background,
-            sort=sort,
+            sort=sort or gaussians.sort or MOVING_SORT,
             outputs="deep" if depth else "rgba8",
             still=len(still),
         )

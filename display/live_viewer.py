@@ -7,20 +7,22 @@ from collections.abc import Callable, Sequence
 from core.camera import Camera
 from display.protocol import Frame, WorldView
 from display.timing import Timings
-from render import MOVING_SORT
 from scenes.scene import Scene
 
 
 class LiveViewer(WorldView):
-    """A world of splats that `advance` changes in each frame; it returns a line on how far they are."""
+    """A world of splats that `advance` changes in each frame; it returns a line on how far they are.
+
+    drawn  options of the renderer: sort, antialias
+    """
 
     moving = True
 
-    def __init__(self, splats, scene: Scene, advance: Callable[[], str], *, size: tuple[int, int], antialias: bool):
+    def __init__(self, splats, scene: Scene, advance: Callable[[], str], *, size: tuple[int, int], **drawn):
         from render.renderer import Renderer
 
         self.scene, self.timings, self.splats, self.picture_size = scene, Timings(), splats, size
-        options = {"background": scene.background, "sort": MOVING_SORT, "antialias": antialias}
+        options = {"background": scene.background, **drawn}
         self.renderer = Renderer(splats, *size, **options)
         self.cameras: list[Camera] = []  # of the last picture
         self._advance = advance

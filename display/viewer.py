@@ -106,7 +106,7 @@ class Viewer(WorldView):
         *,
         width: int,
         height: int,
-        sort: str = MOVING_SORT,
+        sort: str | None = None,
         background: tuple[float, float, float] = BACKGROUND,
         out: Path | None = None,
     ):
@@ -120,15 +120,25 @@ class Viewer(WorldView):
 
     def _prepare(self, capacity: int, coefficients: int) -> None:
         """Make room on the device for so many Gaussians with so many coefficients, and show the file."""
-        from render.renderer import Renderer
         from render.splats import Splats
 
         self._coefficients = coefficients
         self.splats = Splats(self._padded(self.file.gaussians), capacity=capacity)
         self.splats.sh_range = (0, self.splats.capacity)  # of any file
-        options = {"background": self._background, "sort": self._sort}
-        self.renderer = Renderer(self.splats, *self.picture_size, **options)
+        self._draw_in_order()
         self._show_crop()
+
+    def _draw_in_order(self) -> None:
+        """Make the renderer for the order of blending of the file that is shown."""
+        from render.renderer import Renderer
+
+        self._drawn_order = self._order()
+        options = {"background": self._background, "sort": self._drawn_order}
+        self.renderer = Renderer(self.splats, *self.picture_size, **options)
+
+    def _order(self) -> str:
+        """Order of blending of the file that is shown, unless the user chose one."""
+        return self._sort or self.file.gaussians.sort or MOVING_SORT
 
     def _padded(self, gaussians: Gaussians) -> Gaussians:
         """The Gaussians with as many coefficients as there is room for."""
@@ -208,6 +218,9 @@ class Viewer(WorldView):
             self._prepare(len(gaussians), max(self._coefficients, gaussians.sh.shape[1]))
         else:
             self.splats.replace(self._padded(gaussians))
+            if self._order() != self._drawn_order:
+                self.renderer.destroy()
+                self._draw_in_order()
             self._show_crop()
         self.tell(f"{self.file.path.name}: {len(gaussians):,} Gaussians")
 

@@ -86,11 +86,11 @@ def remove_old(entries: Path, *, keep: Path) -> None:
 
 def arrays_of(gaussians: Gaussians, **others) -> dict[str, np.ndarray]:
     """Gaussians as arrays by name; other keywords become JSON text in bytes."""
-    text = np.frombuffer(json.dumps([gaussians.objects, others]).encode(), np.uint8)
+    text = np.frombuffer(json.dumps([gaussians.objects, gaussians.sort, others]).encode(), np.uint8)
     return {name: vars(gaussians)[name] for name in ROWS} | {"json": text}
 
 
 def gaussians_of(arrays: dict[str, np.ndarray]) -> tuple[Gaussians, dict]:
     """Inverse of `arrays_of`."""
-    objects, others = json.loads(arrays["json"].tobytes())
-    return Gaussians(*(arrays[name] for name in ROWS), tuple(objects)), others
+    objects, sort, others = json.loads(arrays["json"].tobytes())
+    return Gaussians(*(arrays[name] for name in ROWS), tuple(objects), sort), others

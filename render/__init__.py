@@ -8,6 +8,7 @@ radial  by the distance from the eye, once: a turn of the head changes nothing
 pixel   in each pixel by the distance along its ray (render/per_pixel_sort.py): correct where Gaussians cross as well
 """
 
-SORTS = ("z", "radial", "pixel")
+from assets.gaussians import SORTS as SORTS
+
 MOVING_SORT = "radial"  # of the window and the headset: the least change in a turn, for the time of z; pixel, with the
 # least popping and error, takes three times as long on a CPU and 1.8 times on a GPU (bench/NOTES.md)

@@ -2,7 +2,8 @@
 
 `x y z [nx ny nz] f_dc_0..2 [f_rest_0..] opacity scale_0..2 rot_0..3`, in any order; `f_rest` is
 channel-major, `opacity` a logit, `scale` a natural log, `rot` wxyz and not normalised. Of a splat with
-objects there is an integer property `object_id` too, and a line `comment object 1 bear` for each name. A
+objects there is an integer property `object_id` too, and a line `comment object 1 bear` for each name; a line
+`comment sort radial` says which order of blending they were trained for. A
 .ply whose vertices are packed goes to `assets/formats/compressed_ply.py`.
 """
 
@@ -19,7 +20,7 @@ from assets.file_access import atomic_write, open_input
 from assets.formats.compressed_ply import read_compressed
 from assets.formats.ply_header import REST_COUNTS, Element, binary_rows, read_header
 from assets.formats.quantization import ALPHA_EPSILON
-from assets.gaussians import OBJECTS_MAX, Gaussians, Report, drawable_gaussians, is_object_name
+from assets.gaussians import OBJECTS_MAX, SORTS, Gaussians, Report, drawable_gaussians, is_object_name
 from core.errors import BadInput
 
 MEANS, DC = ["x", "y", "z"], ["f_dc_0", "f_dc_1", "f_dc_2"]
@@ -68,7 +69,8 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     ids, objects = None, ()
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
-    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects)
+    sort = next((s for s in SORTS if f"sort {s}" in comments), "")
+    return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, sort=sort)
 
 
 def _object_ids(path: Path, values: np.ndarray, report: Report) -> np.ndarray:
@@ -147,6 +149,7 @@ def write_ply(path: str | Path, g: Gaussians) -> None:
     rows = np.concatenate(columns, axis=1).astype("<f4")
     header = ["ply", "format binary_little_endian 1.0"]
     header += [f"comment object {k} {name}" for k, name in enumerate(g.objects, 1)]
+    header += [f"comment sort {g.sort}"] if g.sort else []
     header += [f"element vertex {n}", *(f"property float {name}" for name in names)]
     if g.object_id.any() or g.objects:
         header.append("property ushort object_id")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -110,6 +110,10 @@ class Trainer:
         sums = self.gradients.take_sums()
         values = 3.0 * max(float(sums[3]), 1.0)
         return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians as they are now, which know the order that they were trained for."""
+        return replace(self.population.gaussians(), sort=self.options.sort)
 
     def picture(self, camera) -> np.ndarray:
         """Picture for a camera as of now, (H, W, 3) uint8."""

@@ -14,6 +14,7 @@ ROW_INSET = 0.30  # distance of a row of Gaussians from its edge, over the spaci
 SIGMA_OVER_EDGE_DISTANCE = 0.6  # standard deviation towards an edge over the distance to it
 MAX_SEGMENT = 0.12  # [m] of an edge: longer Gaussians would be sorted wrongly against objects in front of them
 EDGE_NEIGHBOURS = 40  # edge points examined per Gaussian: about ten spacings of edge to either side
+SAME_FACE_COSINE = 0.8  # of the angle between the normals of a point and of an edge of its face
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,17 @@ def _nearest_edges(edges: EdgePoints, points, normals, count: int, max_distance:
     The distance is infinite for edges of another face or beyond `max_distance` (N,).
     """
     count = min(count, len(edges.points))
-    near = edges.tree.query(np.concatenate([points, edges.apart * normals], 1), k=[*range(1, count + 1)])[1]
+    distance, towards = np.full((len(points), count), np.inf), np.zeros((len(points), count, 3))
+    if not len(points):
+        return distance, towards
+    # Beyond this distance in the space of the tree, an edge is either too far or of another face.
+    bound = np.sqrt(float(max_distance.max()) ** 2 + 2 * (1 - SAME_FACE_COSINE) * edges.apart**2)
+    query = np.concatenate([points, edges.apart * normals], 1)
+    near = edges.tree.query(query, k=[*range(1, count + 1)], distance_upper_bound=bound)[1]
+    some = np.flatnonzero(near[:, 0] < len(edges.points))
+    points, normals, near, limit = points[some], normals[some], near[some], max_distance[some, None]
+    other = near == len(edges.points)
+    near[other] = 0
     offset = edges.points[near] - points[:, None]
     far = np.linalg.norm(offset, axis=2)
     d = edges.directions[near]
@@ -173,12 +184,12 @@ def _nearest_edges(edges: EdgePoints, points, normals, count: int, max_distance:
     offset -= along[..., None] * d
     height = (offset * normals[:, None]).sum(2)
     offset -= height[..., None] * normals[:, None]
-    distance = np.linalg.norm(offset, axis=2)
-    other = ((edges.normals[near] * normals[:, None]).sum(2) < 0.8) | (np.abs(height) > 0.15 * far + 1e-4)
-    other |= (far > max_distance[:, None]) | (
-        np.abs(along) > 1.6 * edges.half[near]
-    )  # beside the edge, not past its end
-    return np.where(other, np.inf, distance), offset / np.maximum(distance, 1e-12)[..., None]
+    across = np.linalg.norm(offset, axis=2)
+    other |= (edges.normals[near] * normals[:, None]).sum(2) < SAME_FACE_COSINE
+    other |= (np.abs(height) > 0.15 * far + 1e-4) | (far > limit)
+    other |= np.abs(along) > 1.6 * edges.half[near]  # beside the edge, not past its end
+    distance[some], towards[some] = np.where(other, np.inf, across), offset / np.maximum(across, 1e-12)[..., None]
+    return distance, towards
 
 
 def _directions(edges: HalfEdges) -> tuple[np.ndarray, np.ndarray]:

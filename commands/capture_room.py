@@ -33,6 +33,7 @@ EXAMPLES = (
 )
 STAGES = ("train", "cameras", "objects", "inpaint", "cages", "room")
 TRAINED = "trained.ply"
+MARKS = "marks.json"  # beside the photographs
 CAPTURE_FILES = {".json", ".txt", ".bin", ".jpg", ".jpeg", ".png", ".webp", ".ply"}
 NO_PART = {"work", "masks", "depth", "behind"}  # folders beside the photographs, which the training does not read
 STEPS = {"cuda": 10_000, "cpu": 3_000}
@@ -47,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
     parser.add_argument("--out", type=Path, required=True, metavar="ROOM/", help="folder; a cut run goes on there")
     which = parser.add_mutually_exclusive_group()
-    text = "marks of the objects in some photographs (default: asks in a window; CAPTURE/masks where there are such)"
+    text = (
+        "marks of the objects in some photographs (default: CAPTURE/marks.json or CAPTURE/masks, or asks in a window)"
+    )
     which.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
     text = "folder of masks, one colour an object"
     which.add_argument("--masks", type=Path, metavar="FOLDER", help=text)
@@ -87,6 +90,14 @@ def make_room(args: argparse.Namespace) -> None:
     start_taichi(args.arch, args.seed)
     stages = Stages(args.out / "work", STAGES)
     RoomMaking(args, stages).make()
+
+
+def room_arguments(capture: Path, room: Path, arch: str | None, seed: int) -> argparse.Namespace:
+    """Arguments of the command for a capture and its room, all else as usual."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    words = [str(capture), "--out", str(room), "--seed", str(seed), *(["--arch", arch] if arch else [])]
+    return parser.parse_args(words)
 
 
 def check(args: argparse.Namespace) -> None:
@@ -134,6 +145,9 @@ class RoomMaking:
 
     def __init__(self, args: argparse.Namespace, stages):
         self.args, self.stages, self.notes = args, stages, []
+        self.folder = args.capture if args.capture.is_dir() else args.capture.parent
+        beside = self.folder / MARKS
+        self.marks = args.marks or (beside if args.masks is None and beside.is_file() else None)
 
     def say(self, text: str) -> None:
         """Tell the user, and note it for the report."""
@@ -195,8 +209,8 @@ class RoomMaking:
     def masks_folder(self) -> Path | None:
         """The folder of masks; None where marks say what the objects are."""
         a = self.args
-        beside = (a.capture if a.capture.is_dir() else a.capture.parent) / "masks"
-        return a.masks or (beside if a.marks is None and beside.is_dir() else None)
+        beside = self.folder / "masks"
+        return a.masks or (beside if self.marks is None and beside.is_dir() else None)
 
     def check_objects(self, capture) -> None:
         """Check masks or marks against the photographs. Raises BadInput."""
@@ -205,8 +219,8 @@ class RoomMaking:
         folder = self.masks_folder()
         if folder is not None:
             read_masks(folder, capture.views)
-        elif self.args.marks is not None:
-            read_marks(self.args.marks, {view.name: photograph_size(view)[::-1] for view in capture.views})
+        elif self.marks is not None:
+            read_marks(self.marks, {view.name: photograph_size(view)[::-1] for view in capture.views})
         else:
             check_can_ask()
 
@@ -228,7 +242,7 @@ class RoomMaking:
         from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import labelled
 
-        a, folder, marks = self.args, self.masks_folder(), self.args.marks
+        a, folder, marks = self.args, self.masks_folder(), self.marks
         if a.no_objects:
             self.stages.run("objects", {}, lambda folder: None)
             return
@@ -236,7 +250,7 @@ class RoomMaking:
             files = [file_key(p) for p in sorted(folder.iterdir())]
             inputs = {"masks": files}
         else:
-            marks = a.marks or self.asked_marks()
+            marks = marks or self.asked_marks()
             inputs = {"marks": marks.read_text(encoding="utf-8", errors="replace")}
 
         def make(into: Path) -> None:

@@ -22,7 +22,7 @@ from commands.options import (
     render_scale,
     size,
 )
-from commands.prepared import is_asset, prepared_bodies, prepared_stage
+from commands.prepared import is_asset, prepared_bodies, prepared_capture, prepared_stage
 from core.errors import BadInput
 from core.runtime import start_taichi
 from render import MOVING_SORT
@@ -206,6 +206,7 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
         from scenes.paper_demos import paper_demo_of
 
         use_paper_assets(paper_demo_of(args.scene, args.options or {}))
+    prepared_capture(args)
     bodies, stage = prepared_bodies(args), prepared_stage(args)
     material = args.material
     if replay and material is None:

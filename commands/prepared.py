@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 from pathlib import Path
 
 from assets.file_access import file_size
 from assets.library import cached_asset
+from assets.room_folder import is_room_folder, read_room
 from core.errors import BadInput
+from core.program import cache_folder
 from core.runtime import start_taichi
 
 BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 3, 2  # of what `cached_body` and `cached_environment` make
@@ -47,10 +50,33 @@ def prepared_body(path: Path, args: argparse.Namespace, vertices: int | None) ->
 
 
 def prepared_stage(args: argparse.Namespace) -> str | None:
-    """The asset of --stage: an asset as it is, a splat prepared and cached."""
+    """The asset of --stage: an asset as it is, the background of a captured room, a splat prepared and cached."""
     if args.stage is None or is_asset(args.stage):
         return args.stage
+    if Path(args.stage).is_dir():
+        return str(Path(args.stage) / read_room(args.stage).background)
     return str(cached_environment(Path(args.stage), args))
+
+
+def prepared_capture(args: argparse.Namespace) -> None:
+    """Make a room of the capture that a scene's option --capture names, unless it is one; kept in the cache.
+
+    The option becomes the room's folder.
+    """
+    options = args.options or {}
+    capture = options.get("capture")
+    if capture is None or is_room_folder(capture):
+        return
+    from commands.capture_room import make_room, room_arguments
+
+    path = Path(capture)
+    if not path.exists():
+        raise BadInput(f"{capture}: no such file or folder")
+    name = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    room = cache_folder() / "rooms" / f"{path.resolve().stem}-{name}"
+    print(f"making a room of {capture} (once; kept as {room})", flush=True)
+    make_room(room_arguments(path, room, args.arch, args.seed))
+    args.options = {**options, "capture": str(room)}
 
 
 def is_animated(splats: Path, rig: Path | None = None) -> bool:

@@ -1,10 +1,14 @@
-"""Box moving: carry the attic's boxes to the pallet, and see what the biggest one hid (VR-GS, Sec. 6.2)."""
+"""Box moving: carry the attic's boxes to the pallet, and see what the biggest one hid (VR-GS, Sec. 6.2).
+
+With --capture ROOM/ it plays on the floor of a captured room.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from scenes.attic_floor import BACKGROUND, FAR, HOLE, PALLET, PLACES, SIZES, boxes, colliders, furniture, lamp, room
+from scenes.captured_room import in_captured_room
 from scenes.scene import BodyState, Hand, Role, Scene
 from scenes.scripted_throw import ease
 
@@ -85,8 +89,9 @@ def before_hole(box: BodyState) -> bool:
     return bool(box.low[0] < HOLE[1] and box.high[0] > HOLE[0] and box.low[1] < HOLE[2] and box.low[2] < FAR + 0.3)
 
 
-def build() -> Scene:
-    return Scene(
+def build(capture: str | None = None) -> Scene:
+    """The scene in the attic, or in a captured room: `capture` is its folder."""
+    scene = Scene(
         bodies=[*furniture(), *boxes()],
         colliders=colliders(),
         light=lamp(),
@@ -97,3 +102,4 @@ def build() -> Scene:
         roles=(Role("box", tuple(NAMES)),),
         room=room(),
     )
+    return scene if capture is None else in_captured_room(scene, capture)

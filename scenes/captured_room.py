@@ -106,6 +106,13 @@ def room_scene(folder: str) -> scene.Scene:
     )
 
 
+def in_captured_room(played: scene.Scene, folder: str) -> scene.Scene:
+    """Another scene in a captured room, without the objects of that. Raises BadInput."""
+    from scenes.roles import in_room
+
+    return in_room(played, str(Path(folder) / read_room(folder).background))
+
+
 def object_body(folder: Path, thing: RoomObject) -> Body:
     """An object at its captured place."""
     asset = str(folder / thing.asset)

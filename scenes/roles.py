@@ -187,6 +187,8 @@ def spot_in(environment: Environment, grid: DistanceGrid | None, own: Room) -> t
     for over in FREE_HEIGHTS:
         free &= distance(over) > TOUCHES
     radius = CELL * (distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1] - 0.5).clip(0)
+    if not free.any():  # no floor was captured
+        return drop, environment.clear_radius
     score = np.minimum(radius, 1.5 * own.radius) - MIDDLE_WEIGHT * np.linalg.norm(at - 0.5 * (low + high), axis=-1)
     best = np.unravel_index(np.where(free, score, -np.inf).argmax(), free.shape)
     return np.array([at[best][0], height, at[best][1]]), float(radius[best])

@@ -9,9 +9,13 @@ import pytest
 
 from assets.library import find_asset
 from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
+from commands.parser import parse
+from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from scenes import registry
+from scenes.manipulation import pointed_parts
+from scenes.scene import BodyState
 from tests.support.scripted_play import play
 
 EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)
@@ -44,15 +48,67 @@ def folder(tmp_path):
     return path
 
 
-def test_a_room_is_played_from_where_its_photographer_stood(folder, ti_cpu):
+def test_the_player_stands_where_the_photographer_stood(folder):
     scene = registry.load(str(folder))
     assert scene.eye == EYE and scene.target == TARGET and registry.label(f"{folder}/") == "dining"
-    assert [b.fixed_below for b in scene.bodies[1:]] == [None, 0.0]
+    assert [b.fixed_below for b in scene.bodies[1:]] == [None, 0.0] and scene.bodies[0].material is None
+
+
+def test_the_scripted_hand_takes_one_object_after_the_other(folder):
+    scene = registry.load(str(folder))
+    game = scene.game
+
+    def states(time):
+        held = game.hands(time, [still] * 2) and game.hands(time, [still] * 2)[0].grip
+        up = np.array([0.0, 0.1, 0.0]) * bool(held)
+        return [BodyState(n, up, up, up - 0.1, up + 0.1, up, bool(held)) for n in ("red", "blue")]
+
+    zero = np.zeros(3)
+    still = BodyState("ring", zero, zero, zero - 0.1, zero + 0.1, zero, False)
+    with pytest.raises(AssertionError, match="red ring was not moved"):
+        game.verify([still, still])
+    for time in np.arange(0.0, game.duration, 0.1):
+        game.update(time, states(time))
+    game.verify([still, still])
+    assert set(game.farthest) == {0, 1}
+    game.reset()
+    assert not game.starts and not game.farthest
+
+
+@pytest.mark.long
+def test_a_room_is_played(folder, ti_cpu):
+    scene = registry.load(str(folder))
     world = play(scene)
     scene.game.verify(world.bodies())
     assert not np.allclose(world.bodies()[0].low, scene.bodies[1].position, atol=0.05)
     world.reset()
     assert world.time == 0.0 and not scene.game.farthest
+
+
+def test_the_largest_captured_object_is_pulled_at_its_ends(folder):
+    scene = registry.load("manipulation", capture=str(folder))
+    body, game = scene.bodies[1], scene.game
+    assert body.asset.endswith("ring_red.h5") and -0.01 < body.fixed_below < 0.0 and body.material.young < 3e4
+    assert scene.eye == EYE and len(game.parts) == 3
+    with pytest.raises(BadInput, match="cannot be read"):
+        registry.load("manipulation", capture=str(folder.parent))
+
+
+def test_pointed_ends_come_first_and_what_is_held_is_no_end():
+    """A cone along +x that stands on a wide foot."""
+    t, turn = np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 6.2, 16))
+    cone = np.stack([1 + t, 1 + 0.3 * (1 - t) * np.cos(turn), 0.3 * (1 - t) * np.sin(turn)], -1).reshape(-1, 3)
+    foot = np.stack([3 * np.cos(turn), 0 * t, 3 * np.sin(turn)], -1).reshape(-1, 3)
+    free = np.arange(2 * len(cone)) < len(cone)
+    parts = pointed_parts(np.concatenate([cone, foot]), free, np.array([0.0, 1.0, 0.0]))
+    assert parts[0].part == "right" and "lower end" not in {p.part for p in parts}
+
+
+def test_other_demos_play_in_a_captured_room(folder):
+    scene = registry.load("box_moving", capture=str(folder))
+    assert scene.bodies[0].asset == str(folder / "room.h5") and scene.cast[-1][1].startswith("the room")
+    args = parse(["--scene", "animal_crossing", "--stage", str(folder)], "", print)
+    assert prepared_stage(args) == str(folder / "room.h5")
 
 
 def test_rooms_in_the_working_directory_are_in_the_menu_of_scenes(folder, monkeypatch):

@@ -7,11 +7,15 @@ import shutil
 import numpy as np
 import pytest
 
+from assets.asset import Asset
+from assets.environment import Environment
+from assets.gaussians import Gaussians
 from assets.library import find_asset
 from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
 from commands.parser import parse
 from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
+from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from scenes import registry
 from scenes.manipulation import pointed_parts
@@ -30,10 +34,14 @@ def link(source, target):
 
 @pytest.fixture
 def folder(tmp_path):
-    """The dining room as if it were captured, with a ring on the table and a ring that its end is fixed of."""
+    """A bare floor as if it were captured, with a ring on it and a ring of which one side is held."""
     (tmp_path / "dining" / "objects").mkdir(parents=True)
     path = tmp_path / "dining"
-    link(find_asset("dining_room"), path / "room.h5")
+    heights = np.broadcast_to(np.linspace(-0.5, 2.5, 16, dtype=np.float32)[None, :, None], (31, 16, 31))
+    grid = DistanceGrid(heights.copy(), np.array([-3.0, -0.5, -3.0]), 0.2)
+    floor = (("floor", 0.0, -2.0, -2.0, 2.0, 2.0),)
+    g = Gaussians.of(np.zeros((1, 3)), [[1, 0, 0, 0]], -3 * np.ones((1, 3)), np.zeros(1), np.zeros((1, 1, 3)))
+    Asset(g, sdf=grid, environment=Environment(0.0, (0, 0, 0), EYE, 0.5, floor)).save(path / "room.h5")
     for name in ("ring_red", "ring_blue"):
         link(find_asset(name), path / "objects" / f"{name}.h5")
     half = np.sqrt(0.5)

@@ -20,6 +20,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
     " --checkpoint-every --preview --seed",
     "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
+    "segment": "--help --splats --marks --out --model --reduce --overlay",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
     "build": "--help --capture",
@@ -82,6 +83,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("bench render --variants fast", "belongs to bench train"),
     ("bench scaling --from r.json --rounds 3", "--from only reads"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
+    ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
     ("build --force", "--force belongs to --detail paper"),
     *(
         (f"build {o}", "belongs to --capture")

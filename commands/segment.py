@@ -1,0 +1,164 @@
+"""`vrgs.py segment`: marks of objects in some photographs become masks of all of them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import atomic_write, check_writable
+from commands.conditions import Condition
+from commands.options import add_arch, positive
+from core.errors import BadInput
+from core.runtime import start_taichi
+
+HELP = "find marked objects in all photographs of a capture"
+EXAMPLES = (
+    "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
+    "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
+    "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
+)
+CONDITIONS = (Condition(("--arch",), lambda args: args.splats, "belongs to --splats; nothing else needs a device"),)
+LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    text = "folder with transforms.json or a COLMAP model, or a transforms.json"
+    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
+    text = "strokes and boxes in one or more photographs (docs/your_own.md); two strokes an object are enough"
+    parser.add_argument("--marks", type=Path, required=True, metavar="MARKS.json", help=text)
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="MASKS", help="folder of masks, one PNG a photograph"
+    )
+    text = "splat trained on the capture (vrgs.py train), whose depths carry the marks (default: the sparse points)"
+    parser.add_argument("--splats", type=Path, metavar="SPLATS", help=text)
+    text = "network of yours that draws the borders instead of GrabCut (docs/your_own.md)"
+    parser.add_argument("--model", type=Path, metavar="FILE.onnx", help=text)
+    text = "divide the photographs' sides by N while looking for objects"
+    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
+    text = "sheet of all photographs with the masks drawn over them: .png or .html"
+    parser.add_argument("--overlay", type=Path, metavar="SHEET", help=text)
+    add_arch(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Carry the marks to all views and write the masks. Raises BadInput."""
+    from assets.splat_files import read_gaussians
+    from prepare.segment.marks import read_marks
+    from prepare.segment.mask_files import check_masks_folder, photograph_size, write_masks
+    from prepare.segment.mask_propagation import propagate_marks
+    from prepare.segment.picture_cut import grab_cut
+    from prepare.train.capture import read_capture
+    from prepare.train.photographs import load_photograph
+
+    check_masks_folder(args.out)
+    if args.overlay is not None:
+        if args.overlay.suffix.lower() not in (".png", ".html"):
+            raise BadInput(f"{args.overlay}: the sheet's name must end in .png or .html")
+        check_writable(args.overlay)
+    capture = read_capture(args.capture)
+    marks = read_marks(args.marks, {v.name: photograph_size(v)[::-1] for v in capture.views})
+    cut = grab_cut
+    if args.model is not None:
+        from prepare.segment.mask_network import MaskNetwork
+
+        cut = MaskNetwork(args.model)
+    splats = None
+    if args.splats is not None:
+        splats = read_gaussians(args.splats)
+        start_taichi(args.arch)
+    elif not len(capture.points):
+        raise BadInput(f"{args.capture}: has no points; train it first and give the splat with --splats")
+    start, progress = time.perf_counter(), TimeLeft()
+    photographs = []
+    for k, view in enumerate(capture.views):
+        photographs.append(load_photograph(view, args.reduce))
+        progress("photographs", (k + 1) / len(capture.views))
+    if splats is not None:
+        capture, photographs = in_world_of(splats, capture, photographs, args.splats)
+    masks = propagate_marks(capture, photographs, marks, splats, progress, cut=cut)
+    progress.end()
+    write_masks(args.out, capture.views, masks)
+    if args.overlay is not None:
+        write_sheet(args.overlay, capture.views, masks)
+        print(f"{args.overlay}: the masks over the photographs")
+    for name in masks.names:
+        label = masks.names.index(name) + 1
+        seen = sum(bool((ids == label).any()) for ids in masks.ids)
+        print(f"{name}: in {seen} of {len(masks.ids)} photographs, {masks.pixels(name):,} pixels")
+        if seen < 0.3 * len(masks.ids):
+            print(f"{name}: seldom found; look at --overlay, and mark it in one more photograph", file=sys.stderr)
+    print(f"{args.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
+
+
+def write_sheet(path: Path, views: list, masks) -> None:
+    """Write the masks over their photographs: a picture (.png), or a page (.html). Raises BadInput."""
+    import cv2
+
+    from bench.html_page import Section, html_page
+    from prepare.segment.mask_overlay import contact_sheet, overlays
+
+    tiles = overlays(views, masks)
+    if path.suffix.lower() == ".html":
+        section = Section("Photographs", "Each object in its colour.", tiles)
+        data = html_page("Masks", f"{', '.join(masks.names)} in {len(views)} photographs.", [section]).encode()
+    else:
+        data = cv2.imencode(".png", contact_sheet(list(tiles.values()))[..., ::-1].copy())[1].tobytes()
+    with atomic_write(path) as beside:
+        beside.write_bytes(data)
+
+
+class TimeLeft:
+    """Prints how far a step is and how long it will still take."""
+
+    def __init__(self) -> None:
+        self._step, self._begin, self._told = None, 0.0, 0.0
+
+    def __call__(self, step: str, done: float) -> None:
+        now, terminal = time.perf_counter(), sys.stderr.isatty()
+        if step != self._step:
+            self.end()
+            self._step, self._begin, self._told = step, now, now
+        if now - self._told < LINE_SECONDS * (0.1 if terminal else 1.0):
+            return
+        self._told, passed = now, now - self._begin
+        left = f", {passed * (1 - done) / done:.0f} s left" if done > 0 else ""
+        text = f"{step} {done:.0%}{left}"
+        print(f"\r{text:<60}" if terminal else text, end="" if terminal else "\n", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Close the line of the last step."""
+        if self._step is not None:
+            text = f"{self._step}: {time.perf_counter() - self._begin:.1f} s"
+            print(f"\r{text:<60}" if sys.stderr.isatty() else text, file=sys.stderr, flush=True)
+        self._step = None
+
+
+def in_world_of(splats, capture, photographs: list, path: Path):
+    """Capture and photographs in the world of the splats: the capture's own, or upright as `train` makes it.
+
+    Raises BadInput if the splats show in neither what was photographed.
+    """
+    from dataclasses import replace
+
+    from commands.render import draw_float
+
+    found = []
+    for posed in (capture.upright(), capture):
+        cameras = [
+            replace(p.camera, world_to_camera=v.world_to_camera) for p, v in zip(photographs, posed.views, strict=True)
+        ]
+        errors = []
+        for k in np.linspace(0, len(cameras) - 1, 3).round().astype(int):
+            drawn = draw_float(splats, [cameras[k]], sort="radial")["rgb"][0].clip(0, 1)
+            seen = photographs[k].pixels / 255.0
+            errors.append(np.abs(drawn - seen).mean() / max(np.abs(seen - seen.mean((0, 1))).mean(), 1e-6))
+        found.append((float(np.median(errors)), posed, cameras))
+    error, posed, cameras = min(found, key=lambda f: f[0])
+    if error > 0.7:  # of what a plain picture of the mean colour would be off; a fair training is off by 0.1 to 0.3
+        raise BadInput(f"{path}: does not show what {capture.folder} photographed; was it trained on another capture?")
+    return posed, [p._replace(camera=c) for p, c in zip(photographs, cameras, strict=True)]

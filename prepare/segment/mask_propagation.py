@@ -1,0 +1,297 @@
+"""Marks in one or more photographs, carried to all views of a capture through its geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from core.camera import Camera
+from core.errors import BadInput
+from prepare.progress import Progress, no_progress
+from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
+from prepare.segment.mask_files import Masks, object_colors, photograph_size
+from prepare.segment.picture_cut import Cut, cut_objects, grab_cut
+from prepare.segment.surface_cloud import (
+    POINTS,
+    SurfaceCloud,
+    planes_behind,
+    silhouettes,
+    spread,
+    surface_cloud,
+)
+from prepare.segment.view_depths import depths_of_points, depths_of_splats, points_at, seen_by
+from prepare.train.capture import Capture
+from prepare.train.photographs import Photograph
+
+STEPS = ("depths", "surface", "masks", "votes")
+STROKE_WIDTH = 0.008  # of a picture's diagonal
+SURROUNDINGS = 0.4  # of the cameras' distance from the marks, around them, that is looked at
+RIM = 0.93  # of that ball's radius beyond which all is background
+REACH = 2.5  # spacings of the cloud within which a pixel's point has its labels
+BAND, BAND_AGAIN = 0.010, 0.006  # of a picture's diagonal: see cut_objects
+DENSER = 4  # points of the cloud for a sparse point, which it lies between
+POINTS_BAND = 2.5  # times as wide, where depths are only those of sparse points
+DEPTH_TOLERANCE = 0.02  # relative, of a point that is seen
+VOTERS, VOTE_REACH = 10, 0.02  # views nearest to one, and how far around its masks [diagonals] they have a say
+SURE = 0.15  # probability of the other label below which a pixel is sure
+
+
+class MarkPropagation:
+    """Geometry of a capture, over which marks spread.
+
+    photographs  undistorted, of the capture's views in their order, perhaps reduced
+    depths       of their pixels (H, W) along the camera's axis, 0: unknown; see `view_depths`
+    coarse       the depths are those of sparse points
+    cut          what draws borders in a picture
+    """
+
+    def __init__(
+        self,
+        capture: Capture,
+        photographs: Sequence[Photograph],
+        depths: Sequence[np.ndarray],
+        *,
+        coarse: bool = False,
+        cut: Cut = grab_cut,
+    ):
+        self.capture, self.photographs, self.coarse, self.cut = capture, photographs, coarse, cut
+        self.cameras: list[Camera] = [p.camera for p in photographs]
+        self.depths = [np.where(p.mask, d, 0.0).astype(np.float32) for p, d in zip(photographs, depths, strict=True)]
+        self.names: list[str] = []
+        self.cloud: SurfaceCloud | None = None
+        self.labels = np.zeros((0, 1))
+        self._forbidden: dict[int, dict[int, np.ndarray]] = {}
+        self._strokes: dict[int, list[tuple[int, np.ndarray]]] = {}
+
+    def mark(self, marks: Marks, report: Progress = no_progress) -> None:
+        """Spread marks over the surfaces. Raises BadInput if an object's marks lie where nothing is known."""
+        self.names = list(marks.objects)
+        self._read(marks)
+        places = self._marked_points(marks)
+        everything = np.concatenate(list(places.values()))
+        low, high = everything.min(axis=0), everything.max(axis=0)
+        centre = 0.5 * (low + high)
+        far = np.median([np.linalg.norm(c.position - centre) for c in self.cameras])
+        radius = 0.5 * float(np.linalg.norm(high - low)) + SURROUNDINGS * float(far)
+        report("surface", 0.0)
+        pictures = [p.pixels for p in self.photographs]
+        wanted = min(POINTS, DENSER * len(self.capture.points)) if self.coarse else POINTS
+        self.cloud = cloud = surface_cloud(self.cameras, self.depths, pictures, centre, radius, wanted)
+        if cloud is None:
+            raise BadInput("the views show no surface where the marks are")
+        seeds = np.full(len(cloud.points), -1)
+        seeds[np.linalg.norm(cloud.points - centre, axis=1) > RIM * radius] = 0
+        behind = planes_behind(cloud, everything, np.random.default_rng(0))
+        seeds[behind] = 0
+        for points in self._outside_points():
+            seeds[self._nearest(points)] = 0
+        for k, points in enumerate(places.values()):
+            nearest = self._nearest(points)
+            if not len(nearest):
+                raise BadInput(f"{self.names[k]!r}: its marks lie where the views show no surface")
+            seeds[nearest] = k + 1
+        report("surface", 0.5)
+        self.labels = spread(cloud, seeds, len(self.names) + 1, behind)
+        self._apply_boxes(marks)
+        report("surface", 1.0)
+
+    def ids_of(self, k: int) -> np.ndarray:
+        """Ids (H, W) uint8 of the objects in the undistorted photograph of view `k`, by the surfaces alone."""
+        return self._cut(k, self._likely(k), BAND)
+
+    def _cut(self, k: int, likely: np.ndarray, band: float) -> np.ndarray:
+        """Ids (H, W) uint8 in view `k`, of the labels' probabilities (H, W, K + 1), its colours and its marks."""
+        photograph, diagonal = self.photographs[k], float(np.hypot(*likely.shape[:2]))
+        for label, strokes in self._strokes.get(k, ()):
+            likely[strokes] = 0.0
+            likely[strokes, label] = 1.0
+        edges = silhouettes(self.depths[k])
+        unsure = edges | (np.sort(likely, axis=2)[..., -2] > SURE)
+        width = max(2, round(band * diagonal * (POINTS_BAND if self.coarse else 1.0)))
+        ids = cut_objects(photograph.pixels, likely, width, unsure, self.cut)
+        for label, strokes in self._strokes.get(k, ()):
+            ids[strokes] = label
+        for label, outside in self._forbidden.get(k, {}).items():
+            ids[outside & (ids == label)] = 0
+        ids[~photograph.mask] = 0
+        return ids
+
+    def voted(self, k: int, ids: Sequence[np.ndarray]) -> np.ndarray:
+        """Probability (H, W, K + 1) of the labels in view `k`: what the masks of it and of its neighbours say."""
+        import cv2
+
+        depth, own, camera = self.depths[k], ids[k], self.cameras[k]
+        labels = len(self.names) + 1
+        side = 2 * round(VOTE_REACH * float(np.hypot(*depth.shape))) + 1
+        around = cv2.dilate((own > 0).astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+        y, x = np.nonzero(around & (depth > 0))
+        points = points_at(camera, depth, x, y)
+        votes = np.eye(labels)[own[y, x]]
+        away = [np.linalg.norm(c.position - camera.position) for c in self.cameras]
+        for j in np.argsort(away)[1 : VOTERS + 1]:
+            u, v, z = seen_by(self.cameras[j], points)
+            height, width = self.depths[j].shape
+            there = np.flatnonzero((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height))
+            row, column = v[there].astype(int), u[there].astype(int)
+            near = np.abs(self.depths[j][row, column] - z[there]) < DEPTH_TOLERANCE * z[there]
+            votes[there[near], ids[j][row[near], column[near]]] += 1.0
+        likely = np.eye(labels)[own]
+        likely[y, x] = votes / votes.sum(axis=1, keepdims=True)
+        return likely
+
+    def masks(self, report: Progress = no_progress) -> Masks:
+        """The masks of all views, in the photographs' own size and lens. Raises BadInput if an object is in none."""
+        views = range(len(self.cameras))
+        ids = []
+        for k in views:
+            ids.append(self.ids_of(k))
+            report("masks", (k + 1) / len(views))
+        found = []
+        for k in views:
+            found.append(self._as_taken(k, self._cut(k, self.voted(k, ids), BAND_AGAIN)))
+            report("votes", (k + 1) / len(views))
+        masks = Masks(self.names, object_colors(len(self.names)), found)
+        for name in self.names:
+            if not masks.pixels(name):
+                raise BadInput(f"{name!r}: found in no view; mark it with longer strokes, or in another view")
+        return masks
+
+    def _read(self, marks: Marks) -> None:
+        """Strokes of each view as masks in its undistorted picture, and what lies outside of boxes."""
+        self._strokes, self._forbidden = {}, {}
+        for k, view in enumerate(self.capture.views):
+            shape = self.depths[k].shape
+            width = max(1, round(STROKE_WIDTH * np.hypot(*shape)))
+            for name, own in marks.in_view(view.name).items():
+                label = self.names.index(name) + 1
+                for which, strokes in ((0, own.outside), (label, own.inside)):
+                    if strokes:
+                        drawn = drawn_strokes([self._straight(k, s) for s in strokes], shape, width)
+                        self._strokes.setdefault(k, []).append((which, drawn))
+                if own.boxes:
+                    corners = [self._straight(k, b.reshape(2, 2)).reshape(4) for b in own.boxes]
+                    self._forbidden.setdefault(k, {})[label] = ~drawn_boxes(corners, shape)
+
+    def _straight(self, k: int, points: np.ndarray) -> np.ndarray:
+        """Places in the undistorted picture of view `k` of places in its photograph."""
+        view, camera = self.capture.views[k], self.cameras[k]
+        height, width = photograph_size(view)
+        lens = view.lens.resized(width, height, str(view.image))
+        return lens.undistort_points(points) * (camera.width / width, camera.height / height)
+
+    def _marked_points(self, marks: Marks) -> dict[str, np.ndarray]:
+        """Points (N, 3) of each object under its strokes, or where a cut within its boxes finds it."""
+        places: dict[str, list] = {name: [] for name in self.names}
+        for k in range(len(self.cameras)):
+            drawn = {label: mask for label, mask in self._strokes.get(k, ()) if label}
+            for label, outside in self._forbidden.get(k, {}).items():
+                if label not in drawn:
+                    drawn[label] = self._cut_in_box(k, ~outside)
+            for label, mask in drawn.items():
+                y, x = np.nonzero(mask & (self.depths[k] > 0))
+                places[self.names[label - 1]].append(points_at(self.cameras[k], self.depths[k], x, y))
+        found = {name: np.concatenate(p) if p else np.zeros((0, 3)) for name, p in places.items()}
+        for name, points in found.items():
+            if not len(points):
+                raise BadInput(f"{name!r}: its marks lie where the views show no surface")
+        return found
+
+    def _cut_in_box(self, k: int, box: np.ndarray) -> np.ndarray:
+        """Sure pixels (H, W) bool of an object in a box: a cut by colours, away from its border."""
+        import cv2
+
+        picture = self.photographs[k].pixels
+        inside = grab_cut(picture, box.astype(float), np.zeros_like(box), ~box)
+        side = max(1, round(0.1 * np.sqrt(box.sum())))
+        core = cv2.erode((inside & box).astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+        return core if core.any() else inside & box
+
+    def _outside_points(self):
+        """Points (N, 3) under the strokes outside of objects, view by view."""
+        for k, strokes in self._strokes.items():
+            for label, mask in strokes:
+                if label == 0:
+                    y, x = np.nonzero(mask & (self.depths[k] > 0))
+                    yield points_at(self.cameras[k], self.depths[k], x, y)
+
+    def _nearest(self, points: np.ndarray) -> np.ndarray:
+        """Indices of the cloud's points at given points."""
+        distance, index = self.cloud.tree.query(points, distance_upper_bound=2 * self.cloud.spacing)
+        return np.unique(index[np.isfinite(distance)])
+
+    def _apply_boxes(self, marks: Marks) -> None:
+        """Take an object away from all surface that a view with a box of it shows outside of the box."""
+        for k, boxes in self._forbidden.items():
+            x, y, z = seen_by(self.cameras[k], self.cloud.points)
+            height, width = self.depths[k].shape
+            there = np.flatnonzero((z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height))
+            row, column = y[there].astype(int), x[there].astype(int)
+            seen = np.abs(self.depths[k][row, column] - z[there]) < DEPTH_TOLERANCE * z[there] + self.cloud.spacing
+            for label, outside in boxes.items():
+                gone = there[seen & outside[row, column]]
+                self.labels[gone, 0] += self.labels[gone, label]
+                self.labels[gone, label] = 0.0
+
+    def _likely(self, k: int) -> np.ndarray:
+        """Probability (H, W, K + 1) of the labels at the pixels of a view: of the cloud at their points."""
+        depth, cloud = self.depths[k], self.cloud
+        likely = np.zeros((*depth.shape, self.labels.shape[1]))
+        likely[..., 0] = 1.0
+        y, x = np.nonzero(depth > 0)
+        p = points_at(self.cameras[k], depth, x, y)
+        low, high = cloud.points.min(axis=0) - cloud.spacing, cloud.points.max(axis=0) + cloud.spacing
+        near = np.flatnonzero(((p > low) & (p < high)).all(axis=1))
+        distance, index = cloud.tree.query(p[near], k=4, distance_upper_bound=REACH * cloud.spacing)
+        weight = np.exp(-((distance / cloud.spacing) ** 2))  # 0 where there is none
+        total = weight.sum(axis=1)
+        hit = total > 0
+        labels = np.concatenate([self.labels, np.zeros((1, self.labels.shape[1]))])
+        mixed = np.einsum("nk,nkl->nl", weight[hit], labels[index[hit]]) / total[hit, None]
+        likely[y[near[hit]], x[near[hit]]] = mixed
+        return likely
+
+    def _as_taken(self, k: int, ids: np.ndarray) -> np.ndarray:
+        """Ids of an undistorted picture in the photograph's own size and lens."""
+        import cv2
+
+        view = self.capture.views[k]
+        height, width = photograph_size(view)
+        if ids.shape != (height, width):
+            scores = [
+                cv2.resize((ids == label).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+                for label in range(len(self.names) + 1)
+            ]
+            ids = np.argmax(scores, axis=0).astype(np.uint8)
+        return view.lens.resized(width, height, str(view.image)).distort_labels(ids)
+
+
+def view_depths(
+    capture: Capture, cameras: list[Camera], splats: Gaussians | None, report: Progress = no_progress
+) -> list[np.ndarray]:
+    """Depths (H, W) of the views: of splats if there are some, else of the capture's points. Raises BadInput."""
+    if splats is not None:
+        return depths_of_splats(splats, cameras, report)
+    if not len(capture.points):
+        raise BadInput(f"{capture.folder}: has no points; train it first and give the splat with --splats")
+    return depths_of_points(capture.points, cameras, report)
+
+
+def propagate_marks(
+    capture: Capture,
+    photographs: Sequence[Photograph],
+    marks: Marks,
+    splats: Gaussians | None,
+    report: Progress = no_progress,
+    *,
+    cut: Cut = grab_cut,
+) -> Masks:
+    """Masks of the marked objects in all views; see MarkPropagation. Raises BadInput.
+
+    splats  trained on the capture, in its world (Taichi must be running); None: the capture's sparse points must do
+    """
+    depths = view_depths(capture, [p.camera for p in photographs], splats, report)
+    propagation = MarkPropagation(capture, photographs, depths, coarse=splats is None, cut=cut)
+    propagation.mark(marks, report)
+    return propagation.masks(report)

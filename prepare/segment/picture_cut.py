@@ -1,0 +1,75 @@
+"""Borders of objects in a picture, drawn along its colours: GrabCut, or a network of the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+MARGIN = 0.3  # of an object's size, around it, whose colours are learned as those of the background
+ROUNDS = 3  # of GrabCut
+PIXELS_MIN = 6  # of an object in a picture
+
+# (picture (H, W, 3) uint8, likely (H, W) 0..1, sure inside (H, W) bool, sure outside (H, W) bool) -> inside (H, W) bool
+Cut = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def grab_cut(picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """The object (H, W) bool by GrabCut (Rother et al. 2004): sure pixels stay, the others go where colours suit."""
+    import cv2
+
+    mask = np.where(likely > 0.5, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    mask[inside], mask[outside] = cv2.GC_FGD, cv2.GC_BGD
+    there = [(mask == a) | (mask == b) for a, b in ((cv2.GC_FGD, cv2.GC_PR_FGD), (cv2.GC_BGD, cv2.GC_PR_BGD))]
+    if min(t.sum() for t in there) < PIXELS_MIN:
+        return there[0]
+    cv2.setRNGSeed(0)
+    models = np.zeros((1, 65)), np.zeros((1, 65))
+    cv2.grabCut(np.ascontiguousarray(picture[..., ::-1]), mask, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
+    return (mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD)
+
+
+def cut_objects(picture: np.ndarray, likely: np.ndarray, band: int, unsure: np.ndarray, cut: Cut) -> np.ndarray:
+    """Ids (H, W) uint8 of objects in a picture.
+
+    likely  probability (H, W, K + 1) of the background and each object
+    band    [px] on either side of a border of `likely` in which the colours decide
+    unsure  (H, W) bool, further pixels in which they do
+    """
+    import cv2
+
+    first = likely.argmax(axis=2)
+    found = np.zeros(likely.shape, np.float32)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * band + 1,) * 2)
+    for k in range(1, likely.shape[2]):
+        own = (first == k).astype(np.uint8)
+        if own.sum() < PIXELS_MIN:
+            continue
+        x, y, w, h = cv2.boundingRect(own)
+        pad = 2 * band + int(MARGIN * max(w, h))
+        at = np.s_[max(y - pad, 0) : y + h + pad, max(x - pad, 0) : x + w + pad]
+        own = own[at]
+        core, reach = cv2.erode(own, kernel) > 0, cv2.dilate(own, kernel) > 0
+        near = unsure[at] & reach
+        if not core.any():
+            core = likely[at][..., k] > 0.9 * likely[at][..., k].max()
+        inside = cut(picture[at], likely[at][..., k], core & ~near, ~reach)
+        inside = _with_core(inside, own > 0)
+        found[at][..., k] = np.where(inside, 0.5 + likely[at][..., k], 0.0)
+    return np.where(found.max(axis=2) > 0, found.argmax(axis=2), 0).astype(np.uint8)
+
+
+def _with_core(inside: np.ndarray, core: np.ndarray) -> np.ndarray:
+    """The parts of a mask that touch a core, with small holes filled."""
+    import cv2
+
+    count, part = cv2.connectedComponents(inside.astype(np.uint8), connectivity=8)
+    size = np.bincount(part.ravel(), minlength=count)
+    touched = np.bincount(part[core & inside], minlength=count)
+    keep = touched > 0.3 * size
+    keep[0] = False
+    result = keep[part]
+    count, hole, stats, _ = cv2.connectedComponentsWithStats((~result).astype(np.uint8), connectivity=4)
+    small = stats[:, cv2.CC_STAT_AREA] < max(PIXELS_MIN, 0.002 * result.sum())
+    small[0] = False
+    return result | small[hole]

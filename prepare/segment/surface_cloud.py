@@ -1,0 +1,212 @@
+"""The visible surfaces around marked objects as a cloud of points, and labels that spread over it from seeds.
+
+Labels spread as a random walker does (Grady 2006): easily over smooth surfaces of one colour, hardly across borders of
+colour, and least of all through concave creases, where a thing meets what it stands on (Stein et al. 2014).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import cg
+from scipy.spatial import cKDTree
+
+from core.camera import Camera
+from prepare.segment.view_depths import points_at
+
+POINTS = 60_000  # in the cloud
+SAMPLES_MAX = 1_500_000  # pixels of all views that it is made of
+JUMP = 1.06  # ratio of depths of neighbouring pixels at a silhouette, where a drawn depth is that of neither side
+NORMAL_NEIGHBOURS, NEIGHBOURS = 16, 10
+COLOR_STEP = 0.13  # of 0..1: a difference of colours that hinders
+COLOR_MOST = 3.5  # by which colours hinder, as an exponent: things have stripes
+OFF_PLANE = 3.0  # how much it hinders, as an exponent, that one point is of a plane behind and the other is not
+CONCAVE, CONVEX = 6.0, 1.0  # how much a crease of 90 degrees hinders, as an exponent
+COLOR_BINS, COLOR_BLUR, COLOR_FLOOR = 20, 1.0, 0.05  # of a channel; in bins; of the usual share of a colour
+COLOR_WEIGHT, COLOR_ROUNDS = 0.05, 2  # of a point's colour, over an unhindered way to a neighbour
+COLOR_SURE = 0.7  # probability from which a colour tells: that of wood on wood does not
+OTHER_SURE = 0.1  # probability of an object below which the colours of what is around it are learned
+NEARBY = 0.6  # sizes of an object, around it, whose colours are compared
+LEAK = 1e-6  # of a point's weights, to the background: decides where no seed is connected
+SOLVE_TOLERANCE = 1e-3
+PLANE_TRIES, PLANE_SHARE, PLANES_MAX = 300, 0.06, 4
+PLANE_STEPS = 1.0  # spacings of the cloud within which a point is on a plane
+
+
+@dataclass(frozen=True)
+class SurfaceCloud:
+    """Points (P, 3), their colours (P, 3) 0..1 and unit normals (P, 3) towards the cameras, and their spacing."""
+
+    points: np.ndarray
+    colors: np.ndarray
+    normals: np.ndarray
+    spacing: float
+    tree: cKDTree
+    graph: csr_matrix
+
+
+def silhouettes(depth: np.ndarray) -> np.ndarray:
+    """Mask (H, W) bool of pixels beside a jump of depth, or without one."""
+    import cv2
+
+    low = cv2.erode(depth, np.ones((3, 3), np.uint8))
+    return (low <= 0) | (cv2.dilate(depth, np.ones((3, 3), np.uint8)) > JUMP * low)
+
+
+def surface_cloud(
+    cameras: list[Camera],
+    depths: list[np.ndarray],
+    pictures: list[np.ndarray],
+    centre: np.ndarray,
+    radius: float,
+    wanted: int = POINTS,
+) -> SurfaceCloud | None:
+    """The cloud of about `wanted` points of what all views show within a ball; None if they show nothing there."""
+    stride = max(1, int(np.ceil(np.sqrt(sum(d.size for d in depths) / SAMPLES_MAX))))
+    points, colors, ways = [], [], []
+    for camera, depth, picture in zip(cameras, depths, pictures, strict=True):
+        good = ~silhouettes(depth)
+        y, x = np.nonzero(good[::stride, ::stride])
+        p = points_at(camera, depth, stride * x, stride * y)
+        near = np.linalg.norm(p - centre, axis=1) < radius
+        points.append(p[near])
+        colors.append(picture[stride * y[near], stride * x[near]] / 255.0)
+        ways.append(camera.position - p[near])
+    points, colors, ways = (np.concatenate(parts) for parts in (points, colors, ways))
+    if len(points) < NORMAL_NEIGHBOURS:
+        return None
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    spacing = radius / 60
+    wanted = min(wanted, len(points))
+    for _ in range(3):  # the number of cells on a surface falls with the square of their size
+        cells, index, count = np.unique(
+            np.floor((points - centre) / spacing).astype(np.int64), axis=0, return_inverse=True, return_counts=True
+        )
+        if 0.8 < len(cells) / wanted < 1.25:
+            break
+        spacing *= np.clip(np.sqrt(len(cells) / wanted), 0.25, 4.0)
+    mean = csr_matrix((1.0 / count[index.ravel()], (index.ravel(), np.arange(len(points)))), (len(cells), len(points)))
+    points, colors, ways = mean @ points, mean @ colors, mean @ ways
+    if len(points) < NORMAL_NEIGHBOURS:
+        return None
+    tree = cKDTree(points)
+    near = tree.query(points, k=NORMAL_NEIGHBOURS)[1]
+    offset = points[near] - points[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", offset, offset))[1][:, :, 0]
+    normals *= np.where((normals * ways).sum(1) < 0, -1.0, 1.0)[:, None]
+    graph = _graph(points, colors, normals, near[:, 1 : NEIGHBOURS + 1])
+    return SurfaceCloud(points, colors, normals, float(spacing), tree, graph)
+
+
+def spread(cloud: SurfaceCloud, seeds: np.ndarray, labels: int, behind: np.ndarray) -> np.ndarray:
+    """Probability (P, labels) of each label, 0 the background, from seeds (P,) int; -1: no seed.
+
+    behind  (P,) bool, points on planes of the background
+    """
+    side = diags(np.where(behind, 1.0, -1.0))
+    across = 0.5 * (cloud.graph - side @ cloud.graph @ side)  # the edges with one end on a plane
+    graph = (cloud.graph - (1.0 - np.exp(-OFF_PLANE)) * across).tocsr()
+    result = _walk(graph, seeds, labels, None)
+    for _ in range(COLOR_ROUNDS):
+        result = _walk(graph, seeds, labels, _color_evidence(cloud, result))
+    return _connected(graph, result, seeds)
+
+
+def _walk(graph: csr_matrix, seeds: np.ndarray, labels: int, evidence: np.ndarray | None) -> np.ndarray:
+    """Probabilities (P, labels) of where a random walker first meets a seed, or stops by `evidence` (P, labels)."""
+    free = seeds < 0
+    result = np.zeros((len(seeds), labels))
+    result[~free, seeds[~free]] = 1.0
+    if not free.any():
+        return result
+    w, degree = graph[free], np.asarray(graph.sum(axis=1)).ravel()[free] * (1.0 + LEAK) + 1e-12
+    extra = np.zeros((len(degree), labels)) if evidence is None else COLOR_WEIGHT * evidence[free]
+    degree = degree + extra.sum(axis=1)
+    inner = (diags(degree) - w[:, free]).tocsr()
+    scale, outer = diags(1.0 / degree), w[:, ~free]
+    for k in range(1, labels):
+        right = outer @ result[~free, k] + extra[:, k]
+        result[free, k] = cg(inner, right, rtol=SOLVE_TOLERANCE, maxiter=2000, M=scale)[0].clip(0, 1)
+    result[free, 0] = (1.0 - result[free, 1:].sum(axis=1)).clip(0, 1)
+    return result / result.sum(axis=1, keepdims=True).clip(1e-12)
+
+
+def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
+    """Evidence (P, labels) for each object, near it: of colours that it has and its surroundings have not."""
+    evidence, label = np.zeros_like(likely), likely.argmax(axis=1)
+    index = np.ravel_multi_index((cloud.colors * (COLOR_BINS - 1e-6)).astype(int).T, (COLOR_BINS,) * 3)
+    for k in range(1, likely.shape[1]):
+        own = label == k
+        if not own.any():
+            continue
+        reach = NEARBY * np.linalg.norm(np.ptp(cloud.points[own], axis=0))
+        near = np.isfinite(cKDTree(cloud.points[own]).query(cloud.points, distance_upper_bound=reach)[0])
+        share = []
+        for part in (near & (likely[:, k] < OTHER_SURE), own):
+            counts = np.bincount(index[part], minlength=COLOR_BINS**3).reshape((COLOR_BINS,) * 3).astype(float)
+            share.append(gaussian_filter(counts, COLOR_BLUR).ravel()[index] / max(part.sum(), 1))
+        floor = COLOR_FLOOR * np.median(share[1][own])
+        thing = (share[1] + floor) / (share[0] + share[1] + 2 * floor)
+        evidence[:, k] = ((thing - COLOR_SURE) / (1 - COLOR_SURE)).clip(0, 1) * near
+    return evidence
+
+
+def _connected(graph: csr_matrix, likely: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Probabilities without the parts of objects that no seed of theirs is in."""
+    label, result = likely.argmax(axis=1), likely.copy()
+    for k in range(1, likely.shape[1]):
+        own = np.flatnonzero(label == k)
+        if len(own):
+            _, part = connected_components(graph[own][:, own], directed=False)
+            lost = own[~np.isin(part, part[seeds[own] == k])]
+            result[lost, 0] += result[lost, k]
+            result[lost, k] = 0.0
+    return result
+
+
+def planes_behind(cloud: SurfaceCloud, marked: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Mask (P,) of points on large planes (floor, table, wall) that all marked points (M, 3) lie in front of."""
+    found, left = np.zeros(len(cloud.points), bool), np.arange(len(cloud.points))
+    step = PLANE_STEPS * cloud.spacing
+    for _ in range(PLANES_MAX):
+        if len(left) < PLANE_SHARE * len(cloud.points):
+            break
+        tries = rng.choice(left, min(PLANE_TRIES, len(left)), replace=False)
+        sample = rng.choice(left, min(4000, len(left)), replace=False)
+        best, most = None, 0.0
+        for t in tries:
+            n = cloud.normals[t]
+            if ((marked - cloud.points[t]) @ n).min() < step:
+                continue
+            near = np.abs((cloud.points[sample] - cloud.points[t]) @ n) < step
+            share = (near & (cloud.normals[sample] @ n > 0.9)).mean()
+            if share > most:
+                best, most = t, share
+        if best is None:
+            break
+        n = cloud.normals[best]
+        on = (np.abs((cloud.points[left] - cloud.points[best]) @ n) < step) & (cloud.normals[left] @ n > 0.8)
+        if on.sum() < PLANE_SHARE * len(cloud.points):
+            break
+        usual = np.median(cloud.colors[left[on]], axis=0)  # what lies flat on it has other colours
+        alike = np.linalg.norm(cloud.colors[left[on]] - usual, axis=1) < 1.5 * COLOR_STEP
+        found[left[on][alike]] = True
+        left = left[~on]
+    return found
+
+
+def _graph(points: np.ndarray, colors: np.ndarray, normals: np.ndarray, near: np.ndarray) -> csr_matrix:
+    """Symmetric weights of neighbouring points."""
+    one = np.repeat(np.arange(len(points)), near.shape[1])
+    two = near.ravel()
+    color = ((colors[one] - colors[two]) ** 2).sum(1) / COLOR_STEP**2
+    bend = 1.0 - (normals[one] * normals[two]).sum(1)
+    way = points[one] - points[two]
+    concave = ((normals[one] - normals[two]) * way).sum(1) < 0
+    weight = np.exp(-color.clip(None, COLOR_MOST) - np.where(concave, CONCAVE, CONVEX) * bend) + 1e-7
+    graph = coo_matrix((weight, (one, two)), (len(points),) * 2).tocsr()
+    return graph.maximum(graph.T)

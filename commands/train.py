@@ -25,8 +25,13 @@ EXAMPLES = (
     "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
     "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
     "train walk.mp4 --out garden.ply                           needs pycolmap",
+    "train room/ --out room.ply --masks room/masks --split     one splat an object, too",
 )
-CONDITIONS = (Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),)
+CONDITIONS = (
+    Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),
+    Condition(("--split",), lambda args: args.masks != NO_MASKS, "belongs to --masks FOLDER"),
+)
+NO_MASKS = Path("none")
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
 PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
 TEST_PICTURES = 4  # of the report
@@ -55,6 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reduce", type=positive(int), default=1, metavar="N", help="divide the photographs' sides by N"
     )
+    text = "masks of objects, one colour each, from which each Gaussian learns its own; none: without"
+    parser.add_argument("--masks", type=Path, metavar="FOLDER", help=f"{text} (default masks/ in CAPTURE)")
+    text = "write the splat of each object and of the background beside OUT, too"
+    parser.add_argument("--split", action="store_true", help=text)
     text = "keep every Nth photograph for the test; 0: none (default 8)"
     parser.add_argument("--test-every", type=int, default=8, metavar="N", help=text)
     text = "numbers as JSON, and beside it a page with pictures"
@@ -70,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Train, test, and write the Gaussians. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
+    from prepare.segment.object_ids import identified
     from prepare.train.photographs import kept_for_test, load_photographs
 
     kind_to_write(args.out)
@@ -82,16 +92,16 @@ def run(args: argparse.Namespace) -> None:
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
-    capture = posed_capture(args).upright()
+    capture, masks = _with_masks(args, posed_capture(args).upright())
     kept_for_test(capture.views, args.test_every)  # refused before all photographs are loaded
 
     def tell(count: int) -> None:
         _tell(f"photographs {count}/{len(capture.views)}", end=count == len(capture.views))
 
-    photographs = load_photographs(capture.views, args.reduce, progress=tell)
+    photographs = load_photographs(capture.views, args.reduce, masks.ids if masks else None, progress=tell)
     train, test = kept_for_test(photographs, args.test_every)
     start_taichi(args.arch)
-    trainer, about = _trainer(args, capture, train)
+    trainer, about = _trainer(args, capture, train, masks.names if masks else [])
     kept = args.out.with_name(f"{args.out.name}.checkpoint.h5")
     if args.checkpoint_every and kept.is_file() and not args.fresh:
         from prepare.train.checkpoint import read_checkpoint
@@ -105,8 +115,8 @@ def run(args: argparse.Namespace) -> None:
         progress.step()
     seconds = progress.seconds
     qualities = [trainer.quality(p) for p in test]
-    gaussians = trainer.gaussians()
-    write_gaussians(args.out, gaussians)
+    gaussians = identified(trainer) if masks else trainer.gaussians()
+    write_gaussians(args.out, gaussians, _say)
     kept.unlink(missing_ok=True)
     numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
     numbers |= {"test_views": len(test), "options": about, "curve": progress.curve}
@@ -116,8 +126,51 @@ def run(args: argparse.Namespace) -> None:
         numbers["test"] = mean
         line += f"; {len(test)} unseen photographs: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.3f}"
     print(line)
+    if masks:
+        numbers["objects"] = _objects(args, trainer, test, gaussians)
     if args.report:
-        _report(args.report, numbers, trainer, test, qualities)
+        _report(args.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
+
+
+def _with_masks(args: argparse.Namespace, capture):
+    """The capture and the masks of its objects, or None; files that --split will write are checked."""
+    from prepare.segment.object_ids import BACKGROUND, masks_of, part_file
+
+    if args.masks == NO_MASKS:
+        return capture, None
+    capture, masks = masks_of(capture, args.masks, _say)
+    if masks is None and args.split:
+        raise BadInput(f"--split: there are no masks of objects in {capture.folder / 'masks'}; give them with --masks")
+    if masks is not None and args.split:
+        if BACKGROUND in masks.names:
+            raise BadInput(f"--split: an object may not be called {BACKGROUND!r}")
+        for name in (*masks.names, BACKGROUND):
+            check_writable(part_file(args.out, name))
+    return capture, masks
+
+
+def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
+    """Numbers of each object, printed; with --split their splats are written."""
+    from assets.splat_files import write_gaussians
+    from prepare.segment.object_ids import BACKGROUND, object_ious, part_file, split
+
+    ious = object_ious(trainer, test, gaussians.object_id)
+    counts = np.bincount(gaussians.object_id, minlength=len(trainer.objects) + 1)
+    numbers = {name: {"gaussians": int(counts[k])} for k, name in enumerate(trainer.objects, 1)}
+    for name, number in numbers.items():
+        line = f"{name}: {number['gaussians']} Gaussians"
+        if name in ious:
+            number["iou"] = ious[name]
+            line += f", IoU {ious[name]:.3f} with the masks of unseen photographs"
+        print(line)
+    if args.split:
+        parts = split(gaussians)
+        for name, part in parts.items():
+            write_gaussians(part_file(args.out, name), part, lambda line: None)  # said of the whole
+            print(f"{part_file(args.out, name)}: {len(part)} Gaussians")
+        for name in {*numbers, BACKGROUND} - set(parts):
+            print(f"{name}: no Gaussians, no file")
+    return numbers
 
 
 def is_posed(path: Path) -> bool:
@@ -148,18 +201,15 @@ def posed_capture(args: argparse.Namespace):
     if model.is_dir():
         print(f"poses of an earlier run ({beside})", file=sys.stderr)
     else:
-
-        def tell(text: str) -> None:
-            print(text, file=sys.stderr, flush=True)
-
-        find_poses(images, model, names=photographs_in(images), in_order=video, progress=tell)
+        find_poses(images, model, names=photographs_in(images), in_order=video, progress=_say)
     return checked(read_colmap(model, images))
 
 
-def _trainer(args: argparse.Namespace, capture, train: list):
+def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str]):
     """The trainer at its start, and all options that its steps depend on."""
     import taichi as ti
 
+    from prepare.segment.object_ids import check_learned
     from prepare.train.seeds import seeds
     from prepare.train.trainer import Trainer, TrainOptions
 
@@ -167,8 +217,11 @@ def _trainer(args: argparse.Namespace, capture, train: list):
     steps, cap = args.steps or STEPS[arch], args.cap or CAPS[arch]
     options = TrainOptions(steps, args.strategy, cap, args.degree, args.antialias, args.sort, args.seed)
     about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": args.test_every}
+    if objects:
+        check_learned(objects, train)
+        about |= {"masks": str(args.masks), "objects": objects}
     start = seeds(capture, degree=args.degree, count=cap, rng=np.random.default_rng(args.seed))
-    return Trainer(train, start, capture.extent, options), about
+    return Trainer(train, start, capture.extent, options, objects), about
 
 
 class _Progress:
@@ -242,8 +295,16 @@ def _tell(text: str, *, end: bool) -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-def _report(path: Path, numbers: dict, trainer, test: list, qualities: list) -> None:
-    """Write the numbers, and a page with test photographs beside what is drawn."""
+def _say(text: str) -> None:
+    """Show a line of its own."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def _report(path: Path, numbers: dict, trainer, test: list, qualities: list, objects=None) -> None:
+    """Write the numbers, and a page with test photographs beside what is drawn.
+
+    objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): masks stand beside what Gaussians show
+    """
     from bench.html_page import Section, Table, html_page
 
     with atomic_write(path) as beside:
@@ -252,11 +313,23 @@ def _report(path: Path, numbers: dict, trainer, test: list, qualities: list) -> 
     for k in np.linspace(0, len(test) - 1, min(TEST_PICTURES, len(test))).round().astype(int):
         q, drawn = qualities[k], trainer.picture(test[k].camera)
         pictures = {"photograph": test[k].pixels, "drawn": drawn}
+        if objects is not None and test[k].objects is not None:
+            colors = np.concatenate([np.zeros((1, 3), np.uint8), objects[0]])
+            pictures["mask"] = np.where(test[k].mask[..., None], colors[test[k].objects], 0).astype(np.uint8)
+            pictures["objects of the Gaussians"] = colors[trainer.seen_objects(test[k].camera, objects[1])]
         sections.append(Section(f"Unseen view {k + 1}", f"PSNR {q.psnr:.2f} dB, SSIM {q.ssim:.3f}", pictures))
     rows = [(str(c["step"]), f"{c['loss']:.4f}", f"{c['psnr']:.2f}", str(c["gaussians"])) for c in numbers["curve"]]
     rows = rows[:: max(1, len(rows) // 40)]
     table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows)
     sections.append(Section("Training", "Means over the photographs since the row before.", table=table))
+    if "objects" in numbers:
+        rows = [
+            (name, str(n["gaussians"]), f"{n['iou']:.3f}" if "iou" in n else "-")
+            for name, n in numbers["objects"].items()
+        ]
+        table = Table(("object", "Gaussians", "IoU"), rows)
+        text = "Intersection over union of masks and what the Gaussians show, over all unseen photographs."
+        sections.append(Section("Objects", text, table=table))
     page = html_page("Training", f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs.", sections)
     with atomic_write(path.with_suffix(".html")) as beside:
         beside.write_text(page, encoding="utf-8")

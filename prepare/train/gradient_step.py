@@ -115,6 +115,12 @@ class GradientStep:
         self.draw(camera).labels.draw()
         return self._labelled.rgb.to_numpy()[0, : camera.height, : camera.width]
 
+    def weights(self, camera: Camera, mask: ti.Ndarray) -> np.ndarray:
+        """Weights of the Gaussians in a picture, summed over the pixels whose object is known, (N,) float64."""
+        labels = self.draw(camera).labels
+        labels.backward(mask, self.population.count, camera.height, camera.width, 0.0)
+        return labels.gradients.sums.to_numpy()[: self.population.count, -1].astype(np.float64)
+
     def picture(self, camera: Camera) -> np.ndarray:
         """Picture for a camera, (H, W, 3) uint8."""
         self.draw(camera)

@@ -120,6 +120,8 @@ class LabelPass:
     def backward(self, mask: ti.types.ndarray(ti.u32, 2), count: ti.i32, height: ti.i32, width: ti.i32, scale: ti.f32):
         """Gradients of `scale` times the sum of |M - I_seg|, after `blend.clear`.
 
+        With a scale of 0 those of the sum of I_seg over the pixels that count: by a label that is the sum of weights w.
+
         mask: `packed_labels` of the picture that was drawn; count: Gaussians whose gradients are set. It stands in no
         kernel with another backward pass: on CUDA both share arrays between threads.
         """
@@ -131,7 +133,9 @@ class LabelPass:
             )
             d = vec3(0.0)
             if (packed >> ti.u32(24)) != ti.u32(0):
-                d = scale * ti.math.sign(self.images.rgb[0, y, x] - truth)
+                d = vec3(1.0)  # without a scale
+                if scale > 0.0:
+                    d = scale * ti.math.sign(self.images.rgb[0, y, x] - truth)
             self.gradients.d_rgb[y, x] = d
         self.gradients.clear(0, count)
         self.gradients.backward()

@@ -67,12 +67,15 @@ def reduced(photograph: Photograph, divisor: int) -> Photograph:
 
 
 def load_photographs(
-    views: list[View], reduce: int = 1, *, progress: Callable[[int], None] | None = None
+    views: list[View], reduce: int = 1, objects=None, *, progress: Callable[[int], None] | None = None
 ) -> list[Photograph]:
-    """The photographs of all views, see `load_photograph`; `progress` is told how many are loaded. Raises BadInput."""
+    """The photographs of all views, see `load_photograph`; `progress` is told how many are loaded. Raises BadInput.
+
+    objects: ids of each view's pixels, or None, for each view.
+    """
     photographs = []
-    for view in views:
-        photographs.append(load_photograph(view, reduce))
+    for view, ids in zip(views, objects or [None] * len(views), strict=True):
+        photographs.append(load_photograph(view, reduce, ids))
         if progress is not None:
             progress(len(photographs))
     return photographs

@@ -125,6 +125,11 @@ class Trainer:
         """Labels of the Gaussians, (N, 3)."""
         return self.population.labels.value.to_numpy()[: self.population.count]
 
+    def evidence(self) -> np.ndarray:
+        """Pixels of masks that each Gaussian was seen in, by their weights in the pictures, (N,) float64."""
+        views = [(camera, mask) for camera, (mask, _) in zip(self.cameras, self.masks, strict=True) if mask is not None]
+        return sum(self.gradients.weights(camera, mask) for camera, mask in views)
+
     def seen_objects(self, camera, ids: np.ndarray | None = None) -> np.ndarray:
         """Id of the object that each pixel of a picture shows, (H, W) uint8; `ids`: those of the Gaussians, (N,).
 

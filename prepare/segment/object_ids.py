@@ -1,0 +1,107 @@
+"""Object ids of trained Gaussians: from their labels and their neighbours, checked against masks, and cut apart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from assets.gaussians import Gaussians, Report
+from core.errors import BadInput
+from prepare.segment.mask_files import VIEWS_MIN, Masks, mask_file, read_masks
+from prepare.train.capture import Capture
+from prepare.train.object_labels import nearest_label
+from prepare.train.photographs import Photograph
+
+BACKGROUND = "background"  # of the files that a splat is split to
+NEIGHBOURS = 16  # that vote
+
+
+def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Capture, Masks | None]:
+    """The capture, and the masks of its objects: those in `folder`, or in masks/ of the capture if they are such.
+
+    A mask that transforms.json names tells which pixels count, and is no mask of objects unless its folder is given:
+    then all pixels count. `report` takes a line if masks/ is not used. Raises BadInput, for a given folder only.
+    """
+    beside = capture.folder / "masks"
+    if folder is None:
+        if not beside.is_dir() or not any(mask_file(beside, v).is_file() for v in capture.views):
+            return capture, None
+        if any(v.mask is not None and v.mask.parent == beside for v in capture.views):
+            report(f"{beside}: taken for pixels that count, as transforms.json says; --masks FOLDER learns objects")
+            return capture, None
+    try:
+        masks = read_masks(folder or beside, capture.views)
+    except BadInput as e:
+        if folder is not None:
+            raise
+        report(f"masks/ is not used: {e}")
+        return capture, None
+    where = (folder or beside).resolve()
+    views = [replace(v, mask=None) if v.mask and v.mask.resolve().parent == where else v for v in capture.views]
+    return replace(capture, views=views), masks
+
+
+def check_learned(names: list[str], photographs: list[Photograph]) -> None:
+    """Raise BadInput for an object that fewer than VIEWS_MIN of the photographs that are learned from show."""
+    there = [np.unique(p.objects[p.mask]) for p in photographs if p.objects is not None]
+    for k, name in enumerate(names, 1):
+        count = sum(k in ids for ids in there)
+        if count < VIEWS_MIN:
+            raise BadInput(
+                f"{name!r} is seen in {count} of the photographs that are learned from, {VIEWS_MIN} are needed; "
+                "--test-every 0 learns from all"
+            )
+
+
+def identified(trainer) -> Gaussians:
+    """The Gaussians of a trainer that learned labels, with ids and names of their objects, after a vote."""
+    g, count = trainer.gaussians(), len(trainer.objects)
+    ids = voted(g, nearest_label(trainer.labels(), count), trainer.evidence(), count)
+    return replace(g, object_id=ids.astype(np.uint16), objects=trainer.objects)
+
+
+def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:
+    """Ids (N,) after a vote of each Gaussian's nearest neighbours, by their opacities: small islands drown.
+
+    evidence  pixels of the masks that saw each, (N,). Seen as well as its neighbours on average, a Gaussian has as many
+              votes of its own as there are neighbours: what no mask has seen, inside of an object or faint, follows
+              them, and a large one of a wall is not outvoted by many small ones before it.
+    """
+    near = cKDTree(g.means).query(g.means, k=min(NEIGHBOURS + 1, len(g)), workers=-1)[1].reshape(len(g), -1)
+    weights, rows = g.opacities[near], np.arange(len(g))
+    votes = np.stack([(weights * (ids[near] == k)).sum(axis=1) for k in range(count + 1)], axis=1)
+    votes[rows, ids] += NEIGHBOURS * evidence / np.maximum(evidence[near].mean(axis=1), 1e-12)
+    return votes.argmax(axis=1).astype(ids.dtype)
+
+
+def object_ious(trainer, photographs: list[Photograph], ids: np.ndarray) -> dict[str, float]:
+    """Intersection over union of what Gaussians with these ids show and of the masks, over all photographs, by name.
+
+    Objects that no mask of theirs shows are left out.
+    """
+    count = len(trainer.objects)
+    both, either, true = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)
+    for p in photographs:
+        if p.objects is None:
+            continue
+        seen, truth = trainer.seen_objects(p.camera, ids)[p.mask], p.objects[p.mask]
+        same = np.bincount(truth[seen == truth], minlength=count + 1)
+        of_seen, of_truth = np.bincount(seen, minlength=count + 1), np.bincount(truth, minlength=count + 1)
+        both, either, true = both + same, either + of_seen + of_truth - same, true + of_truth
+    return {name: float(both[k] / either[k]) for k, name in enumerate(trainer.objects, 1) if true[k]}
+
+
+def split(g: Gaussians) -> dict[str, Gaussians]:
+    """The Gaussians of each named object that has any, then those of the background; ids stay."""
+    parts = {name: g.select(g.object_id == k) for k, name in enumerate(g.objects, 1)}
+    parts[BACKGROUND] = g.select((g.object_id == 0) | (g.object_id > len(g.objects)))
+    return {name: part for name, part in parts.items() if len(part)}
+
+
+def part_file(out: Path, name: str) -> Path:
+    """File of a part beside that of the whole: room.ply has room_bear.ply."""
+    stem = out.name.split(".", 1)[0] if out.name.lower().endswith(".compressed.ply") else out.stem
+    return out.with_name(f"{stem}_{name}{out.name[len(stem) :]}")

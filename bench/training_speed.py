@@ -125,6 +125,8 @@ def measure(name: str, variant: str, read: tuple, options: TrainOptions, test_at
         row |= {"device_mb": device_memory(), "process_mb": peak_memory_mb(), "views": len(learned)}
         row |= {"test_views": len(kept), "sort": options.sort, "arch": str(ti.cfg.arch).removeprefix("Arch.")}
         rows.append(row)
+        text = f"{name}, {variant}, {trainer.done} steps: {row['psnr']:.2f} dB, SSIM {row['ssim']:.3f}"
+        print(f"{text}, {row['gaussians']} Gaussians, {seconds:.1f} s", file=sys.stderr, flush=True)
     rows[-1]["stages_ms"] = stages(trainer, min(STAGE_STEPS, options.steps))
     trainer.destroy()
     return rows

@@ -127,8 +127,8 @@ class Trainer:
 
     def evidence(self) -> np.ndarray:
         """Pixels of masks that each Gaussian was seen in, by their weights in the pictures, (N,) float64."""
-        views = [(camera, mask) for camera, (mask, _) in zip(self.cameras, self.masks, strict=True) if mask is not None]
-        return sum(self.gradients.weights(camera, mask) for camera, mask in views)
+        views = [self.views.at(view, 1.0) for view in range(len(self.views))]
+        return sum(self.gradients.weights(v.camera, v.mask) for v in views if v.mask is not None)
 
     def seen_objects(self, camera, ids: np.ndarray | None = None) -> np.ndarray:
         """Id of the object that each pixel of a picture shows, (H, W) uint8; `ids`: those of the Gaussians, (N,).

@@ -19,6 +19,7 @@ from core.errors import BadInput
 from prepare import own_weight
 from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
+from prepare.environment.clear_view import CLEAR
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.progress import Progress, progress_on
@@ -220,6 +221,9 @@ def environment_summary(asset: Asset) -> list[str]:
     lines.append(
         f"bodies drop on the {p['drop_on']}, where a disc of {found.clear_radius:.2f} m is free; grids: {grids}"
     )
+    lines.append(f"view: {p['clear_view']:.0%} of the picture at the start is clear")
+    if p["clear_view"] < CLEAR:
+        lines[-1] += "; poor: a capture with its photographs knows better where to stand (vrgs.py capture)"
     return [*lines, f"{p['seconds']:.1f} s"]
 
 

@@ -19,7 +19,8 @@ from assets.up_axis import robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
-from prepare.environment.spawn_points import drop_point, standing_eye
+from prepare.environment.clear_view import clearest
+from prepare.environment.spawn_points import drop_point, standing_eyes
 from prepare.environment.support_planes import (
     LEVEL_COS,
     SupportPlane,
@@ -33,7 +34,7 @@ from prepare.environment.visibility import VoxelGrid, open_space, oriented, view
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
-ENVIRONMENT_VERSION = 2
+ENVIRONMENT_VERSION = 3
 ENVIRONMENT_STEPS = ("clean", "upright", "surface", "planes", "distance")
 MAX_COARSE_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise
@@ -142,7 +143,8 @@ def prepare_environment(
     on, drop, clear = drop_point(planes, points)
     if on.kind == "table":
         planes = relative_to_floor(planes, floor_under(planes, on))
-    eye = standing_eye(planes[0], drop, on, points, surface.voxels)
+    eyes = standing_eyes(planes[0], drop, on, points, surface.voxels)
+    eye, clear_share = clearest(scene.gaussians, eyes, drop)
     progress("distance", 0.0)
     coarse, fine = distance_grids(surface, planes, on, drop, progress)
 
@@ -166,6 +168,7 @@ def prepare_environment(
         "size": scene.size,
         "metres_per_unit": scene.factor,
         "drop_on": on.kind,
+        "clear_view": round(clear_share, 2),
         "cells": [int(coarse.values.size), *(int(f.values.size) for f in fine)],
         "spacings": [coarse.spacing, *(f.spacing for f in fine)],
         "surfels": len(points),

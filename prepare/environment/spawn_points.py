@@ -15,6 +15,7 @@ MIN_CLEARANCE = 0.10  # [m] radius of a free disc on a table for that table to b
 AMPLE_CLEARANCE = 0.25  # [m]; of tables with as much, the largest is taken
 AMPLE_FLOOR = 0.5  # [m] of free floor; more is no better
 EYE_HEIGHT = 1.5  # [m] above the floor, slightly bent over
+EYES, EYES_APART = 8, 0.3  # places that are compared, and [m] between them
 ARM_LENGTH = 0.75  # [m] from the user to the drop
 
 
@@ -63,12 +64,13 @@ def drop_point(planes: list[SupportPlane], points: np.ndarray) -> tuple[SupportP
     return floor, np.array([x, floor.height, z]), max(float(radius[best]), CELL)
 
 
-def standing_eye(
+def standing_eyes(
     floor: SupportPlane, drop: np.ndarray, on: SupportPlane, points: np.ndarray, voxels: VoxelGrid
-) -> np.ndarray:
-    """The user's eye (3,) [m]: over free floor, near the drop, with nothing in between.
+) -> list[np.ndarray]:
+    """Places of the user's eye (3,) [m], the best first and well apart: over free floor, near the drop, with nothing in
+    between.
 
-    Where there is no such place, at arm's length from the drop in any case.
+    Where there is no such place, at arm's length from the drop, all around it.
     """
     radius = clearance(floor, points, USER_SPACE)
     at = cell_centres(floor)
@@ -77,14 +79,18 @@ def standing_eye(
     score = -np.abs(away - wanted) + 0.5 * np.minimum(radius, 0.4) - 10 * (away < 0.8 * wanted)
     score = np.where(floor.mask & (radius >= USER_RADIUS), score, -np.inf)
     height = max(EYE_HEIGHT + floor.height, drop[1] + 0.5)
+    found: list[np.ndarray] = []
     for flat in np.argsort(-score, axis=None)[:400:4]:
-        if not np.isfinite(score.flat[flat]):
+        if not np.isfinite(score.flat[flat]) or len(found) == EYES:
             break
         x, z = at.reshape(-1, 2)[flat]
         eye = np.array([x, height, z])
-        if unobstructed(voxels, eye, drop + [0, 0.12, 0]):
-            return eye
-    return np.array([drop[0], height, drop[2] + wanted])
+        apart = all(np.linalg.norm(eye - other) > EYES_APART for other in found)
+        if apart and unobstructed(voxels, eye, drop + [0, 0.12, 0]):
+            found.append(eye)
+    turns = np.arange(EYES) * 2 * np.pi / EYES
+    around = [np.array([drop[0] + wanted * np.sin(t), height, drop[2] + wanted * np.cos(t)]) for t in turns]
+    return found or around
 
 
 def unobstructed(voxels: VoxelGrid, a: np.ndarray, b: np.ndarray) -> bool:

@@ -144,6 +144,27 @@ def test_distance_and_normal_in_a_deformed_host(cubes):
     assert_allclose(normal[above], np.tile(g / np.linalg.norm(g), (above.sum(), 1)), atol=2e-3)
 
 
+@pytest.mark.parametrize("cosine", [0.2, 0.4])
+def test_a_face_is_held_by_what_it_faces_and_returns_through_the_rest(cubes, cosine):
+    """The middle of a face, a millimetre inside of another; the normals' cosine says if it came in or went through."""
+    n = cubes.vertex_offset[1]
+    rest = cubes.state.rest.to_numpy()[: cubes.state.sizes.vertices].astype(np.float64)
+    sine = np.sqrt(1 - cosine**2)
+    turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    x = rest + (0, 1, 0)
+    x[n:] = (rest[n:] - (0, SIDE / 2, 0)) @ turn.T + (0, 1 + SIDE / 2 - 1e-3, 0)
+    cubes.gravity = (0.0, 0.0, 0.0)
+    cubes.restore({"x": x, "v": np.zeros_like(x)})
+    cubes.step(1e-4, [])
+    p, *_, impulse = rows(cubes)
+    samples = cubes.contacts.samples
+    at = (x[samples.host_ids[p]] * samples.host_weights[p][..., None]).sum(1)
+    off = np.linalg.norm(at - (0, 1 + SIDE / 2 - 1e-3, 0), axis=1) + (samples.body.to_numpy()[p] != 1)
+    middle = off.argmin()
+    assert off[middle] < 1e-6
+    assert (np.linalg.norm(impulse[middle]) > 0) == (cosine < 0.3)
+
+
 def test_what_passes_over_a_body_meets_the_tets_that_it_comes_to(cubes):
     """4 cm in a frame, a millimetre above: the tets at its end hold the points, and not those at its beginning."""
     n = cubes.vertex_offset[1]

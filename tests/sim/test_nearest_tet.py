@@ -93,6 +93,25 @@ def test_what_is_slow_lists_nothing(rings):
     assert (found(rings, 0.3)[2] < 0).all()
 
 
+def test_a_point_goes_on_to_the_tet_that_it_is_in_but_not_to_and_fro_on_a_face(rings):
+    hosts = rings.contacts.deformable.hosts
+    neighbor = hosts.neighbor.to_numpy()[: rings.state.sizes.tets]
+    t = int(np.flatnonzero((neighbor >= 0).sum(1) >= 2)[0])
+    j, k = np.flatnonzero(neighbor[t] >= 0)[:2]
+    weights, expected = np.full((4, 4), 0.25), [t, neighbor[t, j], neighbor[t, k], t]
+    weights[0, j], weights[1, j], weights[2, [j, k]] = -0.006, -0.015, (-0.03, -0.2)
+    b, after = ti.Vector.field(4, ti.f32, 4), ti.field(ti.i32, 4)
+    b.from_numpy(weights.astype(np.float32))
+
+    @ti.kernel
+    def run():
+        for i in range(4):
+            after[i] = hosts.next_host(t, b[i])
+
+    run()
+    assert after.to_numpy().tolist() == expected
+
+
 def test_a_box_that_has_exploded_is_searched_in_bounded_time(ti_cpu):
     """A tet stretched to ten kilometres would visit 1e18 cells."""
     points = PointHash(10)
@@ -140,7 +159,7 @@ def test_rest_coordinates_are_those_of_the_twin_and_crushed_tets_have_none(ti_cp
 
     run()
     usable = thick.to_numpy() != 0
-    assert usable[:5].all() and not usable[heights < 1e-6].any()
+    assert usable[heights > 3e-5].all() and not usable[heights < 5e-6].any()  # of 1e-2
     assert_allclose(b.to_numpy()[usable], weights[usable], atol=1e-3)
     assert_allclose(place.to_numpy()[usable], (weights @ X)[usable], atol=1e-5)
     expected = np.stack([np.full(N, 0.6), np.zeros(N), 0.8 * 0.01 / np.where(usable, heights, 1.0)], axis=1)

@@ -1,4 +1,4 @@
-"""`vrgs.py segment`: marks of objects in some photographs become masks of all of them."""
+"""`vrgs.py segment`: marks of objects in some photographs become masks of all, or take them out of a splat."""
 
 from __future__ import annotations
 
@@ -15,25 +15,36 @@ from commands.options import add_arch, positive
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "find marked objects in all photographs of a capture"
+HELP = "find marked objects in all photographs of a capture, or take them out of a splat"
 EXAMPLES = (
     "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
     "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
     "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
+    "segment room.ply --marks marks.json --out parts/    a splat an object, and the rest",
 )
-CONDITIONS = (Condition(("--arch",), lambda args: args.splats, "belongs to --splats; nothing else needs a device"),)
+CONDITIONS = (
+    Condition(
+        ("--arch",),
+        lambda args: args.splats or is_splats(args.capture),
+        "belongs to --splats; nothing else needs a device",
+    ),
+    Condition(
+        ("--splats", "--model", "--reduce", "--overlay"),
+        lambda args: not is_splats(args.capture),
+        "belongs to a capture: a splat is cut by itself",
+    ),
+)
 LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "folder with transforms.json or a COLMAP model, or a transforms.json"
-    parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
+    text = "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file of any kind"
+    parser.add_argument("capture", type=Path, metavar="CAPTURE|SPLATS", help=text)
     text = "strokes and boxes in one or more photographs (docs/your_own.md); two strokes an object are enough"
     parser.add_argument("--marks", type=Path, required=True, metavar="MARKS.json", help=text)
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="MASKS", help="folder of masks, one PNG a photograph"
-    )
+    text = "folder of masks, one PNG a photograph; of a splat: a splat an object, background.ply, scene.ply with ids"
+    parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help=text)
     text = "splat trained on the capture (vrgs.py train), whose depths carry the marks (default: the sparse points)"
     parser.add_argument("--splats", type=Path, metavar="SPLATS", help=text)
     text = "network of yours that draws the borders instead of GrabCut (docs/your_own.md)"
@@ -45,7 +56,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_arch(parser)
 
 
+def is_splats(path: Path) -> bool:
+    """True for the name of a splat file or mesh, which holds no photographs."""
+    from assets.file_kind import MESHES
+    from assets.splat_files import READERS
+
+    suffix = path.suffix.lower()
+    return suffix in (*READERS, *MESHES) and (suffix != ".json" or path.name.lower() == "meta.json")
+
+
 def run(args: argparse.Namespace) -> None:
+    """Segment what `args.capture` names. Raises BadInput."""
+    if is_splats(args.capture):
+        from commands.splat_objects import take_objects
+
+        take_objects(args)
+    else:
+        segment_capture(args)
+
+
+def segment_capture(args: argparse.Namespace) -> None:
     """Carry the marks to all views and write the masks. Raises BadInput."""
     from assets.splat_files import read_gaussians
     from prepare.segment.marks import read_marks

@@ -1,0 +1,64 @@
+"""Gaussians of a splat that are surely inside or outside of an object, by a user's marks on its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from core.camera import Camera
+from prepare.segment.marks import ViewMarks, drawn_boxes, drawn_strokes
+
+STROKE_WIDTH = 0.008  # of a picture's height: a thin felt pen
+SEED_SHARE = 0.8  # of a stroke's weight that its seeds bear; the rest shines through or reaches in from the side
+BOX_MIDDLE = 1 / 3  # of a box's sides, that shows the object where no stroke says more
+CLEARLY = 2.0  # times the weight of the other side, for a Gaussian under strokes of both
+
+
+class Seeds:
+    """Seeds (N,) bool of an object: `inside`, `outside`, and `barred`, which no box around it holds."""
+
+    def __init__(self, gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]):
+        """`weights` is a PixelWeights of the Gaussians."""
+        n = len(gaussians)
+        self.inside, self.outside, self.barred = (np.zeros(n, bool) for _ in range(3))
+        for name, mark in marks.items():
+            camera = cameras[name]
+            under = stroke_weights(weights, camera, mark)
+            inside, outside = (strongest(w) for w in under)
+            self.inside |= inside & (under[0] > CLEARLY * under[1])
+            self.outside |= outside & (under[1] > CLEARLY * under[0])
+            if mark.boxes:
+                self.barred |= ~in_boxes(gaussians, camera, mark.boxes)
+        self.inside &= ~self.outside
+
+
+def stroke_weights(weights, camera: Camera, marks: ViewMarks) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (N,) [px] of each Gaussian under what is inside and outside; a box without strokes counts as one."""
+    shape = (camera.height, camera.width)
+    width = max(3, round(STROKE_WIDTH * camera.height))
+    inside, outside = (drawn_strokes(strokes, shape, width) for strokes in (marks.inside, marks.outside))
+    if marks.boxes and not marks.inside:
+        middles = [np.tile(0.5 * (b[:2] + b[2:]), 2) for b in marks.boxes]
+        half = [0.5 * BOX_MIDDLE * (b[2:] - b[:2]) for b in marks.boxes]
+        inside |= drawn_boxes([m + np.concatenate([-h, h]) for m, h in zip(middles, half, strict=True)], shape)
+    return tuple(weights.sums(camera, [inside, outside]).T)
+
+
+def strongest(weights: np.ndarray) -> np.ndarray:
+    """The Gaussians (N,) bool of the largest weights that make up SEED_SHARE of their sum."""
+    order = np.argsort(-weights)
+    total = np.cumsum(weights[order], dtype=np.float64)
+    out = np.zeros(len(weights), bool)
+    out[order[: int(np.searchsorted(total, SEED_SHARE * total[-1])) + 1]] = True
+    return out & (weights > 0)
+
+
+def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:
+    """Gaussians (N,) bool whose middle appears in a box of the picture."""
+    p = gaussians.means.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = np.maximum(p[:, 2], 1e-9)
+    x, y = camera.fx * p[:, 0] / z + camera.cx, camera.fy * p[:, 1] / z + camera.cy
+    within = [(x >= b[0]) & (x <= b[2]) & (y >= b[1]) & (y <= b[3]) for b in boxes]
+    return np.any(within, axis=0) & (p[:, 2] > 0)

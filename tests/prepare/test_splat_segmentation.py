@@ -1,0 +1,196 @@
+"""Objects cut out of a splat by strokes on its pictures."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+from assets.gaussians import Gaussians
+from assets.splat_files import read_gaussians
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+from prepare.segment.graph_cut import banded_cut, min_cut, random_walk
+from prepare.segment.marks import Marks, ViewMarks
+from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+from prepare.segment.splat_segmentation import segment_splat, write_segmented
+from prepare.segment.splat_selection import SplatSelection
+from prepare.segment.trimming import full_matrices, halves, trimmed
+
+CAMERA = perspective(160, 120, 0.9, look_at((0.0, 0.9, 1.2), (0.0, 0.1, 0.0)))
+
+
+def surfels(points, normals, size, colour) -> Gaussians:
+    """Flat Gaussians on a surface, (N, 3) each."""
+    from core.rotation import quaternions_from_matrices
+
+    n = np.asarray(normals, float)
+    side = np.cross(n, np.where(np.abs(n[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]]))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    axes = np.stack([side, np.cross(n, side), n], axis=2)
+    scales = np.tile(np.log([size, size, 0.1 * size]), (len(points), 1))
+    sh = np.tile((np.asarray(colour) - 0.5) / C0, (len(points), 1))[:, None]
+    return Gaussians.of(points, quaternions_from_matrices(axes), scales, np.full(len(points), 4.0), sh)
+
+
+def balls_on_a_floor() -> tuple[Gaussians, np.ndarray]:
+    """Two balls of one colour close together on a floor of nearly that colour; the exact ids (N,)."""
+    from assets.gaussians import concatenate
+
+    x, z = np.meshgrid(np.linspace(-0.8, 0.8, 60), np.linspace(-0.8, 0.8, 60))
+    floor = np.stack([x.ravel(), 0.0 * x.ravel(), z.ravel()], axis=1)
+    parts = [surfels(floor, np.tile([0.0, 1.0, 0.0], (len(floor), 1)), 0.014, (0.5, 0.42, 0.3))]
+    k = np.arange(1500) + 0.5
+    polar, turn = np.arccos(1 - 2 * k / 1500), np.pi * (1 + 5**0.5) * k
+    way = np.stack([np.sin(polar) * np.cos(turn), np.cos(polar), np.sin(polar) * np.sin(turn)], axis=1)
+    for middle in (-0.17, 0.17):
+        parts.append(surfels([middle, 0.15, 0.0] + 0.15 * way, way, 0.008, (0.6, 0.45, 0.25)))
+    return concatenate(parts), np.repeat([0, 1, 2], [len(floor), 1500, 1500])
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / (a | b).sum())
+
+
+def two_strokes() -> SplatMarks:
+    """One stroke within the left ball and one on the floor around it, as a user draws them."""
+    at = np.array([[-0.17, 0.27, 0.09], [-0.2, 0.18, 0.15], [-0.14, 0.1, 0.14]])
+    ring = np.linspace(-0.2, np.pi + 0.2, 9)
+    around = np.stack([-0.17 + 0.24 * np.cos(ring), 0 * ring, 0.24 * np.sin(ring)], axis=1)
+    inside, outside = (projected(points) for points in (at, around))
+    return SplatMarks({"view_1": CAMERA}, Marks({"ball": {"view_1": ViewMarks([inside], [outside])}}))
+
+
+def projected(points) -> np.ndarray:
+    p = points @ CAMERA.world_to_camera[:3, :3].T + CAMERA.world_to_camera[:3, 3]
+    return np.stack([CAMERA.fx * p[:, 0] / p[:, 2] + CAMERA.cx, CAMERA.fy * p[:, 1] / p[:, 2] + CAMERA.cy], axis=1)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return balls_on_a_floor()
+
+
+@pytest.fixture(scope="module")
+def done(scene):
+    from core.runtime import start_taichi
+
+    start_taichi("cpu")
+    lines = []
+    return segment_splat(scene[0], two_strokes(), lines.append), lines
+
+
+def test_two_strokes_select_one_of_two_balls_that_look_alike(scene, done):
+    """From the floor it stands on, and from the other one beside it."""
+    segmented, lines = done
+    assert iou(segmented.gaussians.object_id[: len(scene[0])] == 1, scene[1] == 1) > 0.97
+    assert any("ball" in line for line in lines)
+
+
+def test_files_of_the_objects_the_background_and_all(done, tmp_path):
+    segmented, _ = done
+    files = write_segmented(tmp_path / "out", segmented)
+    read = {name: read_gaussians(path) for name, path in files.items()}
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["background.ply", "ball.ply", "scene.ply"]
+    assert len(read["ball"]) + len(read["background"]) == len(read["scene"])
+    assert read["scene"].objects == ("ball",)
+    assert (read["scene"].object_id == 1).sum() == len(read["ball"])
+
+
+def test_what_another_object_has_is_not_taken(scene):
+    g, true = scene
+    selection = SplatSelection(g)
+    top = g.means[:, 1] > 0.28
+    one = selection.select(top & (true == 1), top & (true == 2))
+    assert iou(one, true == 1) > 0.95
+    assert not selection.select(top & (true == 2), np.zeros(len(g), bool), one)[one].any()
+
+
+def test_growing_and_shrinking_are_by_rings_of_neighbours(scene):
+    g, true = scene
+    selection, one = SplatSelection(g), true == 1
+    more, less = selection.grown(one, 1), selection.grown(one, -1)
+    assert more[one].all() and not less[~one].any()
+    assert less.sum() < one.sum() < more.sum()
+
+
+def test_least_cut_of_a_chain_is_its_weakest_link():
+    weights = np.array([0.9, 0.5, 0.2, 0.6])
+    graph = csr_matrix((weights, (range(4), range(1, 5))), (5, 5))
+    graph = (graph + graph.T).tocsr()
+    ends = np.array([np.inf, 0, 0, 0, 0]), np.array([0, 0, 0, 0, np.inf])
+    np.testing.assert_array_equal(min_cut(graph, *ends), [True, True, True, False, False])
+    np.testing.assert_array_equal(banded_cut(graph, *ends, np.array([0, 1, 1, 2, 3])), [1, 1, 1, 0, 0])
+
+
+def test_random_walk_on_a_chain_is_its_potential():
+    """Resistances in a row: the potential falls in proportion to them."""
+    weights = np.array([1.0, 0.5, 0.25])
+    graph = csr_matrix((weights, (range(3), range(1, 4))), (4, 4))
+    graph = (graph + graph.T).tocsr()
+    nothing = np.zeros(4)
+    p = random_walk(graph, np.array([1, 0, 0, 0], bool), np.array([0, 0, 0, 1], bool), nothing, nothing)
+    np.testing.assert_allclose(p, [1, 6 / 7, 4 / 7, 0], atol=1e-4)
+
+
+def test_halves_have_the_moments_of_the_cut_distribution():
+    rng = np.random.default_rng(2)
+    g = Gaussians.of([[1.0, 2, 3]], [[0.8, 0.4, 0.2, 0.4]], np.log([[0.3, 0.2, 0.05]]), [0.0], np.zeros((1, 1, 3)))
+    normal = np.array([[0.6, 0.0, 0.8]])
+    sigma = full_matrices(g.covariances)[0]
+    x = rng.multivariate_normal(g.means[0], sigma, 400_000)
+    height = (x - g.means[0]) @ normal[0] / np.sqrt(normal[0] @ sigma @ normal[0])
+    for part, here in zip(halves(g, normal, np.array([0.7])), (height > -0.7, height <= -0.7), strict=True):
+        np.testing.assert_allclose(part.means[0], x[here].mean(0), atol=3e-3)
+        np.testing.assert_allclose(full_matrices(part.covariances)[0], np.cov(x[here].T), atol=1e-3)
+
+
+def test_a_wide_gaussian_over_the_border_is_cut_in_two():
+    """A plane of two halves, and one Gaussian of the left half that reaches far into the right one."""
+    x, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1) + [0.025, 0, 0]
+    g = surfels(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), 0.02, (0.5, 0.5, 0.5))
+    scales = g.log_scales.copy()
+    wide = int(np.argmin(np.linalg.norm(points - [-0.025, 0.0, 0.0], axis=1)))
+    scales[wide, :2] = np.log(0.2)
+    g = Gaussians.of(g.means, g.quats, scales, g.logit_opacities, g.sh)
+    whole, left, _ = trimmed(g, points[:, 0] < 0)
+    assert left[wide] and not left[-1]
+    reach = whole.means[:, 0] + 2 * np.sqrt(whole.covariances[:, 0])
+    assert reach[left].max() < 0.25 < g.means[wide, 0] + 2 * 0.2
+    assert whole.means[wide, 0] < -0.1
+    assert (whole.means[len(g) :, 0] > 0).all() and (~left[len(g) :]).any()
+
+
+def test_marks_and_cameras_are_read_as_they_were_written(tmp_path):
+    marks = two_strokes()
+    marks.grow = {"ball": -2}
+    write_splat_marks(tmp_path / "m.json", marks)
+    read = read_splat_marks(tmp_path / "m.json")
+    np.testing.assert_allclose(read.cameras["view_1"].world_to_camera, CAMERA.world_to_camera)
+    np.testing.assert_allclose(read.marks.objects["ball"]["view_1"].inside[0], projected_first(marks), atol=0.06)
+    assert read.grow == {"ball": -2}
+
+
+def projected_first(marks: SplatMarks) -> np.ndarray:
+    return marks.marks.objects["ball"]["view_1"].inside[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"views": None}, 'no "views"'),
+        ({"views": {"view_1": {"width": 3}}}, "view_1: missing 'height'"),
+        ({"grow": {"cat": 1}}, "'cat', which is not marked"),
+        ({"grow": {"ball": 1.5}}, "no whole number"),
+        ({"objects": {"ball": {"view_9": {"inside": [[[1, 1]]]}}}}, "view_9"),
+    ],
+)
+def test_bad_marks_are_refused_in_a_line(change, what, tmp_path):
+    path = tmp_path / "m.json"
+    write_splat_marks(path, two_strokes())
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(BadInput, match=what) as error:
+        read_splat_marks(path)
+    assert str(path) in str(error.value) and "\n" not in str(error.value)

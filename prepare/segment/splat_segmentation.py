@@ -15,6 +15,7 @@ from assets.gaussians import Gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.segment.mask_files import object_colors
+from prepare.segment.object_ids import split
 from prepare.segment.pixel_weights import PixelWeights
 from prepare.segment.splat_marks import SplatMarks
 from prepare.segment.splat_seeds import Seeds
@@ -32,13 +33,6 @@ class SegmentedSplat:
 
     gaussians: Gaussians
     cut: int
-
-    def parts(self) -> dict[str, Gaussians]:
-        """The Gaussians of each object by its name, and of the background."""
-        g = self.gaussians
-        plain = replace(g, object_id=np.zeros(len(g), np.uint16), objects=())
-        parts = {name: plain.select(g.object_id == k) for k, name in enumerate(g.objects, 1)}
-        return parts | {"background": plain.select(g.object_id == 0)}
 
 
 def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str], None]) -> SegmentedSplat:
@@ -100,7 +94,7 @@ def output_files(folder: Path, names: list[str]) -> dict[str, Path]:
 def write_segmented(folder: Path, segmented: SegmentedSplat) -> dict[str, Path]:
     """Write a splat an object, `background.ply`, and `scene.ply` of all with ids; all or none. Raises BadInput."""
     make_folder(folder)
-    parts = {name: part for name, part in segmented.parts().items() if len(part)} | {"scene": segmented.gaussians}
+    parts = split(segmented.gaussians) | {"scene": segmented.gaussians}
     files = {
         name: path for name, path in output_files(folder, list(segmented.gaussians.objects)).items() if name in parts
     }

@@ -6,7 +6,7 @@ import argparse
 import json
 import shutil
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,8 @@ from core.rotation import rotation_between
 from core.runtime import end_taichi, start_taichi
 from prepare.room_capture.stages import Stages, file_key
 from prepare.segment.marks import read_marks
-from prepare.segment.mask_files import photograph_size, read_masks
+from prepare.segment.mask_files import photograph_size
+from prepare.segment.object_ids import masks_of
 from prepare.train.capture import read_capture
 
 HELP = "make a room to play in of photographs: its objects can be grabbed, and what they hid is filled in"
@@ -148,6 +149,7 @@ class RoomMaking:
         self.folder = args.capture if args.capture.is_dir() else args.capture.parent
         beside = self.folder / MARKS
         self.marks = args.marks or (beside if args.masks is None and beside.is_file() else None)
+        self.masks = None
 
     def say(self, text: str) -> None:
         """Tell the user, and note it for the report."""
@@ -183,7 +185,7 @@ class RoomMaking:
         steps = a.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
         options = {"steps": steps, "reduce": a.reduce, "cap": a.cap, "seed": a.seed}
         if train.is_posed(a.capture):  # else their files can be checked only once there are poses
-            self.check_objects(read_capture(a.capture))
+            self.find_objects(read_capture(a.capture))
 
         def arguments(folder: Path) -> argparse.Namespace:
             parser = argparse.ArgumentParser()
@@ -191,6 +193,7 @@ class RoomMaking:
             words = [str(a.capture), "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
             for key, value in options.items():
                 words += [f"--{key}", str(value)] if value is not None else []
+            words += ["--masks", str(a.masks)] if a.masks else []
             return parser.parse_args([*words, *(["--arch", a.arch] if a.arch else [])])
 
         def make(folder: Path) -> None:
@@ -199,29 +202,24 @@ class RoomMaking:
             start_taichi(a.arch, a.seed)
 
         inputs = {**options, "capture": str(a.capture.resolve()), "files": capture_files(a.capture)}
+        if self.masks is not None or a.masks:
+            inputs["masks"] = [file_key(p) for p in sorted((a.masks or self.folder / "masks").iterdir())]
         done = self.stages.run("train", inputs, make)
         as_filed = train.posed_capture(arguments(done))
         self.turn, self.capture = rotation_between(as_filed.up, (0.0, 1.0, 0.0)), as_filed.upright()
-        self.check_objects(self.capture)
+        self.find_objects(self.capture)
         self.gaussians = read_gaussians(done / TRAINED, self.say)
         self.training = json.loads((done / "trained.json").read_text(encoding="utf-8"))
 
-    def masks_folder(self) -> Path | None:
-        """The folder of masks; None where marks say what the objects are."""
-        a = self.args
-        beside = self.folder / "masks"
-        return a.masks or (beside if self.marks is None and beside.is_dir() else None)
-
-    def check_objects(self, capture) -> None:
-        """Check masks or marks against the photographs. Raises BadInput."""
+    def find_objects(self, capture) -> None:
+        """Masks, or marks that are checked against the photographs. Raises BadInput."""
         if self.args.no_objects:
             return
-        folder = self.masks_folder()
-        if folder is not None:
-            read_masks(folder, capture.views)
-        elif self.marks is not None:
+        if self.marks is not None:
             read_marks(self.marks, {view.name: photograph_size(view)[::-1] for view in capture.views})
-        else:
+            return
+        self.masks = masks_of(capture, self.args.masks, lambda line: None)[1]
+        if self.masks is None:
             check_can_ask()
 
     def look(self):
@@ -242,26 +240,22 @@ class RoomMaking:
         from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import labelled
 
-        a, folder, marks = self.args, self.masks_folder(), self.marks
-        if a.no_objects:
-            self.stages.run("objects", {}, lambda folder: None)
+        g = self.gaussians
+        if self.args.no_objects or self.masks is not None:  # those of masks have been learned with the Gaussians
+            self.stages.run("objects", {"none": self.args.no_objects}, lambda folder: None)
+            if self.args.no_objects:
+                self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
-        if folder is not None:
-            files = [file_key(p) for p in sorted(folder.iterdir())]
-            inputs = {"masks": files}
-        else:
-            marks = marks or self.asked_marks()
-            inputs = {"marks": marks.read_text(encoding="utf-8", errors="replace")}
+        marks = self.marks or self.asked_marks()
 
         def make(into: Path) -> None:
-            found = read_masks(folder, self.capture.views) if folder is not None else self.masks_of(marks)
-            made = labelled(self.gaussians, self.capture, found, self.stages.progress)
+            made = labelled(g, self.capture, self.masks_from(marks), self.stages.progress)
             write_gaussians(into / "objects.ply", made)
 
-        done = self.stages.run("objects", inputs, make)
+        done = self.stages.run("objects", {"marks": marks.read_text(encoding="utf-8")}, make)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
-    def masks_of(self, marks: Path):
+    def masks_from(self, marks: Path):
         """Masks of all photographs, from marks in some."""
         from prepare.segment.mask_propagation import propagate_marks
         from prepare.train.photographs import load_photographs

@@ -50,7 +50,7 @@ def contributions(
     return Contributions(weight, views, np.array(depths))
 
 
-def ids_in_masks(
+def weights_in_masks(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     masks: Sequence[np.ndarray | None],
@@ -58,7 +58,7 @@ def ids_in_masks(
     *,
     progress: Progress = no_progress,
 ) -> np.ndarray:
-    """Object (N,) uint16 of each Gaussian: the one in whose pixels most of its blending weight lies; 0 = background.
+    """Blending weight [px] of each Gaussian in the pixels of the background and of each object, (N, count + 1).
 
     masks  ids of the pixels of each view, (H, W), in any size of its picture; 0 is the background, 1 to `count` are
            objects, others and None are unknown
@@ -75,7 +75,7 @@ def ids_in_masks(
             total[:, first : first + 3] += sums.of(i, maps)[:, : count + 1 - first]
         progress("masks", (i + 1) / len(known))
     sums.destroy()
-    return total.argmax(axis=1).astype(np.uint16)
+    return total
 
 
 def reduced(camera: Camera) -> Camera:

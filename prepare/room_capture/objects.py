@@ -23,7 +23,8 @@ from prepare.progress import Progress, no_progress
 
 SOLID = 0.3  # opacity of the Gaussians that touch
 TOUCH = 0.06  # of an object's size: what is nearer to it touches it
-TOUCHES_MIN = 12  # Gaussians of an object that touch something, at least
+NEIGHBOURS = 6  # of the rest, nearest to a Gaussian of an object, that may touch it
+TOUCHES_MIN = 4  # Gaussians of an object that touch something, at least
 BASE = 0.2  # of an object's height in which its foot lies
 MASS_MAX = 3.0  # [kg] of an object whose material nobody named: half of what a hand of 80 N lifts
 HELD = 0.15  # of the extent of a hung object, from what holds it, that is held fast
@@ -43,15 +44,19 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
     It stands if the places near its foot where it touches something go all around its centre, as a base must; else it
     hangs, as a trophy does on a wall. Raises BadInput if it touches nothing.
     """
-    own = thing.means[thing.opacities > SOLID].astype(np.float64)
-    others = rest.means[rest.opacities > SOLID].astype(np.float64)
+    thing, rest = thing.select(thing.opacities > SOLID), rest.select(rest.opacities > SOLID)
+    own, others = thing.means.astype(np.float64), rest.means.astype(np.float64)
     if len(own) < MIN_GAUSSIANS:
-        raise BadInput(f"{name}: only {len(own)} opaque Gaussians belong to it; mark more of it")
+        raise BadInput(
+            f"{name}: only {len(own)} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
+        )
     low, high = robust_bounds(own)
-    size = float((high - low).max())
-    touch = np.zeros(0, int)
+    size, touch = float((high - low).max()), np.zeros(0, int)
     if len(others):
-        touch = np.flatnonzero(cKDTree(others).query(own, distance_upper_bound=TOUCH * size)[0] < np.inf)
+        away, at = cKDTree(others).query(own, k=min(NEIGHBOURS, len(others)))
+        away, at = away.reshape(len(own), -1), at.reshape(len(own), -1)
+        reach = TOUCH * size + widths(thing)[:, None] + widths(rest)[at]
+        touch = np.flatnonzero((away < reach).any(axis=1))
     if len(touch) < TOUCHES_MIN:
         raise BadInput(
             f"{name}: touches nothing that holds it up; photograph what it stands on, or mark it as background"
@@ -64,6 +69,11 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
     if np.linalg.norm(away) < 1e-3 * size:
         return Support(np.array([0.0, 1.0, 0.0]), True)
     return Support(away / np.linalg.norm(away), False)
+
+
+def widths(g: Gaussians) -> np.ndarray:
+    """Two standard deviations [m] along the middle axis of each Gaussian, (N,): how far its disc is seen."""
+    return 2.0 * np.exp(np.sort(g.log_scales, axis=1)[:, 1].astype(np.float64))
 
 
 def holds_centre(points: np.ndarray, centre: np.ndarray) -> bool:

@@ -16,9 +16,10 @@ from core.rotation import matrices_from_quaternions
 from prepare.orientation.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
-from prepare.room_capture.contributions import Contributions, WeightSums, contributions, ids_in_masks, needed
+from prepare.room_capture.contributions import Contributions, WeightSums, contributions, needed, weights_in_masks
 from prepare.room_capture.objects import Support, hollowed, object_body, object_files, support_of
 from prepare.segment.mask_files import Masks
+from prepare.segment.object_ids import voted
 from prepare.train.capture import Capture
 from prepare.train.photographs import load_photograph
 
@@ -63,12 +64,14 @@ def cameras_of(capture: Capture) -> list[Camera]:
 
 
 def labelled(gaussians: Gaussians, capture: Capture, masks: Masks, progress: Progress = no_progress) -> Gaussians:
-    """The Gaussians with the objects that the masks of the photographs show. Raises BadInput."""
+    """The Gaussians with the objects that the masks of the photographs show: each with the object in whose pixels most
+    of its blending weight lies, after a vote among neighbours. Raises BadInput."""
     ids = []
     for view, mask in zip(capture.views, masks.ids, strict=True):
         ids.append(None if mask is None else load_photograph(view, objects=mask).objects)
-    found = ids_in_masks(gaussians, cameras_of(capture), ids, len(masks.names), progress=progress)
-    return replace(gaussians, object_id=found, objects=tuple(masks.names))
+    weights = weights_in_masks(gaussians, cameras_of(capture), ids, len(masks.names), progress=progress)
+    found = voted(gaussians, weights.argmax(axis=1), weights.sum(axis=1), len(masks.names))
+    return replace(gaussians, object_id=found.astype(np.uint16), objects=tuple(masks.names))
 
 
 def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Contributions:
@@ -119,6 +122,8 @@ def supports(room: PlacedRoom) -> list[Support]:
     """What holds each object. Raises BadInput, naming an object that nothing holds, or that is hardly seen."""
     things, rest = room.parts()
     total, found, ids = room.weight.sum(), [], room.gaussians.object_id
+    if missing := [name for name in room.gaussians.objects if name not in room.names]:
+        raise BadInput(f"{missing[0]}: no Gaussian belongs to it; more --steps of training, or more marks")
     for name, k, thing in zip(room.names, np.unique(ids[ids > 0]), things, strict=True):
         if room.weight[ids == k].sum() < OBJECT_SHARE * total:
             raise BadInput(f"{name}: the photographs hardly show it; mark more of it, or leave it out")

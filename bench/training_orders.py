@@ -56,7 +56,7 @@ def played_psnr(gaussians: Gaussians, photographs: list, sort: str) -> float:
     from render.splats import Splats
 
     splats, found, renderer = Splats(gaussians), [], None
-    for pixels, mask, camera in photographs:
+    for pixels, mask, camera, _ in photographs:
         if renderer is None or (renderer.width, renderer.height) != (camera.width, camera.height):
             if renderer is not None:
                 renderer.destroy()

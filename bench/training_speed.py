@@ -84,10 +84,11 @@ def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
 
 def new_trainer(capture, photographs: list, options: TrainOptions):
     """A trainer at its start, from the capture's points as `train` begins."""
-    from prepare.train.seeds import seeds
+    from prepare.train.seeds import first_count, seeds
     from prepare.train.trainer import Trainer
 
-    start = seeds(capture, degree=options.degree, count=options.cap, rng=np.random.default_rng(options.seed))
+    count = first_count(capture, options.cap)
+    start = seeds(capture, degree=options.degree, count=count, rng=np.random.default_rng(options.seed))
     return Trainer(photographs, start, capture.extent, options)
 
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
+import contextlib
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write, check_writable
+from assets.file_access import check_writable
 from commands.conditions import Condition
 from commands.options import add_arch, positive
 from core.errors import BadInput
-from core.runtime import start_taichi
-from prepare.train.train_options import CAPS, STEPS
+from core.runtime import is_out_of_memory, start_taichi
+from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 HELP = "make Gaussians of photographs or a video"
 EXAMPLES = (
@@ -34,7 +34,6 @@ CONDITIONS = (
 NO_MASKS = Path("none")
 LINE_SECONDS = 0.5  # between two progress lines of a terminal; elsewhere ten times as long
 PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
-TEST_PICTURES = 4  # of the report
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,8 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="OUT", help="OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply"
     )
-    text = f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
+    text = (
+        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; with --fast a third)"
+    )
     parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
+    text = "the quality of all steps in a third of the time, nearly: fewer steps, at first on smaller pictures"
+    parser.add_argument("--fast", action="store_true", help=text)
     text = "default: grows where detail is missing; mcmc: fills the budget of --cap"
     parser.add_argument("--strategy", choices=("default", "mcmc"), default="default", help=text)
     text = f"most Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
@@ -55,6 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--antialias", action="store_true", help="opacities for drawing with anti-aliasing (Mip-Splatting)"
     )
+    text = "learn each photograph's exposure and colour balance as well, for captures with automatic exposure"
+    parser.add_argument("--exposure", action="store_true", help=text)
+    text = "correct the poses as well, by fractions of a degree"
+    parser.add_argument("--refine-poses", action="store_true", help=text)
     text = "order of blending that is trained for (default radial, which window and headset use)"
     parser.add_argument("--sort", choices=("z", "radial"), default="radial", help=text)
     parser.add_argument(
@@ -79,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Train, test, and write the Gaussians. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
+    from commands.training_report import write_report
     from prepare.segment.object_ids import identified
     from prepare.train.photographs import kept_for_test, load_photographs
 
@@ -101,23 +109,14 @@ def run(args: argparse.Namespace) -> None:
     photographs = load_photographs(capture.views, args.reduce, masks.ids if masks else None, progress=tell)
     train, test = kept_for_test(photographs, args.test_every)
     start_taichi(args.arch)
-    trainer, about = _trainer(args, capture, train, masks.names if masks else [])
-    kept = args.out.with_name(f"{args.out.name}.checkpoint.h5")
-    if args.checkpoint_every and kept.is_file() and not args.fresh:
-        from prepare.train.checkpoint import read_checkpoint
-
-        trainer.restore(read_checkpoint(kept, about, len(train)))
-        print(f"going on from step {trainer.done} ({kept}; --fresh starts anew)", file=sys.stderr)
-    progress = _Progress(trainer, kept if args.checkpoint_every else None, args.checkpoint_every, about)
-    if args.preview:
-        _preview(args, capture, trainer, progress)
-    while trainer.done < trainer.options.steps:
-        progress.step()
+    print(_photographs(train), file=sys.stderr)
+    with _lowering(train, args):
+        trainer, about, progress = _trained(args, capture, train, masks.names if masks else [])
     seconds = progress.seconds
     qualities = [trainer.quality(p) for p in test]
     gaussians = identified(trainer) if masks else trainer.gaussians()
     write_gaussians(args.out, gaussians, _say)
-    kept.unlink(missing_ok=True)
+    _checkpoint(args).unlink(missing_ok=True)
     numbers = {"gaussians": len(gaussians), "seconds": seconds, "steps": trainer.done, "views": len(train)}
     numbers |= {"test_views": len(test), "options": about, "curve": progress.curve}
     line = f"{args.out}: {len(gaussians)} Gaussians, {trainer.done} steps in {seconds:.0f} s"
@@ -129,7 +128,29 @@ def run(args: argparse.Namespace) -> None:
     if masks:
         numbers["objects"] = _objects(args, trainer, test, gaussians)
     if args.report:
-        _report(args.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
+        write_report(args.report, numbers, trainer, test, qualities, masks and (masks.colors, gaussians.object_id))
+
+
+def _trained(args: argparse.Namespace, capture, train: list, objects: list[str]) -> tuple:
+    """The trainer after its last step, its options, and its progress."""
+    trainer, about = _trainer(args, capture, train, objects)
+    kept = _checkpoint(args)
+    if args.checkpoint_every and kept.is_file() and not args.fresh:
+        from prepare.train.checkpoint import read_checkpoint
+
+        trainer.restore(read_checkpoint(kept, about, len(train)))
+        print(f"going on from step {trainer.done} ({kept}; --fresh starts anew)", file=sys.stderr)
+    progress = _Progress(trainer, kept if args.checkpoint_every else None, args.checkpoint_every, about)
+    if args.preview:
+        _preview(args, capture, trainer, progress)
+    while trainer.done < trainer.options.steps:
+        progress.step()
+    return trainer, about, progress
+
+
+def _checkpoint(args: argparse.Namespace) -> Path:
+    """Where a cut training is kept."""
+    return args.out.with_name(f"{args.out.name}.checkpoint.h5")
 
 
 def _with_masks(args: argparse.Namespace, capture):
@@ -210,18 +231,44 @@ def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str])
     import taichi as ti
 
     from prepare.segment.object_ids import check_learned
-    from prepare.train.seeds import seeds
-    from prepare.train.trainer import Trainer, TrainOptions
+    from prepare.train.seeds import first_count, seeds
+    from prepare.train.trainer import Trainer
 
     arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
-    steps, cap = args.steps or STEPS[arch], args.cap or CAPS[arch]
+    steps, cap = args.steps or (FAST_STEPS if args.fast else STEPS)[arch], args.cap or CAPS[arch]
     options = TrainOptions(steps, args.strategy, cap, args.degree, args.antialias, args.sort, args.seed)
+    options = replace(options, exposure=args.exposure, poses=args.refine_poses)
+    options = fast(options) if args.fast else options
     about = {**asdict(options), "capture": str(args.capture), "reduce": args.reduce, "test_every": args.test_every}
     if objects:
         check_learned(objects, train)
         about |= {"masks": str(args.masks), "objects": objects}
-    start = seeds(capture, degree=args.degree, count=cap, rng=np.random.default_rng(args.seed))
+    count = first_count(capture, cap)
+    start = seeds(capture, degree=args.degree, count=count, rng=np.random.default_rng(args.seed))
+    if len(capture.points) == 0:
+        print(f"the capture has no points: {len(start)} Gaussians at random to begin with", file=sys.stderr)
     return Trainer(train, start, capture.extent, options, objects), about
+
+
+@contextlib.contextmanager
+def _lowering(train: list, args: argparse.Namespace):
+    """Say what to lower if memory runs out inside. Raises BadInput."""
+    try:
+        yield
+    except (MemoryError, RuntimeError) as e:
+        if not is_out_of_memory(e):
+            raise
+        text = f"not enough memory: {_photographs(train)}; --reduce {2 * args.reduce} leaves a quarter of that,"
+        raise BadInput(f"{text} and a smaller --cap fewer Gaussians") from e
+
+
+def _photographs(photographs: list) -> str:
+    """How many photographs there are, of what sizes, and what they take on the device, 4 bytes a pixel."""
+    sizes = {(p.camera.width, p.camera.height) for p in photographs}
+    total = sum(4 * p.camera.width * p.camera.height for p in photographs)
+    size = "{}x{}".format(*max(sizes, key=lambda s: s[0] * s[1]))
+    shape = size if len(sizes) == 1 else f"{len(sizes)} sizes up to {size}"
+    return f"{len(photographs)} photographs of {shape} take {total / 1e6:.0f} MB of the device's memory"
 
 
 class _Progress:
@@ -298,38 +345,3 @@ def _tell(text: str, *, end: bool) -> None:
 def _say(text: str) -> None:
     """Show a line of its own."""
     print(text, file=sys.stderr, flush=True)
-
-
-def _report(path: Path, numbers: dict, trainer, test: list, qualities: list, objects=None) -> None:
-    """Write the numbers, and a page with test photographs beside what is drawn.
-
-    objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): masks stand beside what Gaussians show
-    """
-    from bench.html_page import Section, Table, html_page
-
-    with atomic_write(path) as beside:
-        beside.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    sections = []
-    for k in np.linspace(0, len(test) - 1, min(TEST_PICTURES, len(test))).round().astype(int):
-        q, drawn = qualities[k], trainer.picture(test[k].camera)
-        pictures = {"photograph": test[k].pixels, "drawn": drawn}
-        if objects is not None and test[k].objects is not None:
-            colors = np.concatenate([np.zeros((1, 3), np.uint8), objects[0]])
-            pictures["mask"] = np.where(test[k].mask[..., None], colors[test[k].objects], 0).astype(np.uint8)
-            pictures["objects of the Gaussians"] = colors[trainer.seen_objects(test[k].camera, objects[1])]
-        sections.append(Section(f"Unseen view {k + 1}", f"PSNR {q.psnr:.2f} dB, SSIM {q.ssim:.3f}", pictures))
-    rows = [(str(c["step"]), f"{c['loss']:.4f}", f"{c['psnr']:.2f}", str(c["gaussians"])) for c in numbers["curve"]]
-    rows = rows[:: max(1, len(rows) // 40)]
-    table = Table(("step", "loss", "PSNR [dB]", "Gaussians"), rows)
-    sections.append(Section("Training", "Means over the photographs since the row before.", table=table))
-    if "objects" in numbers:
-        rows = [
-            (name, str(n["gaussians"]), f"{n['iou']:.3f}" if "iou" in n else "-")
-            for name, n in numbers["objects"].items()
-        ]
-        table = Table(("object", "Gaussians", "IoU"), rows)
-        text = "Intersection over union of masks and what the Gaussians show, over all unseen photographs."
-        sections.append(Section("Objects", text, table=table))
-    page = html_page("Training", f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs.", sections)
-    with atomic_write(path.with_suffix(".html")) as beside:
-        beside.write_text(page, encoding="utf-8")

@@ -44,7 +44,7 @@ def read_checkpoint(path: Path, options: dict, views: int) -> dict[str, np.ndarr
             state |= {name: file.floats(name, (count, 3)) for name in LABELS}
         for option, name, numbers in OF_VIEWS:
             if options.get(option):
-                state[name] = file.floats(name, (views, 3, numbers))
+                state[name] = file.floats(name, (views, 3, numbers), np.float64)
         for name, values in state.items():
             if not np.isfinite(values).all():
                 raise file.error(f"{name} is not finite")

@@ -12,7 +12,17 @@ from prepare.train.densification import logit
 
 OPACITY = 0.1
 NEIGHBOURS = 3
+RANDOM_COUNT = 100_000  # at most, where there are no points: as gsplat starts
 RANDOM_REACH = 3.0  # extents around the middle of the cameras, where there are no points
+
+
+def first_count(capture: Capture, cap: int) -> int:
+    """Most Gaussians to start from with a budget: all of it, but without points a quarter, so that they can grow."""
+    return cap if _has_points(capture) else max(1, min(RANDOM_COUNT, cap // 4))
+
+
+def _has_points(capture: Capture) -> bool:
+    return len(capture.points) >= 2 * NEIGHBOURS
 
 
 def seeds(capture: Capture, *, degree: int, count: int, rng: np.random.Generator) -> Gaussians:
@@ -21,7 +31,7 @@ def seeds(capture: Capture, *, degree: int, count: int, rng: np.random.Generator
     Without points they lie at random around the cameras.
     """
     points, colors = capture.points, capture.colors
-    if len(points) < 2 * NEIGHBOURS:
+    if not _has_points(capture):
         points = capture.middle + capture.extent * rng.uniform(-RANDOM_REACH, RANDOM_REACH, (count, 3))
         colors = rng.integers(0, 256, (count, 3), dtype=np.uint8)
     elif len(points) > count:

@@ -1,0 +1,102 @@
+"""What is learned of photographs beside the Gaussians: exposures and corrections of poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import taichi as ti
+from numpy.testing import assert_allclose, assert_array_equal
+
+from prepare.train.capture import read_capture
+from prepare.train.checkpoint import read_checkpoint, write_checkpoint
+from prepare.train.exposure import IDENTITY, Exposure
+from prepare.train.photographs import reduced
+from prepare.train.seeds import seeds
+from prepare.train.train_options import TrainOptions
+from prepare.train.trainer import Trainer
+from prepare.train.view_corrections import Exposures, Poses, twisted
+from tests.support.painted_capture import photographs, write_capture
+
+
+def test_the_gradient_through_an_exposure(ti_cpu):
+    """Of L = sum w . (A c + b): dL/dA = sum w c^T, dL/db = sum w, dL/dc = A^T w; the map itself as in NumPy."""
+    rng, (height, width) = np.random.default_rng(0), (5, 70)  # more than a block of a row
+    rgb, weight = rng.random((1, 8, 80, 3), np.float32), rng.normal(size=(8, 80, 3)).astype(np.float32)
+    affine = (IDENTITY + 0.2 * rng.normal(size=(3, 4))).astype(np.float32)
+    exposure = Exposure(8, 80)
+    drawn, d_rgb = ti.Vector.field(3, ti.f32, (1, 8, 80)), ti.Vector.field(3, ti.f32, (8, 80))
+    drawn.from_numpy(rgb)
+    d_rgb.from_numpy(weight)
+    exposure.set(affine)
+
+    @ti.kernel
+    def passes():
+        exposure.apply(drawn, height, width)
+        exposure.backward(drawn, d_rgb, height, width)
+
+    passes()
+    c, w = rgb[0, :height, :width], weight[:height, :width]
+    assert_allclose(exposure.rgb.to_numpy()[0, :height, :width], c @ affine[:, :3].T + affine[:, 3], atol=1e-6)
+    expected = np.concatenate([np.einsum("yxk,yxj->kj", w, c), w.sum(axis=(0, 1))[:, None]], axis=1)
+    assert_allclose(exposure.d_affine.to_numpy(), expected, atol=1e-4)
+    assert_allclose(d_rgb.to_numpy()[:height, :width], w @ affine[:, :3], atol=1e-6)
+    assert_allclose(d_rgb.to_numpy()[height:], weight[height:])
+    exposure.destroy()
+
+
+def test_the_exposures_of_all_views_have_the_identity_as_their_mean():
+    exposures, rng = Exposures(4), np.random.default_rng(1)
+    for k in range(12):
+        exposures.step(k % 3, rng.random((3, 4)) + 0.5, k / 12)
+    assert_allclose(np.mean([exposures.of(v) for v in range(4)], axis=0), IDENTITY, atol=1e-12)
+    assert (exposures.of(0) < exposures.of(3)).all()  # down the gradient, beside the view that was not seen
+
+
+def test_a_pose_moves_down_the_gradient_of_its_twist():
+    """L = sum G . world_to_camera: the first step of Adam has the sign of finite differences in each number."""
+    rng = np.random.default_rng(2)
+    given = [twisted(rng.normal(size=3), rng.normal(size=3)) for _ in range(2)]
+    poses, G, extent = Poses(given, 2.5), rng.normal(size=(3, 4)), 2.5
+    poses.learn(1, G, 0.0)
+    for k in range(6):
+        twist = np.zeros(6)
+        twist[k] = 1e-6
+        change = twisted(twist[:3], extent * twist[3:]) @ given[1] - given[1]
+        slope = (G * change[:3]).sum() / 1e-6
+        assert poses.values[1, k] == pytest.approx(-1e-4 * np.sign(slope), rel=1e-3)
+        assert poses.first[1, k] == pytest.approx(0.1 * slope, rel=1e-4)
+    assert not poses.values[0].any() and is_rigid(poses.of(1))
+
+
+def is_rigid(matrix: np.ndarray) -> bool:
+    """True for a rigid transform."""
+    return np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3)) and np.linalg.det(matrix[:3, :3]) > 0
+
+
+def test_a_dim_photograph_is_given_a_dim_exposure_and_a_cut_training_goes_on(ti_cpu, tmp_path):
+    """All colours of one photograph are halved; the pose of one is turned by half a degree."""
+    pictures = [reduced(p, 2) for p in photographs()[:4]]
+    pictures[1] = pictures[1]._replace(pixels=pictures[1].pixels // 2)
+    off = twisted(np.array([0.0, np.radians(0.5), 0.0]), np.zeros(3))
+    camera = pictures[2].camera
+    pictures[2] = pictures[2]._replace(camera=replace(camera, world_to_camera=off @ camera.world_to_camera))
+    write_capture(tmp_path / "painted")
+    given = read_capture(tmp_path / "painted")
+    start = seeds(given, degree=0, count=100, rng=np.random.default_rng(0))
+    options = TrainOptions(steps=400, cap=100, degree=0, exposure=True, poses=True)
+    trainer = Trainer(pictures, start, given.extent, options)
+    for _ in range(60):
+        trainer.step()
+    gains = [np.diag(trainer.exposures.of(v)[:, :3]).mean() for v in range(4)]
+    assert gains[1] < min(gains[0], gains[2], gains[3]) - 0.1
+    write_checkpoint(tmp_path / "a.h5", trainer.state(), {"degree": 0, "exposure": True, "poses": True})
+    state = read_checkpoint(tmp_path / "a.h5", {"degree": 0, "exposure": True, "poses": True}, 4)
+    before = trainer.exposures.values.copy(), trainer.poses.values.copy(), trainer.views.cameras[2].world_to_camera
+    for _ in range(4):
+        trainer.step()
+    assert (trainer.poses.values != before[1]).any()
+    trainer.restore(state)
+    assert_array_equal(trainer.exposures.values, before[0])
+    assert_array_equal(trainer.poses.values, before[1])
+    assert_array_equal(trainer.views.cameras[2].world_to_camera, before[2])
+    trainer.destroy()

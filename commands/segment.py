@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
     text = "sheet of all photographs with the masks drawn over them: .png or .html"
     parser.add_argument("--overlay", type=Path, metavar="SHEET", help=text)
+    text = "folder of true masks: prints how far the found ones overlap them (intersection over union)"
+    parser.add_argument("--compare", type=Path, metavar="MASKS", help=text)
     add_arch(parser)
 
 
@@ -79,7 +81,13 @@ def segment_capture(args: argparse.Namespace) -> None:
     """Carry the marks to all views and write the masks. Raises BadInput."""
     from assets.splat_files import read_gaussians
     from prepare.segment.marks import read_marks
-    from prepare.segment.mask_files import check_masks_folder, photograph_size, write_masks
+    from prepare.segment.mask_files import (
+        check_masks_folder,
+        overlap_of,
+        photograph_size,
+        read_masks,
+        write_masks,
+    )
     from prepare.segment.mask_propagation import propagate_marks
     from prepare.segment.picture_cut import grab_cut
     from prepare.train.capture import read_capture
@@ -92,6 +100,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         check_writable(args.overlay)
     capture = read_capture(args.capture)
     marks = read_marks(args.marks, {v.name: photograph_size(v)[::-1] for v in capture.views})
+    truth = None if args.compare is None else read_masks(args.compare, capture.views)
     cut = grab_cut
     if args.model is not None:
         from prepare.segment.mask_network import MaskNetwork
@@ -116,6 +125,8 @@ def segment_capture(args: argparse.Namespace) -> None:
     if args.overlay is not None:
         write_sheet(args.overlay, capture.views, masks)
         print(f"{args.overlay}: the masks over the photographs")
+    for name, overlap in overlap_of(masks, truth).items() if truth else ():
+        print(f"{name}: IoU {overlap:.3f}")
     for name in masks.names:
         label = masks.names.index(name) + 1
         seen = sum(bool((ids == label).any()) for ids in masks.ids)

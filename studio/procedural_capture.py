@@ -1,6 +1,7 @@
 """A capture of a modelled place with its truth: toys on a table in a children's room, photographed by ray casting.
 
-Nothing of it is made of Gaussians: poses, masks, depths, and what is behind each object are exact.
+Nothing of it is made of Gaussians: poses, masks, depths, and what is behind each object are exact. Its marks are two
+strokes an object, as a user would draw them.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from assets.file_access import make_folder, part_beside, reason_of
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
+from prepare.segment.marks import write_marks
 from prepare.segment.mask_files import Masks, object_colors, write_masks
 from prepare.train.capture import View
 from prepare.train.lens import Lens
@@ -31,6 +33,7 @@ from studio.childrens_room.play_things import play_things
 from studio.creatures.toy_pets import toy_duck, toy_teddy
 from studio.ring import RING_TUBE, torus_surfaces
 from studio.shapes import Surface, beveled_box, box, join, rotation_about, superellipsoid
+from studio.stroke_marks import two_strokes
 from studio.textures import BEECH, wood
 from studio.toy_meshes import creature_surfaces
 from studio.traced_scene import Picture, Shape, TracedScene, camera_rays, take_picture
@@ -193,6 +196,7 @@ def _write(folder: Path, options: CaptureOptions, report: Callable[[str], None])
     masks = Masks(list(OBJECTS), object_colors(len(OBJECTS)), ids)
     flat = Lens(c.width, c.height, c.fx, c.fy, c.cx, c.cy)
     write_masks(folder / "masks", [View(folder / n, flat, np.eye(4)) for n in names], masks)
+    write_marks(folder / "marks.json", two_strokes(masks, [Path(n).name for n in names]))
     points, paint = _sparse_points(scene, views, colors, rng)
     _write_points(folder / "sparse_pc.ply", scale * points @ turn.T, paint)
     _write_json(folder / "truth.json", _truth(scene, objects, options, turn))

@@ -48,6 +48,21 @@ class Masks:
         return int(sum((i == self.names.index(name) + 1).sum() for i in self.ids if i is not None))
 
 
+def overlap_of(found: Masks, truth: Masks) -> dict[str, float]:
+    """Intersection over union of each true object with the found one of its name, over the pixels of all true masks."""
+    result = {}
+    for k, name in enumerate(truth.names):
+        label = found.names.index(name) + 1 if name in found.names else -1
+        pairs = [
+            (f == label, t == k + 1)
+            for f, t in zip(found.ids, truth.ids, strict=True)
+            if f is not None and t is not None
+        ]
+        both, either = (sum(int(op(a, b).sum()) for a, b in pairs) for op in (np.logical_and, np.logical_or))
+        result[name] = both / max(either, 1)
+    return result
+
+
 def object_colors(count: int) -> np.ndarray:
     """Colours of `count` objects, (count, 3) uint8 RGB: distinct, none of them black."""
     k = np.arange(count)[:, None]

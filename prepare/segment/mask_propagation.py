@@ -12,7 +12,7 @@ from core.errors import BadInput
 from prepare.progress import Progress, no_progress
 from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import Masks, object_colors, photograph_size
-from prepare.segment.picture_cut import Cut, cut_objects, grab_cut
+from prepare.segment.picture_cut import Cut, border_band, cut_objects, grab_cut
 from prepare.segment.surface_cloud import (
     POINTS,
     SurfaceCloud,
@@ -30,12 +30,12 @@ STROKE_WIDTH = 0.008  # of a picture's diagonal
 SURROUNDINGS = 0.4  # of the cameras' distance from the marks, around them, that is looked at
 RIM = 0.93  # of that ball's radius beyond which all is background
 REACH = 2.5  # spacings of the cloud within which a pixel's point has its labels
-BAND, BAND_AGAIN = 0.010, 0.006  # of a picture's diagonal: see cut_objects
+BAND = 0.010  # of a picture's diagonal on either side of a border, in which the colours decide
 DENSER = 4  # points of the cloud for a sparse point, which it lies between
-POINTS_BAND = 2.5  # times as wide, where depths are only those of sparse points
+COARSE_BAND = 2  # times as wide, where depths are only those of sparse points
 DEPTH_TOLERANCE = 0.02  # relative, of a point that is seen
 VOTERS, VOTE_REACH = 10, 0.02  # views nearest to one, and how far around its masks [diagonals] they have a say
-SURE = 0.15  # probability of the other label below which a pixel is sure
+SURE = 0.2  # probability of the second label below which a pixel is not disputed
 
 
 class MarkPropagation:
@@ -99,18 +99,26 @@ class MarkPropagation:
 
     def ids_of(self, k: int) -> np.ndarray:
         """Ids (H, W) uint8 of the objects in the undistorted photograph of view `k`, by the surfaces alone."""
-        return self._cut(k, self._likely(k), BAND)
+        likely = self._with_strokes(k, self._likely(k))
+        band = self._pixels(BAND) * (COARSE_BAND if self.coarse else 1)
+        unsure = border_band(likely.argmax(axis=2).astype(np.uint8), band) | silhouettes(self.depths[k])
+        return self._cut(k, likely, unsure | _disputed(likely), band)
 
-    def _cut(self, k: int, likely: np.ndarray, band: float) -> np.ndarray:
-        """Ids (H, W) uint8 in view `k`, of the labels' probabilities (H, W, K + 1), its colours and its marks."""
-        photograph, diagonal = self.photographs[k], float(np.hypot(*likely.shape[:2]))
+    def _pixels(self, part: float) -> int:
+        """That part of a picture's diagonal, [px]."""
+        return max(2, round(part * float(np.hypot(*self.depths[0].shape))))
+
+    def _with_strokes(self, k: int, likely: np.ndarray) -> np.ndarray:
+        """Probabilities (H, W, K + 1) with those of the user's strokes in view `k`."""
         for label, strokes in self._strokes.get(k, ()):
             likely[strokes] = 0.0
             likely[strokes, label] = 1.0
-        edges = silhouettes(self.depths[k])
-        unsure = edges | (np.sort(likely, axis=2)[..., -2] > SURE)
-        width = max(2, round(band * diagonal * (POINTS_BAND if self.coarse else 1.0)))
-        ids = cut_objects(photograph.pixels, likely, width, unsure, self.cut)
+        return likely
+
+    def _cut(self, k: int, likely: np.ndarray, unsure: np.ndarray, reach: int) -> np.ndarray:
+        """Ids (H, W) uint8 in view `k`, of the labels' probabilities (H, W, K + 1), its colours and its marks."""
+        photograph = self.photographs[k]
+        ids = cut_objects(photograph.pixels, likely, unsure, reach, self.cut)
         for label, strokes in self._strokes.get(k, ()):
             ids[strokes] = label
         for label, outside in self._forbidden.get(k, {}).items():
@@ -150,7 +158,11 @@ class MarkPropagation:
             report("masks", (k + 1) / len(views))
         found = []
         for k in views:
-            found.append(self._as_taken(k, self._cut(k, self.voted(k, ids), BAND_AGAIN)))
+            likely = self._with_strokes(k, self.voted(k, ids))
+            unsure, band = _disputed(likely), self._pixels(BAND)
+            if self.coarse:  # the views may agree on what is wrong
+                unsure |= border_band(likely.argmax(axis=2).astype(np.uint8), band)
+            found.append(self._as_taken(k, self._cut(k, likely, unsure, band)))
             report("votes", (k + 1) / len(views))
         masks = Masks(self.names, object_colors(len(self.names)), found)
         for name in self.names:
@@ -265,6 +277,11 @@ class MarkPropagation:
             ]
             ids = np.argmax(scores, axis=0).astype(np.uint8)
         return view.lens.resized(width, height, str(view.image)).distort_labels(ids)
+
+
+def _disputed(likely: np.ndarray) -> np.ndarray:
+    """Mask (H, W) bool of pixels that two labels share."""
+    return np.sort(likely, axis=2)[..., -2] > SURE
 
 
 def view_depths(

@@ -29,32 +29,39 @@ def grab_cut(picture: np.ndarray, likely: np.ndarray, inside: np.ndarray, outsid
     return (mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD)
 
 
-def cut_objects(picture: np.ndarray, likely: np.ndarray, band: int, unsure: np.ndarray, cut: Cut) -> np.ndarray:
+def border_band(labels: np.ndarray, width: int) -> np.ndarray:
+    """Mask (H, W) bool of the pixels within `width` of a border between labels (H, W) uint8."""
+    import cv2
+
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * width + 1,) * 2)
+    return cv2.dilate(labels, kernel) != cv2.erode(labels, kernel)
+
+
+def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, reach: int, cut: Cut) -> np.ndarray:
     """Ids (H, W) uint8 of objects in a picture.
 
     likely  probability (H, W, K + 1) of the background and each object
-    band    [px] on either side of a border of `likely` in which the colours decide
-    unsure  (H, W) bool, further pixels in which they do
+    unsure  (H, W) bool, pixels in which the colours decide
+    reach   [px] from an object beyond which none of its pixels are
     """
     import cv2
 
     first = likely.argmax(axis=2)
     found = np.zeros(likely.shape, np.float32)
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * band + 1,) * 2)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     for k in range(1, likely.shape[2]):
         own = (first == k).astype(np.uint8)
         if own.sum() < PIXELS_MIN:
             continue
         x, y, w, h = cv2.boundingRect(own)
-        pad = 2 * band + int(MARGIN * max(w, h))
+        pad = 2 * reach + int(MARGIN * max(w, h))
         at = np.s_[max(y - pad, 0) : y + h + pad, max(x - pad, 0) : x + w + pad]
-        own = own[at]
-        core, reach = cv2.erode(own, kernel) > 0, cv2.dilate(own, kernel) > 0
-        near = unsure[at] & reach
+        near = unsure[at] & (cv2.dilate(own[at], kernel) > 0)
+        own = own[at] > 0
+        core = own & ~near
         if not core.any():
             core = likely[at][..., k] > 0.9 * likely[at][..., k].max()
-        inside = cut(picture[at], likely[at][..., k], core & ~near, ~reach)
-        inside = _with_core(inside, own > 0)
+        inside = _with_core(cut(picture[at], likely[at][..., k], core, ~own & ~near), own)
         found[at][..., k] = np.where(inside, 0.5 + likely[at][..., k], 0.0)
     return np.where(found.max(axis=2) > 0, found.argmax(axis=2), 0).astype(np.uint8)
 

@@ -28,7 +28,7 @@ OFF_PLANE = 3.0  # how much it hinders, as an exponent, that one point is of a p
 CONCAVE, CONVEX = 6.0, 1.0  # how much a crease of 90 degrees hinders, as an exponent
 COLOR_BINS, COLOR_BLUR, COLOR_FLOOR = 20, 1.0, 0.05  # of a channel; in bins; of the usual share of a colour
 COLOR_WEIGHT, COLOR_ROUNDS = 0.05, 2  # of a point's colour, over an unhindered way to a neighbour
-COLOR_SURE = 0.7  # probability from which a colour tells: that of wood on wood does not
+COLOR_SURE = 0.85  # probability from which a colour tells: that of wood on wood does not
 OTHER_SURE = 0.1  # probability of an object below which the colours of what is around it are learned
 NEARBY = 0.6  # sizes of an object, around it, whose colours are compared
 LEAK = 1e-6  # of a point's weights, to the background: decides where no seed is connected
@@ -151,7 +151,8 @@ def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
             share.append(gaussian_filter(counts, COLOR_BLUR).ravel()[index] / max(part.sum(), 1))
         floor = COLOR_FLOOR * np.median(share[1][own])
         thing = (share[1] + floor) / (share[0] + share[1] + 2 * floor)
-        evidence[:, k] = ((thing - COLOR_SURE) / (1 - COLOR_SURE)).clip(0, 1) * near
+        which = likely[:, k] / likely[:, 1:].sum(axis=1).clip(1e-12)  # of the objects: that, colours do not say
+        evidence[:, k] = ((thing - COLOR_SURE) / (1 - COLOR_SURE)).clip(0, 1) * which**2 * near
     return evidence
 
 

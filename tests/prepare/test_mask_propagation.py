@@ -9,7 +9,7 @@ import pytest
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from prepare.segment.marks import Marks, ViewMarks
-from prepare.segment.mask_files import Masks, object_colors
+from prepare.segment.mask_files import Masks, object_colors, overlap_of
 from prepare.segment.mask_network import MaskNetwork
 from prepare.segment.mask_overlay import contact_sheet, overlay
 from prepare.segment.mask_propagation import MarkPropagation, view_depths
@@ -18,7 +18,7 @@ from prepare.segment.view_depths import depths_of_points, points_at, seen_by
 from prepare.train.capture import Capture, View
 from prepare.train.lens import Lens
 from prepare.train.photographs import Photograph
-from tests.support.drawn_marks import ious, two_strokes
+from studio.stroke_marks import two_strokes
 from tests.support.onnx_network import Network
 
 WIDTH, HEIGHT, VIEWS = 120, 90, 8
@@ -85,11 +85,11 @@ def test_two_strokes_an_object_mark_all_views(scene):
     propagation.mark(two_strokes(truth, [v.name for v in capture.views]))
     told = []
     masks = propagation.masks(lambda step, done: told.append((step, done)))
-    found = ious(masks, truth)
+    found = overlap_of(masks, truth)
     assert min(found.values()) > 0.93, found
     assert told[-1] == ("votes", 1.0)
     at_once = Masks(masks.names, masks.colors, [propagation.ids_of(k) for k in range(VIEWS)])
-    assert min(ious(at_once, truth).values()) > 0.9
+    assert min(overlap_of(at_once, truth).values()) > 0.9
 
 
 def test_a_box_and_a_stroke_outside_do_as_well(scene):
@@ -101,7 +101,7 @@ def test_a_box_and_a_stroke_outside_do_as_well(scene):
     propagation = MarkPropagation(capture, photographs, depths)
     propagation.mark(marks)
     only = Masks(["ball"], object_colors(1), [(i == 1).astype(np.uint8) for i in truth.ids])
-    assert ious(propagation.masks(), only)["ball"] > 0.88
+    assert overlap_of(propagation.masks(), only)["ball"] > 0.88
 
 
 def test_sparse_points_do_where_there_is_no_splat(scene):
@@ -109,7 +109,7 @@ def test_sparse_points_do_where_there_is_no_splat(scene):
     depths = view_depths(capture, [p.camera for p in photographs], None)
     propagation = MarkPropagation(capture, photographs, depths, coarse=True)
     propagation.mark(two_strokes(truth, [v.name for v in capture.views]))
-    assert min(ious(propagation.masks(), truth).values()) > 0.75
+    assert min(overlap_of(propagation.masks(), truth).values()) > 0.75
 
 
 def test_a_reduced_photograph_gives_masks_of_the_whole_one(tmp_path, scene):
@@ -124,7 +124,7 @@ def test_a_reduced_photograph_gives_masks_of_the_whole_one(tmp_path, scene):
     propagation = MarkPropagation(Capture(tmp_path, views), photographs, depths)
     propagation.mark(two_strokes(large, [v.name for v in views]))
     masks = propagation.masks()
-    assert masks.ids[0].shape == (2 * HEIGHT, 2 * WIDTH) and min(ious(masks, large).values()) > 0.93
+    assert masks.ids[0].shape == (2 * HEIGHT, 2 * WIDTH) and min(overlap_of(masks, large).values()) > 0.93
 
 
 def test_hidden_points_have_no_depth(scene):

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.errors import BadInput
+from prepare.segment.marks import drawn_strokes, read_marks
 from prepare.segment.mask_files import read_masks
 from prepare.train.capture import read_capture
 from prepare.train.photographs import load_photograph
@@ -51,6 +52,19 @@ def test_a_capture_is_read_as_any_other(folder):
     assert capture.up @ truth(folder)["up"] > 0.8 and truth(folder)["up"] == [0.0, 0.0, 1.0]
     masks = read_masks(folder / "masks", capture.views)
     assert sorted(masks.names) == sorted(OBJECTS) and all(masks.pixels(n) > 50 * VIEWS for n in ("teddy", "parcel"))
+
+
+def test_its_marks_are_two_strokes_inside_of_each_object(folder):
+    views = read_capture(folder).views
+    masks = read_masks(folder / "masks", views)
+    marks = read_marks(folder / "marks.json", {v.name: SIZE for v in views})
+    assert sorted(marks.objects) == sorted(OBJECTS)
+    for name, own in marks.objects.items():
+        assert len(own) == 2
+        for view, strokes in own.items():
+            ids = masks.ids[[v.name for v in views].index(view)]
+            line = drawn_strokes(strokes.inside, ids.shape, 1)
+            assert (ids[line] == masks.names.index(name) + 1).mean() > 0.8
 
 
 def test_masks_and_depths_agree_with_the_objects_places(folder):

@@ -1,4 +1,4 @@
-"""Marks as a user would draw them: a short stroke along the middle of each object that a view shows well."""
+"""Marks as a user would draw them: a short stroke along the middle of an object, in two views that show it well."""
 
 from __future__ import annotations
 
@@ -46,14 +46,3 @@ def two_strokes(masks: Masks, names: list[str], apart: float = 0.35) -> Marks:
             names[v]: ViewMarks([stroke_within(masks.ids[v] == k + 1)]) for v in (first, second) if area[v] > 0
         }
     return marks
-
-
-def ious(found: Masks, truth: Masks) -> dict[str, float]:
-    """Intersection over union of each object, over the pixels of all views."""
-    result = {}
-    for k, name in enumerate(truth.names):
-        label = found.names.index(name) + 1
-        pairs = [(f == label, t == k + 1) for f, t in zip(found.ids, truth.ids, strict=True)]
-        both, any_ = (sum(int(op(a, b).sum()) for a, b in pairs) for op in (np.logical_and, np.logical_or))
-        result[name] = both / max(any_, 1)
-    return result

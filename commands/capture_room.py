@@ -190,7 +190,7 @@ class RoomMaking:
         def arguments(folder: Path) -> argparse.Namespace:
             parser = argparse.ArgumentParser()
             train.add_arguments(parser)
-            words = [str(a.capture), "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
+            words = [str(a.capture), "--fast", "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
             for key, value in options.items():
                 words += [f"--{key}", str(value)] if value is not None else []
             words += ["--masks", str(a.masks)] if a.masks else []

@@ -216,6 +216,12 @@ class Asset:
                 write_animation(file, self.animation)
 
 
+def is_quantised(path: str | Path) -> bool:
+    """True if an asset file stores its numbers quantised. Raises BadInput."""
+    with open_hdf5(Path(path)) as file:
+        return _version(file) == QUANTISED
+
+
 def read_material(file: Hdf5Reader) -> Material | None:
     """The material of an open asset file, not checked; None if it has none. Raises BadInput."""
     if not file.has("material"):

@@ -1,4 +1,4 @@
-"""Shape cues for the up axis: parallel planes of floor and ceiling, level furniture, hollows that open upwards.
+"""Level planes and hollows: normals and areas of Gaussians, a floor, columns that open upwards.
 
 Normals are those of the Gaussians' discs and have no sign.
 """
@@ -16,10 +16,6 @@ NARROWING_COS = np.cos(np.radians([35, 25, 16, 10, 6, 4, 4]))  # largest angle o
 LEVEL_COS = np.cos(np.radians(25.0))  # smallest cosine to the vertical of the normals of a level plane
 HEIGHT_BINS = 300  # of the histogram in which the floor is searched
 FLOOR_HEIGHT_MAX = 0.45  # of the scene's height: above are tables and the ceiling
-BELOW_WEIGHT = 2.0  # of the area under a floor: there should be none
-SECOND_PLANE_WEIGHT = 0.3  # of the smaller plane of a pair: a ceiling may be missing, or not seen
-FURNITURE_WEIGHT = 1.5  # of the level area between the two
-LOW_FURNITURE_WEIGHT = 0.5  # of how far below the middle that level area lies
 
 
 def axis_name(axis: int, sign: int) -> str:
@@ -74,89 +70,6 @@ def weighted_percentile(values: np.ndarray, weights: np.ndarray, percents) -> np
     total = weights[order].cumsum()
     at = np.searchsorted(total, np.asarray(percents) / 100 * total[-1])
     return values[order][at.clip(0, len(values) - 1)]
-
-
-def plane_votes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> dict[str, float]:
-    """Evidence for each axis of the file, "+x" to "-z", to point up in a scene; larger is more likely.
-
-    The vertical is the axis with the largest planes at its ends (without a ceiling, one) and with the most level area
-    between them: tables and seats are level, objects on a wall are not. Of its two ends the floor has the larger plane,
-    nothing behind it, and the furniture.
-
-    points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights
-    """
-    votes = {}
-    for axis in range(3):
-        direction = refine_direction(np.eye(3)[axis], normals, areas)
-        heights, level = points @ direction, np.abs(normals @ direction) > LEVEL_COS
-        ends = [find_floor_plane(sign * heights, level, areas) for sign in (1, -1)]
-        low, high = ends[0][0], -ends[1][0]
-        margin = 0.04 * max(high - low, 1e-9)
-        between = level & (heights > low + margin) & (heights < high - margin)
-        furniture = areas[between].sum() / areas.sum()
-        mean_height = (areas[between] @ (heights[between] - low)) / max((high - low) * areas[between].sum(), 1e-12)
-        planes = sorted(max(0.0, e[1] - BELOW_WEIGHT * e[2]) for e in ends)
-        upright = planes[1] + SECOND_PLANE_WEIGHT * planes[0] + FURNITURE_WEIGHT * furniture
-        for sign, (_, plane, below) in zip((1, -1), ends, strict=True):
-            height = mean_height if sign > 0 else 1 - mean_height
-            floor = plane - BELOW_WEIGHT * below + LOW_FURNITURE_WEIGHT * (0.5 - height) * bool(between.any())
-            votes[axis_name(axis, sign)] = upright, floor
-    # The axis comes first: the evidence for its ends only decides between the two.
-    best = {k[1]: max(votes[f"+{k[1]}"][1], votes[f"-{k[1]}"][1]) for k in votes}
-    return {k: upright + min(0.0, floor - best[k[1]]) for k, (upright, floor) in votes.items()}
-
-
-CORE_RADIUS = 4.0  # median distances from the middle: a backdrop lies farther
-MAP_COLUMNS = 16, 48  # least and most on the longer side of the map of a floor
-POINTS_PER_COLUMN = 30
-FLOOR_COVER_MIN = 0.7  # of the map: a scene has a floor under most of it, seen or under furniture
-CONTENT_RANGE = 0.03, 0.8  # of the map's inner part has something above the floor
-
-
-def scene_votes(g: Gaussians) -> dict[str, float] | None:
-    """`plane_votes` of a scene: a room, a garden, an object on a ground plate; None for an object by itself.
-
-    A scene has a plane under nearly all of it, and objects between that and its upper end, away from the walls: a box
-    or a cup has nothing inside.
-    """
-    points = g.means.astype(np.float64)
-    middle = np.median(points, axis=0)
-    away = np.linalg.norm(points - middle, axis=1)
-    core = (away < CORE_RADIUS * np.median(away)) & (g.opacities > 0.3)
-    if core.sum() < 100:
-        return None
-    points = points[core]
-    normals, areas = normals_and_areas(g.select(core))
-    votes = plane_votes(points, normals, np.minimum(areas, np.percentile(areas, 99)))
-    up = max(votes, key=votes.get)
-    direction = refine_direction(AXES[up], normals, areas)
-    heights = points @ direction
-    low, high = np.percentile(heights, [1, 99])
-    slab = 0.06 * (high - low)
-    across = np.linalg.svd(direction[None])[2][1:]  # two directions in the plane
-    flat = points @ across.T
-    side = int(np.clip(np.sqrt(len(points) / POINTS_PER_COLUMN), *MAP_COLUMNS))
-    corner, end = np.percentile(flat, [0.5, 99.5], axis=0)
-    column = np.floor((flat - corner) / max((end - corner).max(), 1e-12) * side).astype(int)
-    within = ((column >= 0) & (column <= side)).all(1)
-
-    def seen(mask: np.ndarray) -> np.ndarray:
-        grid = np.zeros((side + 1, side + 1), bool)
-        grid[tuple(column[within & mask].T)] = True
-        return grid
-
-    floor, covered = seen(heights < low + slab), seen(np.ones(len(points), bool))
-    inner = covered.copy()
-    for _ in range(side // 12):  # columns from the border: walls lean, and are thick
-        inner[1:-1, 1:-1] &= inner[:-2, 1:-1] & inner[2:, 1:-1] & inner[1:-1, :-2] & inner[1:-1, 2:]
-        inner[[0, -1]] = inner[:, [0, -1]] = False
-    between = seen((heights > low + 2 * slab) & (heights < high - 2 * slab)) & inner
-    content = between.sum() / max(inner.sum(), 1)
-    return (
-        votes
-        if floor.sum() > FLOOR_COVER_MIN * covered.sum() and CONTENT_RANGE[0] < content < CONTENT_RANGE[1]
-        else None
-    )
 
 
 HOLLOW_DEPTH = 0.2  # of the extent, from the rim to the bottom

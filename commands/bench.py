@@ -32,9 +32,13 @@ SUBJECTS = {
     "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
+    "orientation": ("bench.orientation", "the guessed up axis: how often it is right, and how often it says so"),
     "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
 }
+NAMED = ("demos", "train", "orientation")  # subjects that take names
 OPTION_SUBJECTS = {  # of those that not all take
+    "--cases": ("orientation",),
+    "--fit": ("orientation",),
     "--detail": ("demos",),
     "--splats": ("popping", "embedding"),
     "--count": ("embedding",),
@@ -75,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     parser.add_argument("subject", choices=tuple(SUBJECTS), help=text)
-    text = "demos: which (default: all that are there); train: captures"
+    text = "demos: which (default: all that are there); train: captures; orientation: splat files to guess as well"
     parser.add_argument("names", nargs="*", metavar="NAME", help=text)
     text = "demos: assets as shipped, or at the paper's sizes, which are built first where they are missing"
     parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
@@ -103,6 +107,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help=text)
     text = "render, demos: picture of an eye (default 1800x1920)"
     parser.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help=text)
+    text = "orientation: number of each kind (default 300; 1200 to fit)"
+    parser.add_argument("--cases", type=positive(int), metavar="N", help=text)
+    text = "orientation: fit the model anew and print it"
+    parser.add_argument("--fit", action="store_true", help=text)
     parser.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     text = "train: steps (default 30000 on a GPU, 3000 on a CPU)"
     parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
@@ -127,7 +135,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int | None:
     """Measure the subject. Raises BadInput."""
-    if args.names and args.subject not in ("demos", "train"):
+    if args.names and args.subject not in NAMED:
         raise BadInput(f"bench {args.subject} takes no names: {' '.join(args.names)}")
     if not args.earlier:
         start_taichi(args.arch)

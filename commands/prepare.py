@@ -70,6 +70,7 @@ def run(args: argparse.Namespace) -> None:
         print((cached_environment if args.static else cached_body)(args.splats, args))
         return
     from prepare.environment.environment_pipeline import EnvironmentOptions
+    from prepare.orientation.orientation_strip import strip_name
     from prepare.pipeline import Options
     from prepare.prepared_files import device_vertices, object_file, prepare_environment_file, prepare_file
     from prepare.report import report_names
@@ -82,13 +83,14 @@ def run(args: argparse.Namespace) -> None:
     if not out.parent.is_dir():
         raise BadInput(f"{out}: the folder {out.parent} does not exist")
     reports = () if args.static or args.no_report else report_names(out)
-    for file in (out, *reports, *(object_file(out, k) for k in cut)):
+    strips = () if args.up or (args.no_report and not args.static) else (strip_name(out),)
+    for file in (out, *strips, *reports, *(object_file(out, k) for k in cut)):
         if file.exists() and not args.force:
             raise BadInput(f"{file}: exists already; --force overwrites it")
     start_taichi(args.arch)
     if args.static:
         options = EnvironmentOptions(up=args.up, scale=args.scale, cell=args.cell, cut=cut)
-        for file in prepare_environment_file(args.splats, out, options, quantised=args.quantised):
+        for file in prepare_environment_file(args.splats, out, options, pictures=True, quantised=args.quantised):
             print(f"wrote {file}")
         return
     vertices = () if args.vertices else device_vertices(animated=is_animated(args.splats, args.rig))

@@ -210,6 +210,13 @@ class SaveState:
 
 
 @dataclass(frozen=True)
+class KeepFrame:
+    """Write a body's up, front and size as they are into its asset file (display/keep/kept_frame.py)."""
+
+    body: int | None = None
+
+
+@dataclass(frozen=True)
 class SetSound:
     """Let impacts be heard, or not."""
 
@@ -264,7 +271,9 @@ class NextFile:
 
 @dataclass(frozen=True)
 class TurnUp:
-    """Let the next of the file's axes point up."""
+    """Let an axis of the file point up, "+x" to "-z"; "": the next one."""
+
+    up: str = ""
 
 
 @dataclass(frozen=True)
@@ -317,6 +326,7 @@ Command = (
     | WriteCamera
     | Export
     | SaveState
+    | KeepFrame
     | SetSound
     | OpenScene
     | SwapRoom
@@ -445,6 +455,9 @@ class WorldView(Protocol):
 
     axes: bool = False
     """True if the axes are shown."""
+
+    up_choices: Sequence[tuple[str, float, np.ndarray]] = ()
+    """Where it is not sure which way is up: axes of the file, their probabilities, and pictures (H, W, 3) uint8."""
 
     sound: bool | None = None
     """True if impacts are heard; None: there is nothing to hear them with."""

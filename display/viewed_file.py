@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +38,8 @@ class Box:
 class ViewedFile:
     """A file's Gaussians as they are shown: `up` is the file's axis that now points to +y, `note` how it was found.
 
+    chances the probability of each axis that may point up, from the guess; {}: the user has said
+    turn, factor   rotation (3, 3) and scale since the file was read or kept
     bounds  the box of all their means
     crop    what lies outside is left out; None: nothing is
     """
@@ -48,14 +50,25 @@ class ViewedFile:
     note: str
     bounds: Box
     crop: Box | None = None
+    chances: dict[str, float] = field(default_factory=dict)
+    turn: np.ndarray = field(default_factory=lambda: np.eye(3))
+    factor: float = 1.0
 
     @classmethod
     def read(cls, path: Path, up: str | None) -> ViewedFile:
         """Read a file. Raises BadInput."""
-        from display.viewer import upright
+        from display.viewer import turned_up, up_note
 
-        gaussians, note = upright(path, up)
-        return cls(Path(path), gaussians, note[:2], note, bounds_of(gaussians))
+        gaussians, chances = turned_up(path, up)
+        up = next(iter(chances))
+        turn, note = rotation_to_up(up), up_note(chances)
+        others = chances if len(chances) > 1 else {}
+        return cls(Path(path), gaussians, up, note, bounds_of(gaussians), chances=others, turn=turn)
+
+    @property
+    def size(self) -> float:
+        """Largest extent [m]."""
+        return float((self.bounds.high - self.bounds.low).max())
 
     @property
     def shown(self) -> np.ndarray:
@@ -63,14 +76,27 @@ class ViewedFile:
         everything = np.ones(len(self.gaussians), bool)
         return everything if self.crop is None else self.crop.holds(self.gaussians.means)
 
-    def turned(self) -> ViewedFile:
-        """The next of the file's axes points up; it turns about the middle of its bounds, and nothing is cropped."""
-        up = UP_AXES[(UP_AXES.index(self.up) + 1) % len(UP_AXES)]
-        rotation = rotation_to_up(up) @ rotation_to_up(self.up).T
+    @property
+    def order(self) -> list[str]:
+        """The axes in the order in which they are tried: the most probable first."""
+        return sorted(UP_AXES, key=lambda up: -self.chances.get(up, 0.0))
+
+    def turned(self, up: str = "") -> ViewedFile:
+        """An axis of the file points up, "": the next one. Raises BadInput."""
+        up = up or self.order[(self.order.index(self.up) + 1) % len(self.order)]
+        found = self.changed(rotation_to_up(up) @ rotation_to_up(self.up).T)
+        return replace(found, up=up, note=f"{up} is up")
+
+    def changed(self, rotation: np.ndarray, factor: float = 1.0) -> ViewedFile:
+        """Turned and scaled about the middle of its bounds; nothing is cropped."""
         middle = 0.5 * (self.bounds.low + self.bounds.high)
-        gaussians = self.gaussians.transformed(rotation, middle - rotation @ middle)
-        note = f"{up} is up"
-        return replace(self, gaussians=gaussians, up=up, note=note, bounds=bounds_of(gaussians), crop=None)
+        gaussians = self.gaussians.transformed(rotation, middle - factor * rotation @ middle, factor)
+        turn, factor = rotation @ self.turn, factor * self.factor
+        return replace(self, gaussians=gaussians, bounds=bounds_of(gaussians), crop=None, turn=turn, factor=factor)
+
+    def kept(self, turn: np.ndarray, factor: float) -> ViewedFile:
+        """The same after the file has been turned and scaled by that much."""
+        return replace(self, turn=self.turn @ turn.T, factor=self.factor / factor)
 
     def cropped(self, low, high) -> ViewedFile:
         """Only what lies between these corners [m] is shown; corners at the bounds' crop nothing."""

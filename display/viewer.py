@@ -11,11 +11,14 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
+from assets.up_axis import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.morton import morton_order
+from display.edit.editor import rotation_matrix
 from display.edit.notice import Notice
 from display.keep.output_place import output_path
+from display.picture import pixels_of
 from display.protocol import (
     Command,
     Crop,
@@ -23,6 +26,8 @@ from display.protocol import (
     Line,
     NextBackground,
     NextFile,
+    Rescale,
+    Rotate,
     ShowAxes,
     TurnUp,
     ViewFiles,
@@ -37,28 +42,48 @@ from scenes.scene import Scene
 
 FOV_Y = 0.9  # [rad]
 FAINT_OPACITY = 0.02  # of the most opaque Gaussian; fainter ones do not count for the size
-ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed
+CHOICE_SIZE = (168, 140)  # [px] of the pictures in which the user sees what else may be up
 ELEVATION = np.radians(15.0)  # [rad] of the first view
 DISTANCE_MARGIN = 1.08  # of the distance at which a ball around the splats fills the picture
 BACKGROUND = (0.12, 0.13, 0.14)
 BACKGROUNDS = (BACKGROUND, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0), (0.45, 0.62, 0.8))
 AXES = {"x": (0.95, 0.35, 0.3), "y": (0.45, 0.85, 0.35), "z": (0.4, 0.6, 1.0)}  # colours
+SCALE_RANGE = (1e-3, 1e3)  # of a file, in multiples of its first size
 CROP_COLOUR = (1.0, 0.78, 0.25)
 
 
 def upright(path, up: str | None) -> tuple[Gaussians, str]:
     """The file's Gaussians turned so that `up` is +y, and a note on that; None: guessed, but for a prepared asset."""
-    from assets.up_axis import guess_up_axis, rotation_to_up
+    gaussians, chances = turned_up(path, up)
+    return gaussians, up_note(chances)
+
+
+def turned_up(path, up: str | None) -> tuple[Gaussians, dict[str, float]]:
+    """The file's Gaussians turned so that `up` is +y; None: the most probable axis, but for a prepared asset.
+
+    Out.  the probabilities of the axes that may point up, the one that was taken first
+    """
+    from assets.up_axis import up_probabilities
 
     gaussians = read_gaussians(path)
-    note = ""
-    if up is None:
-        some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
-        up, sure = ("+y", 1.0) if str(path).lower().endswith(".h5") else guess_up_axis(some)
-        note = f" (guessed, {sure:.0%} sure; --up overrides)" if sure < 1.0 else ""
+    if up is None and not str(path).lower().endswith(".h5"):
+        chances = up_probabilities(gaussians)
+    else:
+        chances = {up or "+y": 1.0}
+    chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
+    up = next(iter(chances))
     if up != "+y":
         gaussians = gaussians.transformed(rotation_to_up(up), (0.0, 0.0, 0.0), 1.0)
-    return gaussians.select(morton_order(gaussians.means)), f"{up} is up{note}"
+    return gaussians.select(morton_order(gaussians.means)), chances
+
+
+def up_note(chances: dict[str, float]) -> str:
+    """A note on which axis is up, the first, and what else may be."""
+    up, sure = next(iter(chances.items()))
+    if len(chances) == 1:
+        return f"{up} is up"
+    others = ", ".join(f"{other} {chances[other]:.0%}" for other in alternatives(chances)[1:])
+    return f"{up} is up (guessed, {sure:.0%} sure{f'; else {others}' if others else ''}; --up overrides)"
 
 
 def middle_and_radius(gaussians: Gaussians) -> tuple[np.ndarray, float]:
@@ -117,6 +142,7 @@ class Viewer(WorldView):
         self._shown: tuple | None = None
         self._notice = Notice()
         self._prepare(max(len(f.gaussians) for f in files), max(f.gaussians.sh.shape[1] for f in files))
+        self.up_choices = self._choices()
 
     def _prepare(self, capacity: int, coefficients: int) -> None:
         """Make room on the device for so many Gaussians with so many coefficients, and show the file."""
@@ -191,10 +217,17 @@ class Viewer(WorldView):
                 self._show(first)
             case NextFile(step):
                 self._show((self._index + step) % len(self._files))
-            case TurnUp():
-                self._files[self._index] = self.file.turned()
-                self._show(self._index)
+            case TurnUp(up):
+                self._change(self.file.turned(up))
+                self.up_choices = []  # the user has seen them, and chosen
                 self.tell(self.file.note)
+            case Rotate(_, rotation):
+                self._change(self.file.changed(rotation_matrix(rotation)))
+            case Rescale(_, factor):
+                if not SCALE_RANGE[0] <= factor * self.file.factor <= SCALE_RANGE[1]:
+                    raise BadInput("It cannot be made larger or smaller than that.")
+                self._change(self.file.changed(np.eye(3), factor))
+                self.tell(f"{self.file.size:.3g} m: its largest extent, {self.file.factor:.3g} times that of the file")
             case ShowAxes(on):
                 self.axes = on
             case NextBackground():
@@ -207,6 +240,16 @@ class Viewer(WorldView):
                 self._show_crop()
             case WriteSplats():
                 self._write()
+
+    def _change(self, file: ViewedFile) -> None:
+        """Show the file that is shown as it is now."""
+        shown, self._files[self._index] = self.up_choices, file
+        self._show(self._index)
+        self.up_choices = shown
+
+    def frame_kept(self, path: Path, turn: np.ndarray, factor: float) -> None:
+        """Note that a file has been turned and scaled by that much (display/keep/kept_frame.py)."""
+        self._files = [f.kept(turn, factor) if f.path == path else f for f in self._files]
 
     def _show(self, index: int) -> None:
         """Show another file, or the one that has changed."""
@@ -222,7 +265,29 @@ class Viewer(WorldView):
                 self.renderer.destroy()
                 self._draw_in_order()
             self._show_crop()
+        self.up_choices = self._choices()
         self.tell(f"{self.file.path.name}: {len(gaussians):,} Gaussians")
+
+    def _choices(self) -> list[tuple[str, float, np.ndarray]]:
+        """The axes that may well point up, with their probabilities and what the file looks like with each."""
+        chances = self.file.chances
+        ups = alternatives(chances) if chances else []
+        if len(ups) < 2:
+            return []
+        gaussians, size, found = self.file.gaussians, self.picture_size, []
+        middle, radius = middle_and_radius(gaussians)
+        self.renderer.resize(*CHOICE_SIZE)
+        for up in ups:
+            turn = np.eye(4)  # of the world, which is easier than to turn the Gaussians
+            turn[:3, :3] = rotation_to_up(up) @ rotation_to_up(self.file.up).T
+            turn[:3, 3] = middle - turn[:3, :3] @ middle
+            aspect = CHOICE_SIZE[0] / CHOICE_SIZE[1]
+            pose = look_at(eye_around(middle, radius, 0.5, aspect=aspect), middle) @ turn
+            self.renderer.render([perspective(*CHOICE_SIZE, FOV_Y, pose)])
+            found.append((up, chances[up], pixels_of(self.renderer.picture)[: CHOICE_SIZE[1], :, :3].copy()))
+        self.renderer.resize(*size)
+        self._shown = None
+        return found
 
     def _show_crop(self) -> None:
         """Hide what lies outside the crop."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from assets.asset import Asset, Cage, CageEmbedding
 from assets.gaussians import Gaussians
-from assets.up_axis import body_size, guess_up_axis, rotation_to_up
+from assets.up_axis import body_size, most_likely, rotation_to_up, up_probabilities
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, Material
@@ -40,7 +40,7 @@ from prepare.cleaning import clean, clean_components
 from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
 
-VERSION = 5  # of the pipeline's results; raise it when the same splat would give another asset
+VERSION = 6  # of the pipeline's results; raise it when the same splat would give another asset
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -152,6 +152,7 @@ def prepare(
         "options": options.provenance(),
         "up": found["up"],
         "up_sure": round(found["sure"], 2),
+        "up_probabilities": {up: round(p, 3) for up, p in found["chances"].items()},
         "size": size,
         "metres_per_unit": factor,
         "moved": (-factor * foot).tolist(),  # [m], after the rotation to +y and the scaling
@@ -177,9 +178,10 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
         g, counts = clean(gaussians)
         cluster = np.zeros(len(g), int)
     progress("orient", 0.0)
-    up, sure = guess_up_axis(g) if options.up is None else (options.up, 1.0)
+    chances = up_probabilities(g) if options.up is None else {options.up: 1.0}
+    up, sure = most_likely(chances)
     turned = g.transformed(rotation_to_up(up))
-    return arrays_of(turned, counts=counts, up=up, sure=sure) | {"cluster": cluster}
+    return arrays_of(turned, counts=counts, up=up, sure=sure, chances=chances) | {"cluster": cluster}
 
 
 def fill_components(

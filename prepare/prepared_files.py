@@ -21,6 +21,8 @@ from prepare.cage.cage_generation import NoSoundCage
 from prepare.checkpoints import Checkpoints
 from prepare.environment.clear_view import CLEAR
 from prepare.environment.environment_pipeline import ENVIRONMENT_STEPS, EnvironmentOptions, prepare_environment
+from prepare.mesh_drawing import png_of
+from prepare.orientation.orientation_strip import orientation_strip, question, strip_name
 from prepare.pipeline import STEPS, VERSION, Options, prepare
 from prepare.progress import Progress, progress_on
 from prepare.report import report_names, report_texts
@@ -98,20 +100,35 @@ def prepare_file(
     if checkpoints.resumed:
         notes.append(f"resumed after the step {checkpoints.resumed[-1]} of an earlier run")
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
-    splat = None
+    splat = strip = None
+    chances = asset.provenance["up_probabilities"]
+    if page and question(chances):
+        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
     if pictures or page:
         splat = splat_picture(asset, camera_for(asset.cage.vertices.astype(np.float64)))
         asset = replace(asset, thumbnail=thumbnail_of(splat))
-    texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat) if page else ()
-    with atomic_write_all(out, *(report_names(out) if page else ())) as (beside, *others):
+    texts = report_texts(asset, solids, out.name, notes=tuple(notes), splat=splat, up=strip) if page else ()
+    files = [out, *([strip_name(out)] if strip is not None else []), *(report_names(out) if page else ())]
+    with atomic_write_all(*files) as (beside, *others):
         asset.check(str(out))  # before `save` does, which would name the temporary file
         asset.save(beside, quantised=quantised)
+        if strip is not None:
+            others.pop(0).write_bytes(png_of(strip))
         for other, text in zip(others, texts, strict=True):
             other.write_text(text, encoding="utf-8")
     checkpoints.clear()
     for line in notes + summary(asset.provenance):
         report(line)
+    tell_alternatives(chances, out, strip, report)
     return out
+
+
+def tell_alternatives(chances: dict, out: Path, strip: np.ndarray | None, report: Callable[[str], None]) -> None:
+    """Tell the user what else may be up; a strip of an earlier preparation, which was written anew, is no longer."""
+    if strip is None:
+        strip_name(out).unlink(missing_ok=True)
+    if line := question(chances, None if strip is None else strip_name(out)):
+        report(line)
 
 
 def device_vertices(*, animated: bool) -> tuple[int, ...]:
@@ -170,12 +187,13 @@ def prepare_environment_file(
     *,
     progress: Progress | None = None,
     report: Callable[[str], None] = print,
+    pictures: bool = False,
     quantised: bool = False,
 ) -> list[Path]:
     """Prepare the scene `path` and write the asset `out`, whole or not at all; `report` takes the summary.
 
-    OUT_objectK.ply is written for each id K that is cut out. Returns all of these files. Raises BadInput, naming the
-    file.
+    OUT_objectK.ply is written for each id K that is cut out, with `pictures` a strip where it is not sure which way is
+    up. Returns all of these files. Raises BadInput, naming the file.
     """
     path, out = Path(path), Path(out)
     gaussians = read_gaussians(path, report)
@@ -189,7 +207,13 @@ def prepare_environment_file(
     asset = replace(asset, provenance={"source": path.name} | asset.provenance)
     files = [out, *(object_file(out, k) for k in objects)]
     asset.check(str(out))
+    strip, chances = None, asset.provenance["up_probabilities"]
+    if pictures and question(chances):
+        strip = orientation_strip(asset.gaussians, asset.provenance["up"], chances)
+        files.append(strip_name(out))
     with atomic_write_all(*files) as (beside, *others):
+        if strip is not None:
+            others.pop().write_bytes(png_of(strip))
         for other, g in zip(others, objects.values(), strict=True):
             write_ply(other, g)
         asset.save(beside, quantised=quantised)
@@ -197,6 +221,7 @@ def prepare_environment_file(
         report(f"object {k}: {len(g)} Gaussians cut out")
     for line in environment_summary(asset):
         report(line)
+    tell_alternatives(chances, out, strip, report)
     return files
 
 

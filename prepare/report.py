@@ -54,15 +54,18 @@ def report_texts(
     *,
     notes: tuple[str, ...] = (),
     splat: np.ndarray | None = None,
+    up: np.ndarray | None = None,
 ) -> tuple[str, str]:
     """Contents of the files of `report_names` for the asset of the file `name`: a page, and the numbers as JSON.
 
     solids  of each component
     notes   lines printed while it was made
     splat   picture of the Gaussians, if it is drawn already
+    up      strip of the alternatives, where it is not sure which way is up
     Taichi must be running.
     """
-    return texts_of(name, *examine(asset, solids, splat), notes)
+    numbers, pictures = examine(asset, solids, splat)
+    return texts_of(name, numbers, pictures if up is None else {"up": up} | pictures, notes)
 
 
 def texts_of(name: str, numbers: dict, pictures: dict[str, np.ndarray], notes: tuple[str, ...]) -> tuple[str, str]:
@@ -149,6 +152,7 @@ def surfaces_of(solids: list[ComponentSolid]) -> tuple[np.ndarray, np.ndarray]:
 
 
 CAPTIONS = {
+    "up": ("Which way is up?", "The guess is not sure. Prepare again with the option under the right picture."),
     "splat": ("Splat", "The Gaussians that were kept, drawn by the program's renderer."),
     "cells": ("Filled cells", "Cut open. Clay: dense Gaussians; blue: the interior they enclose."),
     "surface": ("Surface", "Where the level set is zero, by marching cubes."),
@@ -193,6 +197,7 @@ def html_of(name: str, numbers: dict, pictures: dict[str, np.ndarray]) -> str:
         f'<figure><img alt="{title}" src="data:image/png;base64,{base64.b64encode(png_of(pictures[key])).decode()}">'
         f"<figcaption><h2>{title}</h2><p>{text}</p></figcaption></figure>"
         for key, (title, text) in CAPTIONS.items()
+        if key in pictures
     ]
     text = f"All six of each tet, median {dihedral['median']:.0f}°. Red line: the smallest."
     figures.append(

@@ -16,7 +16,7 @@ from display.headless.video import FilmWriter
 from display.keep.output_place import output_path
 from display.picture import pixels_of, save_picture
 from display.preferences import Preferences
-from display.protocol import Export, Film, Frame, SaveState, TakePicture, WriteCamera, in_order
+from display.protocol import Export, Film, Frame, KeepFrame, SaveState, TakePicture, WriteCamera, in_order
 
 
 class Keeper:
@@ -80,6 +80,11 @@ class Keeper:
 
                 path = self._new_path(f".{kind}")
                 self._write(path, exporter(world, path, body=body, shadows=shadows))
+            case KeepFrame(body):
+                from display.keep.kept_frame import frame_writer
+
+                path, write = frame_writer(world, body)
+                self._write(path, write)
             case Film(on, size) if on and self._film is None:
                 self._film = FilmWriter(self._new_path(".mp4"), *(size or world.picture_size))
                 self._film_begin = frame.time - frame.dt

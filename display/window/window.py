@@ -28,6 +28,7 @@ from display.window.panel.first_hint import FirstHint
 from display.window.panel.panel import Panel
 from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from display.window.scene_menu import SceneMenu
+from display.window.up_choice import UpChoice
 from scenes.scene import BodyState, Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
@@ -62,6 +63,7 @@ class Window:
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
+        self._up_choice = UpChoice(self._surface.gl)
         self._dialog_shown = False
         self._panel = Panel(title, self._surface.scale)
         self._panel.body.offers_gizmo = True
@@ -228,7 +230,7 @@ class Window:
         if dialog.shown and not self._dialog_shown:
             controls.menu = False
         menu.shown = controls.menu
-        commands = menu.draw(world) + dialog.draw(world)
+        commands = menu.draw(world) + dialog.draw(world) + self._up_choice.draw(world)
         controls.menu = menu.shown
         self._dialog_shown = dialog.shown
         controls.dialog = dialog if dialog.shown else None

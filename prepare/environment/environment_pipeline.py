@@ -15,7 +15,7 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
 from assets.level_planes import AXES
-from assets.up_axis import robust_bounds
+from assets.up_axis import most_likely, robust_bounds, up_probabilities
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.cleaning import MIN_GAUSSIANS, cut_out, largest_component
@@ -34,7 +34,7 @@ from prepare.environment.visibility import VoxelGrid, open_space, oriented, view
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
-ENVIRONMENT_VERSION = 3
+ENVIRONMENT_VERSION = 4
 ENVIRONMENT_STEPS = ("clean", "upright", "surface", "planes", "distance")
 MAX_COARSE_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise
@@ -82,7 +82,7 @@ class Upright:
 
     gaussians, cut  without and of the objects that are cut out
     low, high       corners (3,) [m] of its extent, limited in height
-    up, sure        the file's axis that points up, and how sure that is, 0 to 1
+    up, chances     the file's axis that points up, and the probability of each axis that was considered
     rotation        (3, 3) from the file's frame
     size, factor    largest extent [m]; metres per unit of the file
     """
@@ -92,7 +92,7 @@ class Upright:
     low: np.ndarray
     high: np.ndarray
     up: str
-    sure: float
+    chances: dict[str, float]
     rotation: np.ndarray
     size: float
     factor: float
@@ -163,7 +163,8 @@ def prepare_environment(
         "made_by": f"vrgs prepare --static {ENVIRONMENT_VERSION}",
         "options": {"up": options.up, "scale": options.scale, "cell": options.cell, "cut": list(options.cut)},
         "up": scene.up,
-        "up_sure": round(scene.sure, 2),
+        "up_sure": round(scene.chances[scene.up], 2),
+        "up_probabilities": {up: round(p, 3) for up, p in scene.chances.items()},
         "lean": round(float(lean), 2),
         "size": scene.size,
         "metres_per_unit": scene.factor,
@@ -197,7 +198,9 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     """Level the scene by its floor, scale it to metres and cut objects out."""
     normals, areas = normals_and_areas(main)
     weights = np.minimum(areas, float(np.percentile(areas, 99)))  # a smear must not outweigh a floor
-    up, floor, rotation, sure = find_gravity(main.means.astype(np.float64), normals, weights, options.up)
+    chances = up_probabilities(main) if options.up is None else {options.up: 1.0}
+    up, _ = most_likely(chances)
+    floor, rotation = find_gravity(main.means.astype(np.float64), normals, weights, up)
     level = main.means.astype(np.float64) @ rotation.T
     low, high = robust_bounds(level)
     longest = float((high - low).max())
@@ -210,7 +213,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     low[1] = max(low[1], -BELOW_FLOOR)
     if high[1] < MIN_HEIGHT:
         raise BadInput("nothing stands above the floor that was found; name the axis that points up with --up")
-    return Upright(rest, cut, low, high, up, sure, rotation, size, factor)
+    return Upright(rest, cut, low, high, up, chances, rotation, size, factor)
 
 
 def orient_surface(scene: Upright, cell: float | None, cameras: np.ndarray | None = None) -> Surface:

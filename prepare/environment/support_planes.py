@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, label
 
-from assets.level_planes import LEVEL_COS, find_floor_plane, plane_votes, refine_direction, weighted_percentile
-from assets.up_axis import SCENE_VOTE_UNIT, UP_PRIOR, most_likely, rotation_to_up
+from assets.level_planes import LEVEL_COS, find_floor_plane, refine_direction, weighted_percentile
+from assets.up_axis import rotation_to_up
 from core.errors import BadInput
 
 CELL = 0.04  # [m] of a plane's mask
@@ -54,24 +54,18 @@ class SupportPlane:
         return found
 
 
-def find_gravity(
-    points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str | None = None
-) -> tuple[str, float, np.ndarray, float]:
-    """Axis of the file that points up, height of the floor along it, levelling rotation (3, 3), certainty 0 to 1.
+def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up: str) -> tuple[float, np.ndarray]:
+    """Height of the floor along the true vertical, and the levelling rotation (3, 3), near the axis `up` of the file.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
     to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis.
     """
-    sure = 1.0
-    if up is None:
-        votes = plane_votes(points, normals, areas)
-        up, sure = most_likely({name: vote + 0.1 * UP_PRIOR[name] for name, vote in votes.items()}, SCENE_VOTE_UNIT)
     turn = rotation_to_up(up)
     direction = refine_direction(turn[1], normals, areas)
     heights = points @ direction
     floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
     floor, direction = fit_floor(points, normals, areas, floor, direction)
-    return up, floor, rotation_to_y(turn @ direction) @ turn, sure
+    return floor, rotation_to_y(turn @ direction) @ turn
 
 
 def fit_floor(points, normals, areas, floor: float, direction: np.ndarray) -> tuple[float, np.ndarray]:

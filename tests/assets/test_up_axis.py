@@ -1,26 +1,30 @@
-"""Up axis: scenes by their planes, a cup by its inside; and the convex hull by hand against SciPy's."""
+"""Up axis: known scenes and a cup, confidence against frequency; and the convex hull by hand against SciPy's."""
 
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
 from assets.gaussians import Gaussians
-from assets.level_planes import hollow_columns, normals_and_areas, plane_votes, scene_votes
+from assets.level_planes import hollow_columns
 from assets.up_axis import (
     AXES,
-    convex_hull,
+    LAPSE,
+    alternatives,
     describe_guess,
     guess_up_axis,
-    most_likely,
-    outermost_points,
     robust_bounds,
     rotation_to_up,
+    up_probabilities,
 )
+from assets.up_cues import convex_hull, outermost_points
+from bench.orientation import measured
+from bench.orientation_cases import procedural_cases, shipped_cases
 from prepare.cleaning import clean
 from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
 from tests.support.shells import ball, toy
 
+EVEN = dict.fromkeys(AXES, 1 / 6)
 SCENES = {"room": room, "open room": lambda: room(ceiling=False), "garden": garden, "table": table_and_jug}
 
 
@@ -35,28 +39,24 @@ def every(g: Gaussians, n: int) -> Gaussians:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
-    """The largest pair of planes, or what is left of it without a ceiling; walls, shelf and chest do not mislead."""
-    g = scenes[name]
-    assert scene_votes(g) is not None
+    """Walls, a shelf and a chest do not mislead."""
+    g = every(scenes[name], 3)
     for up in AXES:
-        found, sure = guess_up_axis(every(g.transformed(rotation_to_up(up).T), 3))
-        assert found == up and sure > 0.85, (up, found, sure)
+        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN)
+        assert max(p, key=p.get) == up and p[up] > 0.4, (up, p)
 
 
-def test_the_ceiling_decides_nothing_by_itself(scenes):
-    """A closed empty box has no floor that could be told from its ceiling; the votes say so."""
+def test_an_empty_box_has_no_up():
+    """A closed empty room has no floor that could be told from its ceiling."""
     box = brick(np.random.default_rng(0), (-2, 0, -2.5), (2, 2.2, 2.5), 0.08, 0.0)
-    votes = plane_votes(box.means.astype(float), *normals_and_areas(box))
-    assert abs(votes["+y"] - votes["-y"]) < 0.02 and min(votes["+y"], votes["-y"]) > votes["+z"] + 0.02
-    assert most_likely(votes, 0.03)[1] < 0.7
-    assert scene_votes(box) is None  # nothing is in it: as much a body as a room
+    p = up_probabilities(box, EVEN)
+    assert max(p.values()) < 0.7 and len(alternatives(p)) > 1
 
 
-@pytest.mark.parametrize("up", AXES)
-def test_a_mug_stands_with_its_opening_upwards(up):
-    """Its underside is missing, so that the floor inside is all that is there: what misled before."""
-    found, sure = guess_up_axis(clean(case("mug", 12_000))[0].transformed(rotation_to_up(up).T))
-    assert found == up and sure > 0.5
+def test_what_misleads_makes_unsure():
+    """A mug whose underside is missing looks as if it were open below, too: the truth is among the alternatives."""
+    p = up_probabilities(clean(case("mug", 12_000))[0], EVEN)
+    assert "+y" in alternatives(p) and max(p.values()) < 0.6
 
 
 @pytest.mark.parametrize("made", [ball, toy, lambda: case("capsule", 6000)])
@@ -71,13 +71,24 @@ def test_what_was_not_looked_into_is_not_hollow(made):
 
 
 def test_how_sure_a_guess_is_is_said():
-    votes = dict.fromkeys(AXES, 0.0)
-    assert most_likely(votes | {"+y": 1.0}, 0.1)[0] == "+y" and most_likely(votes | {"+y": 1.0}, 0.1)[1] > 0.99
-    assert most_likely(votes | {"+y": 1.0, "-z": 1.0}, 0.1)[1] == pytest.approx(0.5, abs=0.01)
     assert describe_guess("-z", 0.514) == "-z (guessed, 51% sure; --up overrides)"
-    assert (
-        guess_up_axis(toy())[1] > guess_up_axis(case("capsule", 6000))[1]
-    )  # a drop has an underside, a lying capsule looks like any side
+    p = up_probabilities(case("capsule", 6000))
+    assert sum(p.values()) == pytest.approx(1.0)
+    assert alternatives(p) == sorted((up for up in p if p[up] > 0.02), key=p.get, reverse=True)  # it lies on any side
+    assert alternatives(dict.fromkeys(AXES, 0.02) | {"-y": 0.9}) == ["-y"]
+
+
+def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
+    """A table on its legs is beyond doubt, but the cues may mean nothing there."""
+    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - LAPSE * 5 / 6 + 1e-12
+
+
+@pytest.mark.parametrize("cases", [procedural_cases, shipped_cases])
+def test_a_said_confidence_is_a_frequency(cases):
+    """On cases of a seed that was not fitted: right as often as said, within three standard deviations of 24 cases."""
+    said, right, _ = measured(cases(24, 3))
+    assert abs(right.mean() - said.mean()) < 3 * np.sqrt((said * (1 - said)).sum()) / len(said) + 0.03
+    assert right.mean() > 0.5
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -99,7 +110,7 @@ def test_a_line_or_less_has_fewer_than_three_corners(count):
     assert len(convex_hull(np.ones((count, 2)))) < 3
 
 
-def test_what_looks_the_same_from_all_sides_is_taken_as_most_files_are():
+def test_what_looks_the_same_from_all_sides_is_not_sure():
     """A sphere whose points are mirrored in all planes: no cue tells its axes apart."""
     points = np.random.default_rng(0).normal(size=(40, 3))
     points /= np.linalg.norm(points, axis=1)[:, None]
@@ -110,5 +121,4 @@ def test_what_looks_the_same_from_all_sides_is_taken_as_most_files_are():
     g = Gaussians.of(
         means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
     )
-    up, sure = guess_up_axis(g)
-    assert up == "-y" and sure < 0.4
+    assert guess_up_axis(g)[1] < 0.6 and len(alternatives(up_probabilities(g))) > 2

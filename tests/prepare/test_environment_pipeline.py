@@ -13,6 +13,7 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians, write_gaussians
+from assets.up_axis import guess_up_axis
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import EnvironmentOptions, prepare_environment
 from prepare.environment.support_planes import find_gravity
@@ -208,8 +209,8 @@ def test_what_is_cut_out_leaves_a_closed_table(ti_cpu, tmp_path):
 def test_up_is_found_and_refined(up, turn):
     g = room().transformed(turn)
     g = g.select(g.opacities > SURFACE_OPACITY)
-    name, floor, rotation, _ = find_gravity(g.means.astype(float), *normals_and_areas(g))
-    assert name == up
+    assert guess_up_axis(g)[0] == up
+    floor, rotation = find_gravity(g.means.astype(float), *normals_and_areas(g), up)
     assert (rotation @ turn)[1, 1] > np.cos(np.radians(0.1))
     assert abs(floor) < 0.005
 

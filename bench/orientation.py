@@ -1,0 +1,161 @@
+"""`vrgs.py bench orientation`: how often the guessed up axis is right, and how often it says it is.
+
+Procedural objects and scenes of other seeds than those the model was fitted to, and cuts of the shipped assets, none of
+which it has seen. `--fit` fits the model anew and prints its coefficients for assets/up_axis.py.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from assets.file_access import check_writable
+from assets.level_planes import AXES
+from assets.splat_files import read_gaussians
+from assets.up_axis import FILE_PRIOR, UNSURE, WEIGHTS, alternatives, up_probabilities
+from assets.up_cues import up_cues
+from bench.orientation_cases import OrientationCase, procedural_cases, shipped_cases
+from display.run_stats import write_stats
+
+FIT_CASES, FIT_SEED, TEST_SEED = 1200, 1, 2
+RIDGE = 1e-3  # penalty on squared weights of cues of unit variance
+BINS = np.linspace(0.0, 1.0, 11)  # of confidence, in the reliability table
+EVEN = dict.fromkeys(AXES, 1 / len(AXES))  # the cases are turned evenly, unlike files
+
+
+def run(args) -> None:
+    """Run the command: measure, or fit, print tables, write --json."""
+    if args.json:
+        check_writable(args.json)
+    if args.fit:
+        fit_model(args.cases or FIT_CASES)
+        return
+    count, rows = args.cases or 300, []
+    for what, cases in (
+        ("procedural", procedural_cases(count, TEST_SEED)),
+        ("shipped", shipped_cases(count, TEST_SEED)),
+    ):
+        said, right, families = measured(cases)
+        row = {"bench": "orientation", "what": what, "cases": len(said), **figures(said, right)}
+        rows.append(row | {"reliability": reliability(said, right), "families": of_families(said, right, families)})
+        print_table(rows[-1])
+    for path in args.names:
+        p = up_probabilities(read_gaussians(path), FILE_PRIOR)
+        ranked = ", ".join(f"{up} {p[up]:.0%}" for up in alternatives(p))
+        print(f"{path}: {ranked}")
+        rows.append({"bench": "orientation", "what": str(path), "probabilities": p})
+    if args.json:
+        write_stats(args.json, rows)
+
+
+def measured(cases) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Confidence of each guess (C,), whether it is right (C,), and the family of each case."""
+    said, right, families = [], [], []
+    for case in cases:
+        p = up_probabilities(case.gaussians, EVEN)
+        up = max(p, key=p.get)
+        said.append(p[up])
+        right.append(up == case.up)
+        families.append(case.family)
+    return np.array(said), np.array(right), families
+
+
+def figures(said: np.ndarray, right: np.ndarray) -> dict[str, float]:
+    """Share that is right, mean confidence, the expected calibration error (Naeini 2015), and those of sure guesses."""
+    bins = np.digitize(said, BINS[1:-1])
+    shares = [((bins == k).mean(), abs(right[bins == k].mean() - said[bins == k].mean())) for k in np.unique(bins)]
+    sure = said >= UNSURE
+    return {
+        "right": float(right.mean()),
+        "said": float(said.mean()),
+        "ece": float(sum(share * gap for share, gap in shares)),
+        "sure": float(sure.mean()),
+        "sure_right": float(right[sure].mean()) if sure.any() else float("nan"),
+    }
+
+
+def reliability(said: np.ndarray, right: np.ndarray) -> list[dict]:
+    """Rows of the reliability table: the confidence said, the frequency observed, and of how many."""
+    bins = np.digitize(said, BINS[1:-1])
+    return [
+        {
+            "from": float(BINS[k]),
+            "said": float(said[bins == k].mean()),
+            "observed": float(right[bins == k].mean()),
+            "cases": int((bins == k).sum()),
+        }
+        for k in np.unique(bins)
+    ]
+
+
+def of_families(said: np.ndarray, right: np.ndarray, families: list[str]) -> dict[str, list[float]]:
+    """Share right, mean confidence and number of cases of each family."""
+    families = np.array(families)
+    return {
+        str(f): [float(right[families == f].mean()), float(said[families == f].mean()), int((families == f).sum())]
+        for f in np.unique(families)
+    }
+
+
+def print_table(row: dict) -> None:
+    """A row with its reliability table."""
+    print(
+        f"\n{row['what']}, {row['cases']} cases: {row['right']:.1%} right, {row['said']:.1%} said, "
+        f"ECE {row['ece']:.3f}; of the {row['sure']:.0%} said with {UNSURE:.0%} or more {row['sure_right']:.1%} right"
+    )
+    print(f"{'said':>8} {'observed':>9} {'cases':>6}")
+    for line in row["reliability"]:
+        print(f"{line['said']:8.1%} {line['observed']:9.1%} {line['cases']:6}")
+    worst = sorted(row["families"].items(), key=lambda item: item[1][0] - item[1][1])[:4]
+    print("most over-confident: " + ", ".join(f"{f} {r:.0%} ({s:.0%} said, {n})" for f, (r, s, n) in worst), flush=True)
+
+
+# Fitting
+
+
+def fit_model(count: int) -> None:
+    """Fit the weights and the lapse to procedural cases, and print them.
+
+    The confidence of families that were not fitted is what a user gets, so that the weights are shrunk by the
+    temperature that suits each family when it is left out.
+    """
+    cases = list(procedural_cases(count, FIT_SEED))
+    print(f"cues of {len(cases)} cases ...", file=sys.stderr, flush=True)
+    x, y = table(cases)
+    width = x.reshape(-1, x.shape[2]).std(axis=0)
+    x, families = x / width, np.array([case.family for case in cases])
+    left_out = np.zeros(x.shape[:2])
+    for family in np.unique(families):
+        own = families == family
+        left_out[own] = x[own] @ fitted(x[~own], y[~own])[0]
+    temperature, lapse = fitted(left_out[..., None], y, ridge=0.0)
+    weights = fitted(x, y)[0] * temperature[0] / width
+    print("WEIGHTS = {")
+    for name, weight in zip(WEIGHTS, weights, strict=True):
+        print(f'    "{name}": {weight:.3g},')
+    print(f"}}\nLAPSE = {lapse:.2g}\ntemperature of unseen families: {1 / temperature[0]:.2f}")
+
+
+def table(cases: list[OrientationCase]) -> tuple[np.ndarray, np.ndarray]:
+    """Cues (C, 6, K) of the axes and the index (C,) of the one that is up."""
+    names, axes = list(WEIGHTS), list(AXES)
+    found = [up_cues(case.gaussians) for case in cases]
+    x = np.array([[[of[up][name] for name in names] for up in axes] for of in found])
+    return x, np.array([axes.index(case.up) for case in cases])
+
+
+def fitted(x: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, float]:
+    """Weights (K,) and lapse of the conditional logit (McFadden 1974) of cues (C, 6, K) and answers (C,)."""
+    from scipy.optimize import minimize
+
+    def loss(v: np.ndarray) -> float:
+        vote = x @ v[:-1]
+        p = np.exp(vote - vote.max(axis=1, keepdims=True))
+        p /= p.sum(axis=1, keepdims=True)
+        lapse = 1 / (1 + np.exp(-v[-1]))
+        p = (1 - lapse) * p[np.arange(len(y)), y] + lapse / x.shape[1]
+        return -np.log(p).mean() + ridge * (v[:-1] ** 2).sum()
+
+    v = minimize(loss, np.append(np.zeros(x.shape[2]), -3.0), method="L-BFGS-B").x
+    return v[:-1], float(1 / (1 + np.exp(-v[-1])))

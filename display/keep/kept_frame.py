@@ -1,0 +1,98 @@
+"""A body's corrected up, front and size, written into the asset file it was made of, so that the next play has them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from assets.asset import Asset, is_quantised
+from assets.library import SHIPPED_FOLDER, find_asset
+from assets.reoriented import reoriented
+from core.errors import BadInput
+from core.rotation import best_fit_rotation, matrices_from_quaternions
+from scenes.scene import Body
+
+if TYPE_CHECKING:
+    from display.viewer import Viewer
+    from display.world import World
+
+SAME = 1e-6  # of a rotation's entries, and of a factor
+
+
+def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callable[[], None]]:
+    """The asset file of a body, None: of the selected one, and what writes it as the body stands and how large it is.
+
+    Of a viewer the file that it shows. The next play of the same scene puts the body where it stood at its beginning,
+    turned and as large as it is now.
+    Raises BadInput for a body whose file is not the user's own, or whose frame cannot change.
+    """
+    if world.file is not None:
+        return file_writer(world)
+    k = world.selected if body is None else body
+    if k is None:
+        raise BadInput("Take hold of something first, or point at it.")
+    placed = body_of(world, k)
+    path = find_asset(placed.asset)
+    if path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
+        raise BadInput(f"{path.stem} comes with the program: only a body of your own can be changed for good.")
+    asset, small = Asset.load(path), is_quantised(path)
+    rotation, factor = turn_since(asset, world, k)
+    start = matrices_from_quaternions(np.asarray(placed.rotation, np.float64))
+    rotation, factor = start.T @ rotation, factor / placed.scale
+    if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
+        raise BadInput(f"{path.stem} is in its file as it is here.")
+    changed = reoriented(asset, rotation, factor)
+    return path, lambda: changed.save(path, quantised=small)
+
+
+def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
+    """The file that a viewer shows, and what writes it turned and scaled as it is shown. Raises BadInput."""
+    file = viewer.file
+    if file.path.suffix.lower() != ".h5":
+        raise BadInput("O writes a splat file as it stands, +y up; then prepare that one.")
+    if np.abs(file.turn - np.eye(3)).max() < SAME and abs(file.factor - 1.0) < SAME:
+        raise BadInput(f"{file.path.stem} is in its file as it is here.")
+    if file.path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
+        raise BadInput(f"{file.path.stem} comes with the program: only a file of your own can be changed for good.")
+    turn, factor = file.turn, file.factor
+    changed, small = reoriented(Asset.load(file.path), turn, factor), is_quantised(file.path)
+
+    def write() -> None:
+        changed.save(file.path, quantised=small)
+        viewer.frame_kept(file.path, turn, factor)
+
+    return file.path, write
+
+
+def body_of(world: World, k: int) -> Body:
+    """The scene's body, or that of an asset that joined, which body k is or is a copy of. Raises BadInput."""
+    registry = world.registry
+    source = registry.members[k].source
+    own = [b for b in world.scene.bodies if b.material is not None]
+    joined = {sources[0]: Body(asset, None) for asset, sources in registry.added.items() if len(sources) == 1}
+    found = own[source] if source < len(own) else joined.get(source)
+    names = [model.body.name for model in registry.scene_models]
+    if found is None or (source < len(own) and names.count(found.asset) > sum(b.asset == found.asset for b in own)):
+        raise BadInput("It is a piece of a body: pieces cannot be changed for good one by one.")
+    return found
+
+
+def turn_since(asset: Asset, world: World, k: int) -> tuple[np.ndarray, float]:
+    """Rotation (3, 3) and size of body k, however it is deformed, in comparison with the asset in the file, which may
+    have been kept a moment ago. Raises BadInput if the file has another cage by now."""
+    solver = world.device.solver
+    model = solver.body_models[k]
+    first, last = solver.vertex_offset[k : k + 2]
+    snapshot = solver.snapshot()
+    x = snapshot["x"][first:last].astype(np.float64)
+    if asset.cage is None or len(asset.cage.vertices) != len(x):
+        raise BadInput("Its file has been prepared anew since: begin the play again.")
+    rest = asset.cage.vertices.astype(np.float64)
+    rest -= np.average(rest, axis=0, weights=model.mass)
+    x -= np.average(x, axis=0, weights=model.mass)
+    now = model.shape.vertices - model.shape.center
+    factor = np.sqrt((model.mass @ (now**2).sum(1)) / (model.mass @ (rest**2).sum(1)))
+    return best_fit_rotation((x * model.mass[:, None]).T @ rest), float(factor)

@@ -1,0 +1,91 @@
+"""A prepared asset in another frame is what it was, turned and scaled."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from assets.asset import Asset
+from assets.environment import Environment
+from assets.library import SHIPPED_FOLDER
+from assets.reoriented import reoriented
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from core.rotation import matrices_from_quaternions
+from tests.support.samples import some_gaussians
+
+TURN = matrices_from_quaternions(np.array([0.8, 0.3, -0.4, 0.3]))
+
+
+@pytest.fixture(scope="module")
+def toy() -> Asset:
+    return Asset.load(SHIPPED_FOLDER / "toy_frog.h5")
+
+
+def test_a_body_is_sound_stands_again_and_keeps_its_embedding(toy, tmp_path):
+    """The corners of local tetrahedra lie where the turned ones do, as barycentric weights are affine."""
+    new = reoriented(toy, TURN, 1.5)
+    new.save(tmp_path / "new.h5")
+    new = Asset.load(tmp_path / "new.h5")
+    assert new.cage.vertices[:, 1].min() == pytest.approx(0.0, abs=1e-6)
+    assert_allclose(new.cage.volumes(), 1.5**3 * toy.cage.volumes(), rtol=1e-3, atol=1e-12)
+    for old_centre, new_centre in zip(*(centres(a) for a in (toy, new)), strict=True):
+        assert_allclose(new_centre - new.cage.vertices.mean(0), 1.5 * (old_centre - toy.cage.vertices.mean(0)) @ TURN.T, atol=2e-5)  # fmt: skip  # noqa: E501
+    assert new.provenance["reoriented"][0][1] == 1.5
+
+
+def centres(asset: Asset) -> tuple[np.ndarray, np.ndarray]:
+    """Means of the Gaussians, as they are and as the embedding gives them."""
+    corners = asset.cage.vertices[asset.cage.tets[asset.embedding.host]]  # (N, 4 corners, 4 vertices, 3)
+    return asset.gaussians.means, (asset.embedding.weights[..., None] * corners).sum(2).mean(1)
+
+
+def test_its_distances_are_those_of_the_turned_shape(toy):
+    new = reoriented(toy, TURN, 1.5)
+    shift = new.cage.vertices[0] - 1.5 * TURN @ toy.cage.vertices[0]
+    x = toy.cage.vertices[::5].astype(float) * 0.97
+    there = new.sdf.sample(1.5 * x @ TURN.T + shift)
+    assert_allclose(there, 1.5 * toy.sdf.sample(x), atol=new.sdf.spacing * 0.5)
+
+
+def test_back_again_it_is_as_before(toy):
+    there = reoriented(toy, TURN, 1.5)
+    back = reoriented(there, TURN.T, 1 / 1.5)
+    assert_allclose(np.ptp(back.gaussians.means, axis=0), np.ptp(toy.gaussians.means, axis=0), rtol=1e-5)
+    assert len(back.provenance["reoriented"]) == 2
+
+
+def room() -> Asset:
+    grid = DistanceGrid(
+        np.random.default_rng(0).uniform(-1, 1, (8, 5, 6)).astype(np.float16), np.array([-1.0, 0, -1]), 0.4
+    )
+    planes = (("floor", 0.0, -1.0, -1.0, 2.0, 1.0), ("table", 0.7, 0.0, 0.0, 1.0, 0.5))
+    found = Environment(0.0, (0.5, 0.7, 0.25), (0.0, 1.6, 1.0), 0.3, planes, (grid,))
+    return Asset(some_gaussians(), sdf=grid, environment=found)
+
+
+def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
+    """A quarter turn to the left takes x to -z: nodes of the grids meet nodes, and rectangles rectangles."""
+    quarter = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    old, new = room(), reoriented(room(), quarter, 2.0)
+    new.save(tmp_path / "room.h5")
+    assert new.environment.planes[1] == ("table", 1.4, 0.0, -2.0, 1.0, 0.0)
+    assert_allclose(new.environment.eye_position, (2.0, 3.2, 0.0), atol=1e-12)
+    assert new.environment.clear_radius == 0.6
+    points = old.sdf.nodes().reshape(-1, 3)
+    assert_allclose(new.sdf.sample(2 * points @ quarter.T), 2 * old.sdf.values.ravel().astype(float), atol=2e-3)
+    same = reoriented(room(), np.eye(3), 2.0)
+    assert_allclose(same.sdf.values, 2 * old.sdf.values.astype(np.float32), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("make", "turn", "factor", "says"),
+    [
+        (lambda: Asset.load(SHIPPED_FOLDER / "dancer.h5"), np.eye(3), 2.0, "its motion"),
+        (room, TURN, 1.0, "prepare it again with --up"),
+        (lambda: Asset.load(SHIPPED_FOLDER / "brick_red.h5"), np.eye(3), 1e4, "out of range"),
+        (room, np.eye(3), 0.0, "0 times"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, turn, factor, says):
+    with pytest.raises(BadInput, match=says):
+        reoriented(make(), turn, factor)

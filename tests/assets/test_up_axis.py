@@ -121,4 +121,4 @@ def test_what_looks_the_same_from_all_sides_is_not_sure():
     g = Gaussians.of(
         means, np.tile([1.0, 0, 0, 0], (n, 1)), np.full((n, 3), -4.0), np.full(n, 3.0), np.zeros((n, 1, 3))
     )
-    assert guess_up_axis(g)[1] < 0.6 and len(alternatives(up_probabilities(g))) > 2
+    assert guess_up_axis(g)[1] < 0.6 and len(alternatives(up_probabilities(g))) > 1

@@ -76,6 +76,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
         for o in ("--materials wood", "--bodies d", "--frames 3", "--quick", "--gaussians 1.313M", "--size 32x32")
     ),
     *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--plot p.svg", "--from r.json")),
+    *((f"bench sim {o}", "belongs to bench orientation") for o in ("--cases 9", "--fit")),
     *(
         (f"bench render {o}", "belongs to bench train")
         for o in ("--steps 9", "--at 9", "--reduce 2", "--test-every 4", "--cap 9", "--seed 1", "--orders")

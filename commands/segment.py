@@ -29,7 +29,7 @@ CONDITIONS = (
         "belongs to --splats; nothing else needs a device",
     ),
     Condition(
-        ("--splats", "--model", "--reduce", "--overlay"),
+        ("--splats", "--model", "--reduce", "--overlay", "--compare"),
         lambda args: not is_splats(args.capture),
         "belongs to a capture: a splat is cut by itself",
     ),

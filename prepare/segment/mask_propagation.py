@@ -33,6 +33,7 @@ REACH = 2.5  # spacings of the cloud within which a pixel's point has its labels
 BAND = 0.010  # of a picture's diagonal on either side of a border, in which the colours decide
 DENSER = 4  # points of the cloud for a sparse point, which it lies between
 COARSE_BAND = 2  # times as wide, where depths are only those of sparse points
+GAP = 1.08  # ratio of depths under a stroke between which there is nothing of the object
 DEPTH_TOLERANCE = 0.02  # relative, of a point that is seen
 VOTERS, VOTE_REACH = 10, 0.02  # views nearest to one, and how far around its masks [diagonals] they have a say
 SURE = 0.2  # probability of the second label below which a pixel is not disputed
@@ -45,6 +46,7 @@ class MarkPropagation:
     depths       of their pixels (H, W) along the camera's axis, 0: unknown; see `view_depths`
     coarse       the depths are those of sparse points
     cut          what draws borders in a picture
+    points       about how many the surfaces are made of
     """
 
     def __init__(
@@ -55,8 +57,10 @@ class MarkPropagation:
         *,
         coarse: bool = False,
         cut: Cut = grab_cut,
+        points: int = POINTS,
     ):
         self.capture, self.photographs, self.coarse, self.cut = capture, photographs, coarse, cut
+        self.wanted = min(points, DENSER * len(capture.points)) if coarse else points
         self.cameras: list[Camera] = [p.camera for p in photographs]
         self.depths = [np.where(p.mask, d, 0.0).astype(np.float32) for p, d in zip(photographs, depths, strict=True)]
         self.names: list[str] = []
@@ -77,8 +81,7 @@ class MarkPropagation:
         radius = 0.5 * float(np.linalg.norm(high - low)) + SURROUNDINGS * float(far)
         report("surface", 0.0)
         pictures = [p.pixels for p in self.photographs]
-        wanted = min(POINTS, DENSER * len(self.capture.points)) if self.coarse else POINTS
-        self.cloud = cloud = surface_cloud(self.cameras, self.depths, pictures, centre, radius, wanted)
+        self.cloud = cloud = surface_cloud(self.cameras, self.depths, pictures, centre, radius, self.wanted)
         if cloud is None:
             raise BadInput("the views show no surface where the marks are")
         seeds = np.full(len(cloud.points), -1)
@@ -203,6 +206,8 @@ class MarkPropagation:
                     drawn[label] = self._cut_in_box(k, ~outside)
             for label, mask in drawn.items():
                 y, x = np.nonzero(mask & (self.depths[k] > 0))
+                own = _one_surface(self.depths[k][y, x])
+                y, x = y[own], x[own]
                 places[self.names[label - 1]].append(points_at(self.cameras[k], self.depths[k], x, y))
         found = {name: np.concatenate(p) if p else np.zeros((0, 3)) for name, p in places.items()}
         for name, points in found.items():
@@ -277,6 +282,14 @@ class MarkPropagation:
             ]
             ids = np.argmax(scores, axis=0).astype(np.uint8)
         return view.lens.resized(width, height, str(view.image)).distort_labels(ids)
+
+
+def _one_surface(depth: np.ndarray) -> np.ndarray:
+    """Mask (N,) bool of the largest group of depths (N,) without a gap: a stroke may touch what is seen beside it."""
+    order = np.argsort(depth)
+    group = np.zeros(len(depth), int)
+    group[order[1:]] = np.cumsum(depth[order[1:]] > GAP * depth[order[:-1]])
+    return group == np.bincount(group, minlength=1).argmax()
 
 
 def _disputed(likely: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from prepare.train.photographs import Photograph
 from studio.stroke_marks import two_strokes
 from tests.support.onnx_network import Network
 
-WIDTH, HEIGHT, VIEWS = 120, 90, 8
+WIDTH, HEIGHT, VIEWS, POINTS = 120, 90, 8, 8000
 BALL, BOX = np.array([-0.16, 0.1, 0.0]), (np.array([0.05, 0.0, -0.1]), np.array([0.25, 0.16, 0.1]))
 
 
@@ -81,7 +81,7 @@ def scene(tmp_path_factory):
 
 def test_two_strokes_an_object_mark_all_views(scene):
     capture, photographs, truth, depths = scene
-    propagation = MarkPropagation(capture, photographs, depths)
+    propagation = MarkPropagation(capture, photographs, depths, points=POINTS)
     propagation.mark(two_strokes(truth, [v.name for v in capture.views]))
     told = []
     masks = propagation.masks(lambda step, done: told.append((step, done)))
@@ -98,16 +98,32 @@ def test_a_box_and_a_stroke_outside_do_as_well(scene):
     box = np.array([x.min() - 2, y.min() - 2, x.max() + 3, y.max() + 3], float)
     table = np.array([[8.0, 80.0], [110.0, 80.0]])
     marks = Marks({"ball": {"3.png": ViewMarks(boxes=[box], outside=[table])}})
-    propagation = MarkPropagation(capture, photographs, depths)
+    propagation = MarkPropagation(capture, photographs, depths, points=POINTS)
     propagation.mark(marks)
     only = Masks(["ball"], object_colors(1), [(i == 1).astype(np.uint8) for i in truth.ids])
     assert overlap_of(propagation.masks(), only)["ball"] > 0.88
 
 
+def test_a_stroke_may_slip_off_the_object(scene):
+    """Its pixels on what is seen far behind the ball do not make that a part of the ball."""
+    capture, photographs, truth, depths = scene
+    y, x = np.nonzero(truth.ids[3] == 1)
+    middle, top = (x.mean(), y.mean()), (x.mean(), y.min() - 6.0)
+    behind = depths[3][int(top[1]), int(top[0])]
+    assert behind == 0 or behind > 1.1 * depths[3][int(middle[1]), int(middle[0])]
+    marks = Marks({"ball": {"3.png": ViewMarks([np.array([middle, top])])}})
+    propagation = MarkPropagation(capture, photographs, depths, points=POINTS)
+    propagation.mark(marks)
+    places = propagation._marked_points(marks)["ball"]
+    assert np.abs(np.linalg.norm(places - BALL, axis=1) - 0.1).max() < 0.02
+    likely = propagation._likely(3)[..., 1] > 0.5
+    assert (likely & (truth.ids[3] == 1)).sum() / (likely | (truth.ids[3] == 1)).sum() > 0.9
+
+
 def test_sparse_points_do_where_there_is_no_splat(scene):
     capture, photographs, truth, _ = scene
     depths = view_depths(capture, [p.camera for p in photographs], None)
-    propagation = MarkPropagation(capture, photographs, depths, coarse=True)
+    propagation = MarkPropagation(capture, photographs, depths, coarse=True, points=POINTS)
     propagation.mark(two_strokes(truth, [v.name for v in capture.views]))
     assert min(overlap_of(propagation.masks(), truth).values()) > 0.75
 
@@ -121,7 +137,7 @@ def test_a_reduced_photograph_gives_masks_of_the_whole_one(tmp_path, scene):
         cv2.imwrite(str(image), cv2.resize(cv2.imread(str(view.image)), (2 * WIDTH, 2 * HEIGHT)))
         views.append(View(image, view.lens.resized(2 * WIDTH, 2 * HEIGHT, ""), view.world_to_camera))
     large = Masks(truth.names, truth.colors, [i.repeat(2, 0).repeat(2, 1) for i in truth.ids])
-    propagation = MarkPropagation(Capture(tmp_path, views), photographs, depths)
+    propagation = MarkPropagation(Capture(tmp_path, views), photographs, depths, points=POINTS)
     propagation.mark(two_strokes(large, [v.name for v in views]))
     masks = propagation.masks()
     assert masks.ids[0].shape == (2 * HEIGHT, 2 * WIDTH) and min(overlap_of(masks, large).values()) > 0.93

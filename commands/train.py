@@ -110,6 +110,8 @@ def run(args: argparse.Namespace) -> None:
     train, test = kept_for_test(photographs, args.test_every)
     start_taichi(args.arch)
     print(_photographs(train), file=sys.stderr)
+    if args.test_every and not test:
+        print(f"none is kept for the test: fewer than {args.test_every} (--test-every)", file=sys.stderr)
     with _lowering(train, args):
         trainer, about, progress = _trained(args, capture, train, masks.names if masks else [])
     seconds = progress.seconds
@@ -268,7 +270,7 @@ def _photographs(photographs: list) -> str:
     total = sum(4 * p.camera.width * p.camera.height for p in photographs)
     size = "{}x{}".format(*max(sizes, key=lambda s: s[0] * s[1]))
     shape = size if len(sizes) == 1 else f"{len(sizes)} sizes up to {size}"
-    return f"{len(photographs)} photographs of {shape} take {total / 1e6:.0f} MB of the device's memory"
+    return f"{len(photographs)} photographs of {shape} take {total / 1e6:.3g} MB of the device's memory"
 
 
 class _Progress:
@@ -278,7 +280,7 @@ class _Progress:
         self.trainer, self.curve, self.text = trainer, [], "the first step compiles"
         self._kept, self._every, self._about = kept, every, about
         self._first, self._begin = trainer.done, time.perf_counter()
-        self._told = self._begin
+        self._told, self._compiled = self._begin, self._begin
         self._interval = LINE_SECONDS if sys.stderr.isatty() else 10 * LINE_SECONDS
 
     @property
@@ -290,13 +292,19 @@ class _Progress:
         """One step of the trainer."""
         trainer, steps = self.trainer, self.trainer.options.steps
         trainer.step()
+        if trainer.done == self._first + 1:
+            self._compiled = time.perf_counter()
         if time.perf_counter() - self._told >= self._interval or trainer.done == steps:
             q, n = trainer.recent_loss(), trainer.population.count  # waits for the device
-            rate = (trainer.done - self._first) / self.seconds
+            steps_since = trainer.done - self._first - 1
+            rate = steps_since / (time.perf_counter() - self._compiled)
             loss = 0.8 * q.l1 + 0.2 * (1.0 - q.ssim)
             self.curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": n})
             text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
-            self.text = f"{text}  {rate:.1f} steps/s  {(steps - trainer.done) / rate:.0f} s left"
+            left = (
+                f"{(steps - trainer.done) / rate:.0f} s left" if steps_since else "the first step compiled the kernels"
+            )
+            self.text = f"{text}  {rate:.1f} steps/s  {left}"
             _tell(self.text, end=trainer.done == steps)
             self._told = time.perf_counter()
         if self._kept is not None and trainer.done % self._every == 0 and trainer.done < steps:

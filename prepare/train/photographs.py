@@ -84,14 +84,17 @@ def load_photographs(
 def kept_for_test(items: list, every: int) -> tuple[list, list]:
     """(what is learned from, what is kept for the test): every `every`th from the first on, none for 0.
 
+    Of fewer than `every` none is kept: each is needed.
+
     Raises BadInput if nothing is left to learn from.
     """
     if every < 0:
         raise BadInput("--test-every is 0 or more")
     if every == 1:
         raise BadInput("--test-every 1 leaves no photograph to learn from")
-    kept = items[::every] if every else []
-    return [item for k, item in enumerate(items) if not every or k % every], kept
+    if every == 0 or len(items) < every:
+        return items, []
+    return [item for k, item in enumerate(items) if k % every], items[::every]
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -6,6 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians, Report
@@ -74,7 +76,25 @@ def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np
     weights, rows = g.opacities[near], np.arange(len(g))
     votes = np.stack([(weights * (ids[near] == k)).sum(axis=1) for k in range(count + 1)], axis=1)
     votes[rows, ids] += NEIGHBOURS * evidence / np.maximum(evidence[near].mean(axis=1), 1e-12)
-    return votes.argmax(axis=1).astype(ids.dtype)
+    ids = votes.argmax(axis=1).astype(ids.dtype)
+    apart = _islands(near, ids, count)
+    votes = np.stack([(weights * (ids[near] == k) * ~apart[near]).sum(axis=1) for k in range(count + 1)], axis=1)
+    return np.where(apart, votes.argmax(axis=1), ids).astype(ids.dtype)
+
+
+def _islands(near: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
+    """Mask (N,) of the pieces of objects with fewer Gaussians than vote: far in the room behind an object, they show
+    through its pixels. The largest piece of an object is none. `near` (N, K): neighbours; pieces are linked by them."""
+    i, j = np.nonzero(ids[near] == ids[:, None])
+    links = coo_matrix((np.ones(len(i), np.uint8), (i, near[i, j])), shape=(len(ids), len(ids)))
+    piece = connected_components(links, directed=False)[1]
+    sizes = np.bincount(piece)
+    apart = (sizes[piece] < NEIGHBOURS) & (ids > 0)
+    for k in range(1, count + 1):
+        own = piece[ids == k]
+        if len(own):
+            apart &= piece != own[sizes[own].argmax()]
+    return apart
 
 
 def object_ious(trainer, photographs: list[Photograph], ids: np.ndarray) -> dict[str, float]:

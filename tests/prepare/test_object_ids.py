@@ -43,6 +43,10 @@ def test_islands_drown_and_what_was_seen_well_stays():
     ids[hidden], evidence[hidden] = 0, 0.0
     evidence[1000] = 50.0  # a large one among small ones
     assert_array_equal(voted(g, ids, evidence, 2), truth)
+    ids[500:505], evidence[500:505] = 1, 9.0  # what shows through, seen well but far from the rest of its object
+    assert_array_equal(voted(g, ids, evidence, 2), truth)
+    few = g.select(np.array([0, 1, 500, 501, 502]))  # all that there is of them
+    assert_array_equal(voted(few, truth[[0, 1, 500, 501, 502]], np.array([1.0, 1, 9, 9, 9]), 2), [1, 1, 2, 2, 2])
     assert_array_equal(voted(g.select(np.array([0, 1, 500])), np.array([1, 1, 2]), np.zeros(3), 2), [1, 1, 1])
 
 

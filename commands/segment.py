@@ -20,7 +20,8 @@ EXAMPLES = (
     "segment toys/ --marks marks.json --splats toys.ply --out toys/masks",
     "segment bear/ --marks marks.json --out masks/ --overlay masks.html    by the capture's sparse points",
     "segment toys/ --marks marks.json --splats toys.ply --out m/ --model sam_like.onnx",
-    "segment room.ply --marks marks.json --out parts/    a splat an object, and the rest",
+    "segment room.ply --out parts/    mark in a window; a splat an object, and the rest",
+    "segment room.ply --marks marks.json --out parts/",
 )
 CONDITIONS = (
     Condition(
@@ -34,6 +35,7 @@ CONDITIONS = (
         "belongs to a capture: a splat is cut by itself",
     ),
 )
+WINDOW_SIZE = (960, 600)  # in screen coordinates
 LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 
@@ -41,8 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file of any kind"
     parser.add_argument("capture", type=Path, metavar="CAPTURE|SPLATS", help=text)
-    text = "strokes and boxes in one or more photographs (docs/your_own.md); two strokes an object are enough"
-    parser.add_argument("--marks", type=Path, required=True, metavar="MARKS.json", help=text)
+    text = (
+        "strokes and boxes in one or more pictures (docs/your_own.md); two strokes an object are enough. Without it a "
+    )
+    text += "window opens to make them; they are kept in CAPTURE/marks.json, or in OUT/marks.json of a splat"
+    parser.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
     text = "folder of masks, one PNG a photograph; of a splat: a splat an object, background.ply, scene.ply with ids"
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help=text)
     text = "splat trained on the capture (vrgs.py train), whose depths carry the marks (default: the sparse points)"
@@ -99,7 +104,8 @@ def segment_capture(args: argparse.Namespace) -> None:
             raise BadInput(f"{args.overlay}: the sheet's name must end in .png or .html")
         check_writable(args.overlay)
     capture = read_capture(args.capture)
-    marks = read_marks(args.marks, {v.name: photograph_size(v)[::-1] for v in capture.views})
+    sizes = {v.name: photograph_size(v)[::-1] for v in capture.views}
+    marks = marked_photographs(capture, sizes) if args.marks is None else read_marks(args.marks, sizes)
     truth = None if args.compare is None else read_masks(args.compare, capture.views)
     cut = grab_cut
     if args.model is not None:
@@ -134,6 +140,26 @@ def segment_capture(args: argparse.Namespace) -> None:
         if seen < 0.3 * len(masks.ids):
             print(f"{name}: seldom found; look at --overlay, and mark it in one more photograph", file=sys.stderr)
     print(f"{args.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
+
+
+def marked_photographs(capture, sizes: dict[str, tuple[int, int]]):
+    """Marks that the user makes in a window, going on from those beside the capture; they are kept there.
+
+    Raises BadInput without a display, Cancelled if they are not wanted.
+    """
+    from commands.marking import PhotographSubject, check_window, edit_of, marks_of_state
+    from display.mark.mark_window import marked_in_window
+    from prepare.segment.marks import Marks, read_marks, write_marks
+
+    check_window()
+    path = capture.folder / "marks.json"
+    check_writable(path)
+    before = read_marks(path, sizes) if path.is_file() else Marks()
+    subject, edit = PhotographSubject(capture.views), edit_of(before, {})
+    marks = marks_of_state(marked_in_window(subject, edit, f"Mark {capture.folder.name}", WINDOW_SIZE))
+    write_marks(path, marks)
+    print(f"{path}: the marks", file=sys.stderr)
+    return marks
 
 
 def write_sheet(path: Path, views: list, masks) -> None:

@@ -5,13 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 from assets.file_access import make_folder
 from assets.splat_files import read_gaussians
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-MARKS_FILE = "marks.json"  # in the output folder: a copy
+if TYPE_CHECKING:
+    from prepare.segment.splat_marks import SplatMarks
+
+MARKS_FILE = "marks.json"  # in the output folder
+WINDOW_SIZE = (960, 540)  # in screen coordinates
 
 
 def take_objects(args: argparse.Namespace) -> None:
@@ -22,7 +27,11 @@ def take_objects(args: argparse.Namespace) -> None:
 
     if args.out.exists() and not args.out.is_dir():
         raise BadInput(f"{args.out}: is a file; --out is a folder")
-    start, marks = perf_counter(), read_splat_marks(args.marks)
+    if args.marks is None:
+        marks = marked_splats(args)
+    else:
+        marks = read_splat_marks(args.marks)
+    start = perf_counter()
     outputs = output_files(args.out, list(marks.marks.objects)).values()
     if args.capture.resolve() in [path.resolve() for path in outputs]:
         raise BadInput(f"{args.capture}: would be overwritten; choose another folder for --out")
@@ -36,6 +45,31 @@ def take_objects(args: argparse.Namespace) -> None:
         save_picture(args.out / f"{view}.png", picture)
     written = ", ".join(path.name for path in files.values())
     print(f"{args.out}: {written}; {segmented.cut} Gaussians cut in two, {perf_counter() - start:.1f} s")
+
+
+def marked_splats(args: argparse.Namespace) -> SplatMarks:
+    """Marks that the user makes in a window, going on from those in the output folder; they are kept there.
+
+    Raises BadInput without a display, Cancelled if they are not wanted.
+    """
+    from commands.marking import SplatSubject, check_window, edit_of
+    from display.mark.mark_window import marked_in_window
+    from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+
+    check_window()
+    path = args.out / MARKS_FILE
+    before = read_splat_marks(path) if path.is_file() else SplatMarks()
+    gaussians = read_gaussians(args.capture, progress)
+    make_folder(args.out)
+    start_taichi(args.arch)
+    progress(f"looking for the neighbours of {len(gaussians):,} Gaussians")
+    subject = SplatSubject(gaussians, before, None)
+    state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)
+    marks = subject.marks(state)
+    subject.close()
+    write_splat_marks(path, marks)
+    progress(f"{path}: the marks")
+    return marks
 
 
 def progress(line: str) -> None:

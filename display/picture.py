@@ -112,13 +112,23 @@ class PictureTexture:
 
     def upload(self, picture) -> None:
         """Take over a finished picture, a ti.ndarray u32 (H, W); its size may change."""
-        height, width = picture.shape
+        self._make(*picture.shape)
+        if not self._share(picture):
+            self._texture.write(pixels_of(picture))
+
+    def upload_pixels(self, pixels: np.ndarray) -> None:
+        """Take over a picture on the host, (H, W, 3) uint8 RGB."""
+        height, width = pixels.shape[:2]
+        self._make(height, width)
+        opaque = np.full((height, width, 1), 255, np.uint8)
+        self._texture.write(np.concatenate([pixels, opaque], axis=2).tobytes())
+
+    def _make(self, height: int, width: int) -> None:
+        """Make the texture of this size, unless it is that already."""
         if self.size != (width, height):
             self.release()
             self._texture = self._gl.texture((width, height), 4)
             self._texture.repeat_x = self._texture.repeat_y = False
-        if not self._share(picture):
-            self._texture.write(pixels_of(picture))
 
     def _share(self, picture) -> bool:
         """Copy the picture on the device; False if that is impossible here."""

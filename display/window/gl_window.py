@@ -9,7 +9,7 @@ from core.errors import BadInput
 from display.window.gl_context import HEADLESS_INSTEAD, NO_DISPLAY, context_of
 
 WALKING = "wasdqe"  # keys by their place on a QWERTY keyboard; all other letters by what is printed on them
-NAMED = ["home", "escape", "space", "tab", "delete", *(f"f{k}" for k in range(1, 13))]
+NAMED = ["home", "escape", "enter", "space", "tab", "delete", *(f"f{k}" for k in range(1, 13))]
 PLACES = frozenset([*NAMED, *"abcdefghijklmnopqrstuvwxyz123456789"])
 SYMBOLS = {"+": "plus", "=": "plus", "-": "minus", ",": "comma", ".": "period"}
 
@@ -89,7 +89,7 @@ class GLWindow:
         buttons = {glfw.MOUSE_BUTTON_LEFT: "left", glfw.MOUSE_BUTTON_RIGHT: "right", glfw.MOUSE_BUTTON_MIDDLE: "middle"}
         keys = {getattr(glfw, f"KEY_{name.upper()}"): name for name in PLACES}
         keys |= {glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift"}
-        keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus"}
+        keys |= {glfw.KEY_KP_ADD: "plus", glfw.KEY_KP_SUBTRACT: "minus", glfw.KEY_KP_ENTER: "enter"}
 
         def key(window, code, scancode, action, mods):
             if action == glfw.REPEAT:

@@ -26,6 +26,10 @@ class PixelWeights:
         self._renderer: Renderer | None = None
         self._sums = None
 
+    def replace(self, gaussians: Gaussians) -> None:
+        """Draw other Gaussians from now on, as many and of the same SH degree."""
+        self._splats.replace(gaussians)
+
     def picture(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Picture for a camera on black: rgb (H, W, 3), depth [m] and opacity (H, W), float32."""
         self._draw(camera)

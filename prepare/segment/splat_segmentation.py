@@ -104,16 +104,20 @@ def write_segmented(folder: Path, segmented: SegmentedSplat) -> dict[str, Path]:
     return files
 
 
+def painted(gaussians: Gaussians, objects: int) -> Gaussians:
+    """The Gaussians with those of the objects 1, 2, ... tinted in their colours."""
+    colors = np.concatenate([np.zeros((1, 3)), object_colors(objects) / 255.0])[gaussians.object_id]
+    chosen = gaussians.object_id > 0
+    plain = gaussians.with_sh_degree(0)
+    sh = plain.sh.copy()
+    sh[chosen, 0] = (1 - OVERLAY) * sh[chosen, 0] + OVERLAY * (colors[chosen] - 0.5) / C0
+    return replace(plain, sh=sh)
+
+
 def overlay_of(segmented: SegmentedSplat, marks: SplatMarks) -> dict[str, np.ndarray]:
     """A picture of each marked view with the objects in colours, (H, W, 3) uint8 RGB. Taichi must be running."""
     g = segmented.gaussians
-    colors = np.concatenate([np.zeros((1, 3)), object_colors(len(g.objects)) / 255.0])[g.object_id]
-    chosen = g.object_id > 0
-    painted = g.with_sh_degree(0)
-    sh = painted.sh.copy()
-    shade = (colors - 0.5) / C0
-    sh[chosen, 0] = (1 - OVERLAY) * sh[chosen, 0] + OVERLAY * shade[chosen]
-    weights = PixelWeights(replace(painted, sh=sh.astype(np.float32)))
+    weights = PixelWeights(painted(g, len(g.objects)))
     pictures = {name: weights.picture(marks.cameras[name])[0] for name in marks.marks.views}
     weights.destroy()
     return {name: (p.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8) for name, p in pictures.items()}

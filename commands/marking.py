@@ -1,0 +1,223 @@
+"""What the window for marks shows and selects: the photographs of a capture, or a splat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from assets.gaussians import Gaussians
+from assets.up_axis import guess_up_axis, rotation_to_up
+from core.camera import Camera, look_at
+from core.errors import BadInput
+from display.mark.mark_edit import Mark, MarkEdit, MarkState
+from display.window.orbit_camera import OrbitCamera
+from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
+from prepare.segment.mask_files import COLORS, check_name, object_colors, photograph_size
+from prepare.segment.mask_overlay import overlay
+from prepare.segment.picture_cut import grab_cut
+from prepare.segment.splat_marks import SplatMarks
+from prepare.segment.splat_segmentation import painted, selected
+from prepare.train.photographs import read_image
+
+ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed
+PICTURE_SIZE = (960, 540)  # [px] of the pictures of a splat that are marked
+STROKE_WIDTH = 0.006  # of a photograph's height
+
+
+def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
+    """Marks of a file as the window has them."""
+    found = []
+    for name, views in marks.objects.items():
+        for view, m in views.items():
+            found += [
+                Mark(name, view, kind, tuple(map(tuple, s))) for kind in ("inside", "outside") for s in vars(m)[kind]
+            ]
+            found += [Mark(name, view, "boxes", tuple(map(tuple, b.reshape(2, 2)))) for b in m.boxes]
+    return MarkState(tuple(marks.objects), tuple(found), tuple(grow.items()))
+
+
+def marks_of_state(state: MarkState) -> Marks:
+    """Marks of the window as a file has them; objects without marks are left out. Raises BadInput for a name."""
+    marks = Marks()
+    for mark in state.marks:
+        check_name(mark.object, "the window")
+        own = marks.objects.setdefault(mark.object, {}).setdefault(mark.view, ViewMarks())
+        points = np.array(mark.points, np.float64)
+        getattr(own, mark.kind).append(points.ravel() if mark.kind == "boxes" else points)
+    order = {name: marks.objects[name] for name in state.objects if name in marks.objects}
+    return Marks(order)
+
+
+def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
+    """The marks of a file to go on from, or none."""
+    return MarkEdit(state_of(marks, grow) if marks.objects else None)
+
+
+class SplatSubject:
+    """A splat that is marked from free views; a Subject of MarkWindow. Taichi must be running."""
+
+    def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
+        from display.viewer import FOV_Y, eye_around, middle_and_radius
+        from prepare.segment.pixel_weights import PixelWeights
+        from prepare.segment.splat_selection import SplatSelection
+
+        some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
+        self._upright = np.eye(4)
+        self._upright[:3, :3] = rotation_to_up(up or guess_up_axis(some)[0])
+        turned = replace(some, means=(some.means @ self._upright[:3, :3].T).astype(np.float32))
+        middle, radius = middle_and_radius(turned)
+        eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
+        self.orbit = OrbitCamera(eye, middle, FOV_Y)
+        self.gaussians, self.cameras = gaussians, dict(marks.cameras)
+        self._selection, self._weights = SplatSelection(gaussians), PixelWeights(gaussians)
+        self._drawn = PixelWeights(painted(replace(gaussians, object_id=np.zeros(len(gaussians), np.uint16)), 1))
+        self._seeds: dict[tuple, object] = {}
+
+    @property
+    def views(self) -> list[str]:
+        """Names of the views that have been marked."""
+        return list(self.cameras)
+
+    def colour(self, index: int) -> tuple[float, float, float]:
+        """Colour of an object, 0..1."""
+        return tuple(object_colors(index + 1)[index] / 255.0)
+
+    def _camera(self) -> Camera:
+        """The free camera in the frame of the file."""
+        camera = self.orbit.camera(*PICTURE_SIZE)
+        return replace(camera, world_to_camera=camera.world_to_camera @ self._upright)
+
+    def picture(self, view: str | None) -> np.ndarray:
+        """As Subject.picture."""
+        rgb = self._drawn.picture(self._camera() if view is None else self.cameras[view])[0]
+        return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+    def view_shown(self) -> str | None:
+        """The view that was marked from here, if there is one."""
+        here = self._camera().world_to_camera
+        same = (name for name, c in self.cameras.items() if np.allclose(c.world_to_camera, here, atol=1e-6))
+        return next(same, None)
+
+    def view_here(self) -> str:
+        """As Subject.view_here."""
+        name = self.view_shown()
+        if name is None:
+            number = len(self.cameras) + 1
+            while f"view_{number}" in self.cameras:
+                number += 1
+            name = f"view_{number}"
+            self.cameras[name] = self._camera()
+        return name
+
+    def go_to(self, view: str) -> None:
+        """As Subject.go_to; a camera that is rolled cannot be met."""
+        pose = self.cameras[view].world_to_camera @ self._upright.T
+        eye = -pose[:3, :3].T @ pose[:3, 3]
+        self.orbit.eye, self.orbit.target = eye, eye + self.orbit.distance * pose[2, :3]
+        if np.allclose(look_at(self.orbit.eye, self.orbit.target), pose, atol=1e-6):
+            self.cameras[view] = replace(self.cameras[view], world_to_camera=self._camera().world_to_camera)
+
+    def select(self, state: MarkState) -> str:
+        """As Subject.select."""
+        from prepare.segment.splat_seeds import Seeds
+
+        marks = marks_of_state(state)
+        names = [n for n, views in marks.objects.items() if any(m.inside or m.boxes for m in views.values())]
+        seeds = []
+        for name in names:
+            key = tuple(m for m in state.marks if m.object == name)
+            if key not in self._seeds:
+                self._seeds[key] = Seeds(self.gaussians, self._weights, self.cameras, marks.objects[name])
+            seeds.append(self._seeds[key])
+        ids = np.zeros(len(self.gaussians), np.uint16)
+        for name, own in zip(names, seeds, strict=True):
+            number = state.objects.index(name) + 1
+            ids[selected(self._selection, name, own, seeds, ids, state.rings(name))] = number
+        self._drawn.replace(painted(replace(self.gaussians, object_id=ids), len(state.objects)))
+        counts = [f"{name}: {int((ids == state.objects.index(name) + 1).sum()):,}" for name in names]
+        return ", ".join(counts) + " Gaussians" if counts else ""
+
+    def marks(self, state: MarkState) -> SplatMarks:
+        """The marks with the cameras of their views."""
+        marks = marks_of_state(state)
+        cameras = {name: self.cameras[name] for name in marks.views}
+        return SplatMarks(cameras, marks, {n: r for n, r in state.grow if n in marks.objects})
+
+    def close(self) -> None:
+        """Free the device memory."""
+        self._drawn.destroy()
+        self._weights.destroy()
+
+
+class PhotographSubject:
+    """Photographs that are marked; a Subject of MarkWindow. Each is cut by its own marks alone."""
+
+    orbit = None
+
+    def __init__(self, views: Sequence):
+        self._views = {view.name: view for view in views}
+        self.views, self._state = list(self._views), MarkState()
+        self._read: tuple[str, np.ndarray] | None = None
+        self._cuts: dict[tuple, np.ndarray] = {}
+
+    @property
+    def sizes(self) -> dict[str, tuple[int, int]]:
+        """(width, height) of each photograph."""
+        return {name: photograph_size(view)[::-1] for name, view in self._views.items()}
+
+    def colour(self, index: int) -> tuple[float, float, float]:
+        """Colour of an object, 0..1."""
+        return tuple(np.array(COLORS[index % len(COLORS)]) / 255.0)
+
+    def picture(self, view: str) -> np.ndarray:
+        """As Subject.picture."""
+        if self._read is None or self._read[0] != view:
+            self._read = view, read_image(self._views[view].image)[0]
+        pixels = self._read[1]
+        ids = np.zeros(pixels.shape[:2], np.uint8)
+        for name, mark in marks_of_state(self._state).in_view(view).items():
+            if mark.inside or mark.boxes:
+                ids[self._cut(pixels, name, view, mark)] = self._state.objects.index(name) + 1
+        return overlay(pixels, ids, object_colors(len(self._state.objects)))
+
+    def _cut(self, pixels: np.ndarray, name: str, view: str, mark: ViewMarks) -> np.ndarray:
+        key = (view, tuple(m for m in self._state.marks if (m.object, m.view) == (name, view)))
+        if key not in self._cuts:
+            shape = pixels.shape[:2]
+            width = max(3, round(STROKE_WIDTH * shape[0]))
+            inside, outside = (drawn_strokes(s, shape, width) for s in (mark.inside, mark.outside))
+            near = np.zeros(shape)
+            if mark.boxes:
+                near = drawn_boxes(mark.boxes, shape)
+                outside |= ~near
+            else:
+                ys, xs = np.nonzero(inside | outside)
+                near[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1] = 1.0
+            self._cuts[key] = grab_cut(pixels, near.astype(float), inside & ~outside, outside)
+        return self._cuts[key]
+
+    def view_shown(self) -> None:
+        """No view is free."""
+
+    def view_here(self) -> str:
+        """No view is free."""
+        raise NotImplementedError
+
+    def go_to(self, view: str) -> None:
+        """No view is free."""
+
+    def select(self, state: MarkState) -> str:
+        """As Subject.select."""
+        marks_of_state(state)
+        self._state = state
+        return ""
+
+
+def check_window() -> None:
+    """Raise BadInput where no window can be opened."""
+    from display.window.gl_window import has_display
+
+    if not has_display():
+        raise BadInput("no display to mark objects on: --marks MARKS.json takes marks from a file")

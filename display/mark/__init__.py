@@ -1,0 +1,1 @@
+"""Marking objects by strokes and boxes on pictures, in a window."""

@@ -1,0 +1,117 @@
+"""Marks while they are made: objects, strokes and boxes on views, and steps back and forth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+GROW_MAX = 50  # rings of neighbours
+STEPS_MAX = 500  # that can be undone
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A stroke or box of an object on a view.
+
+    kind    "inside", "outside" or "boxes"
+    points  (x, y) of a stroke in pixels of the picture; two opposite corners of a box
+    """
+
+    object: str
+    view: str
+    kind: str
+    points: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class MarkState:
+    """All marks at a moment: names of objects, marks, and rings by which each object is grown (or shrunk)."""
+
+    objects: tuple[str, ...] = ("object_1",)
+    marks: tuple[Mark, ...] = ()
+    grow: tuple[tuple[str, int], ...] = ()
+
+    def rings(self, name: str) -> int:
+        """Rings by which an object is grown."""
+        return dict(self.grow).get(name, 0)
+
+
+class MarkEdit:
+    """State of the marks with undo; `current` is the index of the object that is marked."""
+
+    def __init__(self, state: MarkState | None = None):
+        self.state, self.current = state or MarkState(), 0
+        self._done: list[MarkState] = []
+        self._undone: list[MarkState] = []
+
+    @property
+    def name(self) -> str:
+        """Name of the object that is marked."""
+        return self.state.objects[self.current]
+
+    @property
+    def changed(self) -> bool:
+        """True if something was marked since the start, and is not undone."""
+        return bool(self._done)
+
+    def _do(self, state: MarkState) -> None:
+        if state != self.state:
+            self._done = [*self._done, self.state][-STEPS_MAX:]
+            self._undone, self.state = [], state
+
+    def add(self, view: str, kind: str, points) -> None:
+        """Add a stroke or box of the current object."""
+        mark = Mark(self.name, view, kind, tuple((float(x), float(y)) for x, y in points))
+        self._do(replace(self.state, marks=(*self.state.marks, mark)))
+
+    def clear(self) -> None:
+        """Remove all marks of the current object."""
+        left = tuple(m for m in self.state.marks if m.object != self.name)
+        grow = tuple((n, r) for n, r in self.state.grow if n != self.name)
+        self._do(replace(self.state, marks=left, grow=grow))
+
+    def grow(self, rings: int) -> None:
+        """Grow the current object by so many rings more, or shrink it."""
+        now = max(-GROW_MAX, min(GROW_MAX, self.state.rings(self.name) + rings))
+        others = tuple((n, r) for n, r in self.state.grow if n != self.name)
+        self._do(replace(self.state, grow=(*others, (self.name, now)) if now else others))
+
+    def new_object(self) -> None:
+        """Mark another object from now on."""
+        number = len(self.state.objects) + 1
+        while f"object_{number}" in self.state.objects:
+            number += 1
+        self._do(replace(self.state, objects=(*self.state.objects, f"object_{number}")))
+        self.current = len(self.state.objects) - 1
+
+    def rename(self, name: str) -> bool:
+        """Give the current object another name; False if another has it, or it is none."""
+        old = self.name
+        if not name or (name in self.state.objects and name != old):
+            return False
+        self._do(
+            MarkState(
+                tuple(name if n == old else n for n in self.state.objects),
+                tuple(replace(m, object=name) if m.object == old else m for m in self.state.marks),
+                tuple((name if n == old else n, r) for n, r in self.state.grow),
+            )
+        )
+        return True
+
+    def choose(self, index: int) -> None:
+        """Mark this object from now on, if there is one."""
+        if 0 <= index < len(self.state.objects):
+            self.current = index
+
+    def undo(self) -> None:
+        """Take the last step back."""
+        self._step(self._done, self._undone)
+
+    def redo(self) -> None:
+        """Take the step that was undone last again."""
+        self._step(self._undone, self._done)
+
+    def _step(self, source: list[MarkState], target: list[MarkState]) -> None:
+        if source:
+            target.append(self.state)
+            self.state = source.pop()
+            self.current = min(self.current, len(self.state.objects) - 1)

@@ -1,0 +1,133 @@
+"""Marking objects: strokes with undo, and the window that makes them."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from assets.splat_files import read_gaussians, write_gaussians
+from commands.marking import PhotographSubject, edit_of, marks_of_state, state_of
+from display.mark.mark_edit import MarkEdit
+from tests.prepare.test_splat_segmentation import balls_on_a_floor
+from tests.support.xvfb import NEEDS_XVFB, XServer
+
+PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
+
+
+def test_steps_are_undone_and_redone():
+    edit = MarkEdit()
+    edit.add("view_1", "inside", [(1, 2), (3, 4)])
+    edit.new_object()
+    edit.add("view_1", "boxes", [(0, 0), (9, 9)])
+    edit.grow(1)
+    assert edit.name == "object_2" and edit.state.rings("object_2") == 1
+    for _ in range(3):
+        edit.undo()
+    assert edit.name == "object_1" and len(edit.state.marks) == 1
+    edit.redo()
+    assert edit.state.objects == ("object_1", "object_2")
+    edit.undo()
+    edit.add("view_1", "outside", [(5, 5)])
+    edit.redo()  # what was undone is gone
+    assert edit.state.objects == ("object_1",) and len(edit.state.marks) == 2
+
+
+def test_a_name_is_given_to_one_object_alone():
+    edit = MarkEdit()
+    edit.add("view_1", "inside", [(1, 2)])
+    assert edit.rename("bear") and edit.state.marks[0].object == "bear"
+    edit.new_object()
+    assert not edit.rename("bear") and not edit.rename("")
+
+
+def test_marks_of_a_file_come_back_from_the_window():
+    edit = MarkEdit()
+    edit.add("a.jpg", "inside", [(1, 2), (3, 4)])
+    edit.add("b.jpg", "boxes", [(1, 1), (20, 30)])
+    edit.grow(-2)
+    marks = marks_of_state(edit.state)
+    np.testing.assert_array_equal(marks.objects["object_1"]["b.jpg"].boxes[0], [1, 1, 20, 30])
+    assert state_of(marks, {"object_1": -2}) == edit.state
+    assert not edit_of(marks, {}).changed
+
+
+def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path):
+    from types import SimpleNamespace
+
+    import cv2
+
+    picture = np.full((80, 100, 3), (60, 140, 60), np.uint8)
+    picture[20:60, 30:70] = (40, 60, 220)
+    cv2.imwrite(str(tmp_path / "a.png"), picture)
+    subject = PhotographSubject([SimpleNamespace(name="a.png", image=tmp_path / "a.png")])
+    before, edit = subject.picture("a.png").astype(int), MarkEdit()
+    edit.add("a.png", "inside", [(40, 30), (60, 50)])
+    edit.add("a.png", "outside", [(15, 70), (85, 70)])
+    subject.select(edit.state)
+    changed = np.abs(subject.picture("a.png") - before).max(-1) > 5
+    assert changed[25:55, 35:65].mean() > 0.9 and changed[:15].mean() == 0.0
+
+
+def test_without_a_display_marks_come_from_a_file(tmp_path, monkeypatch):
+    from commands.marking import check_window
+    from core.errors import BadInput
+
+    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
+    with pytest.raises(BadInput, match=r"--marks MARKS\.json"):
+        check_window()
+
+
+@pytest.fixture
+def marking(tmp_path):
+    """A window on two balls on a floor: (screen, process, output folder)."""
+    write_gaussians(tmp_path / "balls.ply", balls_on_a_floor()[0])
+    with XServer(1000, 620) as screen:
+        words = [sys.executable, PROGRAM, "segment", tmp_path / "balls.ply", "--out", tmp_path / "out", "--arch", "cpu"]
+        process = subprocess.Popen(words, env=screen.env, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        try:
+            screen.wait_for_window("Mark balls.ply", seconds=120)
+            until(lambda: screen.pixels()[270, 441].max() > 60)  # the picture is there
+            yield screen, process, tmp_path / "out"
+        finally:
+            process.kill()
+            process.wait()
+
+
+def until(holds, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "it never came"
+        time.sleep(0.1)
+
+
+def is_red(pixel) -> bool:
+    return int(pixel[0]) > 2 * int(pixel[1])
+
+
+@pytest.mark.long
+@pytest.mark.window
+@pytest.mark.skipif(NEEDS_XVFB[1].args[0], reason=NEEDS_XVFB[1].kwargs["reason"])
+def test_strokes_in_the_window_take_a_ball_out(marking):
+    """A stroke shows at once what it selects; undone it does not; Enter writes marks and splats."""
+    screen, process, out = marking
+    plain = screen.pixels()[270, 450].copy()
+    screen.drag((430, 250), (440, 285))
+    until(lambda: is_red(screen.pixels()[270, 455]))
+    screen.drag((360, 330), (440, 330), button=3)
+    until(lambda: screen.pixels()[330, 400].max() < 40)  # a dark stroke
+    until(lambda: not is_red(screen.pixels()[270, 518]))
+    screen.do("key", "ctrl+z", "key", "ctrl+z")
+    until(lambda: np.abs(screen.pixels()[270, 455].astype(int) - plain).max() < 12)
+    screen.do("key", "ctrl+y", "key", "ctrl+y")
+    until(lambda: is_red(screen.pixels()[270, 455]))
+    screen.key("Return")
+    text, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    marks = json.loads((out / "marks.json").read_text())
+    assert set(marks["objects"]["object_1"]["view_1"]) == {"inside", "outside"}
+    assert abs(len(read_gaussians(out / "object_1.ply")) - 1500) < 60
+    assert (out / "view_1.png").is_file() and "object_1.ply" in text

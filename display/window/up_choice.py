@@ -6,7 +6,7 @@ from display.protocol import Command, TurnUp, WorldView
 from display.window.panel.theme import QUIET
 from display.window.panel.widgets import pixels
 
-MARGIN = 16  # [px] to the window's edge
+MARGIN, FOOT = 16, 60  # [px] to the sides of the window, and to its lower edge, where hints stand
 
 
 class UpChoice:
@@ -33,7 +33,7 @@ class UpChoice:
             self._pictures = choices
             self._textures = [self._gl.texture(p.shape[1::-1], 3, p.tobytes(), alignment=1) for _, _, p in choices]
         area, flags = imgui.get_io().display_size, imgui.WindowFlags_
-        imgui.set_next_window_pos((0.5 * area.x, area.y - pixels(MARGIN)), 0, (0.5, 1.0))
+        imgui.set_next_window_pos((0.5 * area.x, area.y - pixels(FOOT)), 0, (0.5, 1.0))
         imgui.set_next_window_size_constraints((0, 0), (area.x - 2 * pixels(MARGIN), area.y))
         fixed = flags.no_title_bar | flags.no_resize | flags.no_move | flags.no_saved_settings
         imgui.begin("up", None, fixed | flags.always_auto_resize | flags.horizontal_scrollbar)

@@ -191,8 +191,9 @@ def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
         for name, part in parts.items():
             write_gaussians(part_file(args.out, name), part, lambda line: None)  # said of the whole
             print(f"{part_file(args.out, name)}: {len(part)} Gaussians")
-        for name in {*numbers, BACKGROUND} - set(parts):
-            print(f"{name}: no Gaussians, no file")
+        for name in (*numbers, BACKGROUND):
+            if name not in parts:
+                print(f"{name}: no Gaussians, no file")
     return numbers
 
 

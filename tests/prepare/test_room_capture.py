@@ -1,0 +1,161 @@
+"""A captured room: what cameras need, what holds an object, where the player stands, stages that go on."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from assets.gaussians import Gaussians, concatenate
+from assets.room_folder import RoomObject
+from commands.capture_room import capture_files, parsed_length, parsed_point
+from core.camera import look_at, perspective
+from core.distance_grid import DistanceGrid
+from core.errors import BadInput
+from core.material import MATERIALS
+from prepare.room_capture.captured_background import RoomView, room_extent, view_of
+from prepare.room_capture.contributions import contributions, needed, weights_in_masks
+from prepare.room_capture.objects import liftable, object_files, support_of, without_solid
+from prepare.room_capture.stages import Stages
+
+
+def discs(points, sigma=0.02) -> Gaussians:
+    """Opaque round Gaussians at points (N, 3)."""
+    n = len(points)
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    return Gaussians.of(points, quats, np.full((n, 3), np.log(sigma)), np.full(n, 4.0), np.zeros((n, 1, 3)))
+
+
+def plane(axis: int, at: float) -> Gaussians:
+    """A square plane of 2 m across an axis."""
+    u = np.linspace(-1, 1, 41)
+    points = np.insert(np.stack(np.meshgrid(u, u), -1).reshape(-1, 2), axis, at, axis=1)
+    return discs(points)
+
+
+def ball(centre, radius=0.15) -> Gaussians:
+    x = np.random.default_rng(0).normal(size=(400, 3))
+    return discs(centre + radius * x / np.linalg.norm(x, axis=1, keepdims=True))
+
+
+def test_what_stands_what_hangs_and_what_nothing_holds():
+    on_floor = support_of("ball", ball((0.2, 0.15, 0.0)), plane(1, 0.0))
+    assert on_floor.stands and on_floor.direction @ [0, 1, 0] == 1.0
+    in_corner = support_of("ball", ball((0.0, 0.15, 0.15)), concatenate([plane(1, 0.0), plane(2, 0.0)]))
+    assert in_corner.stands
+    on_wall = support_of("fox", ball((0.0, 1.0, 0.15)), plane(2, 0.0))
+    assert not on_wall.stands and on_wall.direction @ [0, 0, 1] > 0.98
+    with pytest.raises(BadInput, match="kite: touches nothing"):
+        support_of("kite", ball((0.0, 1.0, 0.0)), plane(1, 0.0))
+    with pytest.raises(BadInput, match="dot: only 5 opaque"):
+        support_of("dot", ball((0.0, 0.15, 0.0)).select(slice(5)), plane(1, 0.0))
+
+
+def test_what_no_photograph_needs_is_left_out(ti_cpu):
+    """A plane, one Gaussian behind it, and one before each camera's lens."""
+    camera = perspective(64, 48, 0.9, look_at((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)))
+    hidden, floater = discs([[0.0, 0.0, -0.5]]), discs([[0.05, 0.0, 1.9]], 0.004)
+    g = concatenate([plane(2, 0.0), hidden, floater])
+    found = contributions(g, [camera, camera])
+    assert found.depth == pytest.approx([2.0, 2.0], rel=0.05)
+    keep = needed(g, [camera, camera], found)
+    assert not keep[-2] and found.weight[-2] < 0.5 and not keep[-1] and found.weight[-1] > 1.0
+    inside = (np.abs(g.means[:-2, :2]) < 0.6).all(1)
+    assert keep[:-2][inside].all() and found.views[:-2][inside].min() == 2
+    left = np.zeros((48, 64), np.uint8)
+    left[:, :32] = 1
+    weights = weights_in_masks(g, [camera], [left], 1)
+    assert weights.sum() == pytest.approx(found.weight.sum() / 2, rel=1e-3)
+    sides = weights.argmax(1)[:-2][inside & (np.abs(g.means[:-2, 0]) > 0.05)]
+    assert (sides == (g.means[:-2, 0][inside & (np.abs(g.means[:-2, 0]) > 0.05)] < 0)).all()
+
+
+def ring_of_cameras(height: float):
+    turns = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    eyes = [(1.5 * np.sin(t), height + 0.1 * np.cos(5 * t), 1.5 * np.cos(t)) for t in turns]
+    return [perspective(100, 80, 0.8, look_at(eye, (0.0, 0.3, 0.0))) for eye in eyes]
+
+
+def test_the_player_stands_where_a_photographer_stood_on_the_front_side():
+    cameras = ring_of_cameras(1.4)
+    view = RoomView(cameras, np.full(12, 1.8), True)
+    eye, target, fov = view_of(view)
+    assert any(np.allclose(eye, c.position) for c in cameras) and eye[2] > 1.2 and fov == pytest.approx(0.8)
+    assert np.linalg.norm(np.subtract(target, (0.0, 0.3, 0.0))) < 0.2 and view.floor == 0.0
+    unseen = replace(view, floor_seen=False)
+    assert unseen.floor == pytest.approx(min(0.0, np.median(view.places[:, 1]) - 1.5))
+
+
+def test_a_room_reaches_as_far_as_cameras_and_what_they_show_but_no_backdrop():
+    view = RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True)
+    g = concatenate([plane(1, 0.0), discs(np.full((50, 3), 60.0))])
+    low, high = room_extent(g, np.ones(len(g)), view)
+    assert (low < -2.0).sum() == 2 and (high[[0, 2]] < 2.5).all() and high[1] < 2.5
+
+
+def test_a_body_leaves_its_place_free():
+    solid = DistanceGrid(np.full((21, 21, 21), -0.2, np.float32), np.full(3, -0.5), 0.05)
+    x = np.moveaxis(np.indices((17, 17, 17)), 0, -1) * 0.025 - 0.2
+    body = DistanceGrid((np.linalg.norm(x, axis=-1) - 0.15).astype(np.float32), np.full(3, -0.2), 0.025)
+    thing = RoomObject("ball", "objects/ball.h5", (0.1, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    free = without_solid(solid, body, thing)
+    assert free.sample(np.array([[0.1, 0.0, 0.0]]))[0] == pytest.approx(0.15, abs=0.03)
+    assert free.sample(np.array([[-0.3, 0.0, 0.0]]))[0] == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_a_hand_can_lift_an_object_of_any_size():
+    plush = MATERIALS["plush"]
+    assert liftable(plush, 0.01) == plush
+    big = liftable(replace(plush, young=1e6), 1.0)
+    assert big.density == pytest.approx(3.0) and big.young == pytest.approx(3e4)
+
+
+def test_files_of_objects_have_safe_and_different_names():
+    assert object_files(["bear", "der Bär", "熊", "der B?r"]) == [
+        "objects/bear.h5", "objects/der_B_r.h5", "objects/object_3.h5", "objects/der_B_r_4.h5",
+    ]  # fmt: skip
+
+
+def test_a_cut_run_goes_on_and_changed_inputs_are_made_anew(tmp_path):
+    made = []
+
+    def run(second: int, *, cut: bool = False):
+        stages = Stages(tmp_path / "work", ("first", "second"))
+
+        def make(folder):
+            made.append(folder.name)
+            (folder / "result").write_text("done")
+            if cut:
+                raise KeyboardInterrupt
+
+        stages.run("first", {"n": 1}, lambda folder: made.append("first"))
+        return stages.run("second", {"n": second}, make)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(1, cut=True)
+    assert not (tmp_path / "work" / "second").exists() and (tmp_path / "work" / "second.part" / "result").exists()
+    assert (run(1) / "result").read_text() == "done" and made == ["first", "second.part", "second.part"]
+    run(1)
+    assert len(made) == 3
+    run(2)
+    assert len(made) == 4 and json.loads((tmp_path / "work/second/stage.json").read_text())["seconds"] >= 0
+    (tmp_path / "work/first/stage.json").write_text("[")
+    run(2)
+    assert made[-1] == "first"
+
+
+def test_points_of_a_scale():
+    assert parsed_point("a:b.jpg:12,3.5") == ("a:b.jpg", [12.0, 3.5]) and parsed_point("1,2,3") == ("", [1, 2, 3])
+    for text in ("1,2", "a.jpg:1", "a.jpg:1,x", "nan,1,2"):
+        with pytest.raises(BadInput, match="neither"):
+            parsed_point(text)
+    for text in ("0", "-1", "inf", "nan", "a"):
+        with pytest.raises(BadInput, match="no length"):
+            parsed_length(text)
+
+
+def test_masks_and_results_are_no_files_of_a_capture(tmp_path):
+    for name in ("transforms.json", "images/a.jpg", "masks/a.png", "notes.md"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("x")
+    assert [name for name, *_ in capture_files(tmp_path)] == ["a.jpg", "transforms.json"]

@@ -34,7 +34,7 @@ READERS = {
 COMPRESSED = ".compressed.ply"  # both suffixes, as PlayCanvas's tools name it; recognised by content on reading
 WRITERS = {".ply": write_ply, COMPRESSED: write_compressed, ".spz": write_spz, ".splat": write_splat}
 KEEP_OBJECTS = (".ply", ".h5")
-KEEP_SORT = (".ply", ".h5")
+KEEP_SORT = (".ply", COMPRESSED, ".spz", ".h5")
 MAGICS = {
     b"ply\n": ".ply",
     b"ply\r": ".ply",

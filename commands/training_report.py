@@ -51,11 +51,13 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
 def _perceptual(numbers: dict, trainer, test: list) -> str:
     """Add the mean LPIPS of the test photographs to the numbers; returns what is said of it."""
-    from prepare.train.perceptual import MISSING, lpips_distance
+    from prepare.train.perceptual import lpips_distance
 
-    distance = lpips_distance() if test else None
+    if not test:
+        return ""
+    distance, why_not = lpips_distance()
     if distance is None:
-        return f"{MISSING}." if test else ""
+        return f"{why_not}."
     found = []
     for photograph in test:
         drawn = np.where(photograph.mask[..., None], trainer.picture(photograph.camera), photograph.pixels)

@@ -143,7 +143,8 @@ def write_compressed(path: str | Path, g: Gaussians) -> None:
     ranges = np.concatenate([*position_range, *scale_range, *color_range], axis=1)
     channels = g.sh[:, 1:].transpose(0, 2, 1).reshape(n, rest)
     codes = np.clip(np.floor((channels / SH_EXTENT + 0.5) * 256), 0, 255).astype(np.uint8)
-    header = ["ply", "format binary_little_endian 1.0", f"element chunk {len(ranges)}"]
+    header = ["ply", "format binary_little_endian 1.0", *([f"comment sort {g.sort}"] if g.sort else [])]
+    header += [f"element chunk {len(ranges)}"]
     header += [f"property float {name}" for both in RANGES.values() for names in both for name in names]
     header += [f"element vertex {n}", *(f"property uint {name}" for name in PACKED)]
     header += [f"element sh {n}", *(f"property uchar f_rest_{i}" for i in range(rest))] if rest else []

@@ -10,6 +10,7 @@ objects there is an integer property `object_id` too, and a line `comment object
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -39,7 +40,7 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
         if vertex is None:
             raise BadInput(f"{path}: has no vertex element")
         if "packed_position" in vertex.names:
-            return read_compressed(path, file, order, elements, report)
+            return replace(read_compressed(path, file, order, elements, report), sort=_order(comments))
         _check_vertex(path, vertex)
         rest = _rest_count(path, vertex)
         if order == "":
@@ -69,8 +70,13 @@ def read_ply(path: str | Path, report: Report = print) -> Gaussians:
     ids, objects = None, ()
     if "object_id" in vertex.names:
         ids, objects = _object_ids(path, rows["object_id"], report), _object_names(comments)
-    sort = next((s for s in SORTS if f"sort {s}" in comments), "")
+    sort = _order(comments)
     return drawable_gaussians(path, *shape, report, object_id=ids, objects=objects, sort=sort)
+
+
+def _order(comments: list[str]) -> str:
+    """The order of blending that a header's comments name, or ""."""
+    return next((sort for sort in SORTS if f"sort {sort}" in comments), "")
 
 
 def _object_ids(path: Path, values: np.ndarray, report: Report) -> np.ndarray:

@@ -3,7 +3,8 @@
 Versions 1-3 are one gzip stream: a 16-byte header, then positions, alphas, colours, scales,
 rotations, SH. Version 4 is a 32-byte header, a table and one zstd stream an attribute. The axes are
 right-up-back, half a turn about x away from those of the .ply (right-down-front); reading and
-writing turn them. Read are versions 1-4, written is version 3.
+writing turn them. Read are versions 1-4, written is version 3. The order of blending that the splats
+were trained for, if it is not z, is the comment of the gzip stream (RFC 1952), `sort radial`.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,12 +20,13 @@ import numpy as np
 
 from assets.file_access import atomic_write, open_input, unpack_bound
 from assets.formats.quantization import bytes_from_logits, join_largest, logits_from_bytes, split_largest, to_bytes
-from assets.gaussians import SH_COUNTS, Gaussians, Report, drawable_gaussians
+from assets.gaussians import SH_COUNTS, SORTS, Gaussians, Report, drawable_gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import sh_basis
 
 SPZ_MAGIC = 0x5053474E  # "NGSP"
 GZIP = b"\x1f\x8b"
+GZIP_COMMENT = 16  # flag of a gzip stream
 SPZ_HEADER = struct.Struct("<IIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, reserved or streams
 STREAM_ENTRY = struct.Struct("<QQ")  # stored and unpacked size of a version-4 stream [bytes]
 HEADER_4_SIZE = 32
@@ -82,7 +84,13 @@ def read_spz(path: str | Path, report: Report = print) -> Gaussians:
     ignored += ["its mark for anti-aliased drawing"] if header.flags & ANTIALIASED else []
     if ignored:
         report(f"{path}: ignored {', '.join(ignored)}")
-    return _decode(path, header, streams, report)
+    return replace(_decode(path, header, streams, report), sort=_order_in_comment(data))
+
+
+def _order_in_comment(data: bytes) -> str:
+    """The order of blending in the comment of a gzip stream that has that field alone; "" without."""
+    comment = data[10:].split(b"\0", 1)[0] if data[:2] == GZIP and data[3:4] == bytes([GZIP_COMMENT]) else b""
+    return next((sort for sort in SORTS if comment == f"sort {sort}".encode()), "")
 
 
 def _header(path: Path, data: bytes) -> Header:
@@ -222,7 +230,10 @@ def write_spz(path: str | Path, g: Gaussians) -> None:
     ]
     header = SPZ_HEADER.pack(SPZ_MAGIC, 3, n, g.sh_degree, bits, 0, 0)
     with atomic_write(path) as beside, open(beside, "wb") as file:
-        file.write(gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0))
+        packed = gzip.compress(header + b"".join(np.ascontiguousarray(s).tobytes() for s in streams), 6, mtime=0)
+        if g.sort not in ("", "z"):
+            packed = packed[:3] + bytes([GZIP_COMMENT]) + packed[4:10] + f"sort {g.sort}\0".encode() + packed[10:]
+        file.write(packed)
 
 
 def _pack_smallest_three(xyzw: np.ndarray) -> np.ndarray:

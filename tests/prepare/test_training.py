@@ -1,7 +1,10 @@
 """Training on the CPU: convergence, births and deaths, checkpoints, and the command."""
 
 import json
+import sys
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +19,7 @@ from prepare.train.capture import Capture, View
 from prepare.train.checkpoint import read_checkpoint, write_checkpoint
 from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
 from prepare.train.lens import Lens
+from prepare.train.perceptual import lpips_distance
 from prepare.train.photographs import Photograph
 from prepare.train.seeds import seeds
 from prepare.train.trainer import Trainer, TrainOptions
@@ -195,7 +199,7 @@ def test_the_command_trains_reports_and_goes_on(ti_cpu, tmp_path, capsys):
     numbers = json.loads(report.read_text())
     assert numbers["steps"] == 60 and numbers["test"]["psnr"] > 14.0 and numbers["views"] == 10
     page = report.with_suffix(".html").read_text()
-    assert page.count("data:image/png") == 4
+    assert page.count("data:image/png") == 4 and "LPIPS" in page
     g = read_gaussians(out)
     assert 100 < len(g) == numbers["gaussians"] and not list(tmp_path.glob("*.checkpoint.h5"))
     assert np.linalg.norm(np.median(g.means, axis=0) - np.median(painted_gaussians().means, axis=0)) < 0.2
@@ -239,3 +243,28 @@ def test_what_cannot_be_trained_is_said_before_anything_is_read(tmp_path, capsys
         assert main(["train", str(tmp_path / "capture"), *words]) == 2
         assert says in capsys.readouterr().err
     assert not list(tmp_path.glob("*.ply"))
+
+
+def test_lpips_of_images_where_its_package_is(monkeypatch):
+    """Images go to the network as -1..1, channels first; weights that cannot be loaded are no failure."""
+    given = []
+
+    def network(**options):
+        return lambda a, b: given.append((a, b)) or 0.25
+
+    fakes = {
+        "lpips": SimpleNamespace(LPIPS=network, __spec__="installed"),
+        "torch": SimpleNamespace(from_numpy=lambda a: a, no_grad=nullcontext, __spec__="installed"),
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setitem(sys.modules, name, fake)
+    distance, _ = lpips_distance()
+    black, white = np.zeros((4, 5, 3), np.uint8), np.full((4, 5, 3), 255, np.uint8)
+    assert distance(black, white) == 0.25
+    assert [a.shape for a in given[0]] == [(1, 3, 4, 5)] * 2 and [a.min() for a in given[0]] == [-1.0, 1.0]
+
+    def unreachable(**options):
+        raise OSError("no network")
+
+    fakes["lpips"].LPIPS = unreachable
+    assert lpips_distance() == (None, "the weights of LPIPS cannot be loaded (no network)")

@@ -15,6 +15,7 @@ from assets.file_access import atomic_write, make_folder
 from commands import train
 from commands.conditions import Condition
 from commands.options import add_arch, positive
+from commands.segment import marked_photographs
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
@@ -87,7 +88,6 @@ def run(args: argparse.Namespace) -> None:
 def make_room(args: argparse.Namespace) -> None:
     """Make the room of a capture in the folder `args.out`. Raises BadInput."""
     check(args)
-    make_folder(args.out)
     start_taichi(args.arch, args.seed)
     stages = Stages(args.out / "work", STAGES)
     RoomMaking(args, stages).make()
@@ -215,12 +215,15 @@ class RoomMaking:
         """Masks, or marks that are checked against the photographs. Raises BadInput."""
         if self.args.no_objects:
             return
+        sizes = {view.name: photograph_size(view)[::-1] for view in capture.views}
         if self.marks is not None:
-            read_marks(self.marks, {view.name: photograph_size(view)[::-1] for view in capture.views})
+            read_marks(self.marks, sizes)
             return
         self.masks = masks_of(capture, self.args.masks, lambda line: None)[1]
-        if self.masks is None:
+        if self.masks is None:  # asked before the long stages, if there are poses
             check_can_ask()
+            marked_photographs(capture, sizes)
+            self.marks = capture.folder / MARKS
 
     def look(self):
         """What the cameras need."""
@@ -246,7 +249,7 @@ class RoomMaking:
             if self.args.no_objects:
                 self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
-        marks = self.marks or self.asked_marks()
+        marks = self.marks
 
         def make(into: Path) -> None:
             made = labelled(g, self.capture, self.masks_from(marks), self.stages.progress)
@@ -263,10 +266,6 @@ class RoomMaking:
         read = read_marks(marks, {view.name: photograph_size(view)[::-1] for view in self.capture.views})
         photographs = load_photographs(self.capture.views, self.args.reduce)
         return propagate_marks(self.capture, photographs, read, self.gaussians, self.stages.progress)
-
-    def asked_marks(self) -> Path:
-        """Marks that the user makes in the window, kept beside the stages."""
-        raise BadInput("which objects? --marks MARKS.json or --masks FOLDER says it; --no-objects makes just the room")
 
     def measured(self) -> dict:
         """Points and length of --scale-points."""
@@ -350,6 +349,10 @@ class RoomMaking:
 
 def check_can_ask() -> None:
     """Raise BadInput where the user cannot be asked for marks in a window."""
+    from display.window.gl_window import has_display
+
+    if has_display():
+        return
     raise BadInput("which objects? --marks MARKS.json or --masks FOLDER says it; --no-objects makes just the room")
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from assets.asset import Asset
 from assets.gaussians import Gaussians
 from assets.room_folder import RoomObject
-from assets.up_axis import convex_hull, robust_bounds
+from assets.up_axis import robust_bounds
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, MATERIALS, Material
@@ -78,11 +78,8 @@ def widths(g: Gaussians) -> np.ndarray:
 
 def holds_centre(points: np.ndarray, centre: np.ndarray) -> bool:
     """True if a point (2,) lies within the convex hull of points (N, 2)."""
-    hull = convex_hull(points)
-    if len(hull) < 3:
-        return False
-    along, to = np.roll(hull, -1, axis=0) - hull, centre - hull
-    return bool((along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0] > 0).all())
+    angle = np.sort(np.arctan2(*(points - centre).T))
+    return bool(np.diff(angle, append=angle[0] + 2 * np.pi).max() < np.pi)  # they are not in a half plane
 
 
 def object_body(

@@ -293,9 +293,9 @@ class RoomMaking:
         def make(folder: Path) -> None:
             painter = None
             if a.lama:
-                from prepare.inpaint.picture_inpainting import lama_painter
+                from prepare.inpaint.lama_network import LamaNetwork
 
-                painter = lama_painter(a.lama)
+                painter = LamaNetwork(a.lama)
             write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, painter))
 
         done = self.stages.run("inpaint", inputs, make)

@@ -138,6 +138,8 @@ def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], p
         from prepare.inpaint.inpaint_pipeline import inpaint
     how = {} if painter is None else {"painter": painter}
     for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
+        others = [other for other in things if other is not thing]  # what they hid was not seen either
+        how["others"] = concatenate(others) if others else None
         rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
     return rest
 

@@ -1,0 +1,202 @@
+"""`vrgs.py inpaint`: take objects out of a splat, and close the holes that they leave."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from assets.file_access import atomic_write, check_writable
+from commands.conditions import Condition
+from commands.options import SPLATS, add_arch, positive
+from core.errors import BadInput
+from core.runtime import start_taichi
+
+HELP = "take an object out of a splat, and make up what no camera saw behind it"
+EXAMPLES = (
+    "inpaint room.ply --remove bear --capture room/ --out empty.ply",
+    "inpaint room.ply --remove 1 2 --out empty.ply             without photographs",
+    "inpaint background.ply --objects bear.ply --out empty.ply --report empty.json",
+    "inpaint room.ply --remove bear --capture room/ --model lama.onnx --out empty.ply",
+)
+CONDITIONS = (
+    Condition(("--truth",), lambda args: args.capture and args.report, "belongs to --capture and --report"),
+    Condition(("--reduce",), lambda args: args.capture and args.truth, "belongs to --truth"),
+)
+FIGURES = 4  # views in the report
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the command's arguments."""
+    text = f"{SPLATS} or .h5; with --remove a .ply or .h5 with objects"
+    parser.add_argument("scene", type=Path, metavar="SCENE", help=text)
+    which = parser.add_mutually_exclusive_group(required=True)
+    text = "names or numbers of objects in SCENE that are taken out"
+    which.add_argument("--remove", nargs="+", metavar="OBJECT", help=text)
+    text = "splats of objects that SCENE does not hold any more, as `train --split` writes them"
+    which.add_argument("--objects", nargs="+", type=Path, metavar="FILE", help=text)
+    parser.add_argument("--out", type=Path, required=True, metavar="OUT", help="OUT.ply, .spz, .splat, .compressed.ply")
+    text = (
+        "the photographs of SCENE as `train` took them: what none of them saw is made up; without them, what is empty"
+    )
+    parser.add_argument("--capture", type=Path, metavar="CAPTURE", help=text)
+    text = "LaMa network: inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512), 0..1; default: patches of the rest"
+    parser.add_argument("--model", type=Path, metavar="FILE.onnx", help=text)
+    parser.add_argument("--steps", type=positive(int), metavar="N", help="training of the patch (default 200)")
+    text = "numbers as JSON, and beside it a page and a picture, before and after"
+    parser.add_argument("--report", type=Path, metavar="R.json", help=text)
+    text = "photographs without the object, named as those of the capture: the report compares with them"
+    parser.add_argument("--truth", type=Path, metavar="FOLDER", help=text)
+    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help="divide the truth's sides by N")
+    add_arch(parser)
+
+
+def run(args: argparse.Namespace) -> None:
+    """Remove, inpaint and write. Raises BadInput."""
+    from assets.gaussians import concatenate
+    from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
+    from prepare.inpaint.inpaint_pipeline import STAGES, STEPS, close_hole, find_hole, order_of, paint_hole
+    from prepare.inpaint.lama_network import LamaNetwork
+    from prepare.inpaint.picture_inpainting import paint_from_patches
+    from prepare.progress import progress_on
+
+    kind_to_write(args.out)
+    for file in filter(None, (args.out, args.report)):
+        check_writable(file)
+    painter = LamaNetwork(args.model) if args.model else paint_from_patches
+    cameras, truths = _cameras(args)
+    background, objects = _parts(args, read_gaussians)
+    start_taichi(args.arch)
+    begin, reports = time.perf_counter(), []
+    options = {"antialias": False, "sort": order_of(background)}
+    for name, removed in objects.items():
+        others = [g for other, g in objects.items() if other != name]
+        progress = progress_on(sys.stderr, STAGES)
+        told = options | {"progress": progress}
+        try:
+            more = concatenate(others) if others else None
+            hole = find_hole(background, removed, cameras, name=name, others=more, **told)
+            textures = paint_hole(hole, painter, progress)
+            after = close_hole(hole, textures, steps=args.steps or STEPS, **told)
+        finally:
+            progress.close()
+        patch = len(after) - len(hole.background)
+        line = f"{name}: {len(removed)} Gaussians taken out"
+        line += f", {patch} new ones over {hole.area:.3g} m^2 that no camera saw" if patch else "; nothing was unseen"
+        print(line)
+        if args.report:
+            reports.append(_measured(name, removed, hole, textures, background, after, truths, painter, options))
+        background = after
+    write_gaussians(args.out, background)
+    seconds = time.perf_counter() - begin
+    print(f"{args.out}: {len(background)} Gaussians, {seconds:.0f} s")
+    if args.report:
+        _report(args.report, reports, {"gaussians": len(background), "seconds": seconds, "scene": str(args.scene)})
+
+
+def _cameras(args: argparse.Namespace) -> tuple[list | None, list]:
+    """Cameras of the capture, None without one, and the photographs of the truth, none without it. Raises BadInput."""
+    from prepare.train.capture import read_capture
+    from prepare.train.photographs import load_photograph
+
+    if args.capture is None:
+        return None, []
+    capture = read_capture(args.capture).upright()  # as `train` turns it
+    truths = []
+    if args.truth:
+        if not args.truth.is_dir():
+            raise BadInput(f"{args.truth}: no such folder")
+        for view in capture.views:
+            image = next((p for p in sorted(args.truth.glob(f"{view.image.stem}.*")) if p.is_file()), None)
+            if image is None:
+                raise BadInput(f"{args.truth}: holds no picture {view.image.stem}")
+            truths.append(load_photograph(replace(view, image=image, mask=None), args.reduce))
+    return [t.camera for t in truths] or [v.camera() for v in capture.views], truths
+
+
+def _parts(args: argparse.Namespace, read) -> tuple:
+    """The background, and the objects by name. Raises BadInput."""
+    scene = read(args.scene)
+    if args.objects:
+        names = [path.stem for path in args.objects]
+        if len(set(names)) < len(names):
+            raise BadInput(f"--objects: two files are named {max(names, key=names.count)}")
+        return scene, {name: read(path) for name, path in zip(names, args.objects, strict=True)}
+    ids = {name: object_number(scene, name, args.scene) for name in args.remove}
+    return scene.select(~np.isin(scene.object_id, list(ids.values()))), {
+        name: scene.select(scene.object_id == number) for name, number in ids.items()
+    }
+
+
+def object_number(scene, name: str, path: Path) -> int:
+    """The id of an object by its name or number. Raises BadInput."""
+    there = sorted(set(scene.object_id.tolist()) - {0})
+    names = {k: scene.objects[k - 1] if k <= len(scene.objects) else str(k) for k in there}
+    for k, known in names.items():
+        if name in (known, str(k)):
+            return k
+    if not there:
+        raise BadInput(f"{path}: holds no objects; train with masks or cut one out first, or give --objects")
+    raise BadInput(f"{path}: holds no object {name}; there are {', '.join(names.values())}")
+
+
+def _measured(name, removed, hole, textures, before, after, truths, painter, options) -> dict:
+    """Numbers of an object's hole, and under "pictures" a picture for the report."""
+    from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+
+    views = compare(hole, textures, before, after, truths, **options)
+    views = [v for v in views if v.covered.any()]
+    numbers = {"object": name, "removed": len(removed), "new": len(after) - len(hole.background)}
+    numbers |= {"unseen": hole.dropped, "area": hole.area, "views": len(views)}
+    numbers["surfaces"] = [{"normal": t.surface.axes[2].tolist(), "area": t.area} for t in textures]
+    if truths:
+        numbers["psnr"] = uncovered_psnr(views)
+    if textures:
+        alone = [painter(v.before, v.hole) if v.hole.any() else v.before for v in views[:: -(-len(views) // 8)]]
+        numbers["inconsistency"] = {
+            "after": inconsistency(views, textures, [v.after for v in views]),
+            "each_view_painted_alone": inconsistency(views[:: -(-len(views) // 8)], textures, alone),
+        }
+    best = sorted(views, key=lambda v: -int(v.hole.sum() or v.covered.sum()))
+    rows = []
+    for v in best[:: max(1, len(best) // FIGURES)][:FIGURES]:
+        columns = [v.before, v.after] if v.truth is None else [v.truth, v.before, v.after]
+        rows.append((np.concatenate(columns, axis=1) * 255).round().astype(np.uint8))
+    numbers["pictures"] = rows
+    return numbers
+
+
+def _report(path: Path, objects: list[dict], whole: dict) -> None:
+    """Write the numbers, a page and a picture."""
+    import cv2
+
+    from bench.html_page import Section, Table, html_page
+
+    sections, sheet = [], []
+    for numbers in objects:
+        pictures = numbers.pop("pictures")
+        columns = "truth, before, after" if "psnr" in numbers else "before, after"
+        shown = {f"view {k + 1}: {columns}": p for k, p in enumerate(pictures)}
+        rows = [("area of the hole [m^2]", f"{numbers['area']:.4g}"), ("new Gaussians", str(numbers["new"]))]
+        for where, psnr in numbers.get("psnr", {}).items():
+            rows += [(f"PSNR, pixels of the {where}, {when} [dB]", f"{value:.2f}") for when, value in psnr.items()]
+        for when, value in numbers.get("inconsistency", {}).items():
+            rows.append((f"deviation between views, {when.replace('_', ' ')} [of 255]", f"{value:.2f}"))
+        sections.append(Section(numbers["object"], columns, shown, Table(("", ""), rows)))
+        sheet += pictures
+    text = f"{whole['gaussians']} Gaussians, {whole['seconds']:.0f} s"
+    if sheet:
+        width = max(p.shape[1] for p in sheet)
+        sheet = [np.pad(p, ((0, 4), (0, width - p.shape[1]), (0, 0)), constant_values=255) for p in sheet]
+        data = cv2.imencode(".png", np.concatenate(sheet)[..., ::-1])[1].tobytes()
+        with atomic_write(path.with_suffix(".png")) as beside:
+            beside.write_bytes(data)
+    with atomic_write(path.with_suffix(".html")) as beside:
+        beside.write_text(html_page("Inpainting", text, sections), encoding="utf-8")
+    with atomic_write(path) as beside:
+        beside.write_text(json.dumps(whole | {"objects": objects}, indent=1) + "\n", encoding="utf-8")

@@ -1,0 +1,107 @@
+"""The patch of new Gaussians over a hole: seeded on its surfaces, and trained with all others frozen."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from assets.gaussians import SH_COUNTS, Gaussians, concatenate
+from core.rotation import quaternions_from_matrices
+from core.spherical_harmonics import C0
+from prepare.inpaint.hole_views import SOLID, HoleView
+from prepare.inpaint.surface_texture import SurfaceTexture
+from prepare.progress import Progress
+from prepare.train.densification import logit
+from prepare.train.photographs import Photograph
+
+SEEDS = (400, 20_000)  # least and most of a surface
+OPACITY = 0.95
+WIDTH, THICKNESS = 0.6, 0.1  # spacings: standard deviations along the surface and across
+RIM = 8  # [px] around the hole in which a patch must not show
+VIEWS_MAX = 16  # that are trained for
+HOLE_PIXELS = 20  # of a view that is trained for, at least
+
+
+def seed_patch(texture: SurfaceTexture, background: Gaussians, degree: int) -> Gaussians:
+    """Gaussians over the hole of a surface in its colours, as close as those of the background on the known part."""
+    spacing = _spacing(texture, background)
+    extent = texture.texel * np.array(texture.hole.shape[::-1])
+    steps = np.floor(extent / spacing).astype(int)
+    v, u = np.mgrid[: steps[1], : steps[0]]
+    places = texture.corner + spacing * np.stack([u + 0.25 + 0.5 * (v % 2), v + 0.5], axis=-1).reshape(-1, 2)
+    wide = cv2.dilate(texture.hole.astype(np.uint8), np.ones((3, 3), np.uint8))
+    places = places[texture.sample(wide, places[None], linear=False)[0] > 0]
+    color = texture.sample(texture.color, places[None])[0]
+    n, sh = len(places), np.zeros((len(places), SH_COUNTS[degree], 3))
+    sh[:, 0] = (color - 0.5) / C0
+    axes = texture.surface.axes.T  # columns: along, along, across
+    scales = np.log(spacing * np.array([WIDTH, WIDTH, THICKNESS]))
+    quats = np.tile(quaternions_from_matrices(axes), (n, 1))
+    return Gaussians.of(texture.surface.points(places), quats, np.tile(scales, (n, 1)), np.full(n, logit(OPACITY)), sh)
+
+
+def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
+    """Distance [m] between neighbouring Gaussians on the known part of the surface, within the bounds of SEEDS."""
+    local = texture.surface.local(background.means.astype(np.float64))
+    near = (np.abs(local[:, 2]) < 2 * texture.texel + 3 * texture.surface.spread) & (background.opacities > 0.3)
+    on = texture.sample(texture.known.astype(np.uint8), local[None, near, :2], linear=False)[0] > 0
+    spacing = texture.texel * np.sqrt(texture.known.sum() / max(1, on.sum()))
+    low, high = (np.sqrt(texture.area / n) for n in SEEDS[::-1])
+    return float(np.clip(spacing, max(low, texture.texel), max(high, texture.texel)))
+
+
+def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a view shall show: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
+    c = view.camera
+    y, x = np.mgrid[: c.height, : c.width]
+    rays = np.stack([(x + 0.5 - c.cx) / c.fx, (y + 0.5 - c.cy) / c.fy, np.ones(x.shape)], axis=-1)
+    rays = rays @ c.world_to_camera[:3, :3]  # of depth 1
+    color, hole, nearest = view.color.copy(), np.zeros(x.shape, bool), np.full(x.shape, np.inf)
+    for texture in textures:
+        surface = texture.surface
+        eye, slope = surface.local(c.position), rays @ surface.axes.T
+        falling = (slope[..., 2] < -1e-9) & (eye[2] > 0)
+        near = binary_dilation(texture.hole, iterations=RIM).astype(np.uint8)  # where the relief is evaluated
+        height = np.zeros(x.shape)
+        for _ in range(3):  # towards where the ray meets the relief
+            depth = np.where(falling, (height - eye[2]) / np.minimum(slope[..., 2], -1e-9), np.inf)
+            places = eye[:2] + np.where(falling, depth, 0.0)[..., None] * slope[..., :2]
+            inside = texture.sample(near, places, linear=False) > 0
+            height = np.zeros(x.shape)
+            height[inside] = surface.heights(places[inside])
+        occluded = (view.alpha > SOLID) & ((view.depth - depth) * slope[..., 2] > 3 * texture.texel)
+        own = (texture.sample(texture.hole.astype(np.uint8), places, linear=False) > 0) & falling & ~occluded
+        own &= depth < nearest
+        color[own], nearest[own] = texture.sample(texture.color, places)[own], depth[own]
+        hole |= own
+    return color, hole, binary_dilation(hole, iterations=RIM)
+
+
+def train_patch(
+    background: Gaussians,
+    patch: Gaussians,
+    targets: list[Photograph],
+    extent: float,
+    progress: Progress,
+    *,
+    steps: int,
+    antialias: bool,
+    sort: str,
+) -> Gaussians:
+    """The patch after training to the targets, with the background frozen."""
+    from prepare.train.trainer import Trainer, TrainOptions
+
+    start = concatenate([background, patch])
+    options = TrainOptions(
+        steps=steps, cap=len(start), degree=start.sh_degree, antialias=antialias, sort=sort, frozen=len(background)
+    )
+    trainer = Trainer(targets, start, extent, options)
+    for k in range(steps):
+        trainer.step()
+        if k % 10 == 9 or k + 1 == steps:
+            trainer.recent_loss()  # waits for the device
+            progress("patch", (k + 1) / steps)
+    grown = trainer.population.gaussians()
+    trainer.destroy()
+    return grown.select(slice(len(background), None))

@@ -1,0 +1,226 @@
+"""Views of the place where an object stands: the background alone and the object alone, cut to its surroundings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from assets.gaussians import Gaussians
+from core.camera import Camera, look_at, perspective
+from prepare.progress import Progress
+
+REACH = 2.2  # of the object's radius: what is looked at around its middle
+SIDE = 400  # [px] at most of a view, the longer one
+SIDE_MIN = 12  # [px] a view that shows less of the surroundings is left out
+WIDE = 1.4  # [rad] off the axis: no picture is wider
+SOLID = 0.5  # opacity of a surface
+TRACE = 0.05  # opacity of the object from which it colours a pixel
+
+INSIDE = 1.5  # radii from the object's middle
+OUTSIDE_SHARE = 0.1  # of what a Gaussian shows: it may spread over the silhouette's border
+SILHOUETTE_MARGIN = 1  # [px]
+REMAP_MAX = 30_000  # positions in a row: OpenCV's limit is 32767
+
+AROUND = 90  # directions that are tried where there are no cameras
+AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of these trials, and of the views that are kept
+AROUND_MAX = 24  # views that are kept
+AROUND_DISTANCE = 4.0  # radii of the object
+FREE = 0.7  # of an object's pixels that must be in front of the background
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """The ball around an object: its middle [m] (3,) and the radius [m] of the object."""
+
+    centre: np.ndarray
+    radius: float
+
+    @classmethod
+    def of(cls, removed: Gaussians) -> Surroundings:
+        """The ball of an object's Gaussians, but for the outermost ones."""
+        low, high = np.percentile(removed.means.astype(np.float64), (2, 98), axis=0)
+        centre = 0.5 * (low + high)
+        distance = np.linalg.norm(removed.means - centre, axis=1)
+        return cls(centre, max(float(np.percentile(distance, 97)), 1e-6))
+
+
+@dataclass(frozen=True)
+class HoleView:
+    """What a camera sees, without and only of the object: float32 pictures of the size of `camera`, a cut-out.
+
+    camera                      cut out of camera number `index` of those that were given
+    color, alpha, depth         of the background: RGB premultiplied, opacity, and camera z [m]
+    object_alpha, object_depth  of the object alone
+    """
+
+    index: int
+    camera: Camera
+    color: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    object_alpha: np.ndarray
+    object_depth: np.ndarray
+
+    def in_front(self) -> np.ndarray:
+        """Pixels (H, W) bool that the object covers."""
+        free = (self.alpha < SOLID) | (self.object_depth < self.depth)
+        return (self.object_alpha > SOLID) & free
+
+
+def draw_views(
+    background: Gaussians,
+    removed: Gaussians,
+    cameras: list[Camera],
+    ball: Surroundings,
+    progress: Progress,
+    *,
+    antialias: bool,
+    sort: str,
+) -> list[HoleView]:
+    """The views of all cameras that look at the surroundings of the object."""
+    cuts = [(k, cut) for k, c in enumerate(cameras) if (cut := cut_out_camera(c, ball)) is not None]
+    if not cuts:
+        return []
+    drawings = [Drawing(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in (background, removed)]
+    found = []
+    for done, (k, cut) in enumerate(cuts):
+        color, alpha, depth = drawings[0](cut)
+        _, object_alpha, object_depth = drawings[1](cut)
+        found.append(HoleView(k, cut, color, alpha, depth, object_alpha, object_depth))
+        progress("views", (done + 1) / len(cuts))
+    for drawing in drawings:
+        drawing.destroy()
+    return found
+
+
+def within_object(
+    background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress, *, sort: str
+) -> np.ndarray:
+    """Mask (N,) of Gaussians around an object that show nearly only in its silhouettes: no camera saw them."""
+    from prepare.room_capture.contributions import WeightSums
+
+    sums = WeightSums(background, [v.camera for v in views], sort=sort)
+    weights = np.zeros((len(background), 3))
+    for k, view in enumerate(views):
+        camera = sums.cameras[k]
+        own = binary_dilation(view.object_alpha > SOLID, iterations=SILHOUETTE_MARGIN).astype(np.float32)
+        own = cv2.resize(own, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        weights += sums.of(k, np.dstack([own, 1.0 - own, own]))
+        progress("hole", 0.5 * (k + 1) / len(views))
+    sums.destroy()
+    near = np.linalg.norm(background.means - ball.centre, axis=1) < INSIDE * ball.radius
+    return near & (weights[:, 1] < OUTSIDE_SHARE * weights[:, :2].sum(axis=1))
+
+
+def image_positions(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (..., 2) float32 of points (..., 3) for cv2.remap, far outside behind the camera; their depth z [m]."""
+    p = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = p[..., 2]
+    ahead = z > 1e-9
+    safe = np.where(ahead, z, 1.0)
+    at = np.stack([camera.fx * p[..., 0] / safe + camera.cx, camera.fy * p[..., 1] / safe + camera.cy], axis=-1) - 0.5
+    return np.where(ahead[..., None], at, -1e6).clip(-1e6, 1e6).astype(np.float32), z
+
+
+def nearest_pixels(picture: np.ndarray, at: np.ndarray, outside: float) -> np.ndarray:
+    """Values of a picture (H, W) at positions (..., 2), without interpolation."""
+    rows = at.reshape(1, -1, 2) if at.ndim < 3 else at
+    out = np.empty(rows.shape[:2], np.float32)
+    for first in range(0, rows.shape[1], REMAP_MAX):
+        part = np.ascontiguousarray(rows[:, first : first + REMAP_MAX])
+        border = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": outside}
+        out[:, first : first + REMAP_MAX] = cv2.remap(
+            picture.astype(np.float32), part[..., 0], part[..., 1], cv2.INTER_NEAREST, **border
+        )
+    return out.reshape(at.shape[:-1])
+
+
+def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
+    """The camera cut to the surroundings of an object, reduced to SIDE; None if it does not show them."""
+    p = camera.world_to_camera[:3, :3] @ ball.centre + camera.world_to_camera[:3, 3]
+    reach = REACH * ball.radius
+    if p[2] < -reach:
+        return None
+    low, high = np.zeros(2), np.array([camera.width, camera.height], float)
+    for k, (f, c) in enumerate(((camera.fx, camera.cx), (camera.fy, camera.cy))):
+        distance = np.hypot(p[k], p[2])
+        if distance > reach:  # else the camera stands within the ball
+            middle, half = np.arctan2(p[k], p[2]), np.arcsin(reach / distance)
+            if middle - half > -WIDE:
+                low[k] = max(low[k], np.floor(c + f * np.tan(min(middle - half, WIDE))))
+            if middle + half < WIDE:
+                high[k] = min(high[k], np.ceil(c + f * np.tan(max(middle + half, -WIDE))))
+    extent = high - low
+    if (extent < SIDE_MIN).any():
+        return None
+    width, height = (max(SIDE_MIN, round(float(e * min(1.0, SIDE / extent.max())))) for e in extent)
+    sx, sy = width / extent[0], height / extent[1]
+    return Camera(
+        width,
+        height,
+        camera.fx * sx,
+        camera.fy * sy,
+        (camera.cx - low[0]) * sx,
+        (camera.cy - low[1]) * sy,
+        camera.world_to_camera,
+    )
+
+
+class Drawing:
+    """Draws Gaussians for cameras of several sizes."""
+
+    def __init__(self, gaussians: Gaussians, cameras: list[Camera], *, antialias: bool, sort: str):
+        from render.renderer import Renderer
+        from render.splats import Splats
+
+        size = max(c.width for c in cameras), max(c.height for c in cameras)
+        self._splats = Splats(gaussians)
+        self.renderer = Renderer(self._splats, *size, outputs="float", antialias=antialias, sort=sort)
+
+    def draw(self, camera: Camera) -> None:
+        """Draw into the first rows and columns of the renderer's fields."""
+        renderer, size = self.renderer, (camera.width, camera.height)
+        if size != (renderer.width, renderer.height):
+            renderer.rasterizer.resize(*size)
+            renderer.width, renderer.height = size
+        renderer.render([camera])
+
+    def __call__(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Colour (H, W, 3) premultiplied, opacity (H, W), and camera z [m] (H, W), float32."""
+        self.draw(camera)
+        fields = (self.renderer.rgb, self.renderer.alpha, self.renderer.depth)
+        return tuple(np.ascontiguousarray(f.to_numpy()[0, : camera.height, : camera.width]) for f in fields)
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.renderer.destroy()
+        self._splats.destroy()
+
+
+def cameras_around(
+    background: Gaussians, removed: Gaussians, ball: Surroundings, *, antialias: bool, sort: str
+) -> list[Camera]:
+    """Cameras on all sides from which an object is seen freely, for a splat without photographs."""
+    k = np.arange(AROUND) + 0.5  # a Fibonacci sphere
+    height, turn = 1 - 2 * k / AROUND, np.pi * (1 + 5**0.5) * k
+    flat = np.sqrt(1 - height**2)
+    directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], axis=1)
+    eyes = ball.centre + AROUND_DISTANCE * ball.radius * directions
+    fov = 2 * np.arcsin(min(0.9, REACH / AROUND_DISTANCE))
+    poses = [look_at(eye, ball.centre) for eye in eyes]
+    trials = [perspective(AROUND_SIDE, AROUND_SIDE, fov, pose) for pose in poses]
+    drawings = [Drawing(g, trials, antialias=antialias, sort=sort) for g in (background, removed)]
+    free = []
+    for trial in trials:
+        (_, alpha, depth), (_, object_alpha, object_depth) = (drawing(trial) for drawing in drawings)
+        solid = object_alpha > SOLID
+        clear = solid & ((alpha < SOLID) | (object_depth < depth))
+        free.append(clear.sum() / max(1, solid.sum()))
+    for drawing in drawings:
+        drawing.destroy()
+    chosen = np.flatnonzero(np.array(free) > FREE)
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(AROUND_MAX, len(chosen))).round().astype(int))]
+    return [perspective(AROUND_SIDE_FULL, AROUND_SIDE_FULL, fov, poses[i]) for i in chosen]

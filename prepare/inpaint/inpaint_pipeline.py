@@ -1,0 +1,166 @@
+"""Inpainting of a splat: the place where an object stood is closed by a patch of new Gaussians."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from assets.gaussians import Gaussians, concatenate
+from core.camera import Camera
+from core.errors import BadInput
+from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
+from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
+from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
+from prepare.inpaint.support_surface import support_surfaces
+from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
+from prepare.progress import Progress, no_progress
+from prepare.train.photographs import Photograph
+
+STAGES = ("views", "hole", "paint", "patch")
+STEPS = 200  # of training
+OBJECT_MIN = 20  # Gaussians
+RIM_KNOWN = 0.6  # of the hole of a further surface: the side of a thing that stands near ends there
+CONTEXT = 48  # texels around a hole that its painter sees
+SEEN_MIN = 50  # pixels of the object in all views
+
+
+@dataclass(frozen=True)
+class Hole:
+    """What an object leaves behind.
+
+    background  what stays, without Gaussians that no camera saw behind the object
+    dropped     number of those
+    views       without and only of the object
+    textures    of the support surfaces that have a hole, not painted yet; none: all that was hidden was seen elsewhere
+    """
+
+    background: Gaussians
+    dropped: int
+    ball: Surroundings
+    views: list[HoleView]
+    textures: list[SurfaceTexture]
+
+    @property
+    def area(self) -> float:
+        """Area of the hole [m^2]."""
+        return sum(t.area for t in self.textures)
+
+
+def inpaint(
+    background: Gaussians,
+    removed: Gaussians,
+    cameras: list[Camera] | None,
+    *,
+    name: str = "the object",
+    others: Gaussians | None = None,
+    painter: Painter = paint_from_patches,
+    steps: int = STEPS,
+    antialias: bool = False,
+    progress: Progress = no_progress,
+) -> Gaussians:
+    """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
+
+    The background's Gaussians stay as they are, bit for bit; those that stood inside of the object, where no camera
+    saw them, are left out.
+
+    others    more Gaussians that are taken away, other objects: what they hid was not seen either
+    cameras   of the photographs, in the frame of the Gaussians; None: there are none, and a hole is where nothing is
+              drawn when one looks at the place of the object from all sides
+    painter   fills a picture's hole
+    progress  is told of STAGES
+
+    Taichi must have been started. Raises BadInput, naming the object, where it stands on nothing or is not seen.
+    """
+    options = {"antialias": antialias, "sort": order_of(background), "progress": progress}
+    hole = find_hole(background, removed, cameras, name=name, others=others, **options)
+    textures = paint_hole(hole, painter, progress)
+    return close_hole(hole, textures, steps=steps, **options)
+
+
+def order_of(gaussians: Gaussians) -> str:
+    """The order of blending that a splat was trained for; "radial" where it is not known, or cannot be trained for."""
+    return gaussians.sort if gaussians.sort in ("z", "radial") else "radial"
+
+
+def find_hole(
+    background: Gaussians,
+    removed: Gaussians,
+    cameras: list[Camera] | None,
+    *,
+    name: str,
+    others: Gaussians | None = None,
+    antialias: bool,
+    sort: str,
+    progress: Progress = no_progress,
+) -> Hole:
+    """What the removed Gaussians leave behind. Raises BadInput, see `inpaint`."""
+    if len(removed) < OBJECT_MIN:
+        raise BadInput(f"{name}: only {len(removed)} Gaussians; an object has at least {OBJECT_MIN}")
+    if not len(background):
+        raise BadInput(f"{name}: nothing is left without it")
+    ball = Surroundings.of(removed)
+    options = {"antialias": antialias, "sort": sort}
+    photographed = cameras is not None
+    if not photographed:
+        cameras = cameras_around(background, removed, ball, **options)
+    hiding = removed if others is None else concatenate([removed, others])
+    views = draw_views(background, hiding, cameras, ball, progress, **options)
+    if sum(int(v.in_front().sum()) for v in views) < SEEN_MIN:
+        raise BadInput(f"{name}: no camera sees it")
+    progress("hole", 0.0)
+    kept = background
+    if photographed and (unseen := within_object(background, views, ball, progress, sort=sort)).any():
+        kept = background.select(~unseen)
+        hiding = concatenate([hiding, background.select(unseen)])
+        views = draw_views(kept, hiding, cameras, ball, no_progress, **options)
+    surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
+    if not surfaces:
+        raise BadInput(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
+    textures = []
+    for k, surface in enumerate(surfaces):
+        others = [s for s in surfaces if s is not surface]
+        textures.append(texture_of(surface, others, views, ball, photographed=photographed))
+        progress("hole", (k + 1) / (len(surfaces) + 1))
+    textures = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
+    progress("hole", 1.0)
+    return Hole(kept, len(background) - len(kept), ball, views, textures)
+
+
+def paint_hole(hole: Hole, painter: Painter, progress: Progress = no_progress) -> list[SurfaceTexture]:
+    """The textures with their holes painted."""
+    painted = []
+    for k, t in enumerate(hole.textures):
+        progress("paint", k / len(hole.textures))
+        y, x = (slice(max(0, a.min() - CONTEXT), a.max() + 1 + CONTEXT) for a in np.nonzero(t.hole))
+        color = t.color.copy()
+        color[y, x] = painter(t.color[y, x], ~t.known[y, x])
+        painted.append(replace(t, color=color))
+    progress("paint", 1.0)
+    return painted
+
+
+def close_hole(
+    hole: Hole, textures: list[SurfaceTexture], *, steps: int, antialias: bool, sort: str, progress: Progress
+) -> Gaussians:
+    """The background with the patch after it."""
+    if not textures:
+        progress("patch", 1.0)
+        return hole.background
+    patch = concatenate([seed_patch(t, hole.background, hole.background.sh_degree) for t in textures])
+    targets = []
+    for view in hole.views:
+        color, pixels, counts = target(view, textures)
+        if pixels.sum() >= HOLE_PIXELS:
+            picture = (color.clip(0.0, 1.0) * 255).round().astype(np.uint8)
+            targets.append((int(pixels.sum()), Photograph(picture, counts, view.camera)))
+    targets = [targets[i][1] for i in _spread(len(targets), VIEWS_MAX)]
+    if targets:
+        options = {"steps": steps, "antialias": antialias, "sort": sort}
+        patch = train_patch(hole.background, patch, targets, hole.ball.radius, progress, **options)
+    return concatenate([hole.background, patch])
+
+
+def _spread(count: int, most: int) -> np.ndarray:
+    """At most `most` indices, evenly spread over range(count)."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)) if count else np.zeros(0, int)

@@ -1,0 +1,179 @@
+"""The texture of a support surface: what cameras saw of it, and the hole that none saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.ndimage import binary_dilation, distance_transform_edt, label
+
+from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.inpaint.support_surface import SupportSurface, fit_relief
+
+REACH = 1.7  # radii from the object's middle: half a side of the texture
+TEXELS = (96, 384)  # least and most, of a side
+NEAR_SURFACE = 0.04  # radii from the surface within which a pixel shows it
+GRAZING = 0.12  # cosine of the steepest view of a surface that is taken
+SEEN_SHARE = 0.05  # of the views that look there: fewer catch a glimpse between parts of the object, or depth is noisy
+EMPTY_SHARE = 0.25  # of the views that look there and see through: fewer graze a dent of the surface
+COVERED_SHARE = 0.3  # of the views that look there: else something else hides it
+LEAK, RIM = 2, 6  # texels
+HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
+SURE = 0.5  # share of the views behind the object that must show no surface, where photographs do not tell
+
+
+@dataclass(frozen=True)
+class SurfaceTexture:
+    """Square texels of a support surface, (H, W).
+
+    corner  place [m] (2,) of the first texel's outer corner; `texel` [m] is its side
+    color   (H, W, 3) float32, 0..1; black where it is not known
+    known   bool: a camera saw the surface there
+    hole    bool: no camera saw whether there is a surface, as the object was in front
+    rim     share of the hole's rim that is known: a surface that goes on around the hole, or ends there
+    """
+
+    surface: SupportSurface
+    corner: np.ndarray
+    texel: float
+    color: np.ndarray
+    known: np.ndarray
+    hole: np.ndarray
+    rim: float = 1.0
+
+    def places(self) -> np.ndarray:
+        """Places [m] (H, W, 2) of the texels' middles."""
+        y, x = np.mgrid[: self.hole.shape[0], : self.hole.shape[1]]
+        return self.corner + self.texel * (np.stack([x, y], axis=-1) + 0.5)
+
+    def sample(self, values: np.ndarray, places: np.ndarray, *, linear: bool = True) -> np.ndarray:
+        """Values (H, W, ...) of texels at places (h, w, 2) [m], 0 outside."""
+        at = ((places - self.corner) / self.texel - 0.5).astype(np.float32)
+        flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
+        return cv2.remap(values, at[..., 0], at[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
+
+    @property
+    def area(self) -> float:
+        """Area of the hole [m^2]."""
+        return float(self.hole.sum()) * self.texel**2
+
+
+def texture_of(
+    surface: SupportSurface,
+    others: list[SupportSurface],
+    views: list[HoleView],
+    ball: Surroundings,
+    *,
+    photographed: bool,
+) -> SurfaceTexture:
+    """The texture of a surface from all views, and its hole.
+
+    others        surfaces that end this one: behind them there is none of it
+    photographed  the cameras are those of the photographs: what none of them saw is a hole, whatever is drawn there.
+                  Else a hole is where nothing is drawn.
+    """
+    footprint = np.median([_footprint(v, ball) for v in views])
+    count = int(np.clip(2 * REACH * ball.radius / footprint, *TEXELS))
+    nothing = np.zeros((count, count), bool)
+    color = np.zeros((count, count, 3), np.float32)
+    corner, texel = np.full(2, -REACH * ball.radius), 2 * REACH * ball.radius / count
+    texture = SurfaceTexture(surface, corner, texel, color, nothing, nothing)
+    tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
+    places = texture.places()
+    looking, seen, through, covered, lacking = (np.zeros((count, count), np.int32) for _ in range(5))
+    heights = np.zeros((count, count))
+    for view in views:
+        look = _look(texture, surface.points(places), view, tolerance)
+        looking += look.inside
+        seen += look.shows
+        through += look.behind
+        covered += look.covered
+        lacking += look.lacks
+        heights += np.where(look.shows, look.height, 0.0)
+    known = (seen > through) & (seen > SEEN_SHARE * looking)
+    empty = ~known & (through > EMPTY_SHARE * looking)
+    surface = fit_relief(surface, places[known], heights[known] / seen[known], ball.radius)
+    points = surface.points(places)
+    beyond = np.zeros_like(known)
+    for other in others:
+        beyond |= other.local(points)[..., 2] < 0.5 * texel
+    hole = ~known & ~empty & (covered > COVERED_SHARE * looking) & ~beyond
+    if not photographed:
+        hole &= lacking > SURE * covered
+    if known.any():  # the surface ends where the nearest place that was seen has none
+        nearest = distance_transform_edt(~(known | empty), return_distances=False, return_indices=True)
+        hole &= known[tuple(nearest)]
+    hole = _without_specks(hole)
+    if hole.any():  # its rim is repainted, as the object's colour leaks there
+        hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
+    known &= ~hole
+    around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
+    rim = float(known[around].mean()) if around.any() else 1.0
+    texture = replace(texture, surface=surface, known=known, hole=hole, rim=rim)
+    return replace(texture, color=_colors(texture, points, views, tolerance))
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What a view shows at each texel it looks at: the surface, something behind it, the object before it (and nothing
+    where the surface should be then); and the height [m] of what it shows."""
+
+    inside: np.ndarray
+    shows: np.ndarray
+    behind: np.ndarray
+    covered: np.ndarray
+    lacks: np.ndarray
+    height: np.ndarray
+
+
+def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float) -> _Look:
+    at, z, cosine = projected(view, points, texture.surface.axes[2])
+    inside = (z > 0) & (cosine > GRAZING)
+
+    alpha = nearest_pixels(view.alpha, at, -1.0)
+    inside &= alpha >= 0
+    touched = binary_dilation(view.object_alpha > TRACE, iterations=1).astype(np.float32)
+    depth_of_object = nearest_pixels(view.object_depth, at, 0.0)
+    # The point on the ray of a texel at another depth is off the plane by this:
+    slope = -cosine * np.linalg.norm(points - view.camera.position, axis=-1) / np.maximum(z, 1e-9)
+    before = (nearest_pixels(touched, at, 0.0) > 0) & ((depth_of_object - z) * slope > -tolerance)
+    height = (nearest_pixels(view.depth, at, 0.0) - z) * slope
+    solid = alpha > SOLID
+    shows = inside & ~before & solid & (np.abs(height) < tolerance)
+    behind = inside & ~before & (~solid | (height < -2 * tolerance))
+    covered = inside & before
+    return _Look(inside, shows, behind, covered, covered & (~solid | (height < -tolerance)), height)
+
+
+def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions for cv2.remap (..., 2) float32 of points (..., 3), their depth z [m], and the cosine of the view."""
+    at, z = image_positions(view.camera, points)
+    rays = view.camera.position - points
+    cosine = rays @ normal / np.maximum(np.linalg.norm(rays, axis=-1), 1e-12)
+    return at, z, cosine
+
+
+def _colors(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> np.ndarray:
+    """Colour of each known texel from the view that shows it largest and least slanted."""
+    color = np.zeros((*texture.hole.shape, 3), np.float32)
+    best = np.zeros(texture.hole.shape)
+    for view in views:
+        look = _look(texture, points, view, tolerance)
+        at, z, cosine = projected(view, points, texture.surface.axes[2])
+        merit = np.where(look.shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
+        drawn = cv2.remap(view.color, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+        better = merit > best
+        color[better], best[better] = drawn[better], merit[better]
+    return np.where(texture.known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
+
+
+def _footprint(view: HoleView, ball: Surroundings) -> float:
+    """Size [m] of a pixel at the object's distance."""
+    return float(np.linalg.norm(view.camera.position - ball.centre)) / view.camera.fx
+
+
+def _without_specks(hole: np.ndarray) -> np.ndarray:
+    labels, _ = label(hole)
+    sizes = np.bincount(labels.ravel())
+    return hole & (sizes[labels] >= HOLE_MIN)

@@ -1,0 +1,200 @@
+"""Inpainting: a ball is taken from a checked table, whose Gaussians under it no camera saw."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from assets.gaussians import ROWS, Gaussians, concatenate
+from assets.splat_files import read_gaussians, write_gaussians
+from core.camera import look_at, perspective
+from core.errors import BadInput
+from core.spherical_harmonics import C0
+from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+from prepare.inpaint.hole_views import Surroundings, cut_out_camera
+from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole
+from prepare.inpaint.lama_network import LamaNetwork
+from prepare.inpaint.picture_inpainting import paint_from_patches
+from prepare.progress import no_progress
+from prepare.train.photographs import Photograph
+from tests.support.tiny_onnx import write_tiny_lama
+from vrgs import main
+
+RADIUS, SPACING = 0.12, 0.02  # [m] of the ball, and between the table's Gaussians
+OPTIONS = {"antialias": False, "sort": "radial", "progress": no_progress}
+
+
+def flat(points, color, scale) -> Gaussians:
+    n, sh = len(points), (np.asarray(color)[:, None] - 0.5) / C0
+    quats = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    return Gaussians.of(points, quats, np.log(np.broadcast_to(scale, (n, 3))), np.full(n, 4.0), sh)
+
+
+def table() -> Gaussians:
+    """A level square of 1 m in checks of 10 cm."""
+    x, z = (a.ravel() for a in np.mgrid[-0.5:0.5:SPACING, -0.5:0.5:SPACING] + SPACING / 2)
+    check = (np.floor(x / 0.1) + np.floor(z / 0.1)) % 2
+    color = np.stack([0.45 + 0.25 * check, 0.5 + 0 * check, 0.4 - 0.1 * check], axis=1)
+    return flat(np.stack([x, 0 * x, z], axis=1), color, (0.6 * SPACING, 0.1 * SPACING, 0.6 * SPACING))
+
+
+def ball(height: float = RADIUS) -> Gaussians:
+    k = np.arange(500) + 0.5
+    y, turn = 1 - k / 250, np.pi * (1 + 5**0.5) * k
+    points = np.stack([np.sqrt(1 - y * y) * np.cos(turn), y, np.sqrt(1 - y * y) * np.sin(turn)], axis=1)
+    return flat(points * RADIUS + [0.0, height, 0.0], np.tile([0.9, 0.2, 0.2], (500, 1)), (0.012,) * 3)
+
+
+def cameras():
+    eyes = [(0.9 * np.cos(a), 0.35 + 0.25 * (k % 2), 0.9 * np.sin(a)) for k, a in enumerate(np.arange(8) * np.pi / 4)]
+    return [perspective(112, 84, 0.75, look_at(eye, (0, 0.08, 0))) for eye in eyes]
+
+
+@pytest.fixture(scope="module")
+def closed(ti_cpu):
+    """The hole under the ball, its painted textures, and the table with the patch."""
+    hole = find_hole(table(), ball(), cameras(), name="ball", **OPTIONS)
+    textures = paint_hole(hole, paint_from_patches)
+    return hole, textures, close_hole(hole, textures, steps=40, **OPTIONS)
+
+
+def truths(hole) -> list[Photograph]:
+    from prepare.inpaint.hole_views import Drawing
+
+    drawing = Drawing(table(), cameras(), antialias=False, sort="radial")
+    pictures = [(drawing(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
+    drawing.destroy()
+    return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
+
+
+def test_only_what_no_camera_saw_is_a_hole(closed):
+    hole, textures, _ = closed
+    (texture,) = textures
+    assert abs(texture.surface.axes[2] @ [0, 1, 0]) > 0.999
+    places = texture.surface.points(texture.places())
+    away = np.linalg.norm(places[..., [0, 2]], axis=-1)
+    assert texture.hole[away < 0.4 * RADIUS].all() and not texture.hole[away > 1.3 * RADIUS].any()
+    assert 0 < hole.dropped < len(table()) // 5
+
+
+def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed):
+    hole, textures, after = closed
+    views = compare(hole, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
+    psnr = uncovered_psnr(views)
+    assert psnr["hole"]["before"] < 15.0 and psnr["hole"]["after"] > 22.0 and psnr["object"]["after"] > 25.0
+    assert inconsistency(views, textures, [v.after for v in views]) < 8.0
+    flat_grey = [np.random.default_rng(0).random(v.after.shape, np.float32) for v in views]
+    assert inconsistency(views, textures, flat_grey) > 30.0  # the measure tells
+
+
+def test_all_that_was_seen_stays_bit_for_bit(closed):
+    hole, _, after = closed
+    kept = after.select(slice(len(hole.background)))
+    for name in ROWS:
+        assert_array_equal(getattr(kept, name), getattr(hole.background, name))
+    new = after.select(slice(len(hole.background), None))
+    assert len(new) > 50 and np.linalg.norm(new.means[:, [0, 2]], axis=1).max() < 1.2 * RADIUS
+    assert np.abs(new.means[:, 1]).max() < 0.02  # on the table
+
+
+def test_without_photographs_what_is_drawn_there_stays(ti_cpu):
+    """The table is whole under the ball: nothing is empty, so nothing is made up. Where it is empty, it is."""
+    whole, stages = table(), []
+    after = inpaint(whole, ball(), None, steps=5, progress=lambda stage, done: stages.append((stage, done)))
+    assert len(after) == len(whole) and stages[-1] == ("patch", 1.0)
+    torn = whole.select(np.linalg.norm(whole.means[:, [0, 2]], axis=1) > 0.5 * RADIUS)
+    after = inpaint(torn, ball(), None, steps=5)
+    new = after.means[len(torn) :]
+    assert len(new) > 20 and np.linalg.norm(new[:, [0, 2]], axis=1).max() < 0.8 * RADIUS
+
+
+def test_an_object_in_the_air_or_unseen_is_refused(ti_cpu):
+    with pytest.raises(BadInput, match="ball: no surface was found that it stands on"):
+        find_hole(table(), ball(height=1.5), [cut for cut in cameras_at(1.5)], name="ball", **OPTIONS)
+    with pytest.raises(BadInput, match="ball: no camera sees it"):
+        find_hole(table(), ball(height=-9.0), cameras(), name="ball", **OPTIONS)
+    with pytest.raises(BadInput, match="only 5 Gaussians"):
+        find_hole(table(), ball().select(slice(5)), cameras(), name="ball", **OPTIONS)
+
+
+def cameras_at(height: float):
+    return [
+        perspective(112, 84, 0.75, look_at((1.2 * np.cos(a), height, 1.2 * np.sin(a)), (0, height, 0)))
+        for a in range(6)
+    ]
+
+
+def test_cut_out_cameras_show_the_same_rays():
+    sphere = Surroundings(np.array([0.0, 0.1, 0.0]), 0.05)
+    for camera in cameras():
+        cut = cut_out_camera(camera, sphere)
+        assert cut.width < camera.width
+        for point in sphere.centre + 0.05 * np.random.default_rng(1).normal(size=(5, 3)):
+            x, _, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+            shift = [(c.cx + c.fx * x / z) % 1 for c in (camera, cut)]
+            assert shift[0] == pytest.approx(shift[1], abs=1e-6)
+            assert 0 < cut.cx + cut.fx * x / z < cut.width
+    behind = perspective(112, 84, 0.75, look_at((0.0, 0.1, 3.0), (0.0, 0.1, 9.0)))
+    assert cut_out_camera(behind, sphere) is None
+
+
+def test_patches_continue_a_pattern():
+    y, x = np.mgrid[:96, :96]
+    checks = np.repeat((0.3 + 0.4 * ((x // 12 + y // 12) % 2))[..., None], 3, axis=2).astype(np.float32)
+    hole = (x - 50) ** 2 + (y - 47) ** 2 < 14**2
+    filled = paint_from_patches(np.where(hole[..., None], 0, checks), hole)
+    assert_array_equal(filled[~hole], checks[~hole])
+    assert ((filled - checks)[hole] ** 2).mean() < 0.002  # a smooth fill: 0.04
+    assert_array_equal(paint_from_patches(checks, np.zeros_like(hole)), checks)
+
+
+@pytest.mark.parametrize("levels", [1.0, 255.0])
+def test_a_lama_network_fills_the_hole(tmp_path, levels):
+    write_tiny_lama(tmp_path / "lama.onnx", (0.2, 0.4, 0.6), levels=levels)
+    picture, hole = np.full((90, 100, 3), 0.5, np.float32), np.zeros((90, 100), bool)
+    hole[30:60, 40:70] = True
+    filled = LamaNetwork(tmp_path / "lama.onnx")(picture, hole)
+    assert np.abs(filled[35:55, 45:65] - (0.2, 0.4, 0.6)).max() < 1e-4
+    assert_array_equal(filled[~hole], picture[~hole])
+
+
+def test_other_networks_and_files_are_refused(tmp_path):
+    (tmp_path / "bad.onnx").write_bytes(b"not a network at all")
+    with pytest.raises(BadInput, match="cannot read it as an ONNX network"):
+        LamaNetwork(tmp_path / "bad.onnx")
+    with pytest.raises(BadInput, match=r"is an \.onnx file"):
+        LamaNetwork(tmp_path / "bad.pth")
+    write_tiny_lama(tmp_path / "other.onnx", image="picture")
+    with pytest.raises(BadInput, match="inputs `image` and `mask`"):
+        LamaNetwork(tmp_path / "other.onnx")(np.zeros((8, 8, 3), np.float32), np.ones((8, 8), bool))
+
+
+def test_the_command_takes_an_object_out(ti_cpu, tmp_path, capsys):
+    out, report = tmp_path / "empty.ply", tmp_path / "report.json"
+    torn = table()
+    torn = torn.select(np.linalg.norm(torn.means[:, [0, 2]], axis=1) > 0.5 * RADIUS)
+    sets = [torn, ball()]
+    scene = concatenate(sets)
+    scene.object_id[len(torn) :] = 1
+    from dataclasses import replace
+
+    write_gaussians(tmp_path / "scene.ply", replace(scene, objects=("ball",)))
+    write_gaussians(tmp_path / "torn.ply", torn)
+    line = ["inpaint", str(tmp_path / "scene.ply"), "--out", str(out), "--arch", "cpu"]
+    for words, says in (
+        (["--remove", "cup"], "holds no object cup; there are ball"),
+        (["--objects", str(tmp_path / "none.ply")], "no such file"),
+        (["--remove", "ball", "--truth", str(tmp_path)], "belongs to --capture and --report"),
+        (["--remove", "ball", "--model", str(tmp_path / "x.onnx")], "no such file"),
+        ([], "--remove --objects is required"),
+    ):
+        assert main([*line, *words]) == 2
+        assert says in capsys.readouterr().err
+    assert main(["inpaint", str(tmp_path / "torn.ply"), "--remove", "1", "--out", str(out)]) == 2
+    assert "holds no objects" in capsys.readouterr().err and not out.exists()
+    assert main([*line, "--remove", "ball", "--steps", "3", "--report", str(report)]) == 0
+    assert "ball: 500 Gaussians taken out" in capsys.readouterr().out
+    numbers = json.loads(report.read_text())["objects"][0]
+    assert len(read_gaussians(out)) == len(torn) + numbers["new"] and numbers["new"] > 20
+    assert report.with_suffix(".png").is_file() and "before, after" in report.with_suffix(".html").read_text()

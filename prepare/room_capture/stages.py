@@ -31,7 +31,6 @@ class Stages:
     """
 
     def __init__(self, folder: Path, names: tuple[str, ...]):
-        make_folder(folder)
         self.folder, self.names, self.seconds = folder, names, {}
         self._digest = ""  # of all inputs so far
         self._now, self._begin, self._told = "", 0.0, 0.0

@@ -234,7 +234,7 @@ def train(path: Path, args, device) -> list[dict]:
     rows, seconds = [], 0.0
     while training.done < args.steps:
         begin = training.now()
-        end = min([at for at in args.at if at > training.done], default=args.steps)
+        end = min([at for at in (*args.at, args.steps) if training.done < at <= args.steps])
         while training.done < end:
             training.step()
             if training.done % 1000 == 0:

@@ -96,9 +96,8 @@ class SplatSubject:
 
     def view_shown(self) -> str | None:
         """The view that was marked from here, if there is one."""
-        here = self._camera().world_to_camera
-        same = (name for name, c in self.cameras.items() if np.allclose(c.world_to_camera, here, atol=1e-6))
-        return next(same, None)
+        here = self._camera()
+        return next((name for name, camera in self.cameras.items() if same_camera(camera, here)), None)
 
     def view_here(self) -> str:
         """As Subject.view_here."""
@@ -149,6 +148,12 @@ class SplatSubject:
         """Free the device memory."""
         self._drawn.destroy()
         self._weights.destroy()
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """True if two cameras take the same picture."""
+    lenses = ([c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in (a, b))
+    return np.allclose(*lenses) and np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-6)
 
 
 class PhotographSubject:

@@ -27,15 +27,19 @@ NEIGHBOURS = 6  # of the rest, nearest to a Gaussian of an object, that may touc
 TOUCHES_MIN = 4  # Gaussians of an object that touch something, at least
 BASE = 0.2  # of an object's height in which its foot lies
 MASS_MAX = 3.0  # [kg] of an object whose material nobody named: half of what a hand of 80 N lifts
-HELD = 0.15  # of the extent of a hung object, from what holds it, that is held fast
+HELD = 0.15, 0.45  # of the extent of a hung object, from what holds it, that is held fast at least and at most
 
 
 @dataclass(frozen=True)
 class Support:
-    """What holds an object: `direction` (3,) leads from there to the object; it stands if that is up."""
+    """What holds an object: `direction` (3,) leads from there to the object; it stands if that is up.
+
+    level  median of where the object touches it, along the direction [m]
+    """
 
     direction: np.ndarray
     stands: bool
+    level: float = 0.0
 
 
 def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
@@ -68,7 +72,8 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
     away = centre - touching.mean(0)
     if np.linalg.norm(away) < 1e-3 * size:
         return Support(np.array([0.0, 1.0, 0.0]), True)
-    return Support(away / np.linalg.norm(away), False)
+    away /= np.linalg.norm(away)
+    return Support(away, False, float(np.median(touching @ away)))
 
 
 def widths(g: Gaussians) -> np.ndarray:
@@ -119,7 +124,8 @@ def object_body(
         asset = replace(asset, material=liftable(asset.material, float(asset.cage.volumes().sum())))
     position = -turn.T @ np.array(asset.provenance["moved"])
     heights = asset.cage.vertices[:, 1]
-    fixed = None if support.stands else float(heights.min() + HELD * np.ptp(heights))
+    held = support.level + asset.provenance["moved"][1]  # of what touches: its farthest end may be a thin tail
+    fixed = None if support.stands else float(np.clip(held, *(heights.min() + np.multiply(HELD, np.ptp(heights)))))
     rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
     return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
 

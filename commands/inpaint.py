@@ -157,11 +157,11 @@ def _measured(name, removed, hole, textures, before, after, truths, painter, opt
     if truths:
         numbers["psnr"] = uncovered_psnr(views)
     if textures:
+        numbers["inconsistency"] = {"after": inconsistency(views, textures, [v.after for v in views])}
+    if textures and truths:
         alone = [painter(v.before, v.hole) if v.hole.any() else v.before for v in views[:: -(-len(views) // 8)]]
-        numbers["inconsistency"] = {
-            "after": inconsistency(views, textures, [v.after for v in views]),
-            "each_view_painted_alone": inconsistency(views[:: -(-len(views) // 8)], textures, alone),
-        }
+        some = inconsistency(views[:: -(-len(views) // 8)], textures, alone)
+        numbers["inconsistency"]["each_view_painted_alone"] = some
     best = sorted(views, key=lambda v: -int(v.hole.sum() or v.covered.sum()))
     rows = []
     for v in best[:: max(1, len(best) // FIGURES)][:FIGURES]:

@@ -24,7 +24,7 @@ OUTSIDE_SHARE = 0.1  # of what a Gaussian shows: it may spread over the silhouet
 SILHOUETTE_MARGIN = 1  # [px]
 REMAP_MAX = 30_000  # positions in a row: OpenCV's limit is 32767
 
-AROUND = 90  # directions that are tried where there are no cameras
+AROUND = 60  # directions that are tried where there are no cameras
 AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of these trials, and of the views that are kept
 AROUND_MAX = 24  # views that are kept
 AROUND_DISTANCE = 4.0  # radii of the object

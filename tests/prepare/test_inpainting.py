@@ -98,6 +98,7 @@ def test_all_that_was_seen_stays_bit_for_bit(closed):
     assert np.abs(new.means[:, 1]).max() < 0.02  # on the table
 
 
+@pytest.mark.long
 def test_without_photographs_what_is_drawn_there_stays(ti_cpu):
     """The table is whole under the ball: nothing is empty, so nothing is made up. Where it is empty, it is."""
     whole, stages = table(), []

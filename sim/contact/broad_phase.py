@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # [m] added to the motion that is expected: what that estimate may lack, such as a push through several bodies. It also
 # keeps the time until the next look finite: what rests without gravity is expected not to move at all. Half as much
-# changes no outcome that was measured; it errs on the side of safety, since a few more candidates cost little.
+# fails no test; it errs on the side of safety, since a few more candidates cost little.
 CONTACT_MARGIN = 0.002
 FLOAT_MAX = 3.0e38  # larger than any coordinate, finite in float32
 MAX_QUERY_CELLS = 24  # of the hash along each axis; a box that large has exploded, and would take hours

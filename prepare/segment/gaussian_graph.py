@@ -1,6 +1,7 @@
 """Graph of neighbouring Gaussians, and coarser graphs of it.
 
-An edge is as strong as its two Gaussians are alike: they overlap in space, so lie on one surface, and have one colour.
+An edge is as strong as its two Gaussians are alike: they overlap in space, so lie on one surface, and have one colour
+and one width.
                                                                       after GaussianCut (arXiv 2411.07555)
 """
 
@@ -37,6 +38,7 @@ def neighbour_graph(gaussians: Gaussians) -> csr_matrix:
     low, high = np.minimum(rows, columns), np.maximum(rows, columns)
     keys = np.unique((low.astype(np.int64) * n + high)[low != high])
     low, high = (keys // n).astype(np.int32), (keys % n).astype(np.int32)
+    width = np.sort(gaussians.log_scales, axis=1)[:, 1:].mean(1)
     colour, covariances = rgb_of(gaussians), gaussians.covariances
     gap, contrast = np.empty(len(low), np.float32), np.empty(len(low), np.float32)
     for begin in range(0, len(low), CHUNK):
@@ -46,7 +48,8 @@ def neighbour_graph(gaussians: Gaussians) -> csr_matrix:
         gap[part] = mahalanobis(points[b] - points[a], covariances[a] + covariances[b], rounding)
         contrast[part] = ((colour[a] - colour[b]) ** 2).sum(1)
     usual = max(CONTRAST_RANGE * float(contrast.mean()), 1e-4) if len(low) else 1.0
-    weight = np.maximum(np.exp(-GAP_STRENGTH * gap - contrast / usual), WEAKEST)
+    unlike = np.abs(width[low] - width[high])  # logarithm of the ratio: ground under a foot is of wider Gaussians
+    weight = np.maximum(np.exp(-GAP_STRENGTH * gap - contrast / usual - unlike), WEAKEST)
     half = csr_matrix((weight, (low, high)), (n, n))
     return (half + half.T).tocsr()
 

@@ -78,7 +78,8 @@ def test_malformed_messages_are_refused(message):
         ("Digit3", "3", True, True, "ctrl+3"),
         ("Delete", "Delete", True, False, "delete"),
         ("Space", " ", True, False, "space"),
-        ("Enter", "Enter", True, False, None),
+        ("Enter", "Enter", True, False, "enter"),
+        ("Backspace", "Backspace", True, False, None),
     ],
 )
 def test_keys_have_the_names_that_they_have_in_the_window(code, key, down, ctrl, name):

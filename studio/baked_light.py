@@ -59,6 +59,8 @@ class BakedLight:
             emission.append(np.zeros(3) if surface.emission is None else np.asarray(surface.emission) * mean)
             sheet.append(surface.translucency is not None)
         self._emission, self._sheet = np.array(emission + [np.zeros(3)]), np.array(sheet + [False])
+        # the first rays build open3d's tree, which several threads must not do at once
+        self._scene.test_occlusions(self._tensor(np.array([[0, 0, 0, 0, 1, 0]], np.float32)))
         self._tree, self._radiosity = self._solve_radiosity(coarse, surfaces, albedo, rng)
 
     def irradiance(

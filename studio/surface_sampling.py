@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from core.blue_noise import blue_noise
 from core.edge_sampling import (
@@ -93,9 +94,10 @@ def sample_surfaces(
     # At x times the density along a line, faces and leaves hold a x^2 surfels, edges and thin parts b x; two samplings
     # tell both.
     low, high = 1.0, 2**0.5
-    a, b = np.linalg.solve([[low**2, low], [high**2, high]], [len(sampled(low)), len(sampled(high))])
-    wanted = detail.gaussians * (a + b)
-    density = (np.sqrt(b * b + 4 * a * wanted) - b) / (2 * a)
+    counts = [len(sampled(low)), len(sampled(high))]
+    (a, b), _ = nnls(np.array([[low**2, low], [high**2, high]]), np.array(counts, float))  # a box is nearly all edges
+    wanted = detail.gaussians * counts[0]
+    density = 2 * wanted / (b + np.sqrt(b * b + 4 * a * wanted))
     for _ in range(4):
         surfels = sampled(density)
         ratio = len(surfels) / wanted

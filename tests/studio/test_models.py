@@ -248,6 +248,12 @@ def test_detail_multiplies_the_number_of_surfels(factor):
     assert abs(counts[1] / counts[0] / factor - 1) < 0.05
 
 
+def test_detail_multiplies_surfels_that_are_nearly_all_on_edges():
+    bar = [Surface("bar", box((0, 0, 0), (0.3, 0.04, 0.04)), plain("808080"), 0.03, uniform=True)]
+    counts = [len(sample_surfaces(bar, np.random.default_rng(1), Detail(f))) for f in (1.0, 12.0)]
+    assert abs(counts[1] / counts[0] / 12.0 - 1) < 0.05
+
+
 def test_every_model_of_the_catalogue_is_there():
     for where, *_ in MODELS.values():
         module, function = where.split(":")

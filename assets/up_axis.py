@@ -29,7 +29,7 @@ WEIGHTS = {
     "stable": 3.6,
 }
 LAPSE = 0.012  # of the cases, fitted, in which the cues mean nothing: no guess is surer than that leaves it
-# How often files have an axis up: from COLMAP y points down, editors and phones write y up, CAD and nerfstudio z up.
+# Frequencies of a file's up axis: from COLMAP y points down, editors and phones write y up, CAD and nerfstudio z up.
 # Not measured, and mild: cues outweigh it where they speak.
 FILE_PRIOR = {"-y": 0.30, "+y": 0.30, "+z": 0.15, "-z": 0.10, "+x": 0.075, "-x": 0.075}
 UNSURE = 0.8  # below, the user is shown the alternatives

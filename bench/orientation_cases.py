@@ -121,7 +121,7 @@ def discs(rng, points: np.ndarray, normals: np.ndarray, grey: np.ndarray) -> Gau
 
 
 def worn(rng, g: Gaussians) -> Gaussians:
-    """What a capture leaves of an object that stands with +y up."""
+    """Part that a capture leaves of an object that stands with +y up."""
     low, high = g.means.min(0).astype(float), g.means.max(0).astype(float)
     size, height = (high - low).max(), (g.means[:, 1] - low[1]) / max(high[1] - low[1], 1e-9)
     normals = axes_of_discs(g)
@@ -177,7 +177,7 @@ def fewer(rng, g: Gaussians) -> Gaussians:
 
 
 def part_of_room(rng, g: Gaussians) -> Gaussians:
-    """What a visitor photographed of a room: a box of it around a place, floaters in it."""
+    """Part of a room that a visitor photographed: a box of it around a place, floaters in it."""
     low, high = np.percentile(g.means, [2, 98], axis=0)
     size = (high - low) * rng.uniform(0.4, 1.1, 3)
     size[1] = high[1] - low[1] if rng.random() < 0.7 else size[1]

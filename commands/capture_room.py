@@ -226,7 +226,7 @@ class RoomMaking:
             self.marks = capture.folder / MARKS
 
     def look(self):
-        """What the cameras need."""
+        """Contributions of the Gaussians to the photographs."""
         from prepare.room_capture.contributions import Contributions
         from prepare.room_capture.room_pipeline import seen_by_cameras
 

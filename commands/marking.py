@@ -1,4 +1,4 @@
-"""What the window for marks shows and selects: the photographs of a capture, or a splat."""
+"""Content and selection of the window for marks: the photographs of a capture, or a splat."""
 
 from __future__ import annotations
 

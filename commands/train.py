@@ -151,7 +151,7 @@ def _trained(args: argparse.Namespace, capture, train: list, objects: list[str])
 
 
 def _checkpoint(args: argparse.Namespace) -> Path:
-    """Where a cut training is kept."""
+    """The file that keeps a cut training."""
     return args.out.with_name(f"{args.out.name}.checkpoint.h5")
 
 
@@ -266,7 +266,7 @@ def _lowering(train: list, args: argparse.Namespace):
 
 
 def _photographs(photographs: list) -> str:
-    """How many photographs there are, of what sizes, and what they take on the device, 4 bytes a pixel."""
+    """Number and sizes of the photographs, and the memory that they take on the device, 4 bytes a pixel."""
     sizes = {(p.camera.width, p.camera.height) for p in photographs}
     total = sum(4 * p.camera.width * p.camera.height for p in photographs)
     size = "{}x{}".format(*max(sizes, key=lambda s: s[0] * s[1]))

@@ -457,7 +457,7 @@ class WorldView(Protocol):
     """True if the axes are shown."""
 
     up_choices: Sequence[tuple[str, float, np.ndarray]] = ()
-    """Where it is not sure which way is up: axes of the file, their probabilities, and pictures (H, W, 3) uint8."""
+    """Alternatives where the up axis is not sure: axes of the file, their probabilities, pictures (H, W, 3) uint8."""
 
     sound: bool | None = None
     """True if impacts are heard; None: there is nothing to hear them with."""

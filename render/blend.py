@@ -197,7 +197,7 @@ def splat_words(mean2d, conic, color):
 
 @ti.func
 def splat_color(drawer: ti.template(), v, g) -> ti.math.vec3:
-    """What is blended of Gaussian g in view v: the numbers of `drawer.color` if it has such, else the colour."""
+    """The numbers that are blended of Gaussian g in view v: those of `drawer.color` if it has such, else the colour."""
     value = ti.math.vec3(0.0)
     if ti.static(drawer.other_color):
         value = drawer.color[g]

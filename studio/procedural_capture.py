@@ -64,7 +64,7 @@ AXES = {"+y": np.eye(3)} | {
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """What is photographed and how.
+    """Options of a procedural capture: the things and the photographs.
 
     views   number of photographs
     size    (width, height) [px]

@@ -88,7 +88,7 @@ class Target:
         self.inside = inside / (3 * inside.sum().clamp_min(1))
 
     def pair(self, drawn):
-        """What was drawn (1, H, W, 3) and the photograph as (1, 3, H, W), equal where pixels do not count."""
+        """The drawn picture (1, H, W, 3) and the photograph as (1, 3, H, W), equal where pixels do not count."""
         truth = self.pixels[None].float() / 255.0
         if self.mask is not None:
             drawn = torch.where(self.mask[None, ..., None], drawn, truth)

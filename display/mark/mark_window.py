@@ -23,7 +23,7 @@ OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
 
 
 class Subject(Protocol):
-    """What is marked.
+    """Interface of what is marked.
 
     views   names of the pictures that have been marked or can be
     orbit   an OrbitCamera where one looks freely, None for photographs

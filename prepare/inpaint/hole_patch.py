@@ -52,7 +52,7 @@ def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
 
 
 def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What a view shall show: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
+    """A view as it shall be: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
     c = view.camera
     y, x = np.mgrid[: c.height, : c.width]
     rays = np.stack([(x + 0.5 - c.cx) / c.fx, (y + 0.5 - c.cy) / c.fy, np.ones(x.shape)], axis=-1)

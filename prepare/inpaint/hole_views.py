@@ -49,7 +49,7 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class HoleView:
-    """What a camera sees, without and only of the object: float32 pictures of the size of `camera`, a cut-out.
+    """A view without the object, and of the object alone: float32 pictures of the size of `camera`, a cut-out.
 
     camera                      cut out of camera number `index` of those that were given
     color, alpha, depth         of the background: RGB premultiplied, opacity, and camera z [m]

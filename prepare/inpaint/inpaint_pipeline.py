@@ -27,7 +27,7 @@ SEEN_MIN = 50  # pixels of the object in all views
 
 @dataclass(frozen=True)
 class Hole:
-    """What an object leaves behind.
+    """The hole that an object leaves behind.
 
     background  what stays, without Gaussians that no camera saw behind the object
     dropped     number of those
@@ -94,7 +94,7 @@ def find_hole(
     sort: str,
     progress: Progress = no_progress,
 ) -> Hole:
-    """What the removed Gaussians leave behind. Raises BadInput, see `inpaint`."""
+    """The hole that the removed Gaussians leave behind. Raises BadInput, see `inpaint`."""
     if len(removed) < OBJECT_MIN:
         raise BadInput(f"{name}: only {len(removed)} Gaussians; an object has at least {OBJECT_MIN}")
     if not len(background):

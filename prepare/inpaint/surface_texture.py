@@ -116,7 +116,7 @@ def texture_of(
 
 @dataclass(frozen=True)
 class _Look:
-    """What a view shows at each texel it looks at: the surface, something behind it, the object before it (and nothing
+    """Classes of the texels that a view looks at: the surface, something behind it, the object before it (and nothing
     where the surface should be then); and the height [m] of what it shows."""
 
     inside: np.ndarray

@@ -1,4 +1,4 @@
-"""Which way is up, how large, which side is the front.
+"""Orientation of captures: the up axis, the size, and the front.
 
 From the cameras of a capture where there are some, and pictures of the possible answers where there are none.
 """

@@ -32,7 +32,7 @@ HELD = 0.15, 0.45  # of the extent of a hung object, from what holds it, that is
 
 @dataclass(frozen=True)
 class Support:
-    """What holds an object: `direction` (3,) leads from there to the object; it stands if that is up.
+    """Support of an object: `direction` (3,) leads from there to the object; it stands if that is up.
 
     level  median of where the object touches it, along the direction [m]
     """
@@ -43,7 +43,7 @@ class Support:
 
 
 def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
-    """What of the rest of a room [m], +y up, holds an object.
+    """The part of the rest of a room [m], +y up, that holds an object.
 
     It stands if the places near its foot where it touches something go all around its centre, as a base must; else it
     hangs, as a trophy does on a wall. Raises BadInput if it touches nothing.

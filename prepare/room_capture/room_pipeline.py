@@ -75,7 +75,7 @@ def labelled(gaussians: Gaussians, capture: Capture, masks: Masks, progress: Pro
 
 
 def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Contributions:
-    """What each Gaussian contributes to the photographs. Raises BadInput if they show nothing."""
+    """Contribution of each Gaussian to the photographs. Raises BadInput if they show nothing."""
     found = contributions(gaussians, cameras_of(capture), progress=progress)
     if not np.isfinite(found.depth).any():
         raise BadInput("the photographs show nothing: the training has failed")
@@ -119,7 +119,7 @@ def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: fl
 
 
 def supports(room: PlacedRoom) -> list[Support]:
-    """What holds each object. Raises BadInput, naming an object that nothing holds, or that is hardly seen."""
+    """The support of each object. Raises BadInput, naming an object that nothing holds, or that is hardly seen."""
     things, rest = room.parts()
     total, found, ids = room.weight.sum(), [], room.gaussians.object_id
     if missing := [name for name in room.gaussians.objects if name not in room.names]:

@@ -77,7 +77,7 @@ def with_ids(gaussians: Gaussians, ids: np.ndarray, names: list[str]) -> Segment
         before = ids
         gaussians, own, more = trimmed(gaussians, ids == k)
         ids = np.concatenate([before, np.zeros(len(own) - len(before), before.dtype)])
-        # What is cut off an object goes to the background, and what is cut off that to the object.
+        # A part that is cut off an object goes to the background, and what is cut off that to the object.
         ids[len(before) :][own[len(before) :]] = k
         count += more
     return SegmentedSplat(replace(gaussians, object_id=ids.astype(np.uint16), objects=tuple(names)), count)

@@ -160,7 +160,7 @@ class Trainer:
         return {**self.population.read(), **own}
 
     def _of_views(self) -> dict:
-        """What is learned of each view, by name."""
+        """Corrections that are learned of each view, by name."""
         known = {"exposure": self.exposures, "pose": self.poses}
         return {name: learned for name, learned in known.items() if learned is not None}
 

@@ -18,7 +18,7 @@ SIDE_MIN = 32  # [px] below which nothing is reduced: SSIM's window is 11
 
 
 class Target(NamedTuple):
-    """What is learned from: an image, its camera, how many of its pixels count, and labels of objects, if known.
+    """A view to learn from: an image, its camera, how many of its pixels count, and labels of objects, if known.
 
     mask   `packed_labels`, or None; known: the number of pixels that it counts
     """

@@ -1,4 +1,4 @@
-"""What is learned of each photograph beside the Gaussians: its exposure, and small corrections of its pose."""
+"""Corrections that are learned of each photograph beside the Gaussians: of its exposure and of its pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is learned of photographs beside the Gaussians: exposures and corrections of poses."""
+"""Corrections that are learned of photographs beside the Gaussians: exposures and poses."""
 
 from dataclasses import replace
 

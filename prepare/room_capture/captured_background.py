@@ -182,7 +182,7 @@ def seen_planes(scene: Upright, surface: Surface, view: RoomView) -> tuple[Suppo
 def free_place(
     planes: Sequence[SupportPlane], surface: Surface, view: RoomView
 ) -> tuple[np.ndarray, float, SupportPlane | None]:
-    """A place at which a body may fall so that the player sees it: the point (3,), the free radius [m] there, and the plane.
+    """A place where a body may fall in the player's sight: the point (3,), the free radius [m] there, and the plane.
 
     Free places on planes, in the open space and in sight of the player, count by their radius and their nearness to
     what the player looks at. Without any, a place over what the player looks at.

@@ -22,9 +22,10 @@ import numpy as np
 from assets.file_access import check_writable
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from display import protocol
-from display.protocol import Command, Frame
+from display import user_commands
+from display.protocol import Frame
 from display.run_stats import write_stats
+from display.user_commands import Command
 from scenes.scene import Hand, Light
 
 if TYPE_CHECKING:
@@ -69,7 +70,9 @@ class RandomPlayer:
         if rng.random() > COMMANDS_PER_FRAME:
             return []
         if world.paused or world.demo:  # rarely for long
-            chosen = [protocol.Pause(False), protocol.SingleStep(), protocol.PlayDemo(False)][rng.integers(3)]
+            chosen = [user_commands.Pause(False), user_commands.SingleStep(), user_commands.PlayDemo(False)][
+                rng.integers(3)
+            ]
         else:
             chosen = self._command(world)
         name = type(chosen).__name__
@@ -81,19 +84,19 @@ class RandomPlayer:
         body = int(rng.integers(count)) if count else None
         turn = rng.normal(size=4)
         choices: list[tuple[float, Callable[[], Command]]] = [
-            (4, lambda: protocol.Duplicate(body)),
-            (3 if count > 3 else 0.2, lambda: protocol.Remove(body)),
-            (4, lambda: protocol.Rescale(body, float(np.exp(rng.normal(0, 0.3))))),
-            (3, lambda: protocol.Rotate(body, tuple((turn / np.linalg.norm(turn)).tolist()))),
-            (4, lambda: protocol.SetMaterial(body, str(rng.choice(["plush", "rubber", "foam", "jelly"])))),
-            (5, protocol.Undo),
-            (3, protocol.Redo),
-            (1, lambda: protocol.Select(body)),
-            (1, lambda: protocol.SetInteraction(str(rng.choice(["physics", "transform"])))),
-            (1, lambda: protocol.SetLight(self._light())),
-            (1, protocol.Reset),
-            (0.5, lambda: protocol.PlayDemo(True)),
-            (0.5, lambda: protocol.Pause(True)),
+            (4, lambda: user_commands.Duplicate(body)),
+            (3 if count > 3 else 0.2, lambda: user_commands.Remove(body)),
+            (4, lambda: user_commands.Rescale(body, float(np.exp(rng.normal(0, 0.3))))),
+            (3, lambda: user_commands.Rotate(body, tuple((turn / np.linalg.norm(turn)).tolist()))),
+            (4, lambda: user_commands.SetMaterial(body, str(rng.choice(["plush", "rubber", "foam", "jelly"])))),
+            (5, user_commands.Undo),
+            (3, user_commands.Redo),
+            (1, lambda: user_commands.Select(body)),
+            (1, lambda: user_commands.SetInteraction(str(rng.choice(["physics", "transform"])))),
+            (1, lambda: user_commands.SetLight(self._light())),
+            (1, user_commands.Reset),
+            (0.5, lambda: user_commands.PlayDemo(True)),
+            (0.5, lambda: user_commands.Pause(True)),
         ]
         weights = np.array([weight for weight, _ in choices])
         return choices[rng.choice(len(choices), p=weights / weights.sum())][1]()

@@ -9,7 +9,7 @@ from pathlib import Path
 from commands.background import BackgroundPreparation
 from commands.prepared import is_asset, is_prepared, prepared_body
 from core.errors import BadInput
-from display.protocol import AddBody, Command, OpenScene, SwapRoom
+from display.user_commands import AddBody, Command, OpenScene, SwapRoom
 
 PREPARATION = {"up": None, "scale": None, "vertices": None, "cells": "adaptive", "pieces": False}
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from commands.opening import Opening
 from core.errors import BadInput, Cancelled
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
-from display.protocol import OPENING, AddBody, CancelOpening, Command, Display, Frame, OpenScene, SwapRoom
+from display.protocol import Display, Frame
+from display.user_commands import OPENING, AddBody, CancelOpening, Command, OpenScene, SwapRoom
 from scenes.registry import label
 
 if TYPE_CHECKING:

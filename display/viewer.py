@@ -19,11 +19,11 @@ from display.edit.editor import rotation_matrix
 from display.edit.notice import Notice
 from display.keep.output_place import output_path
 from display.picture import pixels_of
-from display.protocol import (
+from display.protocol import Frame, Line, WorldView
+from display.timing import Timings
+from display.user_commands import (
     Command,
     Crop,
-    Frame,
-    Line,
     NextBackground,
     NextFile,
     Rescale,
@@ -31,11 +31,9 @@ from display.protocol import (
     ShowAxes,
     TurnUp,
     ViewFiles,
-    WorldView,
     WriteSplats,
     in_order,
 )
-from display.timing import Timings
 from display.viewed_file import ViewedFile
 from render import MOVING_SORT
 from scenes.scene import Scene

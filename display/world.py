@@ -17,10 +17,11 @@ from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
-from display.protocol import (
+from display.protocol import Frame, WorldView
+from display.timing import Timings
+from display.user_commands import (
     MIN_TIME_SCALE,
     Command,
-    Frame,
     LoadState,
     Pause,
     PlayDemo,
@@ -33,10 +34,8 @@ from display.protocol import (
     SetTimeScale,
     Settle,
     SingleStep,
-    WorldView,
     last_of,
 )
-from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Scene
 
 MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's

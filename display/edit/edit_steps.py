@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from display import protocol
-from display.protocol import Command
+from display import user_commands
+from display.user_commands import Command
 
 SCALE_STEP = 1.25
 TURN_STEP = np.pi / 12  # [rad]
@@ -18,12 +18,12 @@ def rotation_step(axis=(0.0, 1.0, 0.0), sign: float = 1.0) -> tuple[float, ...]:
 
 
 EDITS: dict[str, Command] = {  # by the names of the panels' buttons, of the selected body
-    "undo": protocol.Undo(),
-    "redo": protocol.Redo(),
-    "copy": protocol.Duplicate(),
-    "remove": protocol.Remove(),
-    "smaller": protocol.Rescale(None, 1 / SCALE_STEP),
-    "larger": protocol.Rescale(None, SCALE_STEP),
-    "turn": protocol.Rotate(None, rotation_step(sign=-1.0)),
-    "turn back": protocol.Rotate(None, rotation_step()),
+    "undo": user_commands.Undo(),
+    "redo": user_commands.Redo(),
+    "copy": user_commands.Duplicate(),
+    "remove": user_commands.Remove(),
+    "smaller": user_commands.Rescale(None, 1 / SCALE_STEP),
+    "larger": user_commands.Rescale(None, SCALE_STEP),
+    "turn": user_commands.Rotate(None, rotation_step(sign=-1.0)),
+    "turn back": user_commands.Rotate(None, rotation_step()),
 }

@@ -16,7 +16,7 @@ from display.edit.body_registry import BodyRegistry
 from display.edit.notice import Notice
 from display.edit.selection_marker import MARKED_SECONDS
 from display.edit.undo_stack import Step, UndoStack
-from display.protocol import (
+from display.user_commands import (
     Command,
     Duplicate,
     Place,

@@ -16,7 +16,8 @@ from display.headless.video import FilmWriter
 from display.keep.output_place import output_path
 from display.picture import pixels_of, save_picture
 from display.preferences import Preferences
-from display.protocol import Export, Film, Frame, KeepFrame, SaveState, TakePicture, WriteCamera, in_order
+from display.protocol import Frame
+from display.user_commands import Export, Film, KeepFrame, SaveState, TakePicture, WriteCamera, in_order
 
 
 class Keeper:

@@ -17,33 +17,33 @@ import numpy as np
 
 from core.errors import BadInput
 from core.material import Material
-from display import protocol
-from display.protocol import Command
+from display import user_commands
+from display.user_commands import Command
 from scenes.scene import Hand, Light, Touch
 
 TEXT_MAX = 200  # characters of a name
 TOUCHES_MAX = 1000  # finger capsules of a hand
 INDEX_MAX = 1_000_000  # of a body
 KEYS = {  # of the commands that change the world
-    "demo": protocol.PlayDemo,
-    "reset": protocol.Reset,
-    "load": protocol.LoadState,
-    "light": protocol.SetLight,
-    "interaction": protocol.SetInteraction,
-    "gravity": protocol.SetGravity,
-    "time_scale": protocol.SetTimeScale,
-    "select": protocol.Select,
-    "remove": protocol.Remove,
-    "duplicate": protocol.Duplicate,
-    "rescale": protocol.Rescale,
-    "rotate": protocol.Rotate,
-    "place": protocol.Place,
-    "material": protocol.SetMaterial,
-    "undo": protocol.Undo,
-    "redo": protocol.Redo,
-    "pause": protocol.Pause,
-    "step": protocol.SingleStep,
-    "settle": protocol.Settle,
+    "demo": user_commands.PlayDemo,
+    "reset": user_commands.Reset,
+    "load": user_commands.LoadState,
+    "light": user_commands.SetLight,
+    "interaction": user_commands.SetInteraction,
+    "gravity": user_commands.SetGravity,
+    "time_scale": user_commands.SetTimeScale,
+    "select": user_commands.Select,
+    "remove": user_commands.Remove,
+    "duplicate": user_commands.Duplicate,
+    "rescale": user_commands.Rescale,
+    "rotate": user_commands.Rotate,
+    "place": user_commands.Place,
+    "material": user_commands.SetMaterial,
+    "undo": user_commands.Undo,
+    "redo": user_commands.Redo,
+    "pause": user_commands.Pause,
+    "step": user_commands.SingleStep,
+    "settle": user_commands.Settle,
 }
 NAMES = {kind: key for key, kind in KEYS.items()}
 
@@ -55,7 +55,7 @@ def to_text(frame: int, commands: Sequence[Command]) -> str:
     have their default values; Light and Material are {"Light": {field: value}}.
     """
     values = {}
-    settled = [protocol.Settle() if isinstance(c, protocol.SaveState) else c for c in commands]
+    settled = [user_commands.Settle() if isinstance(c, user_commands.SaveState) else c for c in commands]
     for command in (c for c in settled if type(c) in NAMES):
         fields = dataclasses.fields(command)
         given = [getattr(command, f.name) for f in fields]

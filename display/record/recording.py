@@ -34,8 +34,9 @@ import numpy as np
 from assets.file_access import check_writable, reason_of
 from core.camera import Camera
 from core.errors import BadInput
-from display.protocol import Command, Frame
+from display.protocol import Frame
 from display.record.codec import from_text, pack_hand, to_text
+from display.user_commands import Command
 
 FORMAT, VERSION = "vrgs-recording", 3  # 1: bodies were not of their own material; 2: there was one body at most
 OPTIONS = ("scene", "body", "stage", "material", "interaction", "embedding", "sort", "seed", "up", "scale", "vertices")

@@ -9,9 +9,10 @@ import numpy as np
 from assets.hdf5 import Hdf5Reader
 from core.camera import Camera
 from core.errors import BadInput
-from display.protocol import Command, Frame
+from display.protocol import Frame
 from display.record.codec import from_text, hand_size, touch_count, unpack_hand
 from display.record.recording import CAMERA_SIZE, OPTIONS
+from display.user_commands import Command
 from render import SORTS
 
 MAX_FRAME_DT = 10.0  # [s]

@@ -13,9 +13,10 @@ from assets.library import animated_height
 from core.camera import Camera, fitted
 from core.errors import BadInput
 from core.material import ANIMATED_MATERIAL
-from display.protocol import Frame, Pause, last_of
+from display.protocol import Frame
 from display.record.recording import FORMAT, OPTIONS, VERSION
 from display.record.recording_reader import checked_about, read_frames, read_states
+from display.user_commands import Pause, last_of
 
 WORLD_OPTIONS = ("interaction", "embedding", "sort", "fingers")
 

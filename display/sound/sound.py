@@ -11,12 +11,13 @@ import numpy as np
 from core.camera import Camera
 from core.errors import BadInput
 from display.preferences import Preferences
-from display.protocol import Frame, SetSound, last_of
+from display.protocol import Frame
 from display.sound.audio_device import AudioDevice
 from display.sound.body_sound import body_modes, waveform
 from display.sound.impacts import Impacts
 from display.sound.mixer import Mixer
 from display.sound.sound_track import SoundTrack
+from display.user_commands import SetSound, last_of
 
 LOUDNESS = 0.5  # of a blow of 1 m/s by MASS at DISTANCE
 MASS, DISTANCE = 0.2, 1.0  # [kg], [m]

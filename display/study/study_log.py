@@ -8,9 +8,10 @@ from pathlib import Path
 
 from assets.file_access import check_writable
 from core.errors import BadInput
-from display.protocol import Frame, PlayDemo, Reset, WorldView, last_of
+from display.protocol import Frame, WorldView
 from display.study.study_file import add_to_study, read_study
 from display.study.trial import Trial, TrialMeter
+from display.user_commands import PlayDemo, Reset, last_of
 
 MIN_SECONDS = 1.0  # a shorter trial without any grip was none
 

@@ -16,7 +16,8 @@ from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.picture import fit, pixels_of
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Export, Frame, Pause, SetLight, SingleStep, WorldView, last_of
+from display.protocol import Frame, WorldView
+from display.user_commands import Command, Export, Pause, SetLight, SingleStep, last_of
 from display.web.page_server import LOOPBACK, PageServer
 from display.web.page_state import WINDOW_ONLY, first_words, overlay, scene_request, sliders_of, world_state
 from display.web.picture_flow import STILL_QUALITY

@@ -32,8 +32,8 @@ import math
 from collections.abc import Callable
 
 from core.errors import BadInput
-from display.protocol import Command
 from display.record.codec import from_text
+from display.user_commands import Command
 from display.web.page_state import SECTIONS
 from display.window.panel.body_section import BUTTONS
 from display.window.panel.keep_section import KINDS

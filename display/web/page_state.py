@@ -9,8 +9,9 @@ import numpy as np
 from core.camera import Camera, project
 from core.material import MATERIALS
 from display.edit.selection_marker import marked, marker_lines
-from display.protocol import Export, OpenScene, WorldView
+from display.protocol import WorldView
 from display.run_stats import plain
+from display.user_commands import Export, OpenScene
 from display.window import hover, scene_menu
 from display.window.key_bindings import BY_CHORD, help_rows
 from display.window.panel import (

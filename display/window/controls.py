@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.camera import Camera
-from display import protocol
+from display import user_commands
 from display.edit.edit_steps import rotation_step
-from display.protocol import SIZED, Command, SaveState, WorldView
+from display.protocol import WorldView
+from display.user_commands import SIZED, Command, SaveState
 from display.window.key_bindings import bound
 from display.window.mouse_hand import MIN_DEPTH, MouseHand
 from display.window.orbit_camera import OrbitCamera
@@ -27,7 +28,14 @@ WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
 GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
-ENDING_DRAGS = (protocol.Reset, protocol.LoadState, protocol.PlayDemo, protocol.Undo, protocol.Redo, protocol.Remove)
+ENDING_DRAGS = (
+    user_commands.Reset,
+    user_commands.LoadState,
+    user_commands.PlayDemo,
+    user_commands.Undo,
+    user_commands.Redo,
+    user_commands.Remove,
+)
 
 
 @dataclass(frozen=True)
@@ -184,11 +192,11 @@ class Controls:
             if self.dialog is not None:
                 self.dialog.close()
         elif press.world.opening:
-            return [protocol.CancelOpening()]
+            return [user_commands.CancelOpening()]
         elif self.gizmo is not None:
             self.gizmo = None
         elif press.world.demo:
-            return [protocol.PlayDemo(False)]
+            return [user_commands.PlayDemo(False)]
         else:
             self.quit = True
         return []
@@ -206,7 +214,7 @@ class Controls:
         self.show_next_gizmo()
         if self.gizmo != GIZMOS[1]:
             return []
-        select = self._aimed(protocol.Select(press.world.selected), press)
+        select = self._aimed(user_commands.Select(press.world.selected), press)
         if select.body is None:
             self.gizmo = None
             press.world.tell("Point at a body, or hold one, to move it.")
@@ -245,11 +253,13 @@ class Controls:
 
     def tilt_away(self, press: Press) -> list[Command]:
         """Turn a body about the camera's horizontal axis."""
-        return [self._aimed(protocol.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3])), press)]
+        return [self._aimed(user_commands.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3])), press)]
 
     def tilt_towards(self, press: Press) -> list[Command]:
         """Turn a body about the camera's horizontal axis, the other way."""
-        return [self._aimed(protocol.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3], -1.0)), press)]
+        return [
+            self._aimed(user_commands.Rotate(None, rotation_step(press.camera.world_to_camera[0, :3], -1.0)), press)
+        ]
 
     def place_light(self, world: WorldView, u: float, v: float, camera: Camera) -> list[Command]:
         """While its key is down, the light follows the cursor at the depth that it has."""
@@ -262,7 +272,7 @@ class Controls:
         if depth < MIN_DEPTH:  # it is behind the camera: then it comes to the target's depth
             depth = self.orbit.distance
         position = origin + direction * depth / float(direction @ forward)
-        return [protocol.SetLight(replace(world.light, position=tuple(map(float, position))))]
+        return [user_commands.SetLight(replace(world.light, position=tuple(map(float, position))))]
 
     def let_go(self) -> None:
         """End drags and held keys, as when the window loses the focus: their releases never come."""

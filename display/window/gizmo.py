@@ -6,7 +6,7 @@ import numpy as np
 
 from core.camera import Camera
 from core.rotation import quaternions_from_matrices
-from display.protocol import Command, Place, Rescale
+from display.user_commands import Command, Place, Rescale
 from scenes.scene import BodyState
 
 NEAR, FAR = 0.01, 1000.0  # [m] of the projection

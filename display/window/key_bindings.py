@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from display import protocol
+from display import user_commands
 from display.edit.edit_steps import EDITS
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 
 NAMES = {"plus": "+", "minus": "-", "comma": ",", "period": ".", "delete": "Del", "escape": "Esc"}  # else capitalised
 
@@ -58,18 +59,20 @@ BINDINGS = (
     KeyBinding((), "nearer and farther", text="Wheel"),
     KeyBinding(("w", "a", "s", "d", "q", "e"), "walk; down and up", text="W A S D, Q E"),
     KeyBinding(("home",), "first view again", "reset_view"),
-    KeyBinding(("space",), "pause", lambda world: [protocol.Pause(not world.paused)], bodies=True),
-    KeyBinding(("n",), "a single step", lambda world: [protocol.Pause(True), protocol.SingleStep()], bodies=True),
-    KeyBinding(("r",), "reset the scene", protocol.Reset(), bodies=True),
+    KeyBinding(("space",), "pause", lambda world: [user_commands.Pause(not world.paused)], bodies=True),
+    KeyBinding(
+        ("n",), "a single step", lambda world: [user_commands.Pause(True), user_commands.SingleStep()], bodies=True
+    ),
+    KeyBinding(("r",), "reset the scene", user_commands.Reset(), bodies=True),
     KeyBinding(
         ("t",),
         "physics or transform",
-        lambda world: [protocol.SetInteraction("transform" if world.interaction == "physics" else "physics")],
+        lambda world: [user_commands.SetInteraction("transform" if world.interaction == "physics" else "physics")],
         bodies=True,
     ),
-    KeyBinding(("p",), "watch a demonstration", lambda world: [protocol.PlayDemo(not world.demo)], bodies=True),
-    KeyBinding(("ctrl+z", "u"), "undo", protocol.Undo(), bodies=True),
-    KeyBinding(("ctrl+y", "ctrl+shift+z", "shift+u"), "redo", protocol.Redo(), text="Ctrl+Y", bodies=True),
+    KeyBinding(("p",), "watch a demonstration", lambda world: [user_commands.PlayDemo(not world.demo)], bodies=True),
+    KeyBinding(("ctrl+z", "u"), "undo", user_commands.Undo(), bodies=True),
+    KeyBinding(("ctrl+y", "ctrl+shift+z", "shift+u"), "redo", user_commands.Redo(), text="Ctrl+Y", bodies=True),
     KeyBinding(("c", "ctrl+d"), "copy the body under the cursor", EDITS["copy"], bodies=True),
     KeyBinding(("delete",), "remove it", EDITS["remove"], bodies=True),
     KeyBinding(("plus",), "make it larger", EDITS["larger"]),
@@ -79,29 +82,29 @@ BINDINGS = (
     KeyBinding(("shift+comma",), "tilt it away", "tilt_away"),
     KeyBinding(("shift+period",), "tilt it towards you", "tilt_towards"),
     KeyBinding(("g",), "gizmo: move, turn, scale, off", "next_gizmo", bodies=True),
-    KeyBinding(("ctrl+k",), "keep its up, front and size in its file", protocol.KeepFrame()),
+    KeyBinding(("ctrl+k",), "keep its up, front and size in its file", user_commands.KeepFrame()),
     KeyBinding(("l",), "the light follows the cursor", text="L (hold)", bodies=True),
     KeyBinding(DIGITS, "go to a view that was kept", "go_to_bookmark", text="1 ... 9"),
     KeyBinding(tuple(f"ctrl+{digit}" for digit in DIGITS), "keep this view", "keep_bookmark", text="Ctrl+1 ... 9"),
-    KeyBinding(("f12",), "write the picture", protocol.TakePicture()),
-    KeyBinding(("shift+f12",), "write the camera, for vrgs.py render", protocol.WriteCamera()),
-    KeyBinding(("ctrl+s",), "save the state of the scene", protocol.SaveState(), bodies=True),
-    KeyBinding(("ctrl+l",), "go on from the state that was saved last", protocol.LoadState(), bodies=True),
-    KeyBinding(("ctrl+e",), "export the scene as a splat file", protocol.Export(), bodies=True),
-    KeyBinding(("f9",), "film: begin, finish", lambda world: [protocol.Film(world.film_seconds is None)]),
+    KeyBinding(("f12",), "write the picture", user_commands.TakePicture()),
+    KeyBinding(("shift+f12",), "write the camera, for vrgs.py render", user_commands.WriteCamera()),
+    KeyBinding(("ctrl+s",), "save the state of the scene", user_commands.SaveState(), bodies=True),
+    KeyBinding(("ctrl+l",), "go on from the state that was saved last", user_commands.LoadState(), bodies=True),
+    KeyBinding(("ctrl+e",), "export the scene as a splat file", user_commands.Export(), bodies=True),
+    KeyBinding(("f9",), "film: begin, finish", lambda world: [user_commands.Film(world.film_seconds is None)]),
     KeyBinding(("f2",), "choose another scene", "toggle_menu", bodies=True),
     KeyBinding(("ctrl+o",), "open a file as a body or a room", "ask_file", bodies=True),
     KeyBinding(
         ("m",),
         "sound on or off",
-        lambda world: [] if world.sound is None else [protocol.SetSound(not world.sound)],
+        lambda world: [] if world.sound is None else [user_commands.SetSound(not world.sound)],
         bodies=True,
     ),
-    KeyBinding(("tab",), "next file", protocol.NextFile(), bodies=False),
-    KeyBinding(("y",), "next axis of the file up", protocol.TurnUp(), bodies=False),
-    KeyBinding(("x",), "axes", lambda world: [protocol.ShowAxes(not world.axes)], bodies=False),
-    KeyBinding(("b",), "next background", protocol.NextBackground(), bodies=False),
-    KeyBinding(("o",), "write what the crop leaves", protocol.WriteSplats(), bodies=False),
+    KeyBinding(("tab",), "next file", user_commands.NextFile(), bodies=False),
+    KeyBinding(("y",), "next axis of the file up", user_commands.TurnUp(), bodies=False),
+    KeyBinding(("x",), "axes", lambda world: [user_commands.ShowAxes(not world.axes)], bodies=False),
+    KeyBinding(("b",), "next background", user_commands.NextBackground(), bodies=False),
+    KeyBinding(("o",), "write what the crop leaves", user_commands.WriteSplats(), bodies=False),
     KeyBinding(("f1",), "show or hide the panel", "toggle_panel"),
     KeyBinding(("h",), "list of mouse and keys", "toggle_help"),
     KeyBinding(("escape",), "end drag or demonstration; quit", "escape"),

@@ -11,7 +11,8 @@ from pathlib import Path
 from assets.file_kind import MESHES, SPLATS, kind_of
 from core.errors import BadInput
 from display.preferences import Preferences
-from display.protocol import AddBody, Command, LoadState, SwapRoom, WorldView
+from display.protocol import WorldView
+from display.user_commands import AddBody, Command, LoadState, SwapRoom
 from display.window.panel.theme import ACCENT, QUIET, TITLE_SIZE
 from display.window.panel.widgets import button_grid, pixels
 

@@ -7,7 +7,8 @@ from functools import cache
 from pathlib import Path
 
 from assets.room_folder import PICTURE as ROOM_PICTURE
-from display.protocol import Command, OpenScene, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command, OpenScene
 from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE
 from display.window.panel.widgets import pixels
 from scenes import registry

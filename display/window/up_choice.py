@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from display.protocol import Command, TurnUp, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command, TurnUp
 from display.window.panel.theme import QUIET
 from display.window.panel.widgets import pixels
 

@@ -14,7 +14,8 @@ from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
 from display.picture import PictureTexture, fit
 from display.preferences import Preferences, read_bookmarks
-from display.protocol import Command, Frame, Pause, SingleStep, ViewFiles, WorldView, last_of
+from display.protocol import Frame, WorldView
+from display.user_commands import Command, Pause, SingleStep, ViewFiles, last_of
 from display.window import hover
 from display.window.controls import Controls
 from display.window.gizmo import Gizmo

@@ -13,7 +13,8 @@ from core.errors import BadInput, Cancelled
 from display.adaptive_resolution import DynamicResolution
 from display.clock import Clock
 from display.edit.selection_marker import marked
-from display.protocol import Command, Frame, WorldView
+from display.protocol import Frame, WorldView
+from display.user_commands import Command
 from display.window.gl_window import has_display
 from display.xr import avatar
 from display.xr.mirror import open_mirror

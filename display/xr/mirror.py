@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from display.picture import PictureTexture
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.gl_context import EglContext
 from display.window.gl_window import GLWindow, has_display
 from display.window.panel.panel import Panel

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from display.protocol import Command, Redo, SetInteraction, Undo, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command, Redo, SetInteraction, Undo
 from display.xr import avatar
 from display.xr.actions import FINGER_RADIUS, PRESS_ABOVE, RELEASE_BELOW, ActionSet, Controller
 from display.xr.poses import PlaySpace, interpolate_pose, pose_matrix, position_rotation

@@ -11,9 +11,10 @@ from functools import cache
 
 import numpy as np
 
-from display import protocol
+from display import user_commands
 from display.edit.edit_steps import EDITS
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.scene_menu import demos, spoken, variants
 from display.xr.actions import PRESS_ABOVE, RELEASE_BELOW, Controller
 from display.xr.hand_joints import INDEX_TIP, PALM
@@ -45,17 +46,17 @@ class Button:
         """The command that it gives; None of the light's, which is to be placed."""
         match self.name:
             case "physics" | "transform":
-                return protocol.SetInteraction(self.name)
+                return user_commands.SetInteraction(self.name)
             case "pause":
-                return protocol.Pause(not world.paused)
+                return user_commands.Pause(not world.paused)
             case "reset":
-                return protocol.Reset()
+                return user_commands.Reset()
             case "watch":
-                return protocol.PlayDemo(not world.demo)
+                return user_commands.PlayDemo(not world.demo)
             case "picture":
-                return protocol.TakePicture()
+                return user_commands.TakePicture()
             case "film":
-                return protocol.Film(world.film_seconds is None)
+                return user_commands.Film(world.film_seconds is None)
         return EDITS.get(self.name) or scene_requests().get(self.name)
 
 
@@ -75,7 +76,7 @@ BUTTONS = [
 
 
 @cache
-def scene_requests() -> dict[str, protocol.OpenScene]:
+def scene_requests() -> dict[str, user_commands.OpenScene]:
     """The scenes that can be opened, with each choice of their options, by the texts of their buttons."""
     requests = (request for demo in demos() for request in variants(demo))
     return {" ".join((spoken(r.name), *map(str, r.options.values()))): r for r in requests}
@@ -204,7 +205,7 @@ class WristPanel:
             aim = world_from_play @ right.aim
             hit = world.pick(aim[:3, 3], -aim[:3, 2])
             if hit is not None:
-                commands.append(protocol.Select(hit[1]))
+                commands.append(user_commands.Select(hit[1]))
         commands += self._place_light(right, world_from_play, world)
         if self._captured or self.placing:
             right = replace(right, grab=0.0, pinch=0.0)
@@ -262,4 +263,4 @@ class WristPanel:
         if right.grip is None:
             return []
         position = (world_from_play @ right.grip)[:3, 3]
-        return [protocol.SetLight(replace(world.light, position=tuple(position.tolist())))]
+        return [user_commands.SetLight(replace(world.light, position=tuple(position.tolist())))]

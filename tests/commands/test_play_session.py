@@ -12,7 +12,8 @@ import commands.play_session as play_session
 from commands.opening import Opening, opened_args
 from core.errors import BadInput, Cancelled
 from display.preferences import Preferences
-from display.protocol import AddBody, CancelOpening, Frame, OpenScene, Pause, SwapRoom
+from display.protocol import Frame
+from display.user_commands import AddBody, CancelOpening, OpenScene, Pause, SwapRoom
 from sim.capacity import CapacityError
 from tests.support.fake_view import FakeView
 

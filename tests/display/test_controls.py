@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.camera import look_at, perspective, project
-from display import protocol
+from display import user_commands
 from display.edit.edit_steps import SCALE_STEP, TURN_STEP
 from display.window.controls import Controls
 from display.window.mouse_hand import MAX_SPEED, MouseHand
@@ -277,11 +277,11 @@ def test_walking_goes_on_while_a_key_is_held(controls, world):
 
 def test_keys_become_commands(controls, world):
     for name, commands in {
-        "space": [protocol.Pause(True)],
-        "n": [protocol.Pause(True), protocol.SingleStep()],
-        "t": [protocol.SetInteraction("transform")],
-        "p": [protocol.PlayDemo(True)],
-        "r": [protocol.Reset()],
+        "space": [user_commands.Pause(True)],
+        "n": [user_commands.Pause(True), user_commands.SingleStep()],
+        "t": [user_commands.SetInteraction("transform")],
+        "p": [user_commands.PlayDemo(True)],
+        "r": [user_commands.Reset()],
         "home": [],
         "f1": [],
     }.items():
@@ -289,8 +289,8 @@ def test_keys_become_commands(controls, world):
         assert key(controls, name, world, down=False) == []
     assert not controls.panel and not controls.quit
     world.paused, world.interaction = True, "transform"
-    assert key(controls, "space", world) == [protocol.Pause(False)]
-    assert key(controls, "t", world) == [protocol.SetInteraction("physics")]
+    assert key(controls, "space", world) == [user_commands.Pause(False)]
+    assert key(controls, "t", world) == [user_commands.SetInteraction("physics")]
     controls.orbit.turn(1.0, 0.3)
     key(controls, "home", world)
     assert np.allclose(controls.orbit.eye, (0, 0, 3))
@@ -305,7 +305,7 @@ def test_escape_ends_what_has_begun_and_quits_only_if_nothing_has(controls, worl
     assert controls.help
     assert key(controls, "escape", world) == [] and not controls.help and controls.gizmo
     assert key(controls, "escape", world) == [] and controls.gizmo is None
-    assert key(controls, "escape", world) == [protocol.PlayDemo(False)] and not controls.quit
+    assert key(controls, "escape", world) == [user_commands.PlayDemo(False)] and not controls.quit
     world.demo = False
     assert key(controls, "escape", world) == [] and controls.quit
 
@@ -314,14 +314,14 @@ def test_the_gizmo_is_that_of_the_body_under_the_cursor_else_of_the_selected_one
     told = []
     world.tell = told.append
     assert key(controls, "g", world) == [] and controls.gizmo is None and told  # the sky, and nothing selected
-    assert key(controls, "g", world, CENTRE) == [protocol.Select(0)] and controls.gizmo == "move"
+    assert key(controls, "g", world, CENTRE) == [user_commands.Select(0)] and controls.gizmo == "move"
     kinds = []
     for _ in range(3):
         assert key(controls, "g", world, CENTRE) == []
         kinds.append(controls.gizmo)
     assert kinds == ["turn", "scale", None]
     world.selected = 0
-    assert key(controls, "g", world) == [protocol.Select(0)]
+    assert key(controls, "g", world) == [user_commands.Select(0)]
 
 
 def test_reset_lets_go_of_what_is_held(controls, world):
@@ -336,10 +336,10 @@ def test_reset_lets_go_of_what_is_held(controls, world):
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("c", protocol.Duplicate),
-        ("delete", protocol.Remove),
-        ("plus", lambda body: protocol.Rescale(body, SCALE_STEP)),
-        ("minus", lambda body: protocol.Rescale(body, 1 / SCALE_STEP)),
+        ("c", user_commands.Duplicate),
+        ("delete", user_commands.Remove),
+        ("plus", lambda body: user_commands.Rescale(body, SCALE_STEP)),
+        ("minus", lambda body: user_commands.Rescale(body, 1 / SCALE_STEP)),
     ],
 )
 def test_editing_keys_mean_what_is_under_the_cursor_else_what_was_held_last(controls, world, name, command):
@@ -366,12 +366,12 @@ def test_turning_keys_turn_both_ways_about_the_vertical(controls, world):
 def test_undo_and_redo_let_go_of_what_is_dragged(controls, world):
     controls.press("left", *CENTRE, CAMERA, world)
     assert controls.drag == "grab"
-    assert key(controls, "ctrl+z", world) == [protocol.Undo()]
+    assert key(controls, "ctrl+z", world) == [user_commands.Undo()]
     assert controls.drag is None and not controls.hand.gripping
-    assert key(controls, "ctrl+y", world) == [protocol.Redo()]
-    assert key(controls, "u", world) == [protocol.Undo()]
+    assert key(controls, "ctrl+y", world) == [user_commands.Redo()]
+    assert key(controls, "u", world) == [user_commands.Undo()]
     key(controls, "shift", world)
-    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [protocol.Redo()]
+    assert key(controls, "u", world) == key(controls, "ctrl+z", world) == [user_commands.Redo()]
 
 
 def test_the_light_follows_the_cursor_while_its_key_is_down(controls, world):

@@ -9,10 +9,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from core.camera import look_at, perspective
 from display.edit.body_registry import FULL_NOTICE as FULL
 from display.picture import pixels_of
-from display.protocol import (
+from display.protocol import Frame
+from display.record.codec import from_text, to_text
+from display.user_commands import (
     MIN_TIME_SCALE,
     Duplicate,
-    Frame,
     Place,
     PlayDemo,
     Redo,
@@ -28,7 +29,6 @@ from display.protocol import (
     SetTimeScale,
     Undo,
 )
-from display.record.codec import from_text, to_text
 from scenes.dining_table import RING_MATERIAL as RUBBER
 from scenes.scene import Body, Hand, Light, Plane, Scene
 

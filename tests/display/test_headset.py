@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display.protocol import Redo, SetInteraction, Undo
+from display.user_commands import Redo, SetInteraction, Undo
 from display.xr.actions import ACTIONS, EVERY_PROFILE, PROFILES, Controller
 from display.xr.hand_joints import rotation_about
 from display.xr.player import GRAB_RADIUS, MAX_TELEPORT, PINCH_RADIUS, SNAP_TURN, Player, floor_hit

@@ -9,7 +9,8 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from display.keep.keeper import Keeper
 from display.keep.output_place import output_path
-from display.protocol import Film, Frame, TakePicture, WriteCamera
+from display.protocol import Frame
+from display.user_commands import Film, TakePicture, WriteCamera
 from tests.support.fake_world import RED, FakeWorld, fake_scene
 
 SIZE = (160, 90)

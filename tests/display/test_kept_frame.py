@@ -12,7 +12,8 @@ from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from display.keep.keeper import Keeper
 from display.keep.kept_frame import frame_writer
-from display.protocol import Frame, KeepFrame, Pause, Place, Rescale, Rotate, TurnUp
+from display.protocol import Frame
+from display.user_commands import KeepFrame, Pause, Place, Rescale, Rotate, TurnUp
 from display.viewed_file import ViewedFile
 from display.viewer import Viewer, scene_around
 from scenes.dining_table import RING_MATERIAL as RUBBER

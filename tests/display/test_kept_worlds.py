@@ -25,9 +25,9 @@ from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, v
 from display.keep.scene_state import located, put_state, state_of
 from display.keep.state_file import read_state, write_state
 from display.picture import pixels_of
-from display.protocol import (
+from display.protocol import Frame
+from display.user_commands import (
     Duplicate,
-    Frame,
     LoadState,
     Remove,
     Rescale,

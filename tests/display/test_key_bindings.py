@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from display import protocol
+from display import user_commands
 from display.window.controls import WALK_KEYS, Controls
 from display.window.gl_window import key_name
 from display.window.key_bindings import BINDINGS, BY_CHORD, bound, chord_text, help_rows
@@ -24,7 +24,7 @@ def test_actions_are_commands_functions_or_methods_of_the_controls():
         if isinstance(action, str):
             assert callable(getattr(Controls, action)), action
         else:
-            assert action is None or isinstance(action, protocol.Command) or callable(action)
+            assert action is None or isinstance(action, user_commands.Command) or callable(action)
 
 
 def test_shift_matters_only_where_it_is_bound():

@@ -8,9 +8,10 @@ import pytest
 
 from core.camera import look_at, perspective
 from core.runtime import watch_compilation
-from display.protocol import (
+from display.protocol import Frame
+from display.start_progress import KERNELS, start_progress
+from display.user_commands import (
     Duplicate,
-    Frame,
     Pause,
     Place,
     PlayDemo,
@@ -27,7 +28,6 @@ from display.protocol import (
     SetTimeScale,
     Undo,
 )
-from display.start_progress import KERNELS, start_progress
 from scenes import ring_toss
 from scenes.scene import Hand, Touch
 from tests.support.compiling import compiled

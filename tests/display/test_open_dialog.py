@@ -6,7 +6,7 @@ from assets.asset import Asset
 from assets.formats.ply import write_ply
 from assets.library import find_asset
 from display.preferences import Preferences
-from display.protocol import AddBody, OpenScene, SwapRoom
+from display.user_commands import AddBody, OpenScene, SwapRoom
 from display.window.open_dialog import OpenDialog
 from display.window.scene_menu import demos, line_of, picture_file, variants
 from tests.support.samples import some_gaussians

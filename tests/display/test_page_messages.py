@@ -5,7 +5,7 @@ import json
 import pytest
 
 from core.errors import BadInput
-from display import protocol
+from display import user_commands
 from display.web.browser import pressed_key
 from display.web.page_messages import read_message
 
@@ -18,8 +18,8 @@ from display.web.page_messages import read_message
         (["shown", 7, None], ("shown", 7.0, None)),
         (["blur"], ("blur",)),
         (["resolution", "1/2"], ("resolution", "1/2")),
-        (["command", {"pause": True}], ("command", protocol.Pause(True))),
-        (["command", {"material": [None, "jelly"]}], ("command", protocol.SetMaterial(None, "jelly"))),
+        (["command", {"pause": True}], ("command", user_commands.Pause(True))),
+        (["command", {"material": [None, "jelly"]}], ("command", user_commands.SetMaterial(None, "jelly"))),
     ],
 )
 def test_messages_are_read(message, values):

@@ -9,7 +9,8 @@ import pytest
 
 from display.keep.remembered import Remembered
 from display.preferences import Preferences, config_folder, read_bookmarks
-from display.protocol import Frame, LoadState, SetLight, Undo
+from display.protocol import Frame
+from display.user_commands import LoadState, SetLight, Undo
 from display.window.gl_window import covers
 from scenes.scene import Light
 from tests.support.fake_view import FakeView

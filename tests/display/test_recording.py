@@ -17,9 +17,13 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
 from display.headless.video import FILM_FPS, frame_count
-from display.protocol import (
+from display.protocol import Frame
+from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
+from display.record.recording import VERSION, Recording
+from display.record.replay import Replay, fitted
+from display.timing import Timings
+from display.user_commands import (
     Duplicate,
-    Frame,
     Pause,
     Place,
     PlayDemo,
@@ -35,10 +39,6 @@ from display.protocol import (
     SingleStep,
     Undo,
 )
-from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
-from display.record.recording import VERSION, Recording
-from display.record.replay import Replay, fitted
-from display.timing import Timings
 from scenes.scene import BodyState, Hand, Light, Touch
 from tests.support.fake_world import fake_scene
 

@@ -9,7 +9,8 @@ import pytest
 
 from display.keep.scene_state import state_of
 from display.keep.state_file import read_state, write_state
-from display.protocol import Frame, SaveState
+from display.protocol import Frame
+from display.user_commands import SaveState
 from scenes import registry
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from display.edit import selection_marker as marking
 from display.edit.editor import Editor
 from display.edit.selection_marker import marked, strokes
-from display.protocol import Select, Undo
+from display.user_commands import Select, Undo
 from display.xr import avatar
 
 

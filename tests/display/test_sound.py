@@ -15,13 +15,14 @@ from core.camera import look_at, perspective
 from core.material import MATERIALS
 from display.headless.video import Video
 from display.preferences import Preferences
-from display.protocol import Frame, Reset, SetSound
+from display.protocol import Frame
 from display.sound import audio_device
 from display.sound.body_sound import RATE, body_modes, waveform
 from display.sound.impacts import Impacts
 from display.sound.mixer import LOUD, VOICES, Mixer
 from display.sound.sound import Sound, heard_from
 from display.sound.sound_track import SoundTrack
+from display.user_commands import Reset, SetSound
 from scenes.scene import BodyState
 
 G = (0.0, -9.81, 0.0)

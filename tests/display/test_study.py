@@ -17,12 +17,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.errors import BadInput
-from display.protocol import Frame, PlayDemo, Reset
+from display.protocol import Frame
 from display.study.comparison import compare
 from display.study.questionnaire import QUESTIONS, Answers, ask, form_page, read_answers_file
 from display.study.study_file import Study, add_to_study, read_study, write_study
 from display.study.study_log import StudyLog
 from display.study.trial import MIXED, Trial
+from display.user_commands import PlayDemo, Reset
 from scenes.scene import BodyState, Hand
 from vrgs import main
 

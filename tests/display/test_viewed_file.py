@@ -11,7 +11,7 @@ from assets.gaussians import Gaussians
 from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
-from display import protocol
+from display import user_commands
 from display.protocol import Frame, Line
 from display.viewed_file import UP_AXES, ViewedFile
 from display.viewer import BACKGROUNDS, Viewer, scene_around
@@ -103,20 +103,20 @@ def test_the_viewer_shows_one_file_after_the_other(file, tmp_path, ti_cpu):
 
     first = step()
     assert first[32, 48, 0] > 150 and first[2, 2].tolist() == [round(255 * c) for c in BACKGROUNDS[0]]
-    assert step(protocol.NextBackground())[2, 2].tolist() == [0, 0, 0]
-    cropped = step(protocol.Crop((-9, 0, -9), (9, 9, 9)))
+    assert step(user_commands.NextBackground())[2, 2].tolist() == [0, 0, 0]
+    cropped = step(user_commands.Crop((-9, 0, -9), (9, 9, 9)))
     assert cropped[20, 48, 0] > 150 and cropped[52, 48].tolist() == [0, 0, 0] and len(world.lines()) == 12
-    step(protocol.WriteSplats())
+    step(user_commands.WriteSplats())
     assert "Written" in world.notice and len(read_gaussians(out)) == world.file.shown.sum()
-    step(protocol.NextFile())
+    step(user_commands.NextFile())
     assert world.file is other and world.file_number == (2, 2) and world.stats() == {"gaussians": 300}
-    assert step(protocol.ShowAxes(True))[52, 48, 0] > 150 and [line.text for line in world.lines()][1] == "y 1 m"
-    step(protocol.TurnUp())
+    assert step(user_commands.ShowAxes(True))[52, 48, 0] > 150 and [line.text for line in world.lines()][1] == "y 1 m"
+    step(user_commands.TurnUp())
     assert world.file.up == "-y" and "-y is up" in world.file.note
     write_ply(tmp_path / "more.ply", cloud(2, 400))
-    assert step(protocol.ViewFiles((str(tmp_path / "more.ply"),)))[32, 48, 0] > 150
+    assert step(user_commands.ViewFiles((str(tmp_path / "more.ply"),)))[32, 48, 0] > 150
     assert world.file_number == (3, 3) and world.stats() == {"gaussians": 400}
-    step(protocol.ViewFiles((str(tmp_path / "none.ply"),)))
+    step(user_commands.ViewFiles((str(tmp_path / "none.ply"),)))
     assert "no such file" in world.notice and world.file_number == (3, 3)
-    step(protocol.NextFile())
+    step(user_commands.NextFile())
     assert world.file.crop is not None and step()[52, 48].tolist() == [0, 0, 0]

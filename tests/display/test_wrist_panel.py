@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display import protocol
+from display import user_commands
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import HandJoints
 from display.xr.panel_layer import PANEL_BACKGROUND, PanelContent, paint
@@ -127,19 +127,19 @@ def test_a_ray_meets_the_pixel_that_it_points_at_from_before_the_panel_and_not_f
 @pytest.mark.parametrize(
     ("name", "command"),
     [
-        ("undo", protocol.Undo()),
-        ("redo", protocol.Redo()),
-        ("copy", protocol.Duplicate()),
-        ("remove", protocol.Remove()),
-        ("larger", protocol.Rescale(None, 1.25)),
-        ("smaller", protocol.Rescale(None, 0.8)),
-        ("physics", protocol.SetInteraction("physics")),
-        ("transform", protocol.SetInteraction("transform")),
-        ("pause", protocol.Pause(True)),
-        ("reset", protocol.Reset()),
-        ("watch", protocol.PlayDemo(True)),
-        ("picture", protocol.TakePicture()),
-        ("film", protocol.Film(True)),
+        ("undo", user_commands.Undo()),
+        ("redo", user_commands.Redo()),
+        ("copy", user_commands.Duplicate()),
+        ("remove", user_commands.Remove()),
+        ("larger", user_commands.Rescale(None, 1.25)),
+        ("smaller", user_commands.Rescale(None, 0.8)),
+        ("physics", user_commands.SetInteraction("physics")),
+        ("transform", user_commands.SetInteraction("transform")),
+        ("pause", user_commands.Pause(True)),
+        ("reset", user_commands.Reset()),
+        ("watch", user_commands.PlayDemo(True)),
+        ("picture", user_commands.TakePicture()),
+        ("film", user_commands.Film(True)),
     ],
 )
 def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, world, name, command):
@@ -152,7 +152,7 @@ def test_the_trigger_presses_what_the_ray_is_on_once_and_grips_nothing(panel, wo
 
 def test_turning_is_about_the_vertical(panel, world):
     ((command,), _) = advance(panel, world, pointing(panel, "turn", pinch=0.9))
-    assert isinstance(command, protocol.Rotate) and command.rotation[1] == command.rotation[3] == 0.0
+    assert isinstance(command, user_commands.Rotate) and command.rotation[1] == command.rotation[3] == 0.0
 
 
 def test_a_trigger_pulled_elsewhere_presses_nothing_here_and_holds_on(panel, world):
@@ -165,7 +165,7 @@ def test_a_finger_presses_by_going_through_from_the_front(panel, world):
     def pressed(*distances):
         """True if the finger of a controller, which points with the hand, presses at these distances."""
         fingers = [pointing(panel, "copy", d + FINGER_LENGTH) for d in distances]
-        return [advance(panel, world, finger)[0] == [protocol.Duplicate()] for finger in fingers]
+        return [advance(panel, world, finger)[0] == [user_commands.Duplicate()] for finger in fingers]
 
     assert pressed(0.1, 0.02, 0.005, -0.002, -0.02, 0.005, -0.01) == [False] * 3 + [True] + [False] * 3
     assert pressed(0.02, -0.002) == [False, True]  # again, from clear of the panel
@@ -179,13 +179,13 @@ def test_a_tracked_finger_presses(panel, world):
         joints = HandJoints(np.tile(c.grip[:3, 3], (26, 1)), np.tile(np.eye(3), (26, 1, 1)), np.zeros(26))
         return replace(c, aim=None, joints=joints)
 
-    assert [advance(panel, world, hand(d))[0] for d in (0.03, -0.001)] == [[], [protocol.Redo()]]
+    assert [advance(panel, world, hand(d))[0] for d in (0.03, -0.001)] == [[], [user_commands.Redo()]]
 
 
 def test_the_light_follows_the_hand_until_the_trigger_is_released(panel, world):
     assert advance(panel, world, pointing(panel, "light", pinch=1.0))[1] == 0.0 and panel.placing
     (command,), pinch = advance(panel, world, away(1.0))
-    assert command == protocol.SetLight(replace(LIGHT, position=command.light.position)) and pinch == 0.0
+    assert command == user_commands.SetLight(replace(LIGHT, position=command.light.position)) and pinch == 0.0
     assert_allclose(command.light.position, (WORLD_FROM_PLAY @ AWAY)[:3, 3])
     assert advance(panel, world, away(0.0))[0] == [] and not panel.placing
 
@@ -207,7 +207,7 @@ def test_without_a_light_there_is_none_to_place(panel, world):
 def test_pointing_at_a_body_selects_it(panel, world):
     asked = []
     world.pick = lambda origin, direction: asked.append((origin, direction)) or (0.8, 1)
-    assert advance(panel, world, away(1.0)) == ([protocol.Select(1)], 1.0)
+    assert advance(panel, world, away(1.0)) == ([user_commands.Select(1)], 1.0)
     assert_allclose(asked[0][0], (WORLD_FROM_PLAY @ AWAY)[:3, 3])
     assert_allclose(asked[0][1], WORLD_FROM_PLAY[:3, :3] @ [0, 0, -1])
     assert advance(panel, world, away(1.0))[0] == []

@@ -9,11 +9,11 @@ import numpy as np
 from core.material import Material
 from display.keep.plain_values import game_state
 from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
-from display.protocol import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
 from display.record.recording import Recording
 from display.study.questionnaire import QUESTIONS, Answers
 from display.study.study_file import Study
 from display.study.trial import Trial
+from display.user_commands import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
 from scenes.scene import Hand, Light
 from sim.hands.grasp_state import Grasp, GraspState
 from tests.display.test_recording import Ball, some_frames

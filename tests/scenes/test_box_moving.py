@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display.protocol import Frame, Reset
+from display.protocol import Frame
+from display.user_commands import Reset
 from scenes import registry
 from scenes.attic_floor import FAR, HOLE, PALLET, SIZES, boxes, colliders
 from scenes.box_moving import TURN, BoxMoving, before_hole

@@ -9,7 +9,8 @@ from assets.asset import Asset
 from assets.library import animated_height, find_asset
 from core.errors import BadInput
 from core.tetmesh import vertex_components
-from display.protocol import Duplicate, Frame, Remove, Rescale, Reset, SetInteraction, Undo
+from display.protocol import Frame
+from display.user_commands import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
 from scenes.just_dance import THROW_PERIOD

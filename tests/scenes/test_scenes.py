@@ -16,8 +16,9 @@ from assets.library import animated_height, find_asset
 from core.camera import look_at, perspective
 from core.material import Material
 from display.picture import pixels_of
-from display.protocol import Frame, Reset, SetLight, Undo
+from display.protocol import Frame
 from display.study.study_file import read_study
+from display.user_commands import Reset, SetLight, Undo
 from scenes import registry, ring_toss
 from scenes.dining_table import BOTTLE
 from scenes.scene import Body, BodyState, Light, Plane, Scene

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from display.protocol import Frame, Reset
+from display.protocol import Frame
+from display.user_commands import Reset
 from scenes import registry
 from scenes.study_table import TABLE_TOP, tower, tower_height
 from scenes.table_brick_game import DRAW_AT, DRAW_TIME, DRAWN

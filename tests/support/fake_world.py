@@ -19,7 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
 from display.keep.keeper import Keeper
-from display.protocol import (
+from display.protocol import WorldView
+from display.record.codec import NAMES
+from display.timing import Timings
+from display.user_commands import (
     Pause,
     Place,
     Reset,
@@ -28,12 +31,9 @@ from display.protocol import (
     SetLight,
     SetMaterial,
     SingleStep,
-    WorldView,
     in_order,
     last_of,
 )
-from display.record.codec import NAMES
-from display.timing import Timings
 from scenes.scene import BodyState, Light, Scene
 
 RADIUS = 0.3  # [m]

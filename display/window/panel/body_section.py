@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from core.material import MATERIALS, Material
-from display import protocol
+from display import user_commands
 from display.edit.edit_steps import EDITS
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.theme import QUIET
@@ -117,7 +118,7 @@ class BodySection(Section):
         if imgui.begin_combo("##material", current):
             for name, material in MATERIALS.items():
                 if imgui.selectable(f"{name}, {pascals(material.young)}", name == current)[0]:
-                    commands.append(protocol.SetMaterial(k, name))
+                    commands.append(user_commands.SetMaterial(k, name))
             if imgui.is_key_pressed(imgui.Key.escape):
                 imgui.close_current_popup()
             imgui.end_combo()
@@ -144,9 +145,9 @@ def sliders(world: WorldView) -> list[Slider]:
     ]
 
 
-def set_property(k: int, material: Material, field: str, value: float, continued: bool) -> protocol.SetMaterial:
+def set_property(k: int, material: Material, field: str, value: float, continued: bool) -> user_commands.SetMaterial:
     """The command that gives body k a material with another number."""
-    return protocol.SetMaterial(k, changed(material, field, value), continued=continued)
+    return user_commands.SetMaterial(k, changed(material, field, value), continued=continued)
 
 
 def called(name: str) -> str:

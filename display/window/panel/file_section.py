@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from display import protocol
-from display.protocol import Command, WorldView
+from display import user_commands
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.theme import QUIET
 from display.window.panel.widgets import Sliders, button_grid, shortened, table_row, width_of
 
 BUTTONS = {
-    "Next file": (protocol.NextFile(), "Tab"),
-    "Turn up": (protocol.TurnUp(), "The next of the file's axes points up (Y)."),
+    "Next file": (user_commands.NextFile(), "Tab"),
+    "Turn up": (user_commands.TurnUp(), "The next of the file's axes points up (Y)."),
     "Axes": (None, "x red, y green, z blue; each 1, 0.1 or 10 m long (X)."),
-    "Background": (protocol.NextBackground(), "Grey, black, white, blue (B)."),
+    "Background": (user_commands.NextBackground(), "Grey, black, white, blue (B)."),
 }
 
 
@@ -42,7 +43,7 @@ class FileSection(Section):
             imgui.end_table()
         if pressed is None:
             return []
-        return [BUTTONS[pressed][0] or protocol.ShowAxes(not world.axes)]
+        return [BUTTONS[pressed][0] or user_commands.ShowAxes(not world.axes)]
 
 
 class CropSection(Section):
@@ -64,8 +65,8 @@ class CropSection(Section):
         pressed = button_grid({"All": "Crop nothing.", "Write": "What is left, as a splat file of its own (O)."}, 2)
         if pressed == "All":
             bounds = world.file.bounds
-            commands.append(protocol.Crop(tuple(bounds.low.tolist()), tuple(bounds.high.tolist())))
-        return [*commands, protocol.WriteSplats()] if pressed == "Write" else commands
+            commands.append(user_commands.Crop(tuple(bounds.low.tolist()), tuple(bounds.high.tolist())))
+        return [*commands, user_commands.WriteSplats()] if pressed == "Write" else commands
 
 
 def sliders(world: WorldView) -> list[Slider]:
@@ -78,7 +79,7 @@ def sliders(world: WorldView) -> list[Slider]:
             def command(value: float, _: bool, side=side, axis=axis) -> Command:
                 low, high = np.array(box.low), np.array(box.high)
                 (low if side == "from" else high)[axis] = value
-                return protocol.Crop(tuple(np.minimum(low, high).tolist()), tuple(np.maximum(low, high).tolist()))
+                return user_commands.Crop(tuple(np.minimum(low, high).tolist()), tuple(np.maximum(low, high).tolist()))
 
             ends, value = (float(bounds.low[axis]), float(bounds.high[axis])), float(corner[axis])
             usual = ends[0] if side == "from" else ends[1]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import get_args, get_type_hints
 
-from display.protocol import Command, Export, Film, LoadState, SaveState, TakePicture, WorldView, WriteCamera
+from display.protocol import WorldView
+from display.user_commands import Command, Export, Film, LoadState, SaveState, TakePicture, WriteCamera
 from display.window.panel.section import Section
 from display.window.panel.widgets import button_grid, width_of
 

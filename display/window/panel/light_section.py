@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
-from display import protocol
-from display.protocol import Command, WorldView
+from display import user_commands
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.widgets import Sliders, choice
@@ -33,7 +34,7 @@ class LightSection(Section):
         """Draw the sliders; the changed light."""
         light = world.light
         kind = choice(["Point", "Directional"], light.kind.capitalize()).lower()
-        commands = [] if kind == light.kind else [protocol.SetLight(replace(light, kind=kind))]
+        commands = [] if kind == light.kind else [user_commands.SetLight(replace(light, kind=kind))]
         return commands + self._sliders.draw(sliders(world))
 
 
@@ -49,12 +50,12 @@ def sliders(world: WorldView) -> list[Slider]:
     return made
 
 
-def moved(light: Light, axis: int, value: float, continued: bool) -> protocol.SetLight:
+def moved(light: Light, axis: int, value: float, continued: bool) -> user_commands.SetLight:
     """The command that moves a light along an axis to `value` [m]."""
     position = (*light.position[:axis], value, *light.position[axis + 1 :])
-    return protocol.SetLight(replace(light, position=position))
+    return user_commands.SetLight(replace(light, position=position))
 
 
-def shaded(light: Light, field: str, hundredths: float, continued: bool) -> protocol.SetLight:
+def shaded(light: Light, field: str, hundredths: float, continued: bool) -> user_commands.SetLight:
     """The command that changes a light's field to a number of hundredths."""
-    return protocol.SetLight(replace(light, **{field: hundredths / 100.0}))
+    return user_commands.SetLight(replace(light, **{field: hundredths / 100.0}))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.panel.body_section import BodySection
 from display.window.panel.file_section import CropSection, FileSection
 from display.window.panel.help_card import draw_help

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from time import perf_counter
 
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
 from display.timing import Timings
+from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.theme import QUIET
 from display.window.panel.widgets import choice, table_row

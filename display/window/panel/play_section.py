@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from display import protocol
-from display.protocol import Command, WorldView
+from display import user_commands
+from display.protocol import WorldView
+from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.widgets import button_grid, choice
 
@@ -29,12 +30,12 @@ class PlaySection(Section):
         tips |= {"Undo": "Take the last change back (Ctrl+Z).", "Redo": "(Ctrl+Y)"}
         tips |= {watch: "A demonstration (P)."} if world.scene.game is not None else {}
         commands: list[Command] = {
-            pause: [protocol.Pause(not world.paused)],
-            "Step": [protocol.Pause(True), protocol.SingleStep()],
-            "Reset": [protocol.Reset()],
-            "Undo": [protocol.Undo()],
-            "Redo": [protocol.Redo()],
-            watch: [protocol.PlayDemo(not world.demo)],
+            pause: [user_commands.Pause(not world.paused)],
+            "Step": [user_commands.Pause(True), user_commands.SingleStep()],
+            "Reset": [user_commands.Reset()],
+            "Undo": [user_commands.Undo()],
+            "Redo": [user_commands.Redo()],
+            watch: [user_commands.PlayDemo(not world.demo)],
         }.get(button_grid(tips, 3), [])
         chosen = choice(list(INTERACTIONS), world.interaction.capitalize(), INTERACTIONS).lower()
-        return commands + ([protocol.SetInteraction(chosen)] if chosen != world.interaction else [])
+        return commands + ([user_commands.SetInteraction(chosen)] if chosen != world.interaction else [])

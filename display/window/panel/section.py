@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from display.protocol import Command, WorldView
+from display.protocol import WorldView
+from display.user_commands import Command
 
 
 class Section:

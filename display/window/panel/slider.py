@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from display.protocol import Command
+from display.user_commands import Command
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from display.protocol import Command
+from display.user_commands import Command
 from display.window.panel.slider import Slider, readable
 from display.window.panel.theme import ACCENT, ON_ACCENT, QUIET
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from display import protocol
-from display.protocol import MIN_TIME_SCALE, Command, WorldView
+from display import user_commands
+from display.protocol import WorldView
+from display.user_commands import MIN_TIME_SCALE, Command
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.widgets import Sliders
@@ -48,7 +49,7 @@ def sliders(world: WorldView) -> list[Slider]:
             0.0,
             GRAVITY_MAX,
             f"{strength:.2f} m/s\u00b2",
-            lambda x, continued: protocol.SetGravity(tuple((x * direction).tolist()), continued=continued),
+            lambda x, continued: user_commands.SetGravity(tuple((x * direction).tolist()), continued=continued),
             usual=float(np.linalg.norm(usual)),
             tip=f"{TIPS['gravity']} {RESET_TIP}",
         ),
@@ -58,7 +59,7 @@ def sliders(world: WorldView) -> list[Slider]:
             MIN_TIME_SCALE,
             1.0,
             "as it is" if pace == 1.0 else f"{pace:.2g} x",
-            lambda x, continued: protocol.SetTimeScale(x, continued=continued),
+            lambda x, continued: user_commands.SetTimeScale(x, continued=continued),
             usual=1.0,
             log=True,
             tip=f"{TIPS['time']} {RESET_TIP}",

@@ -93,11 +93,11 @@ def support_surfaces(
         if plane is None:
             break
         origin, normal, spread = plane
-        own = (np.abs((left - origin) @ normal) < 2 * FLAT * ball.radius) & (np.abs(turned @ normal) > PARALLEL)
-        if own.sum() < SHARE * len(points):
+        along = np.abs(turned @ normal) > PARALLEL
+        if (along & (np.abs((left - origin) @ normal) < 2 * FLAT * ball.radius)).sum() < SHARE * len(points):
             break
         found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
-        left, turned = left[~own], turned[~own]
+        left, turned = left[~along], turned[~along]  # a parallel one would be the same again, seen with noise
     return found
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, distance_transform_edt, label
+from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, label
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 from prepare.inpaint.support_surface import SupportSurface, fit_relief
@@ -19,6 +19,7 @@ SEEN_SHARE = 0.05  # of the views that look there: fewer catch a glimpse between
 EMPTY_SHARE = 0.25  # of the views that look there and see through: fewer graze a dent of the surface
 COVERED_SHARE = 0.3  # of the views that look there: else something else hides it
 LEAK, RIM = 2, 6  # texels
+SLIVER = 2  # texels: half the width of what is no end of the surface but a dent at the object's foot
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
 SURE = 0.5  # share of the views behind the object that must show no surface, where photographs do not tell
 
@@ -92,7 +93,7 @@ def texture_of(
         lacking += look.lacks
         heights += np.where(look.shows, look.height, 0.0)
     known = (seen > through) & (seen > SEEN_SHARE * looking)
-    empty = ~known & (through > EMPTY_SHARE * looking)
+    empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
     surface = fit_relief(surface, places[known], heights[known] / seen[known], ball.radius)
     points = surface.points(places)
     beyond = np.zeros_like(known)

@@ -1,10 +1,12 @@
 """Inpainting: a ball is taken from a checked table, whose Gaussians under it no camera saw."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from scipy.ndimage import gaussian_filter
 
 from assets.gaussians import ROWS, Gaussians, concatenate
 from assets.splat_files import read_gaussians, write_gaussians
@@ -12,13 +14,15 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-from prepare.inpaint.hole_views import Surroundings, cut_out_camera
+from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
+from prepare.inpaint.support_surface import support_surfaces
+from prepare.inpaint.surface_texture import texture_of
 from prepare.progress import no_progress
 from prepare.train.photographs import Photograph
-from tests.support.tiny_onnx import write_tiny_lama
+from tests.support.onnx_network import Network
 from vrgs import main
 
 RADIUS, SPACING = 0.12, 0.02  # [m] of the ball, and between the table's Gaussians
@@ -59,13 +63,27 @@ def closed(ti_cpu):
     return hole, textures, close_hole(hole, textures, steps=40, **OPTIONS)
 
 
-def truths(hole) -> list[Photograph]:
-    from prepare.inpaint.hole_views import Drawing
+@pytest.fixture(scope="module")
+def views(closed):
+    """Pictures before and after, and of the whole table."""
+    hole, textures, after = closed
+    return compare(hole, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
 
+
+def truths(hole) -> list[Photograph]:
     drawing = Drawing(table(), cameras(), antialias=False, sort="radial")
     pictures = [(drawing(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
     drawing.destroy()
     return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
+
+
+def write_lama(path, color=(0.2, 0.4, 0.6), *, levels: float = 255.0, image: str = "image") -> None:
+    """A network like LaMa, output = levels * (image + mask * color): the hole in one colour."""
+    network = Network(inputs={image: (1, 3, 512, 512), "mask": (1, 1, 512, 512)})
+    painted = network.node("Mul", "mask", network.constant("color", np.reshape(color, (1, 3, 1, 1))))
+    filled = network.node("Add", image, painted)
+    output = network.node("Mul", filled, network.constant("levels", np.full((1, 1, 1, 1), levels)))
+    network.write(path, output, (1, 3, 512, 512))
 
 
 def test_only_what_no_camera_saw_is_a_hole(closed):
@@ -78,9 +96,8 @@ def test_only_what_no_camera_saw_is_a_hole(closed):
     assert 0 < hole.dropped < len(table()) // 5
 
 
-def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed):
-    hole, textures, after = closed
-    views = compare(hole, textures, hole.background, after, truths(hole), antialias=False, sort="radial")
+def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed, views):
+    _, textures, _ = closed
     psnr = uncovered_psnr(views)
     assert psnr["hole"]["before"] < 15.0 and psnr["hole"]["after"] > 22.0 and psnr["object"]["after"] > 25.0
     assert inconsistency(views, textures, [v.after for v in views]) < 8.0
@@ -119,6 +136,37 @@ def test_an_object_in_the_air_or_unseen_is_refused(ti_cpu):
         find_hole(table(), ball().select(slice(5)), cameras(), name="ball", **OPTIONS)
 
 
+def noisy_view(index: int, camera, noise: float, dent: float) -> HoleView:
+    """A table without end, its depth off by `noise` [m], with a dent around the foot of a ball."""
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
+    rays = rays @ camera.world_to_camera[:3, :3]
+    eye, down = camera.position, rays[..., 1] < -1e-3
+    depth = np.where(down, -eye[1] / np.minimum(rays[..., 1], -1e-3), 9.0)
+    away = np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1)
+    rough = gaussian_filter(np.random.default_rng(index).normal(size=depth.shape), 4)
+    depth = depth + noise * rough / rough.std()
+    depth += np.where(np.abs(away - 0.6 * RADIUS) < dent, 0.2, 0.0)
+    a, b = (rays**2).sum(-1), rays @ (eye - [0.0, RADIUS, 0.0])
+    root = b**2 - a * (((eye - [0.0, RADIUS, 0.0]) ** 2).sum() - RADIUS**2)
+    alpha, front = (root > 0).astype(np.float32), (-b - np.sqrt(root.clip(0))) / a
+    pictures = (np.full((*x.shape, 3), 0.5), down, depth, alpha, front)
+    return HoleView(index, camera, *(p.astype(np.float32) for p in pictures))
+
+
+def test_a_small_object_on_a_noisy_surface_has_one_hole():
+    """Noise of the depth makes no further planes, and a narrow dent around the foot is no end of the surface."""
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = [noisy_view(k, c, noise=0.02, dent=0.006) for k, c in enumerate(cameras())]
+    surfaces = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
+    assert len(surfaces) == 1 and surfaces[0].axes[2][1] > 0.995
+    texture = texture_of(surfaces[0], [], views, sphere, photographed=True)
+    places = texture.surface.points(texture.places())
+    away = np.linalg.norm(places[..., [0, 2]], axis=-1)
+    assert texture.hole[away < 0.3 * RADIUS].all()
+    assert texture.hole[np.abs(away - 0.55 * RADIUS) < 0.05 * RADIUS].mean() > 0.9  # the dent's inner half
+
+
 def cameras_at(height: float):
     return [
         perspective(112, 84, 0.75, look_at((1.2 * np.cos(a), height, 1.2 * np.sin(a)), (0, height, 0)))
@@ -152,7 +200,7 @@ def test_patches_continue_a_pattern():
 
 @pytest.mark.parametrize("levels", [1.0, 255.0])
 def test_a_lama_network_fills_the_hole(tmp_path, levels):
-    write_tiny_lama(tmp_path / "lama.onnx", (0.2, 0.4, 0.6), levels=levels)
+    write_lama(tmp_path / "lama.onnx", (0.2, 0.4, 0.6), levels=levels)
     picture, hole = np.full((90, 100, 3), 0.5, np.float32), np.zeros((90, 100), bool)
     hole[30:60, 40:70] = True
     filled = LamaNetwork(tmp_path / "lama.onnx")(picture, hole)
@@ -166,23 +214,23 @@ def test_other_networks_and_files_are_refused(tmp_path):
         LamaNetwork(tmp_path / "bad.onnx")
     with pytest.raises(BadInput, match=r"is an \.onnx file"):
         LamaNetwork(tmp_path / "bad.pth")
-    write_tiny_lama(tmp_path / "other.onnx", image="picture")
+    write_lama(tmp_path / "other.onnx", image="picture")
     with pytest.raises(BadInput, match="inputs `image` and `mask`"):
         LamaNetwork(tmp_path / "other.onnx")(np.zeros((8, 8, 3), np.float32), np.ones((8, 8), bool))
 
 
-def test_the_command_takes_an_object_out(ti_cpu, tmp_path, capsys):
-    out, report = tmp_path / "empty.ply", tmp_path / "report.json"
+def write_scene(folder):
     torn = table()
     torn = torn.select(np.linalg.norm(torn.means[:, [0, 2]], axis=1) > 0.5 * RADIUS)
-    sets = [torn, ball()]
-    scene = concatenate(sets)
+    scene = concatenate([torn, ball()])
     scene.object_id[len(torn) :] = 1
-    from dataclasses import replace
+    write_gaussians(folder / "scene.ply", replace(scene, objects=("ball",)))
+    write_gaussians(folder / "torn.ply", torn)
+    return ["inpaint", str(folder / "scene.ply"), "--out", str(folder / "empty.ply"), "--arch", "cpu"], len(torn)
 
-    write_gaussians(tmp_path / "scene.ply", replace(scene, objects=("ball",)))
-    write_gaussians(tmp_path / "torn.ply", torn)
-    line = ["inpaint", str(tmp_path / "scene.ply"), "--out", str(out), "--arch", "cpu"]
+
+def test_the_command_refuses_what_is_not_there(tmp_path, capsys):
+    line, _ = write_scene(tmp_path)
     for words, says in (
         (["--remove", "cup"], "holds no object cup; there are ball"),
         (["--objects", str(tmp_path / "none.ply")], "no such file"),
@@ -192,10 +240,30 @@ def test_the_command_takes_an_object_out(ti_cpu, tmp_path, capsys):
     ):
         assert main([*line, *words]) == 2
         assert says in capsys.readouterr().err
-    assert main(["inpaint", str(tmp_path / "torn.ply"), "--remove", "1", "--out", str(out)]) == 2
-    assert "holds no objects" in capsys.readouterr().err and not out.exists()
-    assert main([*line, "--remove", "ball", "--steps", "3", "--report", str(report)]) == 0
+    assert main(["inpaint", str(tmp_path / "torn.ply"), "--remove", "1", *line[2:]]) == 2
+    assert "holds no objects" in capsys.readouterr().err and not (tmp_path / "empty.ply").exists()
+
+
+def test_the_command_writes_the_scene_and_a_report(closed, views, tmp_path, capsys, monkeypatch):
+    """With the hole that was found and closed above."""
+    hole, _, after = closed
+    (line, _), report = write_scene(tmp_path), tmp_path / "report.json"
+    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.find_hole", lambda *_, **__: hole)
+    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.close_hole", lambda *_, **__: after)
+    monkeypatch.setattr("prepare.inpaint.hole_quality.compare", lambda *_, **__: views)
+    assert main([*line, "--remove", "ball", "--report", str(report)]) == 0
+    check_written(tmp_path, report, capsys, len(hole.background))
+
+
+def check_written(folder, report, capsys, kept: int):
     assert "ball: 500 Gaussians taken out" in capsys.readouterr().out
     numbers = json.loads(report.read_text())["objects"][0]
-    assert len(read_gaussians(out)) == len(torn) + numbers["new"] and numbers["new"] > 20
+    assert len(read_gaussians(folder / "empty.ply")) == kept + numbers["new"] and numbers["new"] > 20
     assert report.with_suffix(".png").is_file() and "before, after" in report.with_suffix(".html").read_text()
+
+
+@pytest.mark.long
+def test_the_command_takes_an_object_out(ti_cpu, tmp_path, capsys):
+    (line, kept), report = write_scene(tmp_path), tmp_path / "report.json"
+    assert main([*line, "--remove", "ball", "--steps", "3", "--report", str(report)]) == 0
+    check_written(tmp_path, report, capsys, kept)

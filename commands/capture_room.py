@@ -33,7 +33,7 @@ EXAMPLES = (
     "capture toys/ --masks toys/masks --out room/ --steps 2000 --reduce 2",
     "capture bear/ --marks m.json --out r/ --scale-points frame_00001.jpg:210,380 frame_00001.jpg:310,385 0.46",
 )
-STAGES = ("train", "cameras", "objects", "inpaint", "cages", "room")
+STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
 TRAINED = "trained.ply"
 MARKS = "marks.json"  # beside the photographs
 CAPTURE_FILES = {".json", ".txt", ".bin", ".jpg", ".jpeg", ".png", ".webp", ".ply"}
@@ -158,7 +158,7 @@ class RoomMaking:
 
     def make(self) -> None:
         """All stages. Raises BadInput."""
-        from prepare.room_capture.room_pipeline import placed_room, supports
+        from prepare.room_capture.room_pipeline import held_objects, placed_room
 
         self.train()
         found = self.look()
@@ -166,13 +166,11 @@ class RoomMaking:
         room = placed_room(self.gaussians, self.capture, found, **self.measured())
         for line in room.orientation.described():
             self.say(line)
-        self.say(
-            f"{len(room.gaussians):,} of {len(self.gaussians):,} Gaussians are needed by the photographs; "
-            + (", ".join(room.names) or "no objects")
-        )
-        held = supports(room)
+        room, held = held_objects(room, self.say)
+        self.say(f"{len(room.gaussians):,} of {len(self.gaussians):,} Gaussians are needed by the photographs")
+        room, things = self.cages(room, held)  # before what they hid: an object without a cage is not taken away
+        self.say(f"objects: {', '.join(room.names) or 'none'}")
         rest = self.inpaint(room)
-        things = self.cages(room, held)
         self.finish(room, rest, things)
 
     def train(self) -> None:
@@ -282,13 +280,40 @@ class RoomMaking:
                 points.append(self.turn @ np.array(values))
         return {"measured": tuple(points), "length": parsed_length(self.args.scale_points[2])}
 
+    def cages(self, room, held) -> tuple:
+        """The room with the objects that have a body, and these."""
+        from assets.asset import Asset
+        from assets.room_folder import RoomObject
+        from prepare.prepared_files import device_vertices
+        from prepare.room_capture.room_pipeline import bodies, without_objects
+
+        a = self.args
+        vertices = (a.vertices,) if a.vertices else device_vertices(animated=False)
+        inputs = {"vertices": vertices, "material": a.material, "scale_points": a.scale_points}
+
+        def make(folder: Path) -> None:
+            options = {"vertices": vertices, "material": a.material, "progress": self.stages.part, "say": self.say}
+            found, lost = bodies(room, held, **options)
+            make_folder(folder / "objects")
+            for asset, thing in found:
+                asset.save(folder / thing.asset)
+            made = {"objects": [asdict(thing) for _, thing in found], "lost": lost}
+            (folder / "objects.json").write_text(json.dumps(made), encoding="utf-8")
+
+        done = self.stages.run("cages", inputs, make)
+        made = json.loads((done / "objects.json").read_text(encoding="utf-8"))
+        rows = [{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()} for row in made["objects"]]
+        things = [RoomObject(**row) for row in rows]
+        room = without_objects(room, made["lost"], self.say)
+        return room, [(Asset.load(done / thing.asset), thing) for thing in things]
+
     def inpaint(self, room):
         """The background, closed where objects stood."""
         from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import inpainted
 
         a = self.args
-        inputs = {"scale_points": a.scale_points, "lama": str(a.lama) if a.lama else None}
+        inputs = {"lama": str(a.lama) if a.lama else None}
 
         def make(folder: Path) -> None:
             painter = None
@@ -300,28 +325,6 @@ class RoomMaking:
 
         done = self.stages.run("inpaint", inputs, make)
         return read_gaussians(done / "background.ply", self.say)
-
-    def cages(self, room, held) -> list:
-        """A body for each object."""
-        from assets.asset import Asset
-        from assets.room_folder import RoomObject
-        from prepare.prepared_files import device_vertices
-        from prepare.room_capture.room_pipeline import bodies
-
-        a = self.args
-        vertices = (a.vertices,) if a.vertices else device_vertices(animated=False)
-
-        def make(folder: Path) -> None:
-            found = bodies(room, held, vertices=vertices, material=a.material, progress=self.stages.part, say=self.say)
-            make_folder(folder / "objects")
-            for asset, thing in found:
-                asset.save(folder / thing.asset)
-            (folder / "objects.json").write_text(json.dumps([asdict(thing) for _, thing in found]), encoding="utf-8")
-
-        done = self.stages.run("cages", {"vertices": vertices, "material": a.material}, make)
-        rows = json.loads((done / "objects.json").read_text(encoding="utf-8"))
-        things = [RoomObject(**{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}) for row in rows]
-        return [(Asset.load(done / thing.asset), thing) for thing in things]
 
     def finish(self, room, rest, things: list) -> None:
         """The collider, the report, and the folder as it is played; its manifest is written last."""

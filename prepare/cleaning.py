@@ -84,7 +84,11 @@ def clean(gaussians: Gaussians) -> tuple[Gaussians, dict[str, int]]:
     low, high = solid_box(g)
     small = np.exp(g.log_scales.astype(np.float64)).max(1) <= SIGMA_MAX * (high - low).max()
     g_small = g.select(small)
-    keep = largest_component(g_small.means.astype(np.float64), low, high) if len(g_small) else np.zeros(0, bool)
+    keep = (
+        largest_component(g_small.means.astype(np.float64), low, high)
+        if len(g_small) > 1
+        else np.zeros(len(g_small), bool)
+    )
     g_kept = g_small.select(keep)
     counts = {
         "read": n,

@@ -62,14 +62,11 @@ def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, 
         surface = texture.surface
         eye, slope = surface.local(c.position), rays @ surface.axes.T
         falling = (slope[..., 2] < -1e-9) & (eye[2] > 0)
-        near = binary_dilation(texture.hole, iterations=RIM).astype(np.uint8)  # where the relief is evaluated
         height = np.zeros(x.shape)
         for _ in range(3):  # towards where the ray meets the relief
             depth = np.where(falling, (height - eye[2]) / np.minimum(slope[..., 2], -1e-9), np.inf)
             places = eye[:2] + np.where(falling, depth, 0.0)[..., None] * slope[..., :2]
-            inside = texture.sample(near, places, linear=False) > 0
-            height = np.zeros(x.shape)
-            height[inside] = surface.heights(places[inside])
+            height = texture.sample(texture.relief, places)
         occluded = (view.alpha > SOLID) & ((view.depth - depth) * slope[..., 2] > 3 * texture.texel)
         own = (texture.sample(texture.hole.astype(np.uint8), places, linear=False) > 0) & falling & ~occluded
         own &= depth < nearest

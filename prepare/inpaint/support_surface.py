@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
@@ -16,9 +17,9 @@ POINTS = 6000  # of the background around the object, from all views
 TRIALS = 400  # planes through three points
 NEAR = 1.7  # radii from the object's middle: what its rim is
 FLAT = 0.03  # radii: distance from a plane of the points that belong to it
-SHARE = 0.08  # of all points that a plane must have
+SHARE = 0.04, 0.08  # of all points that the largest plane must have, and further ones
 PARALLEL = 0.85  # cosine of the normals of points to that of their plane
-STEP = 2  # [px] between the points that a normal is found from
+NEIGHBOURS = 32  # points that a normal is found from
 GAP = 0.3  # radii between the object and its surface, at most
 BENEATH = 0.12  # radii that the lowest part of the object may lie behind its surface
 HALO = 2  # [px] around the object where its colour leaks into the background
@@ -56,21 +57,21 @@ class SupportSurface:
 
 def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Points (N, 3) [m] of the background around the object that the cameras saw, and their normals (N, 3)."""
-    points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
+    found = [np.zeros((0, 3))]
     for view in views:
         seen = (view.alpha > 0.9) & ~binary_dilation(view.object_alpha > TRACE, iterations=HALO)
-        seen[-STEP:], seen[:, -STEP:] = False, False
         y, x = np.nonzero(seen)
         at = unproject(view, x, y)
         near = np.flatnonzero(np.linalg.norm(at - ball.centre, axis=1) < NEAR * ball.radius)
-        near = near[rng.permutation(len(near))[: max(50, 4 * POINTS // len(views))]]
-        y, x, at = y[near], x[near], at[near]
-        normal = np.cross(unproject(view, x + STEP, y) - at, unproject(view, x, y + STEP) - at)
-        points.append(at)
-        normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
-    points, normals = np.concatenate(points), np.concatenate(normals)
-    chosen = rng.permutation(len(points))[:POINTS]
-    return points[chosen], normals[chosen]
+        found.append(at[near[rng.permutation(len(near))[: max(50, 4 * POINTS // len(views))]]])
+    points = np.concatenate(found)
+    points = points[rng.permutation(len(points))[:POINTS]]
+    if len(points) < NEIGHBOURS:
+        return points, np.zeros_like(points)
+    # Of neighbours from all views: between a picture's pixels, the noise of its depth is larger than the slope.
+    own = points[cKDTree(points).query(points, k=NEIGHBOURS)[1]]
+    own -= own.mean(axis=1, keepdims=True)
+    return points, np.linalg.eigh(np.einsum("nki,nkj->nij", own, own))[1][:, :, 0]
 
 
 def unproject(view: HoleView, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -88,13 +89,14 @@ def support_surfaces(
     left, turned = points, normals
     eyes = np.array([v.camera.position for v in views])
     found = []
-    while len(found) < PLANES_MAX and len(left) >= max(50, SHARE * len(points)):
+    while len(found) < PLANES_MAX and len(left) >= max(50, SHARE[1] * len(points)):
         plane = _largest_plane(left, turned, removed_means, eyes, ball, rng)
         if plane is None:
             break
         origin, normal, spread = plane
         along = np.abs(turned @ normal) > PARALLEL
-        if (along & (np.abs((left - origin) @ normal) < 2 * FLAT * ball.radius)).sum() < SHARE * len(points):
+        on = along & (np.abs((left - origin) @ normal) < 2 * FLAT * ball.radius)
+        if on.sum() < SHARE[min(len(found), 1)] * len(points):
             break
         found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
         left, turned = left[~along], turned[~along]  # a parallel one would be the same again, seen with noise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -53,6 +54,13 @@ class SurfaceTexture:
         at = ((places - self.corner) / self.texel - 0.5).astype(np.float32)
         flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
         return cv2.remap(values, at[..., 0], at[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
+
+    @cached_property
+    def relief(self) -> np.ndarray:
+        """Height [m] (H, W) of the surface over its plane, in and around the hole; 0 elsewhere."""
+        near, heights = binary_dilation(self.hole, iterations=RIM), np.zeros(self.hole.shape, np.float32)
+        heights[near] = self.surface.heights(self.places()[near])
+        return heights
 
     @property
     def area(self) -> float:

@@ -17,7 +17,6 @@ from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, MATERIALS, Material
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
 from prepare.cage.cage_generation import NoSoundCage
-from prepare.cleaning import MIN_GAUSSIANS
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 
@@ -50,10 +49,6 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
     """
     thing, rest = thing.select(thing.opacities > SOLID), rest.select(rest.opacities > SOLID)
     own, others = thing.means.astype(np.float64), rest.means.astype(np.float64)
-    if len(own) < MIN_GAUSSIANS:
-        raise BadInput(
-            f"{name}: only {len(own)} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
-        )
     low, high = robust_bounds(own)
     size, touch = float((high - low).max()), np.zeros(0, int)
     if len(others):
@@ -102,7 +97,7 @@ def object_body(
 
     file      of its asset, in the room's folder
     vertices  of the cage; the next number where a shape finds no sound cage with one
-    Raises BadInput, naming the object.
+    Raises BadInput if there is no cage for it.
     """
     turn = rotation_between(support.direction, (0.0, 1.0, 0.0))
     thing, wanted = (
@@ -116,10 +111,8 @@ def object_body(
             break
         except NoSoundCage as e:
             if not wanted:
-                raise BadInput(f"{name}: {e}") from e
+                raise BadInput(str(e)) from e
             say(f"{name}: {e}; trying {wanted[0]} vertices")
-        except BadInput as e:
-            raise BadInput(f"{name}: {e}") from e
     if material is None:
         asset = replace(asset, material=liftable(asset.material, float(asset.cage.volumes().sum())))
     position = -turn.T @ np.array(asset.provenance["moved"])

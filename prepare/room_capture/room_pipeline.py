@@ -13,11 +13,12 @@ from assets.room_folder import RoomManifest, RoomObject
 from core.camera import Camera
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from prepare.cleaning import MIN_GAUSSIANS
 from prepare.orientation.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, WeightSums, contributions, needed, weights_in_masks
-from prepare.room_capture.objects import Support, hollowed, object_body, object_files, support_of
+from prepare.room_capture.objects import SOLID, Support, hollowed, object_body, object_files, support_of
 from prepare.segment.mask_files import Masks
 from prepare.segment.object_ids import voted
 from prepare.train.capture import Capture
@@ -118,17 +119,44 @@ def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: fl
     return origin + direction * depth / (camera.world_to_camera[2, :3] @ direction)
 
 
-def supports(room: PlacedRoom) -> list[Support]:
-    """The support of each object. Raises BadInput, naming an object that nothing holds, or that is hardly seen."""
+def held_objects(room: PlacedRoom, say: Callable[[str], None]) -> tuple[PlacedRoom, list[Support]]:
+    """The room whose objects can be grabbed, and what holds each of them.
+
+    An object of too few Gaussians stays in the background, as a line to `say` tells. Raises BadInput, naming an object
+    that nothing holds, or if no object is left.
+    """
+    g, lost = room.gaussians, {}
+    for k in sorted({*range(1, len(g.objects) + 1), *np.unique(g.object_id).tolist()} - {0}):
+        own = g.object_id == k
+        if why := too_little(g.select(own), room.weight[own].sum() / room.weight.sum()):
+            lost[object_name(g, k)] = why
+    room = without_objects(room, lost, say)
     things, rest = room.parts()
-    total, found, ids = room.weight.sum(), [], room.gaussians.object_id
-    if missing := [name for name in room.gaussians.objects if name not in room.names]:
-        raise BadInput(f"{missing[0]}: no Gaussian belongs to it; more --steps of training, or more marks")
-    for name, k, thing in zip(room.names, np.unique(ids[ids > 0]), things, strict=True):
-        if room.weight[ids == k].sum() < OBJECT_SHARE * total:
-            raise BadInput(f"{name}: the photographs hardly show it; mark more of it, or leave it out")
-        found.append(support_of(name, thing, rest))
-    return found
+    return room, [support_of(name, thing, rest) for name, thing in zip(room.names, things, strict=True)]
+
+
+def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str], None]) -> PlacedRoom:
+    """The room with objects left in its background; `lost` tells why, by name. Raises BadInput if no object is left."""
+    if not lost:
+        return room
+    g, (name, why) = room.gaussians, next(iter(lost.items()))
+    if not set(room.names) - set(lost):
+        raise BadInput(f"{name}: {why}")
+    for name, why in lost.items():
+        say(f"{name} stays in the background: {why}")
+    ids = g.object_id.copy()
+    for k in np.unique(ids):
+        if k and object_name(g, k) in lost:
+            ids[ids == k] = 0
+    return replace(room, gaussians=replace(g, object_id=ids))
+
+
+def too_little(thing: Gaussians, share: float) -> str:
+    """Reason why no object can be made of these Gaussians, which are a share of what the pictures show; "" if it can."""
+    opaque = int((thing.opacities > SOLID).sum())
+    if opaque < MIN_GAUSSIANS:
+        return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"
+    return "the photographs hardly show it; mark more of it, or leave it out" if share < OBJECT_SHARE else ""
 
 
 def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], painter=None) -> Gaussians:
@@ -152,14 +180,17 @@ def bodies(
     material: str | None,
     progress: Callable[[str, int, int], Progress],
     say: Callable[[str], None],
-) -> list[tuple[Asset, RoomObject]]:
-    """A body for each object, and its place. Raises BadInput, naming one for which there is no cage."""
+) -> tuple[list[tuple[Asset, RoomObject]], dict[str, str]]:
+    """A body for each object, and its place; and why there is none of other objects, by name."""
     things, _ = room.parts()
-    found, files = [], object_files(room.names)
+    found, lost, files = [], {}, object_files(room.names)
     for k, (name, thing, support) in enumerate(zip(room.names, things, held, strict=True)):
         how = {"vertices": vertices, "material": material, "progress": progress(name, k, len(things)), "say": say}
-        found.append(object_body(name, files[k], thing, support, **how))
-    return found
+        try:
+            found.append(object_body(name, files[k], thing, support, **how))
+        except BadInput as e:
+            lost[name] = str(e)
+    return found, lost
 
 
 def background(

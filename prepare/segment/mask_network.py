@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class MaskNetwork:
         """Read the file. Raises BadInput."""
         import cv2
 
-        self.path = Path(path)
+        self.path, self._lock = Path(path), Lock()  # views are cut on several threads
         if self.path.suffix.lower() != ".onnx":
             raise BadInput(f"{path}: a network is an .onnx file")
         if file_size(self.path) > MODEL_MAX:
@@ -44,9 +45,10 @@ class MaskNetwork:
         hints = [cv2.resize(likely.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)]
         hints += [cv2.resize(h.astype(np.float32), size, interpolation=cv2.INTER_NEAREST) for h in (inside, outside)]
         try:
-            self._net.setInput(np.ascontiguousarray(image.transpose(2, 0, 1)[None]), "image")
-            self._net.setInput(np.stack(hints)[None], "hints")
-            found = np.asarray(self._net.forward())
+            with self._lock:
+                self._net.setInput(np.ascontiguousarray(image.transpose(2, 0, 1)[None]), "image")
+                self._net.setInput(np.stack(hints)[None], "hints")
+                found = np.array(self._net.forward())
         except cv2.error as e:
             raise BadInput(
                 f"{self.path}: does not run on inputs `image` and `hints` of {SIDE} px ({_reason(e)})"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from assets.gaussians import Gaussians
 from core.camera import Camera
 from core.errors import BadInput
+from core.threads import in_threads
 from prepare.progress import Progress, no_progress
 from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import Masks, object_colors, photograph_size
@@ -154,24 +155,33 @@ class MarkPropagation:
 
     def masks(self, report: Progress = no_progress) -> Masks:
         """The masks of all views, in the photographs' own size and lens. Raises BadInput if an object is in none."""
-        views = range(len(self.cameras))
-        ids = []
-        for k in views:
-            ids.append(self.ids_of(k))
-            report("masks", (k + 1) / len(views))
-        found = []
-        for k in views:
-            likely = self._with_strokes(k, self.voted(k, ids))
-            unsure, band = _disputed(likely), self._pixels(BAND)
-            if self.coarse:  # the views may agree on what is wrong
-                unsure |= border_band(likely.argmax(axis=2).astype(np.uint8), band)
-            found.append(self._as_taken(k, self._cut(k, likely, unsure, band)))
-            report("votes", (k + 1) / len(views))
+        ids = self._of_all_views(self.ids_of, "masks", report)
+        found = self._of_all_views(lambda k: self._as_taken(k, self._agreed(k, ids)), "votes", report)
         masks = Masks(self.names, object_colors(len(self.names)), found)
         for name in self.names:
             if not masks.pixels(name):
                 raise BadInput(f"{name!r}: found in no view; mark it with longer strokes, or in another view")
         return masks
+
+    def _of_all_views(self, made: Callable[[int], np.ndarray], step: str, report: Progress) -> list[np.ndarray]:
+        """Ids of the objects in all views, made on all cores."""
+        views, done = range(len(self.cameras)), []
+
+        def make(k: int) -> np.ndarray:
+            ids = made(k)
+            done.append(k)
+            report(step, len(done) / len(views))
+            return ids
+
+        return in_threads(make, views)
+
+    def _agreed(self, k: int, ids: Sequence[np.ndarray]) -> np.ndarray:
+        """Ids (H, W) uint8 in the undistorted photograph of view `k`, of all views' masks."""
+        likely = self._with_strokes(k, self.voted(k, ids))
+        unsure, band = _disputed(likely), self._pixels(BAND)
+        if self.coarse:  # the views may agree on what is wrong
+            unsure |= border_band(likely.argmax(axis=2).astype(np.uint8), band)
+        return self._cut(k, likely, unsure, band)
 
     def _read(self, marks: Marks) -> None:
         """Strokes of each view as masks in its undistorted picture, and what lies outside of boxes."""

@@ -59,6 +59,10 @@ BAD = {
     "a point": (some(500, means=np.ones((500, 3))), "extent is 0"),
     "astronomic": (some(500, means=some(500).means * 1e12), "extent is"),
     "all huge": (some(500, log_scales=np.full((500, 3), 3.0)), "only 0 of 500"),
+    "all huge but one": (
+        some(500, log_scales=np.where(np.arange(500)[:, None] % 500, [[3.0] * 3], -3.0)),
+        "only 0 of 500",
+    ),
     "mist": (some(500, logit_opacities=np.full(500, -4.0)), "opaque"),
 }
 

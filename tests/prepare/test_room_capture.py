@@ -16,6 +16,7 @@ from core.material import MATERIALS
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
 from prepare.room_capture.objects import liftable, object_files, support_of, without_solid
+from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, without_objects
 from prepare.room_capture.stages import Stages
 
 
@@ -47,8 +48,26 @@ def test_what_stands_what_hangs_and_what_nothing_holds():
     assert not on_wall.stands and on_wall.direction @ [0, 0, 1] > 0.98
     with pytest.raises(BadInput, match="kite: touches nothing"):
         support_of("kite", ball((0.0, 1.0, 0.0)), plane(1, 0.0))
+
+
+def test_an_object_of_too_few_gaussians_stays_in_the_background():
+    def room_of(*things: Gaussians) -> PlacedRoom:
+        rest = plane(1, 0.0)
+        ids = np.repeat(np.arange(1 + len(things)), [len(rest), *map(len, things)]).astype(np.uint16)
+        g = replace(concatenate([rest, *things]), object_id=ids, objects=("dot", "ball", "unseen")[: len(things)])
+        return PlacedRoom(g, np.ones(len(g)), RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True), None)
+
+    dot, large, nothing = ball((0.5, 0.15, 0.0)).select(slice(5)), ball((0.0, 0.15, 0.0)), discs(np.zeros((0, 3)))
+    said = []
+    room, held = held_objects(room_of(dot, large, nothing), said.append)
+    assert room.names == ["ball"] and len(held) == 1 and held[0].stands
+    things, rest = room.parts()
+    assert len(things[0]) == len(large) and len(rest) == len(plane(1, 0.0)) + len(dot)
+    assert [line.split(":")[0] for line in said] == [f"{name} stays in the background" for name in ("dot", "unseen")]
+    room = without_objects(room_of(dot, large), {"dot": "it has no cage"}, said.append)
+    assert room.names == ["ball"] and said[-1] == "dot stays in the background: it has no cage"
     with pytest.raises(BadInput, match="dot: only 5 opaque"):
-        support_of("dot", ball((0.0, 0.15, 0.0)).select(slice(5)), plane(1, 0.0))
+        held_objects(room_of(dot), said.append)
 
 
 def test_what_no_photograph_needs_is_left_out(ti_cpu):

@@ -152,7 +152,7 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
 
 
 def too_little(thing: Gaussians, share: float) -> str:
-    """Reason why no object can be made of these Gaussians, which are a share of what the pictures show; "" if it can."""
+    """Reason why no object can be made of Gaussians that are a share of what the pictures show; "" if it can."""
     opaque = int((thing.opacities > SOLID).sum())
     if opaque < MIN_GAUSSIANS:
         return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"

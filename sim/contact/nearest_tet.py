@@ -242,7 +242,9 @@ class NearestTets:
         exists = p < self.samples.count[None] + self.capsules.count[None]
         if ti.static(self.has_fingers):  # noqa: SIM102
             if self.is_finger(p):
-                exists = self.fingers.radius[p - self.first_finger] > 0.0
+                exists = False
+                if p - self.first_finger < self.fingers.count:  # the hash has room for a few more points
+                    exists = self.fingers.radius[p - self.first_finger] > 0.0
         result = False
         if exists and self.any_near[None]:
             result = self.wanted[self.group(p)] != 0

@@ -80,7 +80,7 @@ def test_the_first_page_plays_another_may_take_over_and_the_next_one_follows(ser
         first.send("wheel", 2, 5)
         first.send("move", 0.1, 0.2, 6)
         first.send("move", 0.3, 0.4, 7)  # of moves the last one counts
-        wait(lambda: len(server._events) == 2)
+        wait(lambda: len(server._events) == 2 and server._events[-1][1] == 0.3)
         assert server.take() == [("wheel", 2.0), ("move", 0.3, 0.4)]
 
         first.send("wheel", 3, 8)  # sent before, and not to be carried out after

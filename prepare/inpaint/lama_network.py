@@ -7,11 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from assets.file_access import file_size
-from core.errors import BadInput
+from prepare.onnx_network import SIDE, OnnxNetwork
 
-SIDE = 512  # [px] of the pictures that exported LaMa networks take
-MODEL_MAX = 4 << 30  # [bytes]
 LEVELS = 255.0  # some exports give 0..1, some 0..255
 
 
@@ -24,15 +21,7 @@ class LamaNetwork:
 
     def __init__(self, path: str | Path):
         """Read the file. Raises BadInput."""
-        self.path = Path(path)
-        if self.path.suffix.lower() != ".onnx":
-            raise BadInput(f"{path}: a network is an .onnx file")
-        if file_size(self.path) > MODEL_MAX:
-            raise BadInput(f"{path}: larger than {MODEL_MAX >> 30} GiB")
-        try:
-            self._net = cv2.dnn.readNetFromONNX(str(self.path))
-        except cv2.error as e:
-            raise BadInput(f"{path}: OpenCV cannot read it as an ONNX network ({_reason(e)})") from e
+        self._net = OnnxNetwork(path, 3)
 
     def __call__(self, picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:
         """The picture (H, W, 3) float32, 0..1, with its unknown part (H, W) bool filled. Raises BadInput."""
@@ -40,21 +29,9 @@ class LamaNetwork:
         mask = cv2.resize(unknown.astype(np.uint8), (SIDE, SIDE), interpolation=cv2.INTER_NEAREST).astype(np.float32)
         image = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
         image *= 1.0 - mask[..., None]
-        try:
-            self._net.setInput(np.ascontiguousarray(image.transpose(2, 0, 1)[None]), "image")
-            self._net.setInput(mask[None, None], "mask")
-            found = np.asarray(self._net.forward())
-        except cv2.error as e:
-            raise BadInput(f"{self.path}: does not run on inputs `image` and `mask` of {SIDE} px ({_reason(e)})") from e
-        if found.shape != (1, 3, SIDE, SIDE) or not np.isfinite(found).all():
-            raise BadInput(f"{self.path}: gives {found.shape}, expected finite (1, 3, {SIDE}, {SIDE})")
-        found = found[0].transpose(1, 2, 0)
+        found = self._net.run(image=image.transpose(2, 0, 1), mask=mask[None]).transpose(1, 2, 0)
         known = mask == 0
         if known.any() and np.abs(found - image)[known].mean() > np.abs(found / LEVELS - image)[known].mean():
             found = found / LEVELS
         filled = cv2.resize(found.clip(0.0, 1.0), size, interpolation=cv2.INTER_AREA)
         return np.where(unknown[..., None], filled, picture).astype(np.float32)
-
-
-def _reason(error: cv2.error) -> str:
-    return " ".join(str(getattr(error, "err", "") or error).split())[:120]

@@ -18,14 +18,14 @@ class DeviceLocator:
     host   the TetLocator these are made from
     maps   first vertex [m] of each tet and gradients [1/m] of its weights 1 to 3, (T, 12)
     begin, candidates  tets that may touch cell c, ascending: candidates[begin[c] : begin[c + 1]]
-    grid   the CellGrid of the cells
+    grid   the CellGrid of the cells as 7 numbers on the device, see cell_grid
     """
 
     def __init__(self, vertices: np.ndarray, tets: np.ndarray) -> None:
         self.host = TetLocator(vertices, tets)
-        # All are passed as arguments: what a kernel captures is compiled in, and Python's floats as float32.
-        origin, shape = vec3(*map(float, self.host.origin)), ivec3(*map(int, self.host.grid_shape))
-        self.grid = CellGrid(origin=origin, size=float(self.host.cell_size), shape=shape)
+        # An array, since what a kernel captures is compiled in, Python's floats as float32, and since CUDA stops with a
+        # misaligned address where a struct of float64 vectors is an argument (Taichi 1.7.4).
+        self.grid = device_array(ti.f64, np.r_[self.host.origin, self.host.cell_size, self.host.grid_shape])
         gradients = self.host.weight_gradients.reshape(-1, 9)
         self.maps = device_array(ti.f64, np.concatenate([self.host.first_vertex, gradients], 1))
         self.begin, self.candidates = self._candidate_lists()
@@ -69,11 +69,12 @@ def fraction_inside(vertices: np.ndarray, tets: np.ndarray, points: np.ndarray) 
 
 @ti.kernel
 def _list_candidates(
-    maps: reals, box: indices, extent: indices, grid: CellGrid, store: ti.i32, begin: indices, used: indices,
+    maps: reals, box: indices, extent: indices, cells: reals, store: ti.i32, begin: indices, used: indices,
     candidates: indices,
 ):  # fmt: skip
     """Out: used = number of tets that may touch each cell; if `store`, these in `candidates`, ascending."""
     for t in range(box.shape[0]):
+        grid = cell_grid(cells)
         low = ti.Vector([box[t, 0], box[t, 1], box[t, 2]])
         size, shape = grid.size, grid.shape
         at = weights_of(maps, t, grid.origin + size * (ti.cast(low, ti.f64) + 0.5))
@@ -97,11 +98,18 @@ def _list_candidates(
 
 
 @ti.kernel
-def _find(points: reals, maps: reals, begin: indices, candidates: indices, grid: CellGrid, host: indices):
+def _find(points: reals, maps: reals, begin: indices, candidates: indices, cells: reals, host: indices):
     """Out: host = tet of each point, or -1."""
     for p in range(host.shape[0]):
         point = vec3(points[p, 0], points[p, 1], points[p, 2])
-        host[p] = find_tet(maps, begin, candidates, grid, point)
+        host[p] = find_tet(maps, begin, candidates, cell_grid(cells), point)
+
+
+@ti.func
+def cell_grid(cells: ti.template()):
+    """The CellGrid of a DeviceLocator's numbers: origin, cell width, cells an axis."""
+    shape = ti.cast(vec3(cells[4], cells[5], cells[6]), ti.i32)
+    return CellGrid(origin=vec3(cells[0], cells[1], cells[2]), size=cells[3], shape=shape)
 
 
 @ti.func

@@ -22,8 +22,8 @@ import taichi as ti
 from assets.asset import CageEmbedding
 from core.quaternion import to_matrix
 from prepare.cage.device_locator import (
-    CellGrid,
     DeviceLocator,
+    cell_grid,
     find_tet,
     indices,
     nearest_sample,
@@ -72,13 +72,13 @@ def embed(
 @ti.kernel
 def _embed(
     means: reals, quats: reals, scales: reals, corner_edge: reals, maps: reals, begin: indices, candidates: indices,
-    sample: reals, owner: indices, sample_begin: indices, grid: CellGrid, k: ti.f64, floor: ti.f64, host: indices,
+    sample: reals, owner: indices, sample_begin: indices, cells: reals, k: ti.f64, floor: ti.f64, host: indices,
     weights: ti.types.ndarray(ti.f32),
 ):  # fmt: skip
     """Out: host, weights. corner_edge (T, 4) [m]; the other tables as of DeviceLocator."""
     ti.loop_config(block_dim=64)
     for g in range(means.shape[0]):
-        mu = vec3(means[g, 0], means[g, 1], means[g, 2])
+        grid, mu = cell_grid(cells), vec3(means[g, 0], means[g, 1], means[g, 2])
         centre, depth = mu, ti.cast(0.0, ti.f64)
         home = find_tet(maps, begin, candidates, grid, mu)
         if home < 0:  # pulled towards the cage as far as the bound on the weights asks

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, read_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
 
+SIZE_MAX = 64 << 20  # [bytes]: some 100,000 cameras
 SIDE_MAX = 16384  # [px] a larger picture is a mistake in the file
 FOCAL_RANGE = (1e-3, 1e9)  # [px] also bounds the principal point: products still fit float32
 
@@ -19,12 +20,7 @@ FOCAL_RANGE = (1e-3, 1e9)  # [px] also bounds the principal point: products stil
 def read_cameras(path: str | Path) -> list[Camera]:
     """Cameras of a CAM.json: one object or a list of them. Raises BadInput."""
     path = Path(path)
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot read the camera file ({e.strerror})") from e
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    data = read_json(path, SIZE_MAX)
     items = data if isinstance(data, list) else [data]
     if not items:
         raise BadInput(f"{path}: holds no camera")

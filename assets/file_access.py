@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import secrets
@@ -54,6 +55,18 @@ def open_input(path: Path) -> Iterator:
             yield file
     except OSError as e:
         raise BadInput(f"{path}: cannot be read ({e.strerror or e})") from e
+
+
+def read_json(path: Path, size_max: int):
+    """Content of a JSON file of at most `size_max` bytes. Raises BadInput."""
+    with open_input(path) as file:
+        data = file.read(size_max + 1)
+    if len(data) > size_max:
+        raise BadInput(f"{path}: larger than {size_max >> 20} MiB")
+    try:
+        return json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as e:
+        raise BadInput(f"{path}: not a JSON file ({e})") from e
 
 
 def check_writable(path: Path, part: Path | None = None, *, bytes_needed: float = 0.0) -> None:

@@ -8,6 +8,7 @@ before a dataset is read.
 from __future__ import annotations
 
 import json
+import mmap
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -160,19 +161,48 @@ class Hdf5Reader:
             raise self.error(f"missing attribute {key!r} of {name or 'the file'}")
         stored = node.attrs.get_id(key)
         plain = stored.dtype.kind in "fiu" or h5py.check_string_dtype(stored.dtype) is not None
-        if stored.shape not in ((), (3,)) or not plain or stored.dtype.itemsize > TEXT_MAX:
+        text = h5py.check_string_dtype(stored.dtype)
+        shapes = ((),) if text else ((), (3,))
+        if stored.shape not in shapes or not plain or stored.dtype.itemsize > TEXT_MAX:
             raise self.error(f"attribute {key!r} of {name or 'the file'} is neither a number nor a text")
-        if h5py.check_vlen_dtype(stored.dtype) or h5py.check_string_dtype(stored.dtype):
-            self._check_heaps()
+        if text and text.length is None:
+            with open(self.path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                self._check_heaps(data)
+                self._check_text_length(data, key)
         return node.attrs[key]
 
-    def _check_heaps(self) -> None:
+    def _check_text_length(self, data: mmap.mmap, key: str) -> None:
+        """Check the length that an attribute claims for its text of variable length: HDF5 allocates and clears that.
+
+        The file is searched for attribute messages of this name, since HDF5 does not tell where they are. One is its
+        version [1 byte], flags [1], the sizes of name, datatype and dataspace [2 each], from version 3 on a character
+        set [1]; then these three, padded to 8 bytes in version 1; then the text's length [4] and place in a heap.
+        """
+        name, found = key.encode() + b"\0", 0
+        at = data.find(name)
+        while at >= 0:
+            for header, versions in ((8, (1, 2)), (9, (3,))):
+                if at < header or data[at - header] not in versions:
+                    continue
+                sizes = np.frombuffer(data[at - header + 2 : at - header + 8], "<u2").astype(int)
+                if sizes[0] != len(name):
+                    continue
+                start = at + int((-(-sizes // 8) * 8 if data[at - header] == 1 else sizes).sum())
+                found += 1
+                if int.from_bytes(data[start : start + 4], "little") > min(self._size, 4 * TEXT_MAX):
+                    raise self.error(
+                        f"attribute {key!r} claims a text longer than the file or than {TEXT_MAX} characters"
+                    )
+            at = data.find(name, at + 1)
+        if not found:
+            raise self.error(f"attribute {key!r} is stored in a form that this program does not read")
+
+    def _check_heaps(self, data: mmap.mmap) -> None:
         """Walk the heaps that hold texts of variable length: HDF5 loops forever in a damaged one.
 
         A heap is "GCOL", 1, 3 zeros and its size [8 bytes]; then objects of an index [2], 6 bytes, a
         size [8] and the padded data. Index 0 is what is left free, its header included.
         """
-        data = self.path.read_bytes()
         at = data.find(HEAP)
         while at >= 0:
             end = at + int.from_bytes(data[at + 8 : at + 16], "little")

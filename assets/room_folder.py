@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from assets.camera_file import camera_entry, parse_camera
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, read_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.camera import Camera
 from core.errors import BadInput
@@ -101,7 +101,9 @@ def write_room(folder: Path, room: RoomManifest) -> None:
 def read_room(folder: str | Path) -> RoomManifest:
     """The manifest of a room, checked, whose assets are there. Raises BadInput."""
     path = Path(folder) / MANIFEST
-    data = _Entry(_json(path), f"{path}")
+    if not path.is_file():
+        raise BadInput(f"{path}: no such file; vrgs.py capture makes a room")
+    data = _Entry(read_json(path, SIZE_MAX), f"{path}")
     if data.text("format") != FORMAT:
         raise BadInput(f"{path}: not a {FORMAT} file")
     version = data.value("version")
@@ -140,17 +142,6 @@ def read_room(folder: str | Path) -> RoomManifest:
         if not (path.parent / asset).is_file():
             raise BadInput(f"{path}: {asset} is missing")
     return room
-
-
-def _json(path: Path):
-    try:
-        if path.stat().st_size > SIZE_MAX:
-            raise BadInput(f"{path}: larger than {SIZE_MAX >> 20} MiB")
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror}); a room is made by: vrgs.py capture") from e
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
 
 
 def _similarity(value, where: str) -> np.ndarray:

@@ -7,13 +7,12 @@ table, a plot (--plot), rows (--json); --from draws table and plot of several de
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from pathlib import Path
 from statistics import median
 
-from assets.file_access import atomic_write, check_writable
+from assets.file_access import atomic_write, check_writable, read_json
 from bench.plot import Panel, svg
 from core.errors import BadInput
 from display.run_stats import write_stats
@@ -21,6 +20,7 @@ from display.run_stats import write_stats
 MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
 EYE_SIZE = (1800, 1920)  # [px]
 MEGAPIXELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+JSON_MAX = 16 << 20  # [bytes] of rows
 ROOM_GAUSSIANS = 1_313_000  # in the sweep over pixels
 SECONDS = 12.0  # for a row: a slow device draws fewer pictures than --rounds, but at least three
 SCALING_WARM_PICTURES = 2  # uncounted pictures: the first compiles and determines the capacity
@@ -132,12 +132,7 @@ def device_name() -> str:
 
 def read_rows(path: Path) -> list[dict]:
     """Rows that --json wrote. Raises BadInput."""
-    try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
-    except ValueError as e:
-        raise BadInput(f"{path}: not JSON ({e})") from e
+    rows = read_json(path, JSON_MAX)
     if not isinstance(rows, list) or not rows or not all(map(is_row, rows)):
         raise BadInput(f"{path}: holds no rows of bench scaling")
     return rows

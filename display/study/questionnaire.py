@@ -7,12 +7,11 @@ It is asked in the terminal, or as an HTML page that works without a network and
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from assets.file_access import open_input
+from assets.file_access import read_json
 from core.errors import BadInput
 from display.study.trial import SETTINGS
 
@@ -29,6 +28,7 @@ QUESTIONS = {
 ENDS = ("not at all", "completely")
 FORMAT = "vrgs-answers"
 TEXT_MAX = 10_000  # [characters] of a comment
+FILE_MAX = 1 << 20  # [bytes] of a file of answers
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,7 @@ def ask_until(prompt: str, is_valid: Callable[[str], bool], read: Callable[[str]
 
 def read_answers_file(path: Path, started: str) -> Answers:
     """Answers as the page gives them. Raises BadInput."""
-    with open_input(path) as file:
-        try:
-            said = json.loads(file.read(8 * TEXT_MAX))
-        except (ValueError, RecursionError) as e:
-            raise BadInput(f"{path}: is not JSON") from e
+    said = read_json(path, FILE_MAX)
     if not isinstance(said, dict) or said.get("format") != FORMAT or not isinstance(said.get("answers"), dict):
         raise BadInput(f"{path}: holds no answers to the questionnaire")
     if said.get("setting") not in SETTINGS:

@@ -146,7 +146,7 @@ def prepare_environment(
     eyes = standing_eyes(planes[0], drop, on, points, surface.voxels)
     eye, clear_share = clearest(scene.gaussians, eyes, drop)
     progress("distance", 0.0)
-    coarse, fine = distance_grids(surface, planes, on, drop, progress)
+    coarse, fine = distance_grids(surface, planes, fine_boxes(surface, planes, on, drop), progress)
 
     ground = planes[0].height
     to = -np.array([drop[0], ground, drop[2]])
@@ -247,24 +247,35 @@ def level_surface(scene: Upright, surface: Surface) -> tuple[np.ndarray, np.ndar
     return found.points, found.normals
 
 
+def fine_boxes(
+    surface: Surface, planes: list[SupportPlane], on: SupportPlane, drop: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Corners (low, high) [m] of the boxes with fine grids: around a drop on the floor, tables and shelves."""
+    boxes = [box_around(p, surface.spacing) for p in planes[1:]]
+    if on.kind == "floor":
+        r = FLOOR_FINE_RADIUS
+        boxes.insert(0, (drop - [r, FINE_MARGIN[1], r], drop + [r, FINE_MARGIN[2], r]))
+    return boxes
+
+
 def distance_grids(
-    surface: Surface, planes: list[SupportPlane], on: SupportPlane, drop: np.ndarray, progress: Progress
+    surface: Surface, planes: list[SupportPlane], boxes: list[tuple[np.ndarray, np.ndarray]], progress: Progress
 ) -> tuple[DistanceGrid, list[DistanceGrid]]:
-    """The coarse distance grid, and fine ones around the support planes, where the coarse one gives way."""
+    """The coarse distance grid, and fine grids of boxes (low, high) [m]: of the first MAX_FINE_GRIDS with a surface.
+
+    Inside a fine grid the coarse one is empty.
+    """
     origin, h, shape = surface.origin, surface.spacing, surface.shape
     nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
     winding = winding_number(surface.surfels, origin, COARSENING * h, nodes)
     coarse = signed_distance(surface.surfels, winding, origin, h, shape, surface.space)
     phi = flattened(coarse, planes).values
-    boxes = [box_around(p, h) for p in planes[1 : 1 + MAX_FINE_GRIDS]]
-    if on.kind == "floor":
-        r = FLOOR_FINE_RADIUS
-        around_drop = drop - [r, FINE_MARGIN[1], r], drop + [r, FINE_MARGIN[2], r]
-        boxes = [around_drop, *boxes[: MAX_FINE_GRIDS - 1]]
-    fine = []
+    means, boxes, fine = surface.solid.means, boxes[:MAX_FINE_GRIDS], []
     for k, (low, high) in enumerate(boxes):
         progress("distance", k / len(boxes))
         low, high = np.maximum(low, origin), np.minimum(high, origin + h * (np.array(shape) - 1))
+        if (high - low).min() <= 0 or not ((means > low) & (means < high)).all(1).any():
+            continue
         step = max(MIN_CELL, float(np.cbrt((high - low).prod() / FINE_CELLS)))
         if (high - low).min() < 8 * step or step > 0.7 * h:
             continue

@@ -5,7 +5,6 @@ Lengths are relative to the stature (Winter, Biomechanics and Motor Control of H
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
-from assets.file_access import open_input
+from assets.file_access import read_json
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 
@@ -217,14 +216,7 @@ def read_landmarks(path: str | Path) -> dict:
     Coordinates are metres in the prepared asset's frame. Raises BadInput.
     """
     path = Path(path)
-    with open_input(path) as file:
-        data = file.read(MAX_FILE_SIZE + 1)
-    if len(data) > MAX_FILE_SIZE:
-        raise BadInput(f"{path}: is larger than {MAX_FILE_SIZE} bytes")
-    try:
-        found = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: is not JSON") from e
+    found = read_json(path, MAX_FILE_SIZE)
     if not isinstance(found, dict):
         raise BadInput(f"{path}: is not a JSON object of landmarks")
     result: dict = {"joints": {}}

@@ -7,7 +7,7 @@ free is what the cameras looked through, and the player stands where a photograp
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,16 +19,11 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from prepare.environment.environment_pipeline import (
     BELOW_FLOOR,
-    FINE_CELLS,
     FINE_MARGIN,
-    MAX_FINE_GRIDS,
-    MIN_CELL,
     Surface,
     Upright,
     box_around,
-    depth_in_box,
-    fine_grid,
-    flattened,
+    distance_grids,
     level_surface,
     orient_surface,
     plane_row,
@@ -36,7 +31,6 @@ from prepare.environment.environment_pipeline import (
 from prepare.environment.spawn_points import DROP_SPACE, cell_centres, clearance, unobstructed
 from prepare.environment.support_planes import CELL, SupportPlane, support_planes
 from prepare.environment.visibility import VoxelGrid
-from prepare.environment.winding_number import COARSENING, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
 VIEWERS = 40  # cameras from which the surface is looked at; more tell nothing new
@@ -137,7 +131,7 @@ def captured_environment(
     drop, clear, on = free_place(([floor] if view.floor_seen else []) + planes, surface, view)
     progress("distance", 0.0)
     known = [floor, *planes] if view.floor_seen else planes
-    coarse, fine = room_grids(surface, known, on, drop, near, progress)
+    coarse, fine = distance_grids(surface, known, fine_boxes(surface, known, on, drop, near), progress)
     k = view.photographer()
     environment = Environment(
         view.floor,
@@ -208,38 +202,19 @@ def is_open(space: VoxelGrid, point: np.ndarray) -> bool:
     return bool((i >= 0).all() and (i < space.occupied.shape).all() and space.occupied[tuple(i)])
 
 
-def room_grids(
+def fine_boxes(
     surface: Surface,
     planes: list[SupportPlane],
     on: SupportPlane | None,
     drop: np.ndarray,
     near: Sequence[tuple[np.ndarray, np.ndarray]],
-    progress: Progress,
-) -> tuple[DistanceGrid, list[DistanceGrid]]:
-    """The coarse distance grid, and fine ones around objects, the drop and planes, where the coarse one gives way."""
-    origin, h, shape = surface.origin, surface.spacing, surface.shape
-    nodes = tuple(-(-n // COARSENING) + 1 for n in shape)
-    winding = winding_number(surface.surfels, origin, COARSENING * h, nodes)
-    coarse = signed_distance(surface.surfels, winding, origin, h, shape, surface.space)
-    phi = flattened(coarse, planes).values
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Corners (low, high) [m] of the boxes that get fine grids: around objects, the drop, and tables and shelves."""
     side, below, above = FINE_MARGIN
     boxes = [(low - side, high + side) for low, high in near]
     if on is not None:
         boxes.append((drop - [0.5, below, 0.5], drop + [0.5, above, 0.5]))
-    boxes += [box_around(p, h) for p in planes if p.kind != "floor"]
-    fine = []
-    for k, (low, high) in enumerate(boxes[:MAX_FINE_GRIDS]):
-        progress("distance", k / len(boxes))
-        low, high = np.maximum(low, origin), np.minimum(high, origin + h * (np.array(shape) - 1))
-        means = surface.solid.means
-        if (high - low).min() <= 0 or not ((means > low) & (means < high)).all(1).any():
-            continue
-        step = max(MIN_CELL, float(np.cbrt((high - low).prod() / FINE_CELLS)))
-        if (high - low).min() < 8 * step or step > 0.7 * h:
-            continue
-        fine.append(fine_grid(surface, winding, low, high, step, planes))
-        phi = np.maximum(phi, depth_in_box(coarse, low + 1.5 * h, high - 1.5 * h))
-    return replace(coarse, values=phi), fine
+    return boxes + [box_around(p, surface.spacing) for p in planes if p.kind != "floor"]
 
 
 def view_of(view: RoomView) -> tuple[tuple, tuple, float]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, read_json
 from core.errors import BadInput
 from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
 
@@ -59,15 +59,7 @@ def read_marks(path: str | Path, sizes: Mapping[str, tuple[int, int]]) -> Marks:
     Raises BadInput for an unknown photograph, for marks outside of it, and for an object without marks inside.
     """
     path = Path(path)
-    try:
-        if path.stat().st_size > 16 * JSON_MAX:
-            raise BadInput(f"{path}: larger than {16 * JSON_MAX >> 20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
-    return marks_of(data, sizes, str(path))
+    return marks_of(read_json(path, 16 * JSON_MAX), sizes, str(path))
 
 
 def marks_of(data, sizes: Mapping[str, tuple[int, int]], where: str) -> Marks:

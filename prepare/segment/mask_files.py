@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import make_folder, part_beside, reason_of
+from assets.file_access import make_folder, part_beside, read_json, reason_of
 from assets.images import read_image_header
 from core.errors import BadInput
 from prepare.train.capture import View
@@ -198,14 +198,7 @@ def _read_names(path: Path) -> dict[str, int] | None:
     """Colour code of each object's name; None if there is no such file."""
     if not path.is_file():
         return None
-    try:
-        if path.stat().st_size > JSON_MAX:
-            raise BadInput(f"{path}: larger than {JSON_MAX >> 20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    data = read_json(path, JSON_MAX)
     if not isinstance(data, dict) or not 0 < len(data) <= OBJECTS_MAX:
         raise BadInput(f'{path}: has to be {{"NAME": [R, G, B], ...}} with 1 to {OBJECTS_MAX} objects')
     named: dict[str, int] = {}

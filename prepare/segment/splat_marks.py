@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from assets.camera_file import camera_entry, parse_camera
-from assets.file_access import atomic_write, open_input
+from assets.file_access import atomic_write, read_json
 from core.camera import Camera
 from core.errors import BadInput
 from prepare.segment.marks import Marks, marks_json, marks_of
@@ -37,14 +37,7 @@ class SplatMarks:
 def read_splat_marks(path: str | Path) -> SplatMarks:
     """The marks and cameras in a JSON file. Raises BadInput."""
     path = Path(path)
-    with open_input(path) as file:
-        text = file.read(SIZE_MAX + 1)
-    if len(text) > SIZE_MAX:
-        raise BadInput(f"{path}: larger than {SIZE_MAX >> 20} MiB")
-    try:
-        data = json.loads(text.decode("utf-8"))
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    data = read_json(path, SIZE_MAX)
     views = data.get("views") if isinstance(data, dict) else None
     if not isinstance(views, dict) or not 0 < len(views) <= VIEWS_MAX:
         raise BadInput(f'{path}: no "views"; marks on a splat need the cameras of its pictures: {{"view_1": camera}}')

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 
+from assets.file_access import read_json
 from assets.gaussians import MAGNITUDE_MAX
 from core.errors import BadInput
 from prepare.train.capture import Capture, View, rigid
@@ -24,14 +24,7 @@ MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPE
 
 def read_transforms(path: Path) -> Capture:
     """The capture of a transforms.json. Raises BadInput."""
-    try:
-        if path.stat().st_size > FILE_MAX:
-            raise BadInput(f"{path}: larger than {FILE_MAX >> 20} MiB")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror})") from e
-    except (ValueError, RecursionError) as e:
-        raise BadInput(f"{path}: not a JSON file ({e})") from e
+    data = read_json(path, FILE_MAX)
     frames = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(frames, list) or not all(isinstance(f, dict) for f in frames):
         raise BadInput(f"{path}: has no list of frames")

@@ -4,8 +4,10 @@ import zlib
 
 import h5py
 import numpy as np
+import pytest
 
 from assets.file_access import UNPACK_BASE
+from assets.hdf5 import open_hdf5
 from tests.assets.test_asset import edited, put, refused, some_asset
 
 
@@ -80,3 +82,17 @@ def test_a_damaged_heap_of_texts_does_not_hang(tmp_path):
     data[heap + 16 + 16 + 16 + 8] = 0x60  # the size of the second object; behind it lie zeros
     (tmp_path / "a.h5").write_bytes(data)
     assert "heap" in refused(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("libver", ["earliest", "latest"])
+def test_texts_of_attributes_are_read_wherever_hdf5_puts_them(tmp_path, libver):
+    """More than eight attributes of a group go to a heap in the latest version of the format."""
+    with h5py.File(tmp_path / "a.h5", "w", libver=libver) as file:
+        file.attrs["none"] = ""
+        for k in range(12):
+            file.create_group(f"group{k}").attrs["kind"] = "soft" * k
+            file["group3"].attrs[f"key{k}"] = f"text {k}"
+    with open_hdf5(tmp_path / "a.h5") as reader:
+        assert reader.text("", "none") == ""
+        assert [reader.text(f"group{k}", "kind") for k in range(12)] == ["soft" * k for k in range(12)]
+        assert [reader.text("group3", f"key{k}") for k in range(12)] == [f"text {k}" for k in range(12)]

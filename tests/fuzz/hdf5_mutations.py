@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import re
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -216,6 +217,18 @@ def change_json_lines(rng: np.random.Generator, file: h5py.File) -> None:
 
 CHANGES: list[Change] = [change_values, change_type, change_shape, claim, change_node, change_attribute]
 CHANGES += [change_attribute, change_values, change_json_lines]
+
+
+def claim_text(rng: np.random.Generator, files: Files) -> Files:
+    """Another length of a text attribute: the four bytes before the address of a heap."""
+    ((name, data),) = files.items()
+    heaps = [match.start() for match in re.finditer(rb"GCOL\x01\0{3}", data)]
+    places = [match.start() for heap in heaps for match in re.finditer(re.escape(heap.to_bytes(8, "little")), data)]
+    if not places:
+        return files
+    end = any_of(rng, places)
+    length = int(any_of(rng, (0, 1, 255, 1 << 20, 1 << 31, (1 << 32) - 16, (1 << 32) - 1)))
+    return {name: data[: end - 4] + length.to_bytes(4, "little") + data[end:]}
 
 
 def inside_hdf5(folder: Path) -> Mutation:

@@ -16,6 +16,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -30,6 +31,15 @@ HEADER = 4096  # [bytes] in which numbers of a binary file's text are searched
 DEEP = "@deep@"  # stands for lists in lists, deeper than a parser may recurse
 SIZE_MAX = 16 << 20  # [bytes] of a mutated file
 BOMB_BYTES = 128 << 20  # more than files of this size may unpack to (assets/file_access.py)
+
+
+def saved(folder: Path, name: str, save: Callable[[Path], object]) -> Files:
+    """The file that `save` writes."""
+    path = folder / name
+    save(path)
+    data = path.read_bytes()
+    path.unlink()
+    return {name: data}
 
 
 def one_file(mutate: Callable[[np.random.Generator, bytes], bytes]) -> Mutation:

@@ -5,11 +5,7 @@ A case is a target, a seed and a number: `mutated(target, seed, number, folder)`
 
 from __future__ import annotations
 
-import argparse
-import contextlib
 import functools
-import io
-import json
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,17 +13,59 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz.hdf5_mutations import inside_hdf5
+from tests.fuzz.hdf5_mutations import claim_text, inside_hdf5
+from tests.fuzz.hdf5_targets import (
+    asset_samples,
+    checkpoint_samples,
+    read_and_compare_study,
+    read_asset,
+    read_checkpoint,
+    read_recording,
+    read_saved_state,
+    read_training,
+    recording_samples,
+    state_samples,
+    study_samples,
+    training_samples,
+)
 from tests.fuzz.mutations import (
     BYTES,
     JSON,
     TEXT,
     Files,
     Mutation,
-    inside_gzip,
     inside_zip,
-    mutated_json,
     several,
+)
+from tests.fuzz.splat_targets import (
+    glb_samples,
+    image_samples,
+    inside_glb,
+    inside_gzip_only,
+    inside_sog,
+    mesh_samples,
+    read_image,
+    read_mesh_file,
+    read_skinned_glb,
+    read_splat,
+    splat_samples,
+    unzipped_sog,
+)
+from tests.fuzz.text_targets import (
+    ANSWERS,
+    CAMERA,
+    LANDMARKS,
+    MESSAGES,
+    PREFERENCES,
+    capture_samples,
+    inside_capture,
+    json_samples,
+    read_camera_file,
+    read_landmark_file,
+    read_page_message,
+    read_preferences,
+    read_questionnaire,
+    read_whole_capture,
 )
 
 
@@ -52,7 +90,7 @@ def mutated(target: Target, seed: int, number: int, folder: Path) -> Files:
     samples = sound_samples(target.name, folder)
     files = dict(samples[rng.integers(len(samples))])
     inside = target.inside(folder)
-    outside = BYTES + (TEXT if rng.random() < 0.5 else [])
+    outside = BYTES + (TEXT if rng.random() < 0.5 else []) + ([claim_text] if target.inside is HDF5 else [])
     return several(inside if inside and rng.random() < 0.6 else outside)(rng, files)
 
 
@@ -74,422 +112,6 @@ def write(folder: Path, files: Files) -> None:
     for name, data in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(data)
-
-
-def saved(folder: Path, name: str, save: Callable[[Path], object]) -> Files:
-    """The file that `save` writes."""
-    path = folder / name
-    save(path)
-    data = path.read_bytes()
-    path.unlink()
-    return {name: data}
-
-
-def silent(line: str) -> None:
-    """Take a report."""
-
-
-# splats
-
-
-def splat_samples(suffix: str) -> Callable[[Path], list[Files]]:
-    """Samples of a splat format."""
-
-    def samples(folder: Path) -> list[Files]:
-        from assets.splat_files import write_gaussians
-        from tests.support import splat_encoders as encode
-        from tests.support.samples import some_gaussians
-
-        g = some_gaussians(14, 1)
-        match suffix:
-            case ".ply":
-                text = np.array(list(encode.properties(g).values())).T
-                forms = [encode.ply_bytes(encode.properties(some_gaussians(9, d))) for d in (0, 3)]
-                forms += [encode.compressed_bytes(some_gaussians(270, 1)), encode.compressed_bytes(g, order=">")]
-                names = encode.properties(g)
-                head = ["ply", "format ascii 1.0", f"element vertex {len(g)}", *(f"property float {n}" for n in names)]
-                lines = [" ".join(f"{v:.5g}" for v in row) for row in text]
-                forms.append("\n".join([*head, "end_header", *lines, ""]).encode())
-            case ".splat":
-                forms = [encode.splat_bytes(g)]
-            case ".ksplat":
-                forms = [encode.ksplat_bytes([some_gaussians(20, 1)], level) for level in (0, 1, 2)]
-            case ".spz":
-                version_3 = saved(folder, "s.spz", lambda path: write_gaussians(path, g))["s.spz"]
-                forms = [version_3, encode.spz_4_bytes(version_3)]
-                forms.append(encode.spz_bytes(1, b"\0\0\0\x3c\0\0", rotation=b"\x80" * 3))
-            case _:
-                forms = [encode.zipped(encode.sog_files(g, version)) for version in (1, 2)]
-        return [{f"splat{suffix}": data} for data in forms]
-
-    return samples
-
-
-def unzipped_sog(folder: Path) -> list[Files]:
-    """A SOG as a folder."""
-    from tests.support.samples import some_gaussians
-    from tests.support.splat_encoders import sog_files
-
-    return [sog_files(some_gaussians(14, 1), version) for version in (1, 2)]
-
-
-def read_splat(path: Path) -> None:
-    """Read a splat; all that is read can be drawn."""
-    from assets.splat_files import read_gaussians
-
-    read_gaussians(path, silent).check(str(path))
-
-
-def inside_gzip_only(rng: np.random.Generator, files: Files) -> Files:
-    """As `inside_gzip`, where the file is one."""
-    data = next(iter(files.values()))
-    return (inside_gzip if data[:2] == b"\x1f\x8b" else several(BYTES))(rng, files)
-
-
-def inside_sog(rng: np.random.Generator, files: Files) -> Files:
-    """The meta.json or the images of a SOG mutated."""
-    if "meta.json" in files and rng.random() < 0.5:
-        return files | {"meta.json": mutated_json(rng, files["meta.json"])}
-    return several(BYTES)(rng, files)
-
-
-# HDF5
-
-
-def asset_samples(folder: Path) -> list[Files]:
-    """Assets of both versions of the format: bodies with all that they may have, and a stage."""
-    from tests.fuzz.sample_assets import moving_body, some_stage
-
-    made = [(moving_body(), False), (moving_body(), True), (some_stage(), False), (some_stage(), True)]
-    return [saved(folder, "asset.h5", lambda path, a=a, q=q: a.save(path, quantised=q)) for a, q in made]
-
-
-def read_asset(path: Path) -> None:
-    """Load an asset in each of the ways of the program."""
-    from assets.asset import Asset
-    from assets.environment import Environment
-    from assets.library import animated_height, asset_material, asset_sizes, cage_vertices, default_material
-    from core.errors import BadInput
-
-    for look in (asset_sizes, asset_material, animated_height, cage_vertices, default_material, Environment.load):
-        try:
-            look(str(path))
-        except BadInput as e:
-            assert "\n" not in str(e)
-    asset = Asset.load(path)
-    if asset.animation is not None:
-        asset.animation.matrices(0.3)
-
-
-def recording_samples(folder: Path) -> list[Files]:
-    """A recording with hands, cameras and every kind of command."""
-    from tests.fuzz.sample_plays import record_some
-
-    return [saved(folder, "play.h5", record_some)]
-
-
-def read_recording(path: Path) -> None:
-    """Load a recording, and take over its options."""
-    from display.record.recording import OPTIONS
-    from display.record.replay import Replay
-
-    replay = Replay.load(path)
-    replay.set_options(argparse.Namespace(**dict.fromkeys(OPTIONS), arch=None))
-    replay.world_options({})
-
-
-def study_samples(folder: Path) -> list[Files]:
-    """A study of two participants with answers, and an empty one."""
-    from display.study.study_file import Study, write_study
-    from tests.fuzz.sample_plays import some_study
-
-    return [saved(folder, "study.h5", lambda path, s=s: write_study(path, s)) for s in (some_study(), Study())]
-
-
-def read_and_compare_study(path: Path) -> None:
-    """Read a study, compare what it holds, make the page."""
-    from commands.study import overview, table
-    from display.study.comparison import compare_answers, compare_trials
-    from display.study.study_file import read_study
-    from display.study.study_page import page
-
-    study = read_study(path)
-    rows = [*compare_trials(study), *compare_answers(study)]
-    list(table(rows))
-    page(study, rows, overview(study))
-
-
-def state_samples(folder: Path) -> list[Files]:
-    """A saved state of bodies, hands, an animation and a game."""
-    from display.keep.state_file import write_state
-    from tests.fuzz.sample_plays import some_state
-
-    return [saved(folder, "scene.state.h5", lambda path: write_state(path, some_state()))]
-
-
-def read_saved_state(path: Path) -> None:
-    """Read a state, and what its game was."""
-    from core.errors import BadInput
-    from display.keep.plain_values import game_values
-    from display.keep.state_file import read_state
-    from tests.fuzz.sample_plays import SomeGame
-
-    state = read_state(path)
-    with contextlib.suppress(BadInput):
-        if state.settings.game is not None:
-            game_values(SomeGame(), state.settings.game)
-
-
-# JSON and others
-
-
-def json_samples(name: str, *values) -> Callable[[Path], list[Files]]:
-    """JSON files."""
-    return lambda folder: [{name: json.dumps(value).encode()} for value in values]
-
-
-CAMERA = {"width": 16, "height": 8, "fx": 20, "fy": 20.5, "cx": 8, "cy": -4, "world_to_camera": np.eye(4).tolist()}
-ANSWERS = {"format": "vrgs-answers", "participant": "Ida", "setting": "physics", "answers": {"realism": 6, "ease": 0}}
-LANDMARKS = {
-    "head_top": [0, 1.7, 0.0],
-    "held": [{"by": "left_hand", "center": [0.3, 1, 0], "radius": 0.1}],
-    "joints": {"Hips": "pelvis"},
-}
-
-
-def read_camera_file(path: Path) -> None:
-    """Read a CAM.json."""
-    from assets.camera_file import read_cameras
-
-    read_cameras(path)
-
-
-def read_questionnaire(path: Path) -> None:
-    """Read answers of the questionnaire's page."""
-    from display.study.questionnaire import read_answers_file
-
-    read_answers_file(path, "now")
-
-
-def read_landmark_file(path: Path) -> None:
-    """Read the landmarks of a rig."""
-    from prepare.rig.landmarks import read_landmarks
-
-    read_landmarks(path)
-
-
-PREFERENCES = {
-    "window.size": [800, 600],
-    "window.place": [0, -20],
-    "panel.open": True,
-    "panel.sections": {"Light": False},
-    "light.ring_toss": {"position": [1, 2, 3], "strength": 0.5},
-    "bookmarks.ring_toss": {"1": [[0, 1.6, 1], [0, 0.8, 0]]},
-    "folder": "/films",
-}
-
-
-def read_preferences(path: Path) -> None:
-    """Read settings, and one of each kind; what is damaged is told and set aside, and the program goes on."""
-    from display.preferences import Preferences, read_bookmarks
-
-    with contextlib.redirect_stderr(io.StringIO()) as said:
-        preferences = Preferences(path)
-        for count in (2, 3):
-            preferences.numbers("window.size", count)
-        for key, default in (("panel.open", True), ("folder", ""), ("panel.sections", {}), ("light.ring_toss", {})):
-            preferences.get(key, default)
-        read_bookmarks(preferences.get("bookmarks.ring_toss", {}))
-        preferences.set("sound", False)
-    assert said.getvalue().count("\n") <= 1 and Preferences(path).get("sound", True) is False
-    for aside in path.parent.glob("*.broken*"):
-        aside.unlink()
-
-
-MESSAGES = (
-    ["move", 0.5, 0.4, 1000],
-    ["button", "left", True, 0.5, 0.5, 1000],
-    ["slide", "light", "strength", 0.5, False],
-    ["command", {"pause": True}],
-    ["key", "KeyP", "p", True, False, 10],
-    ["shown", 4, None],
-)
-
-
-def read_page_message(path: Path) -> None:
-    """Take a message of a page in a browser."""
-    from core.errors import BadInput
-    from display.web.page_messages import read_message
-
-    try:
-        read_message(path.read_bytes().decode("utf-8", "surrogatepass"))
-    except (BadInput, UnicodeDecodeError) as e:  # the server closes the connection
-        raise BadInput(f"{path}: {type(e).__name__}") from e
-
-
-def mesh_samples(folder: Path) -> list[Files]:
-    """A box in each of the formats of triangle meshes, one of them with a texture."""
-    import trimesh
-
-    box = trimesh.creation.box()
-    kinds = ("obj", "stl", "off", "ply", "glb")
-    made = [box.export(file_type=kind, **({"encoding": "ascii"} if kind == "ply" else {})) for kind in kinds]
-    texts = [text.encode() if isinstance(text, str) else text for text in made]
-    found = [{f"mesh.{kind}": text} for kind, text in zip(kinds, texts, strict=True)]
-    uv = b"".join(b"vt %.2f %.2f\n" % (k / 8, 1 - k / 8) for k in range(8))
-    faces = b"".join(b"f " + b" ".join(b"%d/%d" % (v + 1, v + 1) for v in face) + b"\n" for face in box.faces.tolist())
-    points = b"".join(b"v %.2f %.2f %.2f\n" % tuple(v) for v in box.vertices.tolist())
-    material = b"newmtl m\nKd 0.5 0.4 0.3\nmap_Kd image.png\n"
-    textured = b"mtllib mesh.mtl\nusemtl m\n" + points + uv + faces
-    found.append({"mesh.obj": textured, "mesh.mtl": material, "image.png": image_samples(folder)[0]["image.png"]})
-    return found
-
-
-def read_mesh_file(path: Path) -> None:
-    """Read a triangle mesh, and colours of its surface."""
-    from assets.formats.triangle_mesh_file import read_triangle_mesh, texture_colours
-
-    for part in read_triangle_mesh(path):
-        with np.errstate(all="ignore"):
-            texture_colours(part, np.zeros(3, int), np.full((3, 3), 1 / 3), 0.01)
-
-
-def capture_samples(folder: Path) -> list[Files]:
-    """Photographs with a transforms.json, and COLMAP models as text and binary."""
-    import tempfile
-
-    from tests.prepare.test_captures import binary_model, text_model, transforms, write_images
-    from tests.support.splat_encoders import ply_bytes
-
-    found = []
-    for make in (None, text_model, binary_model):
-        with tempfile.TemporaryDirectory() as place:
-            root = Path(place)
-            write_images(root)
-            if make is None:
-                (root / "transforms.json").write_text(json.dumps(transforms(ply_file_path="points.ply")))
-                points = {name: np.arange(6, dtype=np.float32) for name in ("x", "y", "z")}
-                (root / "points.ply").write_bytes(ply_bytes(points))
-            else:
-                make(root)
-            files = {str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
-        first = next(name for name in files if "transforms" in name or "cameras" in name)
-        found.append({first: files.pop(first), **files})
-    return found
-
-
-def inside_capture(rng: np.random.Generator, files: Files) -> Files:
-    """The JSON mutated; of COLMAP models any of the files."""
-    if "transforms.json" in files:
-        return files | {"transforms.json": mutated_json(rng, files["transforms.json"])}
-    return several(BYTES + TEXT)(rng, files)
-
-
-def read_whole_capture(path: Path) -> None:
-    """Read a capture, and one of its photographs."""
-    from prepare.train.capture import read_capture
-    from prepare.train.photographs import load_photograph
-
-    capture = read_capture(path if path.suffix == ".json" else path.parents[2])
-    load_photograph(capture.views[0])
-    assert np.isfinite([*capture.middle, capture.extent, *capture.up, *capture.upright().points.ravel()]).all()
-
-
-def training_samples(folder: Path) -> list[Files]:
-    """A checkpoint of a training."""
-    from prepare.train.checkpoint import COLUMNS, HARMONICS, write_checkpoint
-
-    state = {name: np.zeros((5, *shape), np.float32) for name, shape in COLUMNS.items()}
-    state |= {name: np.zeros((5, 4, 3), np.float32) for name in HARMONICS}
-    state |= {"done": np.array([7]), "queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
-    return [saved(folder, "training.h5", lambda path: write_checkpoint(path, state, {"degree": 1}))]
-
-
-def read_training(path: Path) -> None:
-    """Read the checkpoint of a training."""
-    from prepare.train.checkpoint import read_checkpoint
-
-    read_checkpoint(path, {"degree": 1}, 4)
-
-
-def glb_samples(folder: Path) -> list[Files]:
-    """A skinned bar with a motion and a texture."""
-    from tests.support.glb import bar, packed
-
-    builder, scene = bar()
-    return [{"rig.glb": packed(json.dumps(scene).encode(), builder.binary)}]
-
-
-def inside_glb(rng: np.random.Generator, files: Files) -> Files:
-    """The JSON or the buffer of a .glb mutated, in a sound container."""
-    from tests.support.glb import packed
-
-    ((name, data),) = files.items()
-    size = int.from_bytes(data[12:16], "little")
-    text, binary = data[20 : 20 + size], data[28 + size :]
-    if rng.random() < 0.7:
-        text = mutated_json(rng, text)
-    else:
-        binary = several(BYTES)(rng, {"": binary})[""]
-    return {name: packed(text, binary)}
-
-
-def read_skinned_glb(path: Path) -> None:
-    """Read the rig and the mesh of a .glb."""
-    from assets.formats.gltf_skin import read_mesh, read_rig
-
-    rig, file, skin = read_rig(path)
-    read_mesh(file, skin, len(rig.joints))
-
-
-def image_samples(folder: Path) -> list[Files]:
-    """Small images of all kinds."""
-    import cv2
-
-    pixels = np.random.default_rng(0).integers(0, 255, (20, 30, 3), np.uint8)
-    kinds = (".png", ".jpg", ".webp")
-    return [{f"image{kind}": cv2.imencode(kind, pixels)[1].tobytes()} for kind in kinds]
-
-
-def read_image(path: Path) -> None:
-    """The size of an image, its pixels, and whether it may be a thumbnail."""
-    from assets.formats.gltf import PIXELS_MAX
-    from assets.images import check_thumbnail, decode_image, read_image_header
-    from core.errors import BadInput
-
-    data = path.read_bytes()
-    header = read_image_header(data)
-    if header is not None and 0 < header.width * header.height <= PIXELS_MAX:
-        decode_image(data)
-    try:
-        check_thumbnail(np.frombuffer(data, np.uint8), str(path))
-    except BadInput as e:
-        assert "\n" not in str(e)
-
-
-def checkpoint_samples(folder: Path) -> list[Files]:
-    """A kept step of a preparation."""
-    from prepare.checkpoints import arrays_of
-    from tests.support.samples import some_gaussians
-
-    arrays = arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20})
-
-    def save(path: Path) -> None:
-        with open(path, "wb") as file:
-            np.savez(file, **arrays)
-
-    return [saved(folder, "step.npz", save)]
-
-
-def read_checkpoint(path: Path) -> None:
-    """Take up a kept step: its arrays, or it is made again; the pipeline bears these errors of what they hold."""
-    from prepare.checkpoints import Checkpoints, gaussians_of
-
-    checkpoints = Checkpoints()
-    checkpoints.folder = path.parent
-    arrays = checkpoints.step(path.stem, lambda: {})
-    with contextlib.suppress(LookupError, TypeError, ValueError):  # then the pipeline begins anew
-        gaussians_of(arrays)[0].check(str(path))
 
 
 HDF5: Callable[[Path], list[Mutation]] = lambda folder: [inside_hdf5(folder)]  # noqa: E731

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from core.errors import BadInput
+from tests.fuzz.hdf5_mutations import claim_text
 from tests.fuzz.run import Fuzz, wrong
 from tests.fuzz.targets import TARGETS, Target, mutated
 
@@ -19,6 +20,14 @@ def test_every_reader_reads_or_refuses(tmp_path):
     assert sum(fuzz.tally.values()) == 12 * len(TARGETS)
     for kind in ("read", "refused"):  # mutations are neither all in vain nor all too coarse
         assert sum(n for (_, what), n in fuzz.tally.items() if what == kind) > 2 * len(TARGETS)
+
+
+def test_a_length_of_a_text_is_not_believed(tmp_path):
+    """HDF5 allocates and clears as many bytes, up to 4 GiB, before it looks where the text is."""
+    for name in ("asset", "recording", "state"):
+        target = replace(TARGETS[name], inside=lambda folder: [claim_text])
+        faults = [wrong(target, 0, number, tmp_path) for number in range(20)]
+        assert faults == [None] * len(faults)
 
 
 def multi_line(path):

@@ -122,7 +122,7 @@ def test_residuals_tell_what_left_and_right_disagree_in():
     ("text", "says"),
     [
         ("[1]", "not a JSON object"),
-        ("{", "not JSON"),
+        ("{", "not a JSON"),
         ('{"nose": [0, 0, 0]}', "not a landmark"),
         ('{"neck": [0, 0]}', "three coordinates"),
         ('{"neck": [0, NaN, 0]}', "three coordinates"),

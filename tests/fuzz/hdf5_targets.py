@@ -1,0 +1,137 @@
+"""Readers of HDF5 files, and of the kept steps of a preparation, with sound samples."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.mutations import Files, saved
+
+
+def asset_samples(folder: Path) -> list[Files]:
+    """Assets of both versions of the format: bodies with all that they may have, and a stage."""
+    from tests.fuzz.sample_assets import moving_body, some_stage
+
+    made = [(moving_body(), False), (moving_body(), True), (some_stage(), False), (some_stage(), True)]
+    return [saved(folder, "asset.h5", lambda path, a=a, q=q: a.save(path, quantised=q)) for a, q in made]
+
+
+def read_asset(path: Path) -> None:
+    """Load an asset in each of the ways of the program."""
+    from assets.asset import Asset
+    from assets.environment import Environment
+    from assets.library import animated_height, asset_material, asset_sizes, cage_vertices, default_material
+    from core.errors import BadInput
+
+    for look in (asset_sizes, asset_material, animated_height, cage_vertices, default_material, Environment.load):
+        try:
+            look(str(path))
+        except BadInput as e:
+            assert "\n" not in str(e)
+    asset = Asset.load(path)
+    if asset.animation is not None:
+        asset.animation.matrices(0.3)
+
+
+def recording_samples(folder: Path) -> list[Files]:
+    """A recording with hands, cameras and every kind of command."""
+    from tests.fuzz.sample_plays import record_some
+
+    return [saved(folder, "play.h5", record_some)]
+
+
+def read_recording(path: Path) -> None:
+    """Load a recording, and take over its options."""
+    from display.record.recording import OPTIONS
+    from display.record.replay import Replay
+
+    replay = Replay.load(path)
+    replay.set_options(argparse.Namespace(**dict.fromkeys(OPTIONS), arch=None))
+    replay.world_options({})
+
+
+def study_samples(folder: Path) -> list[Files]:
+    """A study of two participants with answers, and an empty one."""
+    from display.study.study_file import Study, write_study
+    from tests.fuzz.sample_plays import some_study
+
+    return [saved(folder, "study.h5", lambda path, s=s: write_study(path, s)) for s in (some_study(), Study())]
+
+
+def read_and_compare_study(path: Path) -> None:
+    """Read a study, compare what it holds, make the page."""
+    from commands.study import overview, table
+    from display.study.comparison import compare_answers, compare_trials
+    from display.study.study_file import read_study
+    from display.study.study_page import page
+
+    study = read_study(path)
+    rows = [*compare_trials(study), *compare_answers(study)]
+    list(table(rows))
+    page(study, rows, overview(study))
+
+
+def state_samples(folder: Path) -> list[Files]:
+    """A saved state of bodies, hands, an animation and a game."""
+    from display.keep.state_file import write_state
+    from tests.fuzz.sample_plays import some_state
+
+    return [saved(folder, "scene.state.h5", lambda path: write_state(path, some_state()))]
+
+
+def read_saved_state(path: Path) -> None:
+    """Read a state, and what its game was."""
+    from core.errors import BadInput
+    from display.keep.plain_values import game_values
+    from display.keep.state_file import read_state
+    from tests.fuzz.sample_plays import SomeGame
+
+    state = read_state(path)
+    with contextlib.suppress(BadInput):
+        if state.settings.game is not None:
+            game_values(SomeGame(), state.settings.game)
+
+
+def training_samples(folder: Path) -> list[Files]:
+    """A checkpoint of a training."""
+    from prepare.train.checkpoint import COLUMNS, HARMONICS, write_checkpoint
+
+    state = {name: np.zeros((5, *shape), np.float32) for name, shape in COLUMNS.items()}
+    state |= {name: np.zeros((5, 4, 3), np.float32) for name in HARMONICS}
+    state |= {"done": np.array([7]), "queue": np.arange(3, dtype=np.int32), "rng": np.arange(4, dtype=np.uint64)}
+    return [saved(folder, "training.h5", lambda path: write_checkpoint(path, state, {"degree": 1}))]
+
+
+def read_training(path: Path) -> None:
+    """Read the checkpoint of a training."""
+    from prepare.train.checkpoint import read_checkpoint
+
+    read_checkpoint(path, {"degree": 1}, 4)
+
+
+def checkpoint_samples(folder: Path) -> list[Files]:
+    """A kept step of a preparation."""
+    from prepare.checkpoints import arrays_of
+    from tests.support.samples import some_gaussians
+
+    arrays = arrays_of(some_gaussians(20, 1), up="+y", counts={"read": 20})
+
+    def save(path: Path) -> None:
+        with open(path, "wb") as file:
+            np.savez(file, **arrays)
+
+    return [saved(folder, "step.npz", save)]
+
+
+def read_checkpoint(path: Path) -> None:
+    """Take up a kept step: its arrays, or it is made again; the pipeline bears these errors of what they hold."""
+    from prepare.checkpoints import Checkpoints, gaussians_of
+
+    checkpoints = Checkpoints()
+    checkpoints.folder = path.parent
+    arrays = checkpoints.step(path.stem, lambda: {})
+    with contextlib.suppress(LookupError, TypeError, ValueError):  # then the pipeline begins anew
+        gaussians_of(arrays)[0].check(str(path))

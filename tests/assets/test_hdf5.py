@@ -91,6 +91,7 @@ def test_texts_of_attributes_are_read_wherever_hdf5_puts_them(tmp_path, libver):
         file.attrs["none"] = ""
         for k in range(12):
             file.create_group(f"group{k}").attrs["kind"] = "soft" * k
+        for k in range(12):
             file["group3"].attrs[f"key{k}"] = f"text {k}"
     with open_hdf5(tmp_path / "a.h5") as reader:
         assert reader.text("", "none") == ""

@@ -9,18 +9,16 @@ from __future__ import annotations
 
 import math
 import os
-from pathlib import Path
 from statistics import median
 
-from assets.file_access import atomic_write, check_writable, read_json
+from assets.file_access import atomic_write, check_writable
 from bench.plot import Panel, svg
 from core.errors import BadInput
-from display.run_stats import write_stats
+from display.run_stats import read_rows, write_stats
 
 MILLIONS = (0.1, 0.3, 1.0, 3.0, 10.0)  # Gaussians
 EYE_SIZE = (1800, 1920)  # [px]
 MEGAPIXELS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-JSON_MAX = 16 << 20  # [bytes] of rows
 ROOM_GAUSSIANS = 1_313_000  # in the sweep over pixels
 SECONDS = 12.0  # for a row: a slow device draws fewer pictures than --rounds, but at least three
 SCALING_WARM_PICTURES = 2  # uncounted pictures: the first compiles and determines the capacity
@@ -38,7 +36,11 @@ def run(args) -> None:
     for out in (args.json, args.plot):
         if out:
             check_writable(out)
-    rows = [row for path in args.earlier for row in read_rows(path)] if args.earlier else measure_all(args.rounds)
+    rows = (
+        [row for path in args.earlier for row in read_rows(path, "scaling", is_row)]
+        if args.earlier
+        else measure_all(args.rounds)
+    )
     print(tables(rows))
     if args.json:
         write_stats(args.json, rows)
@@ -130,17 +132,9 @@ def device_name() -> str:
     return name.value.decode(errors="replace")
 
 
-def read_rows(path: Path) -> list[dict]:
-    """Rows that --json wrote. Raises BadInput."""
-    rows = read_json(path, JSON_MAX)
-    if not isinstance(rows, list) or not rows or not all(map(is_row, rows)):
-        raise BadInput(f"{path}: holds no rows of bench scaling")
-    return rows
-
-
 def is_row(row) -> bool:
     """Check that a row has all plotted entries and that its numbers are positive, as logarithmic axes require."""
-    if not isinstance(row, dict) or row.get("bench") != "scaling" or row.get("by") not in SWEEPS:
+    if row.get("by") not in SWEEPS:
         return False
     numbers = [row.get(name) for name in ("x", "median_ms", "pairs")]
     return isinstance(row.get("device"), str) and all(type(n) in (int, float) and 1e-9 < n < 1e15 for n in numbers)

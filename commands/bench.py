@@ -22,6 +22,7 @@ EXAMPLES = (
     "bench sim --json sim.json",
     "bench demos ring_toss --quick",
     "bench train fox/ bear/ --variants plain fast --json train.json",
+    "bench train fox/ bear/ --orders --steps 7000 --json orders.json",
 )
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
@@ -62,7 +63,7 @@ OPTION_SUBJECTS = {  # of those that not all take
     "--size": ("render", "demos"),
     "--rounds": ("sim", "render", "scaling", "embedding"),
     "--plot": ("scaling",),
-    "--from": ("scaling",),
+    "--from": ("scaling", "train"),
 }
 CONDITIONS = (
     *(
@@ -72,6 +73,9 @@ CONDITIONS = (
         for flag, takers in OPTION_SUBJECTS.items()
     ),
     Condition(("--rounds",), lambda args: not args.earlier, "measures; --from only reads"),
+    Condition(
+        ("--from",), lambda args: args.subject != "train" or args.orders, "belongs to bench scaling and train --orders"
+    ),
 )
 
 
@@ -128,7 +132,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--orders", action="store_true", help=text)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
     parser.add_argument("--plot", type=Path, metavar="OUT.svg", help="scaling: draw the curves")
-    text = "scaling: read rows that --json wrote instead of measuring"
+    text = "rows that --json wrote; scaling: read instead of measuring; train --orders: not measured again"
     parser.add_argument("--from", dest="earlier", type=Path, nargs="+", metavar="ROWS.json", default=[], help=text)
     add_arch(parser)
 
@@ -137,7 +141,7 @@ def run(args: argparse.Namespace) -> int | None:
     """Measure the subject. Raises BadInput."""
     if args.names and args.subject not in NAMED:
         raise BadInput(f"bench {args.subject} takes no names: {' '.join(args.names)}")
-    if not args.earlier:
+    if not args.earlier or args.subject == "train":
         start_taichi(args.arch)
     subject = importlib.import_module(SUBJECTS[args.subject][0])
     return subject.run(args, detailed(args.detail)) if args.subject == "demos" else subject.run(args)

@@ -17,6 +17,7 @@ from commands.options import add_arch, positive
 from core.errors import BadInput
 from core.runtime import is_out_of_memory, start_taichi
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
+from render import SORTS
 
 HELP = "make Gaussians of photographs or a video"
 EXAMPLES = (
@@ -62,8 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--exposure", action="store_true", help=text)
     text = "correct the poses as well, by fractions of a degree"
     parser.add_argument("--refine-poses", action="store_true", help=text)
-    text = "order of blending that is trained for (default radial, which window and headset use)"
-    parser.add_argument("--sort", choices=("z", "radial"), default="radial", help=text)
+    text = "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)"
+    parser.add_argument("--sort", choices=SORTS, default="radial", help=text)
     parser.add_argument(
         "--reduce", type=positive(int), default=1, metavar="N", help="divide the photographs' sides by N"
     )

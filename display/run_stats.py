@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write
+from assets.file_access import atomic_write, read_json
+from core.errors import BadInput
+
+ROWS_MAX = 16 << 20  # [bytes] of rows
 
 
 def run_stats(world, frames: int) -> dict:
@@ -33,6 +37,15 @@ def write_stats(path: str | Path, stats: dict) -> None:
     """Write JSON, whole or not at all; NaN becomes null. Raises BadInput."""
     with atomic_write(path) as beside:
         beside.write_text(json.dumps(plain(stats), indent=2) + "\n", encoding="utf-8")
+
+
+def read_rows(path: Path, subject: str, valid: Callable[[dict], bool]) -> list[dict]:
+    """Rows of `bench SUBJECT` that `write_stats` wrote, each of which is `valid`. Raises BadInput."""
+    rows = read_json(path, ROWS_MAX)
+    known = isinstance(rows, list) and rows and all(isinstance(r, dict) and r.get("bench") == subject for r in rows)
+    if not known or not all(map(valid, rows)):
+        raise BadInput(f"{path}: holds no rows of bench {subject}")
+    return rows
 
 
 def plain(value):

@@ -1,13 +1,13 @@
 """Backward pass of blending: gradients of the splats in a picture from the gradient of its pixels."""
 
-import math
-
 import taichi as ti
 
 from core.fields import FieldGroup
 from render.binning import TileBins
 from render.blend import BLEND_THREADS, PIXELS, ROW_STEP, splat_color, splat_words
 from render.footprint import CUTOFF_BITS
+from render.per_pixel_gradients import LN2, add_by_pixel
+from render.per_pixel_sort import BUFFER_SIZE
 from render.radix_sort import value_of
 from render.tile_batch import (
     ACROSS,
@@ -24,7 +24,6 @@ from render.tile_batch import (
     tile_origin,
 )
 
-LN2 = math.log(2.0)
 CPU_PIXELS = CPU_TILE * CPU_TILE  # of a block that the CPU walks through at once
 MIN_ALPHA = 1e-10  # of a pixel whose depth is divided by it, as in the picture
 SUMS = 10  # numbers of a Gaussian that pixels add to
@@ -55,18 +54,21 @@ class BlendGradients:
         dL/dalpha_i = T_i s_i - (sum_{j > i} w_j s_j) / (1 - alpha_i).
 
     The sum behind i is that of the whole pixel, which the picture gives, less the sum up to i: splats are walked
-    through from front to back as when they are drawn, and pixels end where they ended then.
+    through from front to back as when they are drawn, and pixels end where they ended then. Pixels that have an order
+    of their own (sort="pixel", with a buffer of `buffer_size` splats) walk by themselves (per_pixel_gradients.py).
 
     `sums` (capacity, SUMS) are what pixels add up, with d their distance [px] from the splat's centre and p the
     derivative with respect to the exponent: p, p d_x, p d_y, p d_x^2, p d_x d_y, p d_y^2, then dL/dz, dL/dcolour.
     """
 
     def __init__(
-        self, bins: TileBins, picture, *, with_depth: bool = True, color=None, into: "BlendGradients | None" = None
-    ):
+        self, bins: TileBins, picture, *, with_depth: bool = True, color=None, into: "BlendGradients | None" = None,
+        buffer_size: int = BUFFER_SIZE,
+    ):  # fmt: skip
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
         self.with_depth, self.on_gpu = with_depth, ti.cfg.arch == ti.cuda
+        self.by_pixel, self.buffer_size = self.projection.with_slope, buffer_size
         if self.projection.views != 1:
             raise ValueError("gradients are those of one view")
         _, height, width = picture.alpha.shape
@@ -112,7 +114,9 @@ class BlendGradients:
 
         Outermost level of a kernel that has no other shared arrays.
         """
-        if ti.static(self.on_gpu):
+        if ti.static(self.by_pixel):
+            add_by_pixel(self, self.buffer_size)
+        elif ti.static(self.on_gpu):
             self._backward_gpu()
         else:
             self._backward_cpu()

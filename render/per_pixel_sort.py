@@ -8,6 +8,7 @@ order by fewer places than the buffer has are put right.             Radl 2024 (
 import taichi as ti
 
 from render.binning import TileBins
+from render.blend import splat_color
 from render.footprint import CUTOFF_BITS
 from render.radix_sort import value_of
 from render.tile_batch import (
@@ -41,8 +42,11 @@ class PerPixelSort:
     and the first of them leaves.
     """
 
-    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, buffer_size: int = BUFFER_SIZE):
+    def __init__(
+        self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None, buffer_size: int = BUFFER_SIZE
+    ):
         self.bins, self.projection = bins, bins.projection
+        self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth, self.buffer_size = with_color, with_depth, buffer_size
         self.on_gpu = ti.cfg.arch == ti.cuda
 
@@ -126,9 +130,10 @@ class PerPixelSort:
                         T[q] = ti.select(visible, after, -ti.abs(before))
                     for q in range(CPU_TILE):
                         if ti.static(self.with_color):
-                            red[q] += weight[q] * self.projection.color[v, front_index[q]][0]
-                            green[q] += weight[q] * self.projection.color[v, front_index[q]][1]
-                            blue[q] += weight[q] * self.projection.color[v, front_index[q]][2]
+                            color = splat_color(self, v, front_index[q])
+                            red[q] += weight[q] * color.r
+                            green[q] += weight[q] * color.g
+                            blue[q] += weight[q] * color.b
                         if ti.static(self.with_depth):
                             depth[q] += weight[q] * self.projection.mean2d[v, front_index[q]][3]
                     visited += 1
@@ -190,21 +195,7 @@ class PerPixelSort:
                         if power >= -CUTOFF_BITS:
                             inv_depth = splat[3] + splat[7] * dx + splat[8] * dy
                             alpha, g = ti.min(ALPHA_MAX, exp2(power)), ti.bit_cast(splat[9], ti.i32)
-                            front_alpha, front_index = alpha, g
-                            stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0]  # behind all entries so far
-                            if stays:
-                                front_alpha, front_index = alphas[0], indices[0]
-                                for k in ti.static(range(1, self.buffer_size)):
-                                    behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k])
-                                    inv_depths[k - 1] = ti.select(
-                                        behind, inv_depths[k], ti.select(stays, inv_depth, inv_depths[k - 1])
-                                    )
-                                    alphas[k - 1] = ti.select(behind, alphas[k], ti.select(stays, alpha, alphas[k - 1]))
-                                    indices[k - 1] = ti.select(behind, indices[k], ti.select(stays, g, indices[k - 1]))
-                                    stays = behind
-                                if stays:
-                                    inv_depths[self.buffer_size - 1], alphas[self.buffer_size - 1] = inv_depth, alpha
-                                    indices[self.buffer_size - 1] = g
+                            front_alpha, front_index = pushed(inv_depths, alphas, indices, inv_depth, alpha, g)
                             if T * (1.0 - front_alpha) <= MIN_TRANSMITTANCE:
                                 done = 1
                             elif front_alpha > 0:
@@ -231,11 +222,39 @@ class PerPixelSort:
     def _blended(self, rgb: ti.math.vec3, depth: ti.f32, weight: ti.f32, v: ti.i32, g: ti.i32):
         """The sums of colour and depth, with splat `g` of view `v` added."""
         if ti.static(self.with_color):
-            for k in ti.static(range(3)):
-                rgb[k] += weight * self.projection.color[v, g][k]
+            rgb += weight * splat_color(self, v, g)
         if ti.static(self.with_depth):
             depth += weight * self.projection.mean2d[v, g][3]
         return rgb, depth
+
+
+@ti.func
+def pushed(
+    inv_depths: ti.template(),
+    alphas: ti.template(),
+    indices: ti.template(),
+    inv_depth: ti.f32,
+    alpha: ti.f32,
+    g: ti.i32,
+):
+    """Put a splat into a pixel's buffer; alpha and index of the one that leaves, which may be the same.
+
+    All indices are compile-time constants: the buffer's three vectors stay in registers.
+    """
+    last = ti.static(inv_depths.n - 1)
+    front_alpha, front_index = alpha, g
+    stays = inv_depth <= OVERTAKE_RATIO * inv_depths[0]  # behind all entries so far
+    if stays:
+        front_alpha, front_index = alphas[0], indices[0]
+        for k in ti.static(range(1, last + 1)):
+            behind = stays & (inv_depth <= OVERTAKE_RATIO * inv_depths[k])
+            inv_depths[k - 1] = ti.select(behind, inv_depths[k], ti.select(stays, inv_depth, inv_depths[k - 1]))
+            alphas[k - 1] = ti.select(behind, alphas[k], ti.select(stays, alpha, alphas[k - 1]))
+            indices[k - 1] = ti.select(behind, indices[k], ti.select(stays, g, indices[k - 1]))
+            stays = behind
+        if stays:
+            inv_depths[last], alphas[last], indices[last] = inv_depth, alpha, g
+    return front_alpha, front_index
 
 
 @ti.func

@@ -79,8 +79,8 @@ def inpaint(
 
 
 def order_of(gaussians: Gaussians) -> str:
-    """The order of blending that a splat was trained for; "radial" where it is not known, or cannot be trained for."""
-    return gaussians.sort if gaussians.sort in ("z", "radial") else "radial"
+    """The order of blending that a splat was trained for; "radial" where it is not known."""
+    return gaussians.sort or "radial"
 
 
 def find_hole(

@@ -7,6 +7,7 @@ from core.fields import FieldGroup
 from prepare.train.optimizer import BETA1, BETA2, EPSILON
 from render.blend import Blend
 from render.blend_gradients import BlendGradients
+from render.per_pixel_sort import PerPixelSort
 from render.renderer import FloatImages
 
 SEGMENTATION_WEIGHT = 0.1  # lambda_seg of the paper
@@ -104,7 +105,8 @@ class LabelPass:
 
     def __init__(self, labels: Labels, blend: BlendGradients, images: FloatImages):
         self.labels, self.images = labels, images
-        self.drawer = Blend(blend.bins, with_color=True, with_depth=False, color=labels.value)
+        drawer = PerPixelSort if blend.by_pixel else Blend
+        self.drawer = drawer(blend.bins, with_color=True, with_depth=False, color=labels.value)
         self.gradients = BlendGradients(blend.bins, images, with_depth=False, color=labels.value, into=blend)
 
     def destroy(self) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 from prepare.train.optimizer import SH_DEGREE_INTERVAL
 
-TRAINED_SORTS = ("z", "radial")  # orders that the backward pass knows: one for the whole picture
 CAPS = {"cuda": 2_000_000, "cpu": 100_000}  # most Gaussians, by device
 STEPS = {"cuda": 30_000, "cpu": 3_000}
 FAST_STEPS = {"cuda": 10_000, "cpu": 1_000}
@@ -19,7 +18,7 @@ class TrainOptions:
 
     strategy   of births and deaths: "default" grows where detail is missing, "mcmc" fills the budget `cap`
     cap        most Gaussians, frozen ones included; memory for them is taken at the start
-    sort       order of blending that is trained for, one of TRAINED_SORTS
+    sort       order of blending that is trained for, one of render.SORTS
     frozen     the first Gaussians, as many as this, are drawn but stay as they are, bit for bit
     exposure   each photograph's exposure is learned, too (prepare/train/exposure.py)
     poses      and corrections of its pose

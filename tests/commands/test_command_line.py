@@ -84,6 +84,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ),
     ("bench render --variants fast", "belongs to bench train"),
     ("bench scaling --from r.json --rounds 3", "--from only reads"),
+    ("bench train --from r.json", "--from belongs to bench scaling and train --orders"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
     ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
     ("segment a.ply --marks m.json --out m --reduce 2", "--reduce belongs to a capture"),

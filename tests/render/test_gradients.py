@@ -12,6 +12,7 @@ from core.spherical_harmonics import C0
 from prepare.train.parameters import Parameters
 from render.blend import Blend
 from render.blend_gradients import BlendGradients
+from render.per_pixel_sort import PerPixelSort
 from render.projection_gradients import ProjectionGradients
 from render.renderer import FloatImages, Renderer
 from render.splats import Splats
@@ -26,12 +27,12 @@ SIZE = 24  # [px] of the pictures of finite differences
 class Differentiable:
     """A picture of Gaussians of degree 3, and the gradient of a loss that is linear in its channels."""
 
-    def __init__(self, *, antialias: bool):
+    def __init__(self, *, antialias: bool = False, sort: str = "z"):
         rows = np.zeros((COUNT, 3)), np.tile([1.0, 0, 0, 0], (COUNT, 1)), np.zeros((COUNT, 3))
         self.splats = Splats(Gaussians.of(*rows, np.zeros(COUNT), np.zeros((COUNT, 16, 3))))
         self.splats.sh_range = (0, self.splats.capacity)
         self.parameters = Parameters(self.splats)
-        self.renderer = Renderer(self.splats, WIDTH, HEIGHT, outputs="float", antialias=antialias)
+        self.renderer = Renderer(self.splats, WIDTH, HEIGHT, outputs="float", antialias=antialias, sort=sort)
         self.blend = BlendGradients(self.renderer.rasterizer.tile_pass.bins, self.renderer.sink)
         self.gradients = ProjectionGradients(self.blend)
         n = self.splats.capacity
@@ -41,7 +42,8 @@ class Differentiable:
         self.labels = ti.Vector.field(3, ti.f32, n)  # of a second picture from the same bins
         self.labelled = FloatImages(1, HEIGHT, WIDTH)
         bins = self.blend.bins
-        self.draw_labels = Blend(bins, with_color=True, with_depth=False, color=self.labels)
+        drawer = PerPixelSort if sort == "pixel" else Blend
+        self.draw_labels = drawer(bins, with_color=True, with_depth=False, color=self.labels)
         self.by_labels = BlendGradients(bins, self.labelled, color=self.labels, into=self.blend)
 
     @ti.kernel

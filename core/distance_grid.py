@@ -9,6 +9,7 @@ import numpy as np
 from core.errors import BadInput
 
 DISTANCE_MAX = float(np.finfo(np.float16).max)  # [m] files store distances as float16
+SKIN_VOXELS = 2.0  # of a body's grid: so far from its visible surface contact allows for its cage being wider, at most
 
 
 @dataclass(frozen=True)

@@ -93,6 +93,7 @@ def place_soft(asset: Asset, body: Body) -> tuple[SoftBody | RigidBody, Embedded
         sdf=sdf,
         pinned=fixed if led is None else led,
         self_contact=True if led is None else "parts",
+        asleep=body.asleep,
     )
     part = EmbeddedBody(
         host=asset.embedding.host[order],

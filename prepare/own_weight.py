@@ -67,10 +67,25 @@ def _modulus_of_piece(vertices: np.ndarray, tets: np.ndarray, material: Material
     index, own = np.unique(tets, return_inverse=True)
     x, own = vertices[index].astype(np.float64), own.reshape(-1, 4)
     height = float(np.ptp(x[:, 1]))
-    mass = np.bincount(own.ravel(), np.repeat(tet_volumes(x, own) * material.density / 4, 4), len(x))
+    mass = _masses(x, own, material.density)
     moved = deflections(unit_stiffness(x, own, material.poisson), mass * GRAVITY, foot_of(x, mass))
     rms = np.sqrt(np.einsum("v,vil,vil->l", mass, moved, moved) / mass.sum()) / height  # of the loads along x, y, z
     return max(max(rms[0], rms[2]) / (COLUMN_BEND_RMS * BUCKLING_SHARE), rms[1] / (COLUMN_SAG_RMS * SAG_MAX))
+
+
+def bent_by_weight(
+    vertices: np.ndarray, tets: np.ndarray, material: Material, down: np.ndarray, held: np.ndarray | None = None
+) -> np.ndarray:
+    """Displacements (V, 3) [m] of a cage in one piece by its weight along the unit vector `down`, with the vertices
+    (V,) bool held, or its foot."""
+    x = vertices.astype(np.float64)
+    mass = _masses(x, tets, material.density)
+    held = foot_of(x, mass) if held is None else held
+    return deflections(unit_stiffness(x, tets, material.poisson), mass * GRAVITY, held) @ down / material.young
+
+
+def _masses(x: np.ndarray, tets: np.ndarray, density: float) -> np.ndarray:
+    return np.bincount(tets.ravel(), np.repeat(tet_volumes(x, tets) * density / 4, 4), len(x))
 
 
 def foot_of(x: np.ndarray, mass: np.ndarray) -> np.ndarray:

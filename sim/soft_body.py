@@ -28,6 +28,7 @@ class SoftBody:
     rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
     sdf       signed distance of the rest shape in the body frame [m], or None
     pinned    indices of vertices that do not move (inverse mass 0), or None
+    asleep    starts asleep: nothing moves it until something reaches it
     self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
                    driven vertices, which nothing stops, would crush what they meet. False: it passes through itself
     """
@@ -43,6 +44,7 @@ class SoftBody:
     sdf: DistanceGrid | None = None
     pinned: np.ndarray | None = None
     self_contact: bool | str = True
+    asleep: bool = False
     rigid: ClassVar[bool] = False
 
     def of_material(self, material: Material) -> SoftBody:

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from assets.asset import Asset
+from assets.asset import Asset, Cage
 from assets.gaussians import Gaussians
 from assets.room_folder import RoomObject
 from assets.up_axis import robust_bounds
-from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import DEFAULT_MATERIAL, MATERIALS, Material
-from core.rotation import matrices_from_quaternions, quaternions_from_matrices, rotation_between
+from core.rotation import quaternions_from_matrices, rotation_between
 from prepare.cage.cage_generation import NoSoundCage
+from prepare.own_weight import bent_by_weight
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 
@@ -26,6 +26,7 @@ NEIGHBOURS = 6  # of the rest, nearest to a Gaussian of an object, that may touc
 TOUCHES_MIN = 4  # Gaussians of an object that touch something, at least
 BASE = 0.2  # of an object's height in which its foot lies
 MASS_MAX = 3.0  # [kg] of an object whose material nobody named: half of what a hand of 80 N lifts
+NOD = 0.003  # of an object's size, by which its weight may move any part of it: the photographs show it so bent
 HELD = 0.15, 0.45  # of the extent of a hung object, from what holds it, that is held fast at least and at most
 
 
@@ -113,12 +114,13 @@ def object_body(
             if not wanted:
                 raise BadInput(str(e)) from e
             say(f"{name}: {e}; trying {wanted[0]} vertices")
-    if material is None:
-        asset = replace(asset, material=liftable(asset.material, float(asset.cage.volumes().sum())))
     position = -turn.T @ np.array(asset.provenance["moved"])
     heights = asset.cage.vertices[:, 1]
     held = support.level + asset.provenance["moved"][1]  # of what touches: its farthest end may be a thin tail
     fixed = None if support.stands else float(np.clip(held, *(heights.min() + np.multiply(HELD, np.ptp(heights)))))
+    if material is None:
+        light = liftable(asset.material, float(asset.cage.volumes().sum()))
+        asset = replace(asset, material=steady(light, asset.cage, turn @ [0.0, -1.0, 0.0], fixed))
     rotation = tuple(map(float, quaternions_from_matrices(turn.T)))
     return asset, RoomObject(name, file, tuple(map(float, position)), rotation, fixed)
 
@@ -131,6 +133,15 @@ def liftable(material: Material, volume: float) -> Material:
     return replace(material, density=share * material.density, young=young)
 
 
+def steady(material: Material, cage: Cage, down: np.ndarray, fixed_below: float | None) -> Material:
+    """The material, stiffened if the weight of a body along `down` (3,) would move a part of it by more than NOD: else
+    it would not stay as it was photographed, even before anybody touches it."""
+    held = None if fixed_below is None else cage.vertices[:, 1] < fixed_below
+    moved = np.linalg.norm(bent_by_weight(cage.vertices, cage.tets, material, down, held), axis=1).max()
+    needed = material.young * float(moved / (NOD * np.ptp(cage.vertices, axis=0).max()))
+    return replace(material, young=max(material.young, min(needed, MATERIALS["wood"].young)))
+
+
 def object_files(names: Sequence[str]) -> list[str]:
     """File names of objects in a room's folder, whatever they are called."""
     files = []
@@ -139,32 +150,3 @@ def object_files(names: Sequence[str]) -> list[str]:
         stem = stem if stem.strip("_-") else f"object_{k + 1}"
         files.append(f"objects/{stem}.h5" if f"objects/{stem}.h5" not in files else f"objects/{stem}_{k + 1}.h5")
     return files
-
-
-def hollowed(background: Asset, bodies: Sequence[tuple[Asset, RoomObject]]) -> Asset:
-    """The background without what is solid in the places of its objects, so that none of them is pushed at the start.
-
-    The cages are a voxel wider than what they hold, and reach that far into the surface that they touch.
-    """
-    grids = [background.sdf, *background.environment.fine_grids]
-    for asset, thing in bodies:
-        grids = [without_solid(grid, asset.sdf, thing) for grid in grids]
-    environment = replace(background.environment, fine_grids=tuple(grids[1:]))
-    return replace(background, sdf=grids[0], environment=environment)
-
-
-def without_solid(grid: DistanceGrid, body: DistanceGrid, thing: RoomObject) -> DistanceGrid:
-    """A room's distance grid less a body at its place: the maximum of the one and minus the other."""
-    turn = matrices_from_quaternions(np.array(thing.rotation))
-    corners = np.where(np.indices((2, 2, 2)).reshape(3, -1).T.astype(bool), body.upper, body.origin) @ turn.T
-    low, high = corners.min(0) + thing.position, corners.max(0) + thing.position
-    first = np.floor((low - grid.origin) / grid.spacing).astype(int).clip(0, grid.shape)
-    last = (np.ceil((high - grid.origin) / grid.spacing).astype(int) + 1).clip(0, grid.shape)
-    if (last <= first).any():
-        return grid
-    part = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
-    nodes = grid.origin + grid.spacing * (np.moveaxis(np.indices(tuple(last - first)), 0, -1) + first)
-    depth = -body.sample_extended((nodes - thing.position) @ turn)
-    values = np.array(grid.values)
-    values[part] = np.maximum(values[part], depth).astype(values.dtype)
-    return replace(grid, values=values)

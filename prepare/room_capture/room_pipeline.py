@@ -18,7 +18,8 @@ from prepare.orientation.capture_orientation import CaptureOrientation, capture_
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
 from prepare.room_capture.contributions import Contributions, WeightSums, contributions, needed, weights_in_masks
-from prepare.room_capture.objects import SOLID, Support, hollowed, object_body, object_files, support_of
+from prepare.room_capture.objects import SOLID, Support, object_body, object_files, support_of
+from prepare.room_capture.seats import seated
 from prepare.segment.mask_files import Masks
 from prepare.segment.object_ids import voted
 from prepare.train.capture import Capture
@@ -201,14 +202,14 @@ def background(
     cell: float | None = None,
     progress: Progress = no_progress,
 ) -> Asset:
-    """The environment of the room without its objects, hollow where they stand."""
+    """The environment of the room without its objects, with a seat for each."""
     near = []
     for asset, thing in things:
         x = placed_points(asset.cage.vertices, thing)
         near.append((x.min(0) - NEAR_MARGIN, x.max(0) + NEAR_MARGIN))
     extent = room_extent(room.gaussians, room.weight, room.view)
     made = captured_environment(rest, room.view, extent, near=near, cell=cell, progress=progress)
-    return hollowed(made, things)
+    return seated(made, things)
 
 
 def placed_points(points: np.ndarray, thing: RoomObject) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 import taichi as ti
 from scipy.spatial import cKDTree
 
-from core.distance_grid import DistanceGrid
+from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
 from scenes.scene import Capsule
 from sim.capacity import MAX_BODIES, Capacity, fit, stacked
@@ -100,12 +100,12 @@ def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
 def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:
     """Depth [m] of the visible surface under each point, (P,): a cage is larger than the visible surface.
 
-    The rest distance there, at most two voxels (more would be a wrong grid); 0 without a grid.
+    The rest distance there, at most SKIN_VOXELS (more would be a wrong grid); 0 without a grid.
     """
     if sdf is None:
         return np.zeros(len(points.ids))
     x = (np.asarray(vertices, np.float64)[points.ids] * points.weights[..., None]).sum(1)
-    return np.clip(sdf.sample(x), -2 * sdf.spacing, 2 * sdf.spacing)
+    return np.clip(sdf.sample(x), -SKIN_VOXELS * sdf.spacing, SKIN_VOXELS * sdf.spacing)
 
 
 def points_of(shape: "RestShape", spacing: float) -> SurfacePoints:

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from assets.asset import Asset, Cage
+from assets.environment import Environment
 from assets.gaussians import Gaussians, concatenate
 from assets.room_folder import RoomObject
+from bench.sample_meshes import box
 from commands.capture_room import capture_files, parsed_length, parsed_point
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
@@ -15,9 +18,12 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
-from prepare.room_capture.objects import liftable, object_files, support_of, without_solid
+from prepare.own_weight import bent_by_weight
+from prepare.room_capture.objects import liftable, object_files, steady, support_of
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, without_objects
+from prepare.room_capture.seats import base_of, seated, without_solid
 from prepare.room_capture.stages import Stages
+from sim.contact.contact_samples import skin_depth, surface_points
 
 
 def discs(points, sigma=0.02) -> Gaussians:
@@ -120,6 +126,59 @@ def test_a_body_leaves_its_place_free():
     free = without_solid(solid, body, thing)
     assert free.sample(np.array([[0.1, 0.0, 0.0]]))[0] == pytest.approx(0.15, abs=0.03)
     assert free.sample(np.array([[-0.3, 0.0, 0.0]]))[0] == pytest.approx(-0.2, abs=1e-3)
+
+
+LEGS = {(-0.12, -0.12): 0.0, (0.12, -0.12): 0.001, (0.12, 0.12): 0.002, (-0.12, 0.12): 0.005}  # [m] their soles
+
+
+def stool() -> Asset:
+    """A board of 0.3 m on four legs that end at different heights, in a coarse cage that is 4 cm wider."""
+    origin, h = np.array([-0.2, -0.05, -0.2]), 0.01
+    x = origin + h * np.moveaxis(np.indices((41, 41, 41)), 0, -1)
+
+    def block(low, high) -> np.ndarray:
+        return np.maximum(np.array(low) - x, x - np.array(high)).max(-1)
+
+    legs = [block((u - 0.03, y, w - 0.03), (u + 0.03, 0.3, w + 0.03)) for (u, w), y in LEGS.items()]
+    values = np.minimum.reduce([block((-0.15, 0.2, -0.15), (0.15, 0.3, 0.15)), *legs])
+    vertices, tets, surface = box((0.38, 0.38, 0.38), (4, 4, 4))
+    cage = Cage((vertices - [0.19, 0.04, 0.19]).astype(np.float32), tets, surface)
+    return Asset(discs(np.zeros((1, 3))), cage, sdf=DistanceGrid(values, origin, h), material=MATERIALS["plush"])
+
+
+def test_what_stands_is_borne_where_it_was_photographed():
+    """Under it the room has a hollow of 6 cm, and at one leg a bump that reaches into it."""
+    body, at = stool(), np.array([0.3, 0.1, -0.2])
+    thing = RoomObject("stool", "objects/stool.h5", tuple(at), (1.0, 0.0, 0.0, 0.0))
+    x = np.moveaxis(np.indices((61, 41, 61)), 0, -1) * 0.0125 + (at - [0.375, 0.3, 0.375])
+    bump = np.linalg.norm(x - (at + [0.12, -0.04, 0.12]), axis=-1) - 0.05
+    grid = DistanceGrid(np.minimum(x[..., 1] - at[1] + 0.06, bump), at - [0.375, 0.3, 0.375], 0.0125)
+    empty = Environment(0.0, (0, 0, 0), (0, 1, 1), 0.5, (("floor", 0.0, -1.0, -1.0, 1.0, 1.0),))
+    coarse = DistanceGrid(np.ones((3, 3, 3), np.float32), at - 1, 1.0)
+    room = seated(Asset(body.gaussians, sdf=coarse, environment=replace(empty, fine_grids=(grid,))), [(body, thing)])
+    points = surface_points(body.cage.vertices, body.cage.surface, 0.02)
+    own = (body.cage.vertices[points.ids] * points.weights[..., None]).sum(1)
+    skin = skin_depth(points, body.cage.vertices, body.sdf)
+    gaps = [g.sample(own + at) + skin for g in (grid, room.environment.fine_grids[0])]
+    under = [(np.abs(own[:, [0, 2]] - leg) < 0.03).all(1) & (own[:, 1] < 0.0) for leg in LEGS]
+    assert gaps[0].min() < -0.01 and sum(bool((np.abs(gaps[0][u]) < 2e-3).any()) for u in under) < 3
+    assert gaps[1].min() > -2e-3, "nothing pushes it"
+    assert all((np.abs(gaps[1][u]) < 2e-3).any() for u in under), "all its legs are borne"
+    assert (room.sdf.values == coarse.values).all(), "only the finest grid is filled"
+    assert np.abs(base_of(body).normal @ [1, 0, 0]) < 0.02
+
+
+def test_an_object_stays_as_it_was_photographed_under_its_weight():
+    """A bar of 1 m that is held at one end."""
+    vertices, tets, surface = box((1.0, 0.1, 0.1), (8, 2, 2))
+    bar, down = Cage(vertices, tets, surface), np.array([-1.0, 0.0, 0.0])
+    upright = Cage(vertices[:, [1, 0, 2]], tets[:, [0, 2, 1, 3]], surface[:, ::-1])
+    for cage, way in ((upright, down), (upright, np.array([0.0, -1.0, 0.0]))):
+        held, light = cage.vertices[:, 1] < 0.1, MATERIALS["plush"]
+        firm = steady(light, cage, way, 0.1)
+        moved = np.linalg.norm(bent_by_weight(cage.vertices, cage.tets, firm, way, held), axis=1).max()
+        assert moved < 0.0031 and (firm.young > light.young or moved < 0.0029)
+    assert steady(MATERIALS["wood"], bar, down, 0.05) == MATERIALS["wood"]
 
 
 def test_a_hand_can_lift_an_object_of_any_size():

@@ -88,6 +88,20 @@ def test_what_rests_falls_asleep_and_then_costs_and_moves_nothing(world, monkeyp
     assert_array_equal([s.centroid for s in states], [s.centroid for s in seen])
 
 
+def test_what_starts_asleep_stays_until_something_reaches_it(world):
+    """Two cubes in the air, one of which the other falls on."""
+    put(world, cube(y=0.5, asleep=True), cube(0.3, 0.5, asleep=True), cube(0.3, 0.65))
+    run(world, 0.1)
+    assert asleep(world) == [True, True, False]
+    run(world, 0.3)
+    x = world.x.to_numpy()
+    assert asleep(world) == [True, False, False]
+    assert_array_equal(x[vertices(world, 0)], world.snapshot()["bodies"][0].start[0])
+    assert x[vertices(world, 1), 1].mean() < 0.45
+    world.reset()
+    assert asleep(world) == [True, True, False]
+
+
 def settled_pile(sleep: bool) -> Solver:
     """A pile 3.5 s after its start. Its stacks would rock for half a minute: in the first second they are stopped."""
     solver = pile(sleep=sleep)

@@ -16,9 +16,9 @@ from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import MATERIALS
+from prepare.own_weight import bent_by_weight
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
-from prepare.own_weight import bent_by_weight
 from prepare.room_capture.objects import liftable, object_files, steady, support_of
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, without_objects
 from prepare.room_capture.seats import base_of, seated, without_solid

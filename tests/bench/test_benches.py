@@ -61,8 +61,8 @@ def test_a_proportional_curve_is_a_straight_line_on_logarithmic_axes():
 @pytest.mark.parametrize(
     ("content", "words", "what"),
     [
-        (None, [], "rows.json: cannot be read"),
-        ("\xff", [], "rows.json: not JSON"),
+        (None, [], "rows.json: no such file"),
+        ("\xff", [], "rows.json: not a JSON file"),
         ('[{"bench": "render"}]', [], "rows.json: holds no rows of bench scaling"),
         (rows("x", float("nan")), [], "rows.json: holds no rows of bench scaling"),
         (rows("x", 1.0), ["--plot", "plot.png"], "plot.png: the plot's name must end in .svg"),

@@ -21,6 +21,7 @@ EMPTY_SHARE = 0.25  # of the views that look there and see through: fewer graze 
 COVERED_SHARE = 0.3  # of the views that look there: else something else hides it
 LEAK, RIM = 2, 6  # texels
 SLIVER = 2  # texels: half the width of what is no end of the surface but a dent at the object's foot
+ROW = 1024  # places sampled in a row
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
 SURE = 0.5  # share of the views behind the object that must show no surface, where photographs do not tell
 
@@ -50,10 +51,13 @@ class SurfaceTexture:
         return self.corner + self.texel * (np.stack([x, y], axis=-1) + 0.5)
 
     def sample(self, values: np.ndarray, places: np.ndarray, *, linear: bool = True) -> np.ndarray:
-        """Values (H, W, ...) of texels at places (h, w, 2) [m], 0 outside."""
-        at = ((places - self.corner) / self.texel - 0.5).astype(np.float32)
+        """Values (H, W, ...) of texels at places (..., 2) [m], 0 outside."""
+        at = ((places - self.corner) / self.texel - 0.5).astype(np.float32).reshape(-1, 2)
+        rows = np.full((-(-len(at) // ROW), ROW, 2), -2.0, np.float32)  # cv2.remap takes no row of 32,768 and more
+        rows.reshape(-1, 2)[: len(at)] = at
         flag = cv2.INTER_LINEAR if linear else cv2.INTER_NEAREST
-        return cv2.remap(values, at[..., 0], at[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
+        found = cv2.remap(values, rows[..., 0], rows[..., 1], flag, borderMode=cv2.BORDER_CONSTANT)
+        return found.reshape(-1, *values.shape[2:])[: len(at)].reshape(*places.shape[:-1], *values.shape[2:])
 
     @cached_property
     def relief(self) -> np.ndarray:

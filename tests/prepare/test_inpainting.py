@@ -19,7 +19,7 @@ from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, pai
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import support_surfaces
-from prepare.inpaint.surface_texture import texture_of
+from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import no_progress
 from prepare.train.photographs import Photograph
 from tests.support.onnx_network import Network
@@ -84,6 +84,15 @@ def write_lama(path, color=(0.2, 0.4, 0.6), *, levels: float = 255.0, image: str
     filled = network.node("Add", image, painted)
     output = network.node("Mul", filled, network.constant("levels", np.full((1, 1, 1, 1), levels)))
     network.write(path, output, (1, 3, 512, 512))
+
+
+def test_a_texture_is_sampled_at_any_number_of_places():
+    values = np.arange(12, dtype=np.float32).reshape(3, 4)
+    texture = SurfaceTexture(None, np.zeros(2), 0.5, None, values > 0, values > 0)
+    at = np.array([[0.25, 0.25], [1.75, 1.25], [0.5, 0.25], [9.0, 0.0]])
+    many = np.tile(at, (10_000, 1))  # cv2.remap takes rows of less than 32,768
+    assert_array_equal(texture.sample(values, many)[-4:], [0.0, 11.0, 0.5, 0.0])
+    assert texture.sample(np.dstack([values] * 3), at[None]).shape == (1, 4, 3)
 
 
 def test_only_what_no_camera_saw_is_a_hole(closed):

@@ -26,10 +26,10 @@ from prepare.segment.mask_files import photograph_size
 from prepare.segment.object_ids import masks_of
 from prepare.train.capture import read_capture
 
-HELP = "make a room to play in of photographs: its objects can be grabbed, and what they hid is filled in"
+HELP = "turn photographs into a room to play in: its objects can be grabbed, and what they hid is filled in"
 EXAMPLES = (
     "capture bear/ --marks marks.json --out bear_room/          then: python vrgs.py --scene bear_room/",
-    "capture kitchen.mp4 --no-objects --out kitchen/            the room alone; needs pycolmap",
+    "capture kitchen.mp4 --no-objects --out kitchen/            only the room; needs pycolmap",
     "capture toys/ --masks toys/masks --out room/ --steps 2000 --reduce 2",
     "capture bear/ --marks m.json --out r/ --scale-points frame_00001.jpg:210,380 frame_00001.jpg:310,385 0.46",
 )
@@ -46,32 +46,32 @@ CONDITIONS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "folder with transforms.json or a COLMAP model, a transforms.json, photographs alone, or a video"
+    text = "folder with transforms.json or a COLMAP model, a transforms.json, folder of photographs, or a video"
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
-    parser.add_argument("--out", type=Path, required=True, metavar="ROOM/", help="folder; a cut run goes on there")
-    which = parser.add_mutually_exclusive_group()
-    text = (
-        "marks of the objects in some photographs (default: CAPTURE/marks.json or CAPTURE/masks, or asks in a window)"
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="ROOM/", help="folder of the room; an interrupted run resumes there"
     )
+    which = parser.add_mutually_exclusive_group()
+    text = "marks of objects in some photographs (default: CAPTURE/marks.json, else CAPTURE/masks, else a window opens)"
     which.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
-    text = "folder of masks, one colour an object"
+    text = "folder of masks, one colour per object"
     which.add_argument("--masks", type=Path, metavar="FOLDER", help=text)
-    which.add_argument("--no-objects", action="store_true", help="just the room; nothing in it can be grabbed")
+    which.add_argument("--no-objects", action="store_true", help="only the room; nothing in it can be grabbed")
     text = (
-        "two points, each PHOTOGRAPH:x,y [px] or x,y,z of the capture, and the metres between them (default: guessed)"
+        "two points, each PHOTOGRAPH:x,y [px] or x,y,z in the capture, and their distance [m] (default: guessed scale)"
     )
     parser.add_argument("--scale-points", nargs=3, metavar=("A", "B", "M"), help=text)
     text = f"steps of the training (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU)"
     parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
-    text = "divide the photographs' sides by N"
+    text = "divide width and height of the photographs by N"
     parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
-    text = f"most Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
+    text = f"upper limit of Gaussians (default {train.CAPS['cuda']:,} on a GPU, {train.CAPS['cpu']:,} on a CPU)"
     parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
     text = "vertices of each object's cage (default: as suits the device)"
     parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
-    text = "of all objects (default: plush, light enough for a hand; see: vrgs.py materials)"
+    text = "material of all objects (default: plush, light enough to lift; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
-    text = "a LaMa network that paints what objects hid (default: from what is around them)"
+    text = "LaMa network that fills the holes behind objects (default: patch synthesis)"
     parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
     text = "spacing of the room's distance grid (default: by size)"
     parser.add_argument("--cell", type=positive(float), metavar="M", help=text)
@@ -356,7 +356,7 @@ def check_can_ask() -> None:
 
     if has_display():
         return
-    raise BadInput("which objects? --marks MARKS.json or --masks FOLDER says it; --no-objects makes just the room")
+    raise BadInput("no marked objects: give --marks MARKS.json or --masks FOLDER, or --no-objects for only the room")
 
 
 def capture_files(path: Path) -> list:

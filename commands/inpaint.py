@@ -17,12 +17,12 @@ from commands.options import SPLATS, add_arch, positive
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-HELP = "take an object out of a splat, and make up what no camera saw behind it"
+HELP = "remove an object from a splat, and fill the hole that it leaves"
 EXAMPLES = (
     "inpaint room.ply --remove bear --capture room/ --out empty.ply",
     "inpaint room.ply --remove 1 2 --out empty.ply             without photographs",
     "inpaint background.ply --objects bear.ply --out empty.ply --report empty.json",
-    "inpaint room.ply --remove bear --capture room/ --model lama.onnx --out empty.ply",
+    "inpaint room.ply --remove bear --capture room/ --lama lama.onnx --out empty.ply",
 )
 CONDITIONS = (
     Condition(("--truth",), lambda args: args.capture and args.report, "belongs to --capture and --report"),
@@ -33,26 +33,32 @@ FIGURES = 4  # views in the report
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = f"{SPLATS} or .h5; with --remove a .ply or .h5 with objects"
+    text = f"{SPLATS} or .h5; for --remove a .ply or .h5 that knows its objects"
     parser.add_argument("scene", type=Path, metavar="SCENE", help=text)
     which = parser.add_mutually_exclusive_group(required=True)
-    text = "names or numbers of objects in SCENE that are taken out"
+    text = "names or ids of the objects to remove from SCENE"
     which.add_argument("--remove", nargs="+", metavar="OBJECT", help=text)
-    text = "splats of objects that SCENE does not hold any more, as `train --split` writes them"
+    text = "splats of objects that SCENE no longer contains, as `train --split` writes them"
     which.add_argument("--objects", nargs="+", type=Path, metavar="FILE", help=text)
     parser.add_argument("--out", type=Path, required=True, metavar="OUT", help="OUT.ply, .spz, .splat, .compressed.ply")
     text = (
-        "the photographs of SCENE as `train` took them: what none of them saw is made up; without them, what is empty"
+        "the capture that SCENE was trained on: what no photograph shows is filled; default: what is empty under OBJECT"
     )
     parser.add_argument("--capture", type=Path, metavar="CAPTURE", help=text)
-    text = "LaMa network: inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512), 0..1; default: patches of the rest"
-    parser.add_argument("--model", type=Path, metavar="FILE.onnx", help=text)
-    parser.add_argument("--steps", type=positive(int), metavar="N", help="training of the patch (default 200)")
-    text = "numbers as JSON, and beside it a page and a picture, before and after"
+    text = (
+        "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)"
+    )
+    parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
+    parser.add_argument(
+        "--steps", type=positive(int), metavar="N", help="training steps of the new Gaussians (default 200)"
+    )
+    text = "write the results as JSON, and a page and a picture (before, after) beside it"
     parser.add_argument("--report", type=Path, metavar="R.json", help=text)
-    text = "photographs without the object, named as those of the capture: the report compares with them"
+    text = "photographs without the object, named as in the capture, for the PSNR in the report"
     parser.add_argument("--truth", type=Path, metavar="FOLDER", help=text)
-    parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help="divide the truth's sides by N")
+    parser.add_argument(
+        "--reduce", type=positive(int), default=1, metavar="N", help="divide width and height of the truth by N"
+    )
     add_arch(parser)
 
 
@@ -68,7 +74,7 @@ def run(args: argparse.Namespace) -> None:
     kind_to_write(args.out)
     for file in filter(None, (args.out, args.report)):
         check_writable(file)
-    painter = LamaNetwork(args.model) if args.model else paint_from_patches
+    painter = LamaNetwork(args.lama) if args.lama else paint_from_patches
     cameras, truths = _cameras(args)
     background, objects = _parts(args, read_gaussians)
     start_taichi(args.arch)
@@ -86,8 +92,8 @@ def run(args: argparse.Namespace) -> None:
         finally:
             progress.close()
         patch = len(after) - len(hole.background)
-        line = f"{name}: {len(removed)} Gaussians taken out"
-        line += f", {patch} new ones over {hole.area:.3g} m^2 that no camera saw" if patch else "; nothing was unseen"
+        line = f"{name}: {len(removed)} Gaussians removed"
+        line += f", {patch} added over {hole.area:.3g} m^2 that no camera saw" if patch else "; no hole was left"
         print(line)
         if args.report:
             reports.append(_measured(name, removed, hole, textures, background, after, truths, painter, options))
@@ -141,8 +147,8 @@ def object_number(scene, name: str, path: Path) -> int:
         if name in (known, str(k)):
             return k
     if not there:
-        raise BadInput(f"{path}: holds no objects; train with masks or cut one out first, or give --objects")
-    raise BadInput(f"{path}: holds no object {name}; there are {', '.join(names.values())}")
+        raise BadInput(f"{path}: holds no objects; use train --masks or segment first, or give --objects")
+    raise BadInput(f"{path}: holds no object {name}, only {', '.join(names.values())}")
 
 
 def _measured(name, removed, hole, textures, before, after, truths, painter, options) -> dict:

@@ -32,7 +32,7 @@ CONDITIONS = (
     Condition(
         ("--splats", "--model", "--reduce", "--overlay", "--compare"),
         lambda args: not is_splats(args.capture),
-        "belongs to a capture: a splat is cut by itself",
+        "is for a capture, not for a splat",
     ),
 )
 WINDOW_SIZE = (960, 600)  # in screen coordinates
@@ -41,24 +41,24 @@ LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file of any kind"
+    text = "folder with transforms.json or a COLMAP model, or a transforms.json; or a splat file in any format"
     parser.add_argument("capture", type=Path, metavar="CAPTURE|SPLATS", help=text)
-    text = (
-        "strokes and boxes in one or more pictures (docs/your_own.md); two strokes an object are enough. Without it a "
-    )
-    text += "window opens to make them; they are kept in CAPTURE/marks.json, or in OUT/marks.json of a splat"
+    text = "strokes and boxes in one or more pictures (docs/your_own.md), about two strokes per object. By default a "
+    text += "window opens to draw them; they are saved in CAPTURE/marks.json, for a splat in FOLDER/marks.json"
     parser.add_argument("--marks", type=Path, metavar="MARKS.json", help=text)
-    text = "folder of masks, one PNG a photograph; of a splat: a splat an object, background.ply, scene.ply with ids"
+    text = (
+        "output: a mask for each photograph; for a splat, one splat per object, background.ply, and scene.ply with ids"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER", help=text)
-    text = "splat trained on the capture (vrgs.py train), whose depths carry the marks (default: the sparse points)"
+    text = "splat trained on the capture (vrgs.py train), whose depth carries the marks (default: the sparse points)"
     parser.add_argument("--splats", type=Path, metavar="SPLATS", help=text)
-    text = "network of yours that draws the borders instead of GrabCut (docs/your_own.md)"
+    text = "network of yours that refines the borders instead of GrabCut (docs/your_own.md)"
     parser.add_argument("--model", type=Path, metavar="FILE.onnx", help=text)
-    text = "divide the photographs' sides by N while looking for objects"
+    text = "work on photographs whose width and height are divided by N"
     parser.add_argument("--reduce", type=positive(int), default=1, metavar="N", help=text)
-    text = "sheet of all photographs with the masks drawn over them: .png or .html"
+    text = "write all photographs with the masks drawn over them: .png or .html"
     parser.add_argument("--overlay", type=Path, metavar="SHEET", help=text)
-    text = "folder of true masks: prints how far the found ones overlap them (intersection over union)"
+    text = "folder of true masks: print the overlap with them (intersection over union, IoU)"
     parser.add_argument("--compare", type=Path, metavar="MASKS", help=text)
     add_arch(parser)
 
@@ -117,7 +117,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         splats = read_gaussians(args.splats)
         start_taichi(args.arch)
     elif not len(capture.points):
-        raise BadInput(f"{args.capture}: has no points; train it first and give the splat with --splats")
+        raise BadInput(f"{args.capture}: has no sparse points; train on it first, then give the splat with --splats")
     start, progress = time.perf_counter(), TimeLeft()
     photographs = []
     for k, view in enumerate(capture.views):
@@ -130,7 +130,7 @@ def segment_capture(args: argparse.Namespace) -> None:
     write_masks(args.out, capture.views, masks)
     if args.overlay is not None:
         write_sheet(args.overlay, capture.views, masks)
-        print(f"{args.overlay}: the masks over the photographs")
+        print(f"{args.overlay}: photographs with their masks")
     for name, overlap in overlap_of(masks, truth).items() if truth else ():
         print(f"{name}: IoU {overlap:.3f}")
     for name in masks.names:
@@ -138,14 +138,14 @@ def segment_capture(args: argparse.Namespace) -> None:
         seen = sum(bool((ids == label).any()) for ids in masks.ids)
         print(f"{name}: in {seen} of {len(masks.ids)} photographs, {masks.pixels(name):,} pixels")
         if seen < 0.3 * len(masks.ids):
-            print(f"{name}: seldom found; look at --overlay, and mark it in one more photograph", file=sys.stderr)
+            print(f"{name}: found in few photographs; check with --overlay, mark it in one more", file=sys.stderr)
     print(f"{args.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
 
 
 def marked_photographs(capture, sizes: dict[str, tuple[int, int]]):
-    """Marks that the user makes in a window, going on from those beside the capture; they are kept there.
+    """Marks drawn in a window, starting from CAPTURE/marks.json if it exists, and saved there.
 
-    Raises BadInput without a display, Cancelled if they are not wanted.
+    Raises BadInput without a display, Cancelled if the user leaves without saving.
     """
     from commands.marking import PhotographSubject, check_window, edit_of, marks_of_state
     from display.mark.mark_window import marked_in_window
@@ -158,7 +158,7 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]]):
     subject, edit = PhotographSubject(capture.views), edit_of(before, {})
     marks = marks_of_state(marked_in_window(subject, edit, f"Mark {capture.folder.name}", WINDOW_SIZE))
     write_marks(path, marks)
-    print(f"{path}: the marks", file=sys.stderr)
+    print(f"{path}: marks saved", file=sys.stderr)
     return marks
 
 
@@ -180,7 +180,7 @@ def write_sheet(path: Path, views: list, masks) -> None:
 
 
 class TimeLeft:
-    """Prints how far a step is and how long it will still take."""
+    """Prints the progress of a step and the time left."""
 
     def __init__(self) -> None:
         self._step, self._begin, self._told = None, 0.0, 0.0

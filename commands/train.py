@@ -19,14 +19,14 @@ from core.runtime import is_out_of_memory, start_taichi
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 from render import SORTS
 
-HELP = "make Gaussians of photographs or a video"
+HELP = "train Gaussians on photographs or a video"
 EXAMPLES = (
     "train fox/ --out fox.ply",
     "train fox/ --out fox.ply --steps 7000 --report fox.json",
     "train COLMAP_FOLDER --out room.spz --strategy mcmc --cap 500000",
     "train fox/ --out small.ply --steps 2000 --reduce 4        on a laptop",
     "train walk.mp4 --out garden.ply                           needs pycolmap",
-    "train room/ --out room.ply --masks room/masks --split     one splat an object, too",
+    "train room/ --out room.ply --masks room/masks --split     also a splat for each object",
 )
 CONDITIONS = (
     Condition(("--fresh",), lambda args: args.checkpoint_every > 0, "belongs to --checkpoint-every N"),
@@ -39,47 +39,45 @@ PREVIEW_SECONDS = 0.2  # [s] of training between two pictures
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = "folder with transforms.json (nerfstudio, instant-ngp), or a COLMAP model, or photographs alone; or a video"
+    text = "folder with transforms.json (nerfstudio, instant-ngp) or a COLMAP model, folder of photographs, or a video"
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help=text)
     parser.add_argument(
         "--out", type=Path, required=True, metavar="OUT", help="OUT.ply, OUT.spz, OUT.splat or OUT.compressed.ply"
     )
     text = (
-        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; with --fast a third)"
+        f"steps, one photograph each (default {STEPS['cuda']} on a GPU, {STEPS['cpu']} on a CPU; a third with --fast)"
     )
     parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
-    text = "the quality of all steps in a third of the time, nearly: fewer steps, at first on smaller pictures"
+    text = "about the same quality in a third of the time or less: fewer steps, the first ones on smaller pictures"
     parser.add_argument("--fast", action="store_true", help=text)
-    text = "default: grows where detail is missing; mcmc: fills the budget of --cap"
+    text = "default: adds Gaussians where detail is missing; mcmc: always uses the whole budget of --cap"
     parser.add_argument("--strategy", choices=("default", "mcmc"), default="default", help=text)
-    text = f"most Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
+    text = f"upper limit of Gaussians (default {CAPS['cuda']:,} on a GPU, {CAPS['cpu']:,} on a CPU)"
     parser.add_argument("--cap", type=positive(int), metavar="N", help=text)
-    text = "degree of the harmonics, 0 to 3 (default 3)"
+    text = "degree of the spherical harmonics, 0 to 3 (default 3)"
     parser.add_argument("--degree", type=int, choices=range(4), default=3, metavar="D", help=text)
-    parser.add_argument(
-        "--antialias", action="store_true", help="opacities for drawing with anti-aliasing (Mip-Splatting)"
-    )
-    text = "learn each photograph's exposure and colour balance as well, for captures with automatic exposure"
+    parser.add_argument("--antialias", action="store_true", help="train for anti-aliased rendering (Mip-Splatting)")
+    text = "also estimate the exposure and colour balance of each photograph, for captures with automatic exposure"
     parser.add_argument("--exposure", action="store_true", help=text)
-    text = "correct the poses as well, by fractions of a degree"
+    text = "also correct the poses, by fractions of a degree"
     parser.add_argument("--refine-poses", action="store_true", help=text)
     text = "order of blending that is trained for (default radial; pixel: along each pixel's ray, trains slower)"
     parser.add_argument("--sort", choices=SORTS, default="radial", help=text)
     parser.add_argument(
-        "--reduce", type=positive(int), default=1, metavar="N", help="divide the photographs' sides by N"
+        "--reduce", type=positive(int), default=1, metavar="N", help="divide width and height of the photographs by N"
     )
-    text = "masks of objects, one colour each, from which each Gaussian learns its own; none: without"
-    parser.add_argument("--masks", type=Path, metavar="FOLDER", help=f"{text} (default masks/ in CAPTURE)")
-    text = "write the splat of each object and of the background beside OUT, too"
+    text = "object masks, one colour per object, from which each Gaussian learns its object; none: ignore them"
+    parser.add_argument("--masks", type=Path, metavar="FOLDER", help=f"{text} (default: CAPTURE/masks)")
+    text = "also write a splat of each object and of the background, beside OUT"
     parser.add_argument("--split", action="store_true", help=text)
-    text = "keep every Nth photograph for the test; 0: none (default 8)"
+    text = "hold out every Nth photograph for testing; 0: none (default 8)"
     parser.add_argument("--test-every", type=int, default=8, metavar="N", help=text)
-    text = "numbers as JSON, and beside it a page with pictures"
+    text = "write the results as JSON, and a page with pictures beside it"
     parser.add_argument("--report", type=Path, metavar="R.json", help=text)
-    text = "steps between two checkpoints, from which a cut training goes on; 0: none (default 1000)"
+    text = "steps between checkpoints, from which an interrupted training resumes; 0: none (default 1000)"
     parser.add_argument("--checkpoint-every", type=int, default=1000, metavar="N", help=text)
-    parser.add_argument("--fresh", action="store_true", help="start anew where a checkpoint was left")
-    parser.add_argument("--preview", action="store_true", help="show the Gaussians in a window while they are trained")
+    parser.add_argument("--fresh", action="store_true", help="ignore a checkpoint and start over")
+    parser.add_argument("--preview", action="store_true", help="show the Gaussians in a window during training")
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all random numbers (default 0)")
     add_arch(parser)
 
@@ -112,7 +110,7 @@ def run(args: argparse.Namespace) -> None:
     start_taichi(args.arch)
     print(_photographs(train), file=sys.stderr)
     if args.test_every and not test:
-        print(f"none is kept for the test: fewer than {args.test_every} (--test-every)", file=sys.stderr)
+        print(f"none is held out for testing: fewer than {args.test_every} (--test-every)", file=sys.stderr)
     with _lowering(train, args):
         trainer, about, progress = _trained(args, capture, train, masks.names if masks else [])
     seconds = progress.seconds
@@ -126,7 +124,7 @@ def run(args: argparse.Namespace) -> None:
     if qualities:
         mean = {name: float(np.mean([asdict(q)[name] for q in qualities])) for name in asdict(qualities[0])}
         numbers["test"] = mean
-        line += f"; {len(test)} unseen photographs: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.3f}"
+        line += f"; {len(test)} held-out photographs: PSNR {mean['psnr']:.2f} dB, SSIM {mean['ssim']:.3f}"
     print(line)
     if masks:
         numbers["objects"] = _objects(args, trainer, test, gaussians)
@@ -142,7 +140,7 @@ def _trained(args: argparse.Namespace, capture, train: list, objects: list[str])
         from prepare.train.checkpoint import read_checkpoint
 
         trainer.restore(read_checkpoint(kept, about, len(train)))
-        print(f"going on from step {trainer.done} ({kept}; --fresh starts anew)", file=sys.stderr)
+        print(f"resuming from step {trainer.done} ({kept}; --fresh starts over)", file=sys.stderr)
     progress = _Progress(trainer, kept if args.checkpoint_every else None, args.checkpoint_every, about)
     if args.preview:
         _preview(args, capture, trainer, progress)
@@ -152,7 +150,7 @@ def _trained(args: argparse.Namespace, capture, train: list, objects: list[str])
 
 
 def _checkpoint(args: argparse.Namespace) -> Path:
-    """The file that keeps a cut training."""
+    """Path of the checkpoint from which an interrupted training resumes."""
     return args.out.with_name(f"{args.out.name}.checkpoint.h5")
 
 
@@ -185,7 +183,7 @@ def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
         line = f"{name}: {number['gaussians']} Gaussians"
         if name in ious:
             number["iou"] = ious[name]
-            line += f", IoU {ious[name]:.3f} with the masks of unseen photographs"
+            line += f", IoU {ious[name]:.3f} with the masks of held-out photographs"
         print(line)
     if args.split:
         parts = split(gaussians)
@@ -224,7 +222,7 @@ def posed_capture(args: argparse.Namespace):
     if video and not images.is_dir():
         print(f"{sharpest_frames(path, images)} sharp frames of {path}", file=sys.stderr)
     if model.is_dir():
-        print(f"poses of an earlier run ({beside})", file=sys.stderr)
+        print(f"using the poses of an earlier run ({beside})", file=sys.stderr)
     else:
         find_poses(images, model, names=photographs_in(images), in_order=video, progress=_say)
     return checked(read_colmap(model, images))
@@ -250,20 +248,20 @@ def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str])
     count = first_count(capture, cap)
     start = seeds(capture, degree=args.degree, count=count, rng=np.random.default_rng(args.seed))
     if len(capture.points) == 0:
-        print(f"the capture has no points: {len(start)} Gaussians at random to begin with", file=sys.stderr)
+        print(f"the capture has no points: starting with {len(start)} random Gaussians", file=sys.stderr)
     return Trainer(train, start, capture.extent, options, objects), about
 
 
 @contextlib.contextmanager
 def _lowering(train: list, args: argparse.Namespace):
-    """Say what to lower if memory runs out inside. Raises BadInput."""
+    """If memory runs out inside, raise BadInput that says which options to lower."""
     try:
         yield
     except (MemoryError, RuntimeError) as e:
         if not is_out_of_memory(e):
             raise
-        text = f"not enough memory: {_photographs(train)}; --reduce {2 * args.reduce} leaves a quarter of that,"
-        raise BadInput(f"{text} and a smaller --cap fewer Gaussians") from e
+        text = f"not enough memory: {_photographs(train)}; --reduce {2 * args.reduce} takes a quarter of that,"
+        raise BadInput(f"{text} and a smaller --cap limits the Gaussians") from e
 
 
 def _photographs(photographs: list) -> str:
@@ -272,7 +270,7 @@ def _photographs(photographs: list) -> str:
     total = sum(4 * p.camera.width * p.camera.height for p in photographs)
     size = "{}x{}".format(*max(sizes, key=lambda s: s[0] * s[1]))
     shape = size if len(sizes) == 1 else f"{len(sizes)} sizes up to {size}"
-    return f"{len(photographs)} photographs of {shape} take {total / 1e6:.3g} MB of the device's memory"
+    return f"{len(photographs)} photographs of {shape} take {total / 1e6:.3g} MB of device memory"
 
 
 class _Progress:
@@ -304,7 +302,9 @@ class _Progress:
             self.curve.append({"step": trainer.done, "loss": loss, "psnr": q.psnr, "gaussians": n})
             text = f"step {trainer.done}/{steps}  loss {loss:.4f}  PSNR {q.psnr:.2f} dB  {n} Gaussians"
             left = (
-                f"{(steps - trainer.done) / rate:.0f} s left" if steps_since else "the first step compiled the kernels"
+                f"{(steps - trainer.done) / rate:.0f} s left"
+                if steps_since
+                else "the first step includes compiling the kernels"
             )
             self.text = f"{text}  {rate:.1f} steps/s  {left}"
             _tell(self.text, end=trainer.done == steps)
@@ -341,7 +341,7 @@ def _preview(args: argparse.Namespace, capture, trainer, progress: _Progress) ->
             window.present(viewer)
             if trainer.done >= trainer.options.steps:
                 return
-    print("the window is closed; the training goes on", file=sys.stderr)
+    print("the window was closed; training continues", file=sys.stderr)
 
 
 def _tell(text: str, *, end: bool) -> None:

@@ -41,7 +41,7 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
             for name, n in numbers["objects"].items()
         ]
         table = Table(("object", "Gaussians", "IoU"), rows)
-        text = "Intersection over union of masks and what the Gaussians show, over all unseen photographs."
+        text = "Intersection over union of masks and what the Gaussians show, over all held-out photographs."
         sections.append(Section("Objects", text, table=table))
     text = f"{numbers['gaussians']} Gaussians from {numbers['views']} photographs. {said}"
     page = html_page("Training", text, sections)
@@ -63,4 +63,4 @@ def _perceptual(numbers: dict, trainer, test: list) -> str:
         drawn = np.where(photograph.mask[..., None], trainer.picture(photograph.camera), photograph.pixels)
         found.append(distance(drawn, photograph.pixels))
     numbers["test"]["lpips"] = float(np.mean(found))
-    return f"LPIPS of unseen photographs: {numbers['test']['lpips']:.3f}."
+    return f"LPIPS of held-out photographs: {numbers['test']['lpips']:.3f}."

@@ -20,7 +20,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
     " --masks --split --checkpoint-every --preview --seed --fast --exposure --refine-poses",
     "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
-    "inpaint": "--help --remove --objects --out --capture --model --steps --report --truth --reduce --arch",
+    "inpaint": "--help --remove --objects --out --capture --lama --steps --report --truth --reduce --arch",
     "segment": "--help --splats --marks --out --model --reduce --overlay --compare",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",
@@ -87,7 +87,7 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("bench train --from r.json", "--from belongs to bench scaling and train --orders"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
     ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
-    ("segment a.ply --marks m.json --out m --reduce 2", "--reduce belongs to a capture"),
+    ("segment a.ply --marks m.json --out m --reduce 2", "--reduce is for a capture"),
     ("build --force", "--force belongs to --detail paper"),
     *(
         (f"build {o}", "belongs to --capture")

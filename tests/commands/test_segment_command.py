@@ -44,7 +44,7 @@ def test_masks_and_a_sheet_are_written(tmp_path, folder, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--marks {c}/none.json --out {t}/m", "cannot be read"),
+        ("--marks {c}/none.json --out {t}/m", "no such file"),
         ("--marks {c}/marks.json --out {c}/images/00.png", "is a file, not a folder"),
         ("--marks {c}/marks.json --out {c}", "which is no mask; choose an empty"),
         ("--marks {c}/marks.json --out {t}/m --overlay {t}/sheet.gif", "must end in .png or .html"),

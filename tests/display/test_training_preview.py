@@ -1,4 +1,4 @@
-"""The window of a training: it shows what is learned, and when it is closed the training goes on."""
+"""The window of a training: it shows what is learned, and when it is closed the training continues."""
 
 import subprocess
 import sys
@@ -36,4 +36,4 @@ def test_a_training_is_watched_and_outlives_its_window(tmp_path):
         screen.close_window(window)
         said += program.stderr.read()
         assert program.wait(120) == 0 and out.is_file()
-    assert "the window is closed; the training goes on" in said and "step 800/800" in said
+    assert "the window was closed; training continues" in said and "step 800/800" in said

@@ -251,10 +251,10 @@ def write_scene(folder):
 def test_the_command_refuses_what_is_not_there(tmp_path, capsys):
     line, _ = write_scene(tmp_path)
     for words, says in (
-        (["--remove", "cup"], "holds no object cup; there are ball"),
+        (["--remove", "cup"], "holds no object cup, only ball"),
         (["--objects", str(tmp_path / "none.ply")], "no such file"),
         (["--remove", "ball", "--truth", str(tmp_path)], "belongs to --capture and --report"),
-        (["--remove", "ball", "--model", str(tmp_path / "x.onnx")], "no such file"),
+        (["--remove", "ball", "--lama", str(tmp_path / "x.onnx")], "no such file"),
         ([], "--remove --objects is required"),
     ):
         assert main([*line, *words]) == 2
@@ -275,7 +275,7 @@ def test_the_command_writes_the_scene_and_a_report(closed, views, tmp_path, caps
 
 
 def check_written(folder, report, capsys, kept: int):
-    assert "ball: 500 Gaussians taken out" in capsys.readouterr().out
+    assert "ball: 500 Gaussians removed" in capsys.readouterr().out
     numbers = json.loads(report.read_text())["objects"][0]
     assert len(read_gaussians(folder / "empty.ply")) == kept + numbers["new"] and numbers["new"] > 20
     assert report.with_suffix(".png").is_file() and "before, after" in report.with_suffix(".html").read_text()

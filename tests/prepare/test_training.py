@@ -195,7 +195,7 @@ def test_the_command_trains_reports_and_goes_on(ti_cpu, tmp_path, capsys):
     line = ["train", str(folder), "--out", str(out), "--cap", str(CAP), "--degree", "1", "--arch", "cpu"]
     assert main([*line, "--steps", "60", "--checkpoint-every", "50", "--report", str(report)]) == 0
     said = capsys.readouterr()
-    assert "2 unseen photographs: PSNR" in said.out and "step 60/60" in said.err and "steps/s" in said.err
+    assert "2 held-out photographs: PSNR" in said.out and "step 60/60" in said.err and "steps/s" in said.err
     numbers = json.loads(report.read_text())
     assert numbers["steps"] == 60 and numbers["test"]["psnr"] > 14.0 and numbers["views"] == 10
     page = report.with_suffix(".html").read_text()

@@ -1,1 +1,1 @@
-"""Inpainting: what an object hid is made up where no camera saw it."""
+"""Inpainting: fills what an object hid where no camera saw it."""

@@ -15,16 +15,16 @@ from prepare.progress import Progress
 from prepare.train.densification import logit
 from prepare.train.photographs import Photograph
 
-SEEDS = (400, 20_000)  # least and most of a surface
+SEEDS = (400, 20_000)  # least and most new Gaussians of a surface
 OPACITY = 0.95
-WIDTH, THICKNESS = 0.6, 0.1  # spacings: standard deviations along the surface and across
-RIM = 8  # [px] around the hole in which a patch must not show
-VIEWS_MAX = 16  # that are trained for
-HOLE_PIXELS = 20  # of a view that is trained for, at least
+WIDTH, THICKNESS = 0.6, 0.1  # standard deviations along the surface and across it, in spacings
+RIM = 8  # [px] around the hole in which the patch must not change the picture
+VIEWS_MAX = 16  # views used in training
+HOLE_PIXELS = 20  # a view that shows fewer is not used
 
 
 def seed_patch(texture: SurfaceTexture, background: Gaussians, degree: int) -> Gaussians:
-    """Gaussians over the hole of a surface in its colours, as close as those of the background on the known part."""
+    """Gaussians over the hole of a surface in its colours, spaced like the background's on its known part."""
     spacing = _spacing(texture, background)
     extent = texture.texel * np.array(texture.hole.shape[::-1])
     steps = np.floor(extent / spacing).astype(int)
@@ -52,7 +52,7 @@ def _spacing(texture: SurfaceTexture, background: Gaussians) -> float:
 
 
 def target(view: HoleView, textures: list[SurfaceTexture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A view as it shall be: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
+    """Training target of a view: colour (H, W, 3), the hole's pixels and those that count, (H, W) bool."""
     c = view.camera
     y, x = np.mgrid[: c.height, : c.width]
     rays = np.stack([(x + 0.5 - c.cx) / c.fx, (y + 0.5 - c.cy) / c.fy, np.ones(x.shape)], axis=-1)

@@ -15,7 +15,7 @@ from prepare.inpaint.inpaint_pipeline import Hole
 from prepare.inpaint.surface_texture import GRAZING, SurfaceTexture, projected
 from prepare.train.photographs import Photograph
 
-PSNR_MAX = 99.0  # [dB] of equal pictures
+PSNR_MAX = 99.0  # [dB] reported for equal pictures
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,8 @@ def uncovered_psnr(views: list[Comparison]) -> dict[str, dict[str, float]]:
 
 
 def inconsistency(views: list[Comparison], textures: list[SurfaceTexture], pictures: Sequence[np.ndarray]) -> float:
-    """Standard deviation over views, in 8-bit levels, of the colour that pictures show at a place of the hole; the mean
-    over places that two views or more show."""
+    """Standard deviation between views of the colour that pictures show at a place of the hole, in 8-bit levels; the
+    mean over places that at least two views show."""
     deviations = []
     for texture in textures:
         places = texture.places()[texture.hole]

@@ -12,23 +12,23 @@ from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from prepare.progress import Progress
 
-REACH = 2.2  # of the object's radius: what is looked at around its middle
-SIDE = 400  # [px] at most of a view, the longer one
-SIDE_MIN = 12  # [px] a view that shows less of the surroundings is left out
-WIDE = 1.4  # [rad] off the axis: no picture is wider
-SOLID = 0.5  # opacity of a surface
-TRACE = 0.05  # opacity of the object from which it colours a pixel
+REACH = 2.2  # radius of the surroundings that are processed, in radii of the object
+SIDE = 400  # [px] longer side of a view at most
+SIDE_MIN = 12  # [px] a view that shows less of the surroundings is not used
+WIDE = 1.4  # [rad] off the optical axis; points farther out are outside any picture
+SOLID = 0.5  # opacity from which a pixel shows a surface
+TRACE = 0.05  # opacity of the object from which it tints a pixel
 
-INSIDE = 1.5  # radii from the object's middle
-OUTSIDE_SHARE = 0.1  # of what a Gaussian shows: it may spread over the silhouette's border
-SILHOUETTE_MARGIN = 1  # [px]
-REMAP_MAX = 30_000  # positions in a row: OpenCV's limit is 32767
+INSIDE = 1.5  # radii from the object's middle: Gaussians that may lie inside the object
+OUTSIDE_SHARE = 0.1  # largest share of such a Gaussian's weight outside the silhouettes, into which it may spread
+SILHOUETTE_MARGIN = 1  # [px] by which silhouettes are dilated
+REMAP_MAX = 30_000  # positions in a row; OpenCV's limit is 32767
 
-AROUND = 60  # directions that are tried where there are no cameras
-AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of these trials, and of the views that are kept
-AROUND_MAX = 24  # views that are kept
+AROUND = 60  # directions tried if there are no cameras
+AROUND_SIDE, AROUND_SIDE_FULL = 96, 320  # [px] of a trial, and of a view that is kept
+AROUND_MAX = 24  # views kept at most
 AROUND_DISTANCE = 4.0  # radii of the object
-FREE = 0.7  # of an object's pixels that must be in front of the background
+FREE = 0.7  # share of an object's pixels that must be in front of the background
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Surroundings:
 
     @classmethod
     def of(cls, removed: Gaussians) -> Surroundings:
-        """The ball of an object's Gaussians, but for the outermost ones."""
+        """The ball around an object's Gaussians, except for the outermost ones."""
         low, high = np.percentile(removed.means.astype(np.float64), (2, 98), axis=0)
         centre = 0.5 * (low + high)
         distance = np.linalg.norm(removed.means - centre, axis=1)
@@ -99,7 +99,7 @@ def draw_views(
 def within_object(
     background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress, *, sort: str
 ) -> np.ndarray:
-    """Mask (N,) of Gaussians around an object that show nearly only in its silhouettes: no camera saw them."""
+    """Mask (N,) of Gaussians around an object that appear almost only within its silhouettes: no camera saw them."""
     from prepare.room_capture.contributions import WeightSums
 
     sums = WeightSums(background, [v.camera for v in views], sort=sort)
@@ -203,7 +203,7 @@ class Drawing:
 def cameras_around(
     background: Gaussians, removed: Gaussians, ball: Surroundings, *, antialias: bool, sort: str
 ) -> list[Camera]:
-    """Cameras on all sides from which an object is seen freely, for a splat without photographs."""
+    """Cameras on all sides with a free view of an object, for a splat without photographs."""
     k = np.arange(AROUND) + 0.5  # a Fibonacci sphere
     height, turn = 1 - 2 * k / AROUND, np.pi * (1 + 5**0.5) * k
     flat = np.sqrt(1 - height**2)

@@ -18,11 +18,11 @@ from prepare.progress import Progress, no_progress
 from prepare.train.photographs import Photograph
 
 STAGES = ("views", "hole", "paint", "patch")
-STEPS = 200  # of training
-OBJECT_MIN = 20  # Gaussians
-RIM_KNOWN = 0.6  # of the hole of a further surface: the side of a thing that stands near ends there
-CONTEXT = 48  # texels around a hole that its painter sees
-SEEN_MIN = 50  # pixels of the object in all views
+STEPS = 200  # of training the patch
+OBJECT_MIN = 20  # Gaussians of an object
+RIM_KNOWN = 0.6  # known share of the rim of a hole on a further surface; else it is the side of a nearby thing
+CONTEXT = 48  # texels around a hole that the painter sees
+SEEN_MIN = 50  # pixels of the object in all views; with fewer it counts as unseen
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Hole:
 
     background  what stays, without Gaussians that no camera saw behind the object
     dropped     number of those
-    views       without and only of the object
-    textures    of the support surfaces that have a hole, not painted yet; none: all that was hidden was seen elsewhere
+    views       of the scene without the object, and of the object alone
+    textures    of the support surfaces that have a hole, not painted yet; empty: cameras saw everything behind it
     """
 
     background: Gaussians
@@ -61,16 +61,16 @@ def inpaint(
 ) -> Gaussians:
     """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
 
-    The background's Gaussians stay as they are, bit for bit; those that stood inside of the object, where no camera
-    saw them, are left out.
+    The background's Gaussians stay as they are, bit for bit, except that those inside the object, which no camera
+    saw, are left out.
 
-    others    more Gaussians that are taken away, other objects: what they hid was not seen either
-    cameras   of the photographs, in the frame of the Gaussians; None: there are none, and a hole is where nothing is
-              drawn when one looks at the place of the object from all sides
+    others    Gaussians of other objects that are removed as well: what they hid was not seen either
+    cameras   of the photographs, in the frame of the Gaussians; None: there are none, and the hole is whatever is empty
+              when the object's place is rendered from all sides
     painter   fills a picture's hole
     progress  is told of STAGES
 
-    Taichi must have been started. Raises BadInput, naming the object, where it stands on nothing or is not seen.
+    Taichi must have been started. Raises BadInput, naming the object, if it has no support or is not seen.
     """
     options = {"antialias": antialias, "sort": order_of(background), "progress": progress}
     hole = find_hole(background, removed, cameras, name=name, others=others, **options)

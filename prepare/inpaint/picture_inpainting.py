@@ -16,12 +16,12 @@ from scipy.spatial import cKDTree
 Painter = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 PATCH = 7  # [px] side of a patch
-COARSEST = 5  # [px] about the width of the hole in the coarsest picture
-ROUNDS = 4  # of searching and voting in each size
-COMPONENTS = 12  # of a patch that are compared
-SLACK = 0.5  # relative, of a nearest patch
-SAMPLE = 3000  # patches that the components are found from
-SOURCES = 12_000  # patches that are searched
+COARSEST = 5  # [px] approximate width of the hole in the coarsest picture
+ROUNDS = 4  # of searching and voting on each level
+COMPONENTS = 12  # principal components of a patch that are compared
+SLACK = 0.5  # relative tolerance of the nearest-neighbour search
+SAMPLE = 3000  # patches from which the components are computed
+SOURCES = 12_000  # patches searched
 
 
 def paint_from_patches(picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:

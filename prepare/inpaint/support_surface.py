@@ -1,4 +1,4 @@
-"""Support surfaces of an object: the planes around it that it stands on or leans at, and their smooth relief."""
+"""Support surfaces of an object: the planes that it stands on or leans against, and their smooth relief."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from scipy.spatial import cKDTree
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
-PLANES_MAX = 3  # the floor and two walls of a corner
-POINTS = 6000  # of the background around the object, from all views
-TRIALS = 400  # planes through three points
-NEAR = 1.7  # radii from the object's middle: what its rim is
-FLAT = 0.03  # radii: distance from a plane of the points that belong to it
-SHARE = 0.04, 0.08  # of all points that the largest plane must have, and further ones
-PARALLEL = 0.85  # cosine of the normals of points to that of their plane
-NEIGHBOURS = 32  # points that a normal is found from
-GAP = 0.3  # radii between the object and its surface, at most
-BENEATH = 0.12  # radii that the lowest part of the object may lie behind its surface
-HALO = 2  # [px] around the object where its colour leaks into the background
+PLANES_MAX = 3  # a floor and two walls meeting in a corner
+POINTS = 6000  # sampled on the background around the object, from all views
+TRIALS = 400  # RANSAC planes through three points
+NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
+FLAT = 0.03  # radii: largest distance of a plane's points from it
+SHARE = 0.04, 0.08  # of all points that the largest plane needs, and further planes
+PARALLEL = 0.85  # cosine between a point's normal and its plane's
+NEIGHBOURS = 32  # points from which a normal is estimated
+GAP = 0.3  # radii between the object and its support, at most
+BENEATH = 0.12  # radii that the object may reach behind its support
+HALO = 2  # [px] around the object in which its colour leaks into the background
 RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
-SMOOTHING = 0.1  # of the thin plate, in units of the hole
+SMOOTHING = 0.1  # of the thin-plate spline, with the hole's size as the unit
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def unproject(view: HoleView, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def support_surfaces(
     views: list[HoleView], removed_means: np.ndarray, ball: Surroundings, rng: np.random.Generator
 ) -> list[SupportSurface]:
-    """Planes around the object that have it, and most cameras, on one side; the largest first, [] if there is none."""
+    """Planes around the object with it and most cameras on one side, the largest first; [] if there is none."""
     points, normals = rim_points(views, ball, rng)
     left, turned = points, normals
     eyes = np.array([v.camera.position for v in views])

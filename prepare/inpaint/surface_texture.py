@@ -1,4 +1,4 @@
-"""The texture of a support surface: what cameras saw of it, and the hole that none saw."""
+"""Texture of a support surface: the part that cameras saw, and the hole that none saw."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from scipy.ndimage import binary_dilation, binary_opening, distance_transform_ed
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 from prepare.inpaint.support_surface import SupportSurface, fit_relief
 
-REACH = 1.7  # radii from the object's middle: half a side of the texture
-TEXELS = (96, 384)  # least and most, of a side
-NEAR_SURFACE = 0.04  # radii from the surface within which a pixel shows it
-GRAZING = 0.12  # cosine of the steepest view of a surface that is taken
-SEEN_SHARE = 0.05  # of the views that look there: fewer catch a glimpse between parts of the object, or depth is noisy
-EMPTY_SHARE = 0.25  # of the views that look there and see through: fewer graze a dent of the surface
-COVERED_SHARE = 0.3  # of the views that look there: else something else hides it
-LEAK, RIM = 2, 6  # texels
-SLIVER = 2  # texels: half the width of what is no end of the surface but a dent at the object's foot
-ROW = 1024  # places sampled in a row
+REACH = 1.7  # half the side of the texture, in radii of the object
+TEXELS = (96, 384)  # least and most along a side
+NEAR_SURFACE = 0.04  # radii: a pixel whose depth is this near shows the surface
+GRAZING = 0.12  # cosine of the steepest angle from which a surface is sampled
+SEEN_SHARE = 0.05  # share of the views that must show a texel; fewer are glimpses or noise of the depth
+EMPTY_SHARE = 0.25  # share of the views that must see through it; fewer graze a dent in the surface
+COVERED_SHARE = 0.3  # share of the views in which the object must cover it; else something else hides it
+LEAK, RIM = 2, 6  # texels repainted around a hole, and compared for its known share
+SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foot, not the end of the surface
+ROW = 1024  # texels sampled per row (cv2.remap limits rows)
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
-SURE = 0.5  # share of the views behind the object that must show no surface, where photographs do not tell
+SURE = 0.5  # share of the views past the object that must show no surface, where there are no photographs
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SurfaceTexture:
     color   (H, W, 3) float32, 0..1; black where it is not known
     known   bool: a camera saw the surface there
     hole    bool: no camera saw whether there is a surface, as the object was in front
-    rim     share of the hole's rim that is known: a surface that goes on around the hole, or ends there
+    rim     share of the hole's rim that is known: low where the surface ends at the hole
     """
 
     surface: SupportSurface
@@ -82,9 +82,9 @@ def texture_of(
 ) -> SurfaceTexture:
     """The texture of a surface from all views, and its hole.
 
-    others        surfaces that end this one: behind them there is none of it
-    photographed  the cameras are those of the photographs: what none of them saw is a hole, whatever is drawn there.
-                  Else a hole is where nothing is drawn.
+    others        surfaces that bound this one: it does not continue behind them
+    photographed  True if the cameras took photographs: then a hole is what none of them saw, even if something is
+                  rendered there; else a hole is where nothing is rendered.
     """
     footprint = np.median([_footprint(v, ball) for v in views])
     count = int(np.clip(2 * REACH * ball.radius / footprint, *TEXELS))
@@ -168,7 +168,7 @@ def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[n
 
 
 def _colors(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> np.ndarray:
-    """Colour of each known texel from the view that shows it largest and least slanted."""
+    """Colour of each known texel, from the view with the best resolution and angle."""
     color = np.zeros((*texture.hole.shape, 3), np.float32)
     best = np.zeros(texture.hole.shape)
     for view in views:

@@ -33,16 +33,16 @@ from prepare.environment.support_planes import CELL, SupportPlane, support_plane
 from prepare.environment.visibility import VoxelGrid
 from prepare.progress import Progress, no_progress
 
-VIEWERS = 40  # cameras from which the surface is looked at; more tell nothing new
-AROUND_CAMERAS = 0.6  # [m] of the room beyond the outermost camera
-SHOWN = 1.0, 99.0  # percentiles, by what the pictures show, of the room's extent
-REACH = 4.0  # [m] of the room beyond the cameras at most: the rest is a backdrop
-EYE_HEIGHT = 1.5  # [m] of the cameras over a floor that none of them saw
-NEAR_TARGET = 0.5  # [1/m]; a free place counts less the farther it is from what the cameras look at
-AMPLE = 0.3  # [m] radius of a free place; more is no better
-MIN_FREE = 0.05  # [m] radius of a free place at least
-OVER = 0.08  # [m] over a free place that the player must see
-TRIED = 600  # free places that are tested, the best first
+VIEWERS = 40  # cameras from which surfaces are oriented; more add nothing
+AROUND_CAMERAS = 0.6  # [m] the room extends at least this far beyond the outermost camera
+SHOWN = 1.0, 99.0  # percentiles of what the pictures show that bound the room
+REACH = 4.0  # [m] the room extends at most this far beyond the cameras; the rest is a backdrop
+EYE_HEIGHT = 1.5  # [m] assumed height of the cameras if no floor was seen
+NEAR_TARGET = 0.5  # [1/m] penalty for the distance of a free place from what the cameras look at
+AMPLE = 0.3  # [m] radius from which more free space counts no further
+MIN_FREE = 0.05  # [m] least radius of a free place
+OVER = 0.08  # [m] height above a free place that the player must see
+TRIED = 600  # best free places that are tested for visibility
 FOV_RANGE = 0.6, 1.1  # [rad] of the player's view
 
 

@@ -13,11 +13,11 @@ from render.blend_gradients import GEOMETRY, BlendGradients
 from render.renderer import Renderer
 from render.splats import Splats
 
-SIDE = 320  # [px] of the longer side of the pictures in which contributions are summed
-NEEDED = 0.5  # [px] that a Gaussian fills in all pictures of that size together, at least: below, nobody would miss it
-DEPTH_PIXELS = 4  # every so many-th pixel on both axes tells the depth of a view
-MIN_ALPHA = 0.5  # of a pixel that has a depth
-NEAR_CAMERA = 0.12  # of a view's depth: where a camera was there is air; what lies so near to it is a floater
+SIDE = 320  # [px] longer side of the pictures in which contributions are summed
+NEEDED = 0.5  # [px] least sum of a Gaussian's weights over all these pictures; below, it is pruned
+DEPTH_PIXELS = 4  # a view's depth is the median over every DEPTH_PIXELS-th pixel along both axes
+MIN_ALPHA = 0.5  # a pixel of lower opacity has no depth
+NEAR_CAMERA = 0.12  # fraction of a view's depth: a Gaussian this near to the camera is a floater
 
 
 @dataclass(frozen=True)

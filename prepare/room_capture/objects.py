@@ -20,14 +20,14 @@ from prepare.own_weight import bent_by_weight
 from prepare.pipeline import Options, prepare
 from prepare.progress import Progress, no_progress
 
-SOLID = 0.3  # opacity of the Gaussians that touch
-TOUCH = 0.06  # of an object's size: what is nearer to it touches it
-NEIGHBOURS = 6  # of the rest, nearest to a Gaussian of an object, that may touch it
-TOUCHES_MIN = 4  # Gaussians of an object that touch something, at least
-BASE = 0.2  # of an object's height in which its foot lies
-MASS_MAX = 3.0  # [kg] of an object whose material nobody named: half of what a hand of 80 N lifts
-NOD = 0.003  # of an object's size, by which its weight may move any part of it: the photographs show it so bent
-HELD = 0.15, 0.45  # of the extent of a hung object, from what holds it, that is held fast at least and at most
+SOLID = 0.3  # opacity from which a Gaussian can touch
+TOUCH = 0.06  # object sizes: a gap up to this is contact
+NEIGHBOURS = 6  # nearest Gaussians of the rest tested for each of the object's
+TOUCHES_MIN = 4  # Gaussians in contact; with fewer the object touches nothing
+BASE = 0.2  # fraction of an object's height that counts as its foot
+MASS_MAX = 3.0  # [kg] of an object without a named material: half of what a hand of 80 N can lift
+NOD = 0.003  # object sizes by which its own weight may displace any part; the photographs already show it sagged
+HELD = 0.15, 0.45  # least and most of a hanging object, from its support on, that is fixed; fractions of its extent
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Objects in captures and splats: marks of the user, masks of photographs, the objects' Gaussians."""
+"""Objects in captures and splats: the user's marks, masks of photographs, and the objects' Gaussians."""

@@ -1,7 +1,7 @@
 """Graph of neighbouring Gaussians, and coarser graphs of it.
 
-An edge is as strong as its two Gaussians are alike: they overlap in space, so lie on one surface, and have one colour
-and one width.
+The weight of an edge is the likeness of its two Gaussians: overlap in space (they lie on one surface), equal colour and
+equal width.
                                                                       after GaussianCut (arXiv 2411.07555)
 """
 
@@ -14,16 +14,16 @@ from scipy.spatial import cKDTree
 from assets.gaussians import Gaussians
 from core.spherical_harmonics import C0
 
-NEIGHBOURS = 12  # of a Gaussian on a surface: two rings or so
-CHUNK = 1 << 19  # edges at a time, for the memory
-WEAKEST = 1e-4  # of an edge, so that no part of the graph costs nothing to cut
-GAP_STRENGTH = 0.25  # 0.5 of a Gaussian, once more halved: covariances of both are added, and tails are not counted
-CONTRAST_RANGE = 6.0  # mean squares of the contrast of neighbours: above, an edge of colour is one of the object's own
-PAIRED_LEAST = 0.02  # of the clusters must find a partner, or none of the others will
+NEIGHBOURS = 12  # per Gaussian: about two rings on a surface
+CHUNK = 1 << 19  # edges processed at a time, to bound memory
+WEAKEST = 1e-4  # least weight of an edge: no cut is free
+GAP_STRENGTH = 0.25  # half of 0.5: distances use the sum of two covariances, and ignore tails
+CONTRAST_RANGE = 6.0  # mean squared contrasts of neighbours that divide the weight of an edge by e
+PAIRED_LEAST = 0.02  # least share of clusters that find a partner in a round; else merging stops
 
 
 def rgb_of(gaussians: Gaussians) -> np.ndarray:
-    """Colour of each Gaussian without its view dependence, 0..1, (N, 3)."""
+    """View-independent colour of each Gaussian, 0..1, (N, 3)."""
     return (0.5 + C0 * gaussians.sh[:, 0]).clip(0.0, 1.0)
 
 
@@ -66,7 +66,7 @@ def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarr
 
 
 def clusters_of(graph: csr_matrix, count: int, kind: np.ndarray) -> np.ndarray:
-    """Cluster (N,) of each node, about `count` in all: neighbours that are most alike are joined in pairs, again and
+    """Cluster (N,) of each node, about `count` in all: the most similar neighbours are merged in pairs, again and
     again. Nodes of different kinds (N,) are never joined."""
     own, size = np.arange(graph.shape[0]), np.ones(graph.shape[0])
     while graph.shape[0] > count:
@@ -103,7 +103,7 @@ def merge_matrix(groups: np.ndarray) -> csr_matrix:
 
 
 def merged(graph: csr_matrix, merge: csr_matrix) -> csr_matrix:
-    """Graph of groups: edges between them are added up, those within left out."""
+    """Graph of groups: edges between groups are summed, those within dropped."""
     coarse = (merge @ graph @ merge.T).tocsr()
     coarse.setdiag(0.0)
     coarse.eliminate_zeros()

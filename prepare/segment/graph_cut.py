@@ -1,4 +1,4 @@
-"""Random walks and least cuts of a graph of Gaussians."""
+"""Random walks and minimum cuts of a graph of Gaussians."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from scipy.sparse.linalg import cg
 
 from prepare.segment.gaussian_graph import merge_matrix, merged
 
-FLOW_LEVELS = 1_000  # steps of an edge of weight 1: maximum_flow takes whole numbers
-FLOW_MAX = 1 << 28  # capacity that never fills
-WALK_TOLERANCE = 1e-4  # relative, of the residual
+FLOW_LEVELS = 1_000  # capacity of an edge of weight 1: maximum_flow takes integers
+FLOW_MAX = 1 << 28  # a capacity that is never saturated
+WALK_TOLERANCE = 1e-4  # relative residual
 WALK_STEPS = 2000
-ISOLATED = 1e-9  # conductance of every node to the outside, so that there is a solution
+ISOLATED = 1e-9  # conductance of every node to the outside, which makes the system regular
 
 
 def random_walk(
     graph: csr_matrix, inside: np.ndarray, outside: np.ndarray, likes: np.ndarray, dislikes: np.ndarray
 ) -> np.ndarray:
-    """Probability (N,) that a walker along the edges comes to a seed inside before one outside.
+    """Probability (N,) that a random walker along the edges reaches an inside seed before an outside one.
 
     inside, outside   seeds (N,) bool;  likes, dislikes  weights (N,) of further edges, one to the inside, one to the
                       outside                                                        Grady 2006; with priors, 2005

@@ -1,4 +1,4 @@
-"""Marks of a user: strokes inside and outside of objects, and boxes around them, in photographs of a capture."""
+"""The user's marks in photographs: strokes inside and outside of objects, and boxes around them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from core.errors import BadInput
 from prepare.segment.mask_files import JSON_MAX, OBJECTS_MAX, check_name
 
 FORM = '{"objects": {"NAME": {"PHOTOGRAPH.jpg": {"inside": [[[x, y], ...], ...], "outside": [...], "boxes": [...]}}}}'
-POINTS_MAX = 100_000  # of all strokes of an object in a view
+POINTS_MAX = 100_000  # in all strokes on an object in a view
 
 
 @dataclass
@@ -39,7 +39,7 @@ class ViewMarks:
 
 @dataclass
 class Marks:
-    """Marks of each object by its name, and within by the name of the photograph's file."""
+    """Marks by the object's name, then by the photograph's file name."""
 
     objects: dict[str, dict[str, ViewMarks]] = field(default_factory=dict)
 

@@ -1,4 +1,4 @@
-"""Masks of objects in photographs: a folder of PNGs, one colour an object, and objects.json with their names."""
+"""Masks of objects in photographs: a folder of PNGs, one colour per object, and objects.json with their names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from prepare.train.photographs import HEADER_BYTES, image_size, read_image
 NAMES_FILE = "objects.json"
 OBJECTS_MAX = 255  # ids fit a byte, 0 is the background
 JSON_MAX = 1 << 20  # [bytes]
-VIEWS_MIN = 2  # that must show an object: from one view its depth is not known
+VIEWS_MIN = 2  # views that must show an object: one view gives no depth
 NAME = re.compile(r"[^\x00-\x1f\x7f/\\:*?\"<>|.\s](?:[^\x00-\x1f\x7f/\\:*?\"<>|]{0,62}[^\x00-\x1f\x7f/\\:*?\"<>|.\s])?")
 # Colours far apart, of Kelly's list of maximum contrast, the strongest first.
 COLORS = (
@@ -77,7 +77,7 @@ def object_colors(count: int) -> np.ndarray:
 
 
 def check_name(name: str, where: str) -> None:
-    """Raise BadInput, naming `where`, unless an object's name can be that of a file on any system."""
+    """Raise BadInput, naming `where`, unless an object's name is a valid file name on every system."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise BadInput(
             f"{where}: {name!r:.80} cannot be an object's name: 1 to 64 characters without / \\ : * ? \" < > |"
@@ -105,8 +105,8 @@ def mask_file(folder: Path, view: View) -> Path:
 def read_masks(folder: str | Path, views: Sequence[View]) -> Masks:
     """The masks of these views in a folder.
 
-    Raises BadInput for a mask of another size than its photograph or of no photograph, for a colour that objects.json
-    does not name, if there is no object, and for one that fewer than VIEWS_MIN views show.
+    Raises BadInput for a mask that differs in size from its photograph or belongs to none, for a colour missing from
+    objects.json, if there is no object, and for an object in fewer than VIEWS_MIN views.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -144,7 +144,7 @@ def read_masks(folder: str | Path, views: Sequence[View]) -> Masks:
 
 
 def write_masks(folder: str | Path, views: Sequence[View], masks: Masks) -> None:
-    """Write a folder of masks, whole or not at all. One of earlier masks is replaced. Raises BadInput."""
+    """Write a folder of masks, completely or not at all, replacing earlier masks. Raises BadInput."""
     import cv2
 
     folder = Path(folder)
@@ -175,7 +175,7 @@ def write_masks(folder: str | Path, views: Sequence[View], masks: Masks) -> None
 
 
 def check_masks_folder(folder: Path) -> None:
-    """Raise BadInput unless nothing is there, or a folder of masks and nothing else: it will be replaced."""
+    """Raise BadInput unless the folder is missing or holds nothing but masks, since it will be replaced."""
     if not folder.exists():
         return
     if not folder.is_dir():

@@ -1,4 +1,4 @@
-"""Borders of objects by a network of the user's, an ONNX file run by OpenCV: a mask tracker, a model like SAM."""
+"""Borders of objects by the user's own network (a mask tracker, a SAM-like model): an ONNX file run by OpenCV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sheets of photographs with masks drawn over them, for the user to judge."""
+"""Contact sheets of photographs with their masks drawn over them, for visual inspection."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from prepare.segment.mask_files import Masks
 from prepare.train.capture import View
 from prepare.train.photographs import read_image
 
-TILE = 320  # [px] width of a photograph on a sheet
+TILE = 320  # [px] width of a photograph on the sheet
 COLUMNS = 5
-TINT = 0.45  # of a mask's colour over the photograph
+TINT = 0.45  # opacity of a mask's colour over the photograph
 
 
 def overlay(pixels: np.ndarray, ids: np.ndarray | None, colors: np.ndarray) -> np.ndarray:

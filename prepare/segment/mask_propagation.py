@@ -27,17 +27,17 @@ from prepare.train.capture import Capture
 from prepare.train.photographs import Photograph
 
 STEPS = ("depths", "surface", "masks", "votes")
-STROKE_WIDTH = 0.008  # of a picture's diagonal
-SURROUNDINGS = 0.4  # of the cameras' distance from the marks, around them, that is looked at
-RIM = 0.93  # of that ball's radius beyond which all is background
-REACH = 2.5  # spacings of the cloud within which a pixel's point has its labels
-BAND = 0.010  # of a picture's diagonal on either side of a border, in which the colours decide
-DENSER = 4  # points of the cloud for a sparse point, which it lies between
-COARSE_BAND = 2  # times as wide, where depths are only those of sparse points
-GAP = 1.08  # ratio of depths under a stroke between which there is nothing of the object
-DEPTH_TOLERANCE = 0.02  # relative, of a point that is seen
-VOTERS, VOTE_REACH = 10, 0.02  # views nearest to one, and how far around its masks [diagonals] they have a say
-SURE = 0.2  # probability of the second label below which a pixel is not disputed
+STROKE_WIDTH = 0.008  # fraction of a picture's diagonal
+SURROUNDINGS = 0.4  # radius of the ball around the marks that is processed, relative to the cameras' distance from them
+RIM = 0.93  # fraction of that radius beyond which everything is background
+REACH = 2.5  # spacings of the cloud: a pixel takes the labels of points within this distance
+BAND = 0.010  # fraction of a picture's diagonal: half the width of the band along a border in which colour decides
+DENSER = 4  # points of the cloud per sparse point, interpolated between them
+COARSE_BAND = 2  # factor on BAND where depth comes from sparse points only
+GAP = 1.08  # ratio of depths under a stroke that separates two surfaces
+DEPTH_TOLERANCE = 0.02  # relative: a point this near to the depth map is visible
+VOTERS, VOTE_REACH = 10, 0.02  # nearest views that vote, and how far around their masks [diagonals]
+SURE = 0.2  # a pixel is disputed if its second label is at least this probable
 
 
 class MarkPropagation:
@@ -45,9 +45,9 @@ class MarkPropagation:
 
     photographs  undistorted, of the capture's views in their order, perhaps reduced
     depths       of their pixels (H, W) along the camera's axis, 0: unknown; see `view_depths`
-    coarse       the depths are those of sparse points
-    cut          what draws borders in a picture
-    points       about how many the surfaces are made of
+    coarse       the depths come from sparse points
+    cut          refines borders in a picture
+    points       approximate number that samples the surfaces
     """
 
     def __init__(

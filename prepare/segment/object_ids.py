@@ -1,4 +1,4 @@
-"""Object ids of trained Gaussians: from their labels and their neighbours, checked against masks, and cut apart."""
+"""Object ids of trained Gaussians: from their labels and a vote of neighbours; IoU with masks; splitting by object."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from prepare.train.capture import Capture
 from prepare.train.object_labels import nearest_label
 from prepare.train.photographs import Photograph
 
-BACKGROUND = "background"  # of the files that a splat is split to
-NEIGHBOURS = 16  # that vote
+BACKGROUND = "background"  # name of the part that belongs to no object
+NEIGHBOURS = 16  # that vote on a Gaussian
 
 
 def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Capture, Masks | None]:
     """The capture, and the masks of its objects: those in `folder`, or in masks/ of the capture if they are such.
 
-    A mask that transforms.json names tells which pixels count, and is no mask of objects unless its folder is given:
-    then all pixels count. `report` takes a line if masks/ is not used. Raises BadInput, for a given folder only.
+    Masks that transforms.json names select the pixels that count; they are object masks only if their folder is given,
+    and then all pixels count. `report` takes a line if masks/ is not used. Raises BadInput, for a given folder only.
     """
     beside = capture.folder / "masks"
     if folder is None:
@@ -47,7 +47,7 @@ def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Cap
 
 
 def check_learned(names: list[str], photographs: list[Photograph]) -> None:
-    """Raise BadInput for an object that fewer than VIEWS_MIN of the photographs that are learned from show."""
+    """Raise BadInput for an object that fewer than VIEWS_MIN of the training photographs show."""
     there = [np.unique(p.objects[p.mask]) for p in photographs if p.objects is not None]
     for k, name in enumerate(names, 1):
         count = sum(k in ids for ids in there)
@@ -66,11 +66,11 @@ def identified(trainer) -> Gaussians:
 
 
 def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np.ndarray:
-    """Ids (N,) after a vote of each Gaussian's nearest neighbours, by their opacities: small islands drown.
+    """Ids (N,) after a vote of each Gaussian's nearest neighbours, weighted by opacity: removes small islands.
 
-    evidence  pixels of the masks that saw each, (N,). Seen as well as its neighbours on average, a Gaussian has as many
-              votes of its own as there are neighbours: what no mask has seen, inside of an object or faint, follows
-              them, and a large one of a wall is not outvoted by many small ones before it.
+    evidence  pixels of the masks that saw each, (N,). A Gaussian seen as much as its neighbours on average has as many
+              votes for itself as it has neighbours. So one that no mask has seen, inside an object or faint, follows
+              them, and a large one of a wall is not outvoted by many small ones in front of it.
     """
     near = cKDTree(g.means).query(g.means, k=min(NEIGHBOURS + 1, len(g)), workers=-1)[1].reshape(len(g), -1)
     weights, rows = g.opacities[near], np.arange(len(g))
@@ -83,8 +83,8 @@ def voted(g: Gaussians, ids: np.ndarray, evidence: np.ndarray, count: int) -> np
 
 
 def _islands(near: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
-    """Mask (N,) of the pieces of objects with fewer Gaussians than vote: far in the room behind an object, they show
-    through its pixels. The largest piece of an object is none. `near` (N, K): neighbours; pieces are linked by them."""
+    """Mask (N,) of pieces of objects with fewer Gaussians than voters: in the room far behind an object, they show
+    through its pixels. The largest piece of an object is never one. Neighbours `near` (N, K) link the pieces."""
     i, j = np.nonzero(ids[near] == ids[:, None])
     links = coo_matrix((np.ones(len(i), np.uint8), (i, near[i, j])), shape=(len(ids), len(ids)))
     piece = connected_components(links, directed=False)[1]
@@ -100,7 +100,7 @@ def _islands(near: np.ndarray, ids: np.ndarray, count: int) -> np.ndarray:
 def object_ious(trainer, photographs: list[Photograph], ids: np.ndarray) -> dict[str, float]:
     """Intersection over union of what Gaussians with these ids show and of the masks, over all photographs, by name.
 
-    Objects that no mask of theirs shows are left out.
+    Objects without any mask are left out.
     """
     count = len(trainer.objects)
     both, either, true = np.zeros(count + 1), np.zeros(count + 1), np.zeros(count + 1)

@@ -1,4 +1,4 @@
-"""Borders of objects in a picture, drawn along its colours: GrabCut, or a network of the user's."""
+"""Refinement of object borders along the colours of a picture: by GrabCut, or by the user's own network."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-MARGIN = 0.3  # of an object's size, around it, whose colours are learned as those of the background
-ROUNDS = 3  # of GrabCut
-PIXELS_MIN = 6  # of an object in a picture
+MARGIN = 0.3  # object sizes around an object from which the background's colours are learned
+ROUNDS = 3  # iterations of GrabCut
+PIXELS_MIN = 6  # a smaller object is not refined
 
 # (picture (H, W, 3) uint8, likely (H, W) 0..1, sure inside (H, W) bool, sure outside (H, W) bool) -> inside (H, W) bool
 Cut = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -42,7 +42,7 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
 
     likely  probability (H, W, K + 1) of the background and each object
     unsure  (H, W) bool, pixels in which the colours decide
-    reach   [px] from an object beyond which none of its pixels are
+    reach   [px] around an object to which its pixels are limited
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Weights with which the Gaussians of a splat are blended into marked pixels of its pictures."""
+"""Blending weights of a splat's Gaussians in marked pixels of its pictures."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from render.blend_gradients import BlendGradients
 from render.renderer import Renderer
 from render.splats import Splats
 
-CHANNELS = 3  # maps of pixels that one pass sums over: a picture has so many colours
+CHANNELS = 3  # maps of pixels summed in one pass: one per colour channel
 
 
 class PixelWeights:

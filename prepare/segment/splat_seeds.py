@@ -1,4 +1,4 @@
-"""Gaussians of a splat that are surely inside or outside of an object, by a user's marks on its pictures."""
+"""Seeds of an object in a splat: Gaussians that the user's marks put certainly inside or outside of it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from assets.gaussians import Gaussians
 from core.camera import Camera
 from prepare.segment.marks import ViewMarks, drawn_boxes, drawn_strokes
 
-STROKE_WIDTH = 0.008  # of a picture's height: a thin felt pen
-SEED_SHARE = 0.8  # of a stroke's weight that its seeds bear; the rest shines through or reaches in from the side
-BOX_MIDDLE = 1 / 3  # of a box's sides, that shows the object where no stroke says more
-CLEARLY = 2.0  # times the weight of the other side, for a Gaussian under strokes of both
+STROKE_WIDTH = 0.008  # fraction of a picture's height: a thin felt pen
+SEED_SHARE = 0.8  # fraction of a stroke's weight that its seeds carry; the rest shines through or spills in
+BOX_MIDDLE = 1 / 3  # fraction of a box's sides: this middle part is taken for the object if there is no stroke
+CLEARLY = 2.0  # a Gaussian under strokes of both sides is a seed of one if its weight there is this many times larger
 
 
 class Seeds:
@@ -56,7 +56,7 @@ def strongest(weights: np.ndarray) -> np.ndarray:
 
 
 def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:
-    """Gaussians (N,) bool whose middle appears in a box of the picture."""
+    """Gaussians (N,) bool whose centre projects into a box of the picture."""
     p = gaussians.means.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     z = np.maximum(p[:, 2], 1e-9)
     x, y = camera.fx * p[:, 0] / z + camera.cx, camera.fy * p[:, 1] / z + camera.cy

@@ -1,4 +1,4 @@
-"""Objects of a splat without photographs, by marks on its pictures: their Gaussians, and a file for each."""
+"""Objects of a splat without photographs, from marks on its renderings: their Gaussians, and a file for each."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from prepare.segment.splat_seeds import Seeds
 from prepare.segment.splat_selection import SplatSelection
 from prepare.segment.trimming import trimmed
 
-RESERVED = ("background", "scene")  # names of files
-OVERLAY = 0.55  # of an object's colour over the picture
-SMALLEST = 10  # Gaussians of an object
+RESERVED = ("background", "scene")  # names of output files
+OVERLAY = 0.55  # opacity of an object's colour over the picture
+SMALLEST = 10  # least number of Gaussians of an object
 
 
 @dataclass(frozen=True)
 class SegmentedSplat:
-    """A splat whose Gaussians have the ids of objects; `cut` of them straddled a border and were cut in two."""
+    """A splat whose Gaussians have the ids of objects; `cut` of them straddled a border and were split in two."""
 
     gaussians: Gaussians
     cut: int
@@ -38,7 +38,7 @@ class SegmentedSplat:
 def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str], None]) -> SegmentedSplat:
     """Give each marked object's Gaussians its id, in the order of the marks. Taichi must be running.
 
-    Raises BadInput for marks that meet no Gaussian, and for an object of which nothing is left.
+    Raises BadInput for marks without a Gaussian under them, and for an object that ends up empty.
     """
     start = perf_counter()
     selection = SplatSelection(gaussians)
@@ -92,7 +92,7 @@ def output_files(folder: Path, names: list[str]) -> dict[str, Path]:
 
 
 def write_segmented(folder: Path, segmented: SegmentedSplat) -> dict[str, Path]:
-    """Write a splat an object, `background.ply`, and `scene.ply` of all with ids; all or none. Raises BadInput."""
+    """Write a splat per object, `background.ply`, and `scene.ply` with all ids; all or none. Raises BadInput."""
     make_folder(folder)
     parts = split(segmented.gaussians) | {"scene": segmented.gaussians}
     files = {

@@ -1,8 +1,8 @@
 """Selection of an object's Gaussians in a splat, from seeds inside and outside of it.
 
-Round after round a random walk on the graph of neighbours says how near each Gaussian is to what was selected, colours
-say whether it looks like it, and the least cut by both is the next selection. Seeds alone are too few for a cut: the
-least one would be around them.
+In each round a random walk on the graph of neighbours measures how close each Gaussian is to the current selection,
+colours measure whether it looks alike, and the minimum cut by both is the next selection. Seeds alone are too few for
+a cut: the minimum one would run right around them.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from assets.gaussians import Gaussians
 from prepare.segment.gaussian_graph import clusters_of, merge_matrix, merged, neighbour_graph, rgb_of
 from prepare.segment.graph_cut import banded_cut, random_walk
 
-CLUSTERS = 20_000  # nodes of the graph that is cut first: a tenth of a second
-ROUNDS = 8  # at most; two to five until nothing changes
-SETTLED = 0.002  # of the selection changes: nothing does
+CLUSTERS = 20_000  # nodes of the coarse graph that is cut first, in a tenth of a second
+ROUNDS = 8  # at most; usually two to five until nothing changes
+SETTLED = 0.002  # the rounds end when a smaller fraction of the selection changes
 NEARBY = 2.5  # radii of the selection within which it may grow
-COLOUR_BINS = 24  # of a channel of the colours that are told apart
-COLOUR_BLUR = 1.2  # bins
-COLOUR_FLOOR = 0.05  # share of a colour that was seen on neither side: it says nothing
-COLOUR_AGAINST_MAX = 1.0  # log likelihood against colours not seen inside: its other sides may have others
-COLOUR_WALK = 0.002  # of an edge, for each unit of log likelihood
+COLOUR_BINS = 24  # of the histogram, per channel
+COLOUR_BLUR = 1.2  # [bins]
+COLOUR_FLOOR = 0.05  # share added to every colour, so that a colour seen on neither side is neutral
+COLOUR_AGAINST_MAX = 1.0  # bound on the log likelihood against unknown colours: the far side may have them
+COLOUR_WALK = 0.002  # weight of one unit of log likelihood, relative to an edge
 COLOUR_CUT = 0.045
-WALK_CUT = 0.6  # of an edge, that a walker from a Gaussian surely ends on that side
-HOLE_MAX = 0.02  # of the selection that an enclosed part may have to be taken in
+WALK_CUT = 0.6  # weight of a certain result of the random walk, relative to an edge
+HOLE_MAX = 0.02  # an enclosed part up to this fraction of the selection is filled
 
 
 class SplatSelection:
-    """Graph of a splat, in which one object after the other is selected. Making it takes 10 s for a million."""
+    """Graph of a splat, in which one object after another is selected. Building it takes 10 s per million."""
 
     def __init__(self, gaussians: Gaussians):
         self.gaussians = gaussians
@@ -43,8 +43,8 @@ class SplatSelection:
     def select(self, inside: np.ndarray, outside: np.ndarray, barred: np.ndarray | None = None) -> np.ndarray:
         """The object's Gaussians (N,) bool.
 
-        inside, outside  seeds (N,) bool: belong to it, do not
-        barred           (N,) bool: can not belong to it, but say nothing of its surroundings' colours
+        inside, outside  seeds (N,) bool: belong to the object; do not
+        barred           (N,) bool: cannot belong to it, but are no examples of its surroundings' colours
         """
         barred = outside if barred is None else outside | barred
         inside = inside & ~barred
@@ -122,7 +122,7 @@ class SplatSelection:
         return part
 
     def grown(self, cut: np.ndarray, rings: int) -> np.ndarray:
-        """The selection with so many rings of neighbours more, or of its own less if negative."""
+        """The selection grown by so many rings of neighbours, or shrunk if negative."""
         for _ in range(abs(rings)):
             cut = cut | (self.graph @ cut > 0) if rings > 0 else cut & ~(self.graph @ ~cut > 0)
         return cut

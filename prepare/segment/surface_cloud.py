@@ -1,7 +1,7 @@
-"""The visible surfaces around marked objects as a cloud of points, and labels that spread over it from seeds.
+"""Point cloud of the visible surfaces around marked objects, and labels that spread over it from seeds.
 
 Labels spread as a random walker does (Grady 2006): easily over smooth surfaces of one colour, hardly across borders of
-colour, and least of all through concave creases, where a thing meets what it stands on (Stein et al. 2014).
+colour, and least of all through concave creases, where an object meets its support (Stein et al. 2014).
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from scipy.spatial import cKDTree
 from core.camera import Camera
 from prepare.segment.view_depths import points_at
 
-POINTS = 60_000  # in the cloud
-SAMPLES_MAX = 1_500_000  # pixels of all views that it is made of
-JUMP = 1.06  # ratio of depths of neighbouring pixels at a silhouette, where a drawn depth is that of neither side
+POINTS = 60_000  # in the cloud, about
+SAMPLES_MAX = 1_500_000  # pixels of all views from which it is made
+JUMP = 1.06  # ratio of neighbouring depths at a silhouette, where a rendered depth lies between both sides
 NORMAL_NEIGHBOURS, NEIGHBOURS = 16, 10
-COLOR_STEP = 0.13  # of 0..1: a difference of colours that hinders
-COLOR_MOST = 3.5  # by which colours hinder, as an exponent: things have stripes
-OFF_PLANE = 3.0  # how much it hinders, as an exponent, that one point is of a plane behind and the other is not
-CONCAVE, CONVEX = 6.0, 1.0  # how much a crease of 90 degrees hinders, as an exponent
-COLOR_BINS, COLOR_BLUR, COLOR_FLOOR = 20, 1.0, 0.05  # of a channel; in bins; of the usual share of a colour
-COLOR_WEIGHT, COLOR_ROUNDS = 0.05, 2  # of a point's colour, over an unhindered way to a neighbour
-COLOR_SURE = 0.85  # probability from which a colour tells: that of wood on wood does not
-OTHER_SURE = 0.1  # probability of an object below which the colours of what is around it are learned
-NEARBY = 0.6  # sizes of an object, around it, whose colours are compared
+COLOR_STEP = 0.13  # difference of colours in 0..1 that divides the weight of an edge by e
+COLOR_MOST = 3.5  # largest such exponent: objects have stripes
+OFF_PLANE = 3.0  # exponent for an edge between a supporting plane and a point off it
+CONCAVE, CONVEX = 6.0, 1.0  # exponents for a crease of 90 degrees
+COLOR_BINS, COLOR_BLUR, COLOR_FLOOR = 20, 1.0, 0.05  # per channel; in bins; relative to the mean share of a colour
+COLOR_WEIGHT, COLOR_ROUNDS = 0.05, 2  # weight of colour evidence relative to an edge; rounds in which it is learned
+COLOR_SURE = 0.85  # probability from which a colour is evidence: wood on wood is not
+OTHER_SURE = 0.1  # points with a lower probability of the object are examples of its surroundings
+NEARBY = 0.6  # object sizes around an object in which colours are compared
 LEAK = 1e-6  # of a point's weights, to the background: decides where no seed is connected
 SOLVE_TOLERANCE = 1e-3
 PLANE_TRIES, PLANE_SHARE, PLANES_MAX = 300, 0.06, 4
-PLANE_STEPS = 1.0  # spacings of the cloud within which a point is on a plane
+PLANE_STEPS = 1.0  # spacings of the cloud: a nearer point lies on the plane
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def _walk(graph: csr_matrix, seeds: np.ndarray, labels: int, evidence: np.ndarra
 
 
 def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
-    """Evidence (P, labels) for each object, near it: of colours that it has and its surroundings have not."""
+    """Evidence (P, labels) for each object, near it: of colours that the object has and its surroundings do not."""
     evidence, label = np.zeros_like(likely), likely.argmax(axis=1)
     index = np.ravel_multi_index((cloud.colors * (COLOR_BINS - 1e-6)).astype(int).T, (COLOR_BINS,) * 3)
     for k in range(1, likely.shape[1]):
@@ -157,7 +157,7 @@ def _color_evidence(cloud: SurfaceCloud, likely: np.ndarray) -> np.ndarray:
 
 
 def _connected(graph: csr_matrix, likely: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Probabilities without the parts of objects that no seed of theirs is in."""
+    """Probabilities without those connected parts of an object that hold none of its seeds."""
     label, result = likely.argmax(axis=1), likely.copy()
     for k in range(1, likely.shape[1]):
         own = np.flatnonzero(label == k)

@@ -20,12 +20,12 @@ from assets.gaussians import Gaussians, concatenate
 from core.rotation import quaternions_from_matrices
 from prepare.segment.gaussian_graph import mahalanobis
 
-REACH = 2.0  # standard deviations in which a Gaussian covers others
-COVERED_MAX = 48  # of its neighbours that show where the border runs
-OTHERS_MIN = 0.3  # of the covered ones on the other side: fewer only touch it
-SLIVER_MIN = 0.05  # of a Gaussian beyond the border; less is left where it is
-FLATNESS = 0.1  # of a Gaussian's width: how thin a slab counts as covered
-OPACITY_MAX = 0.999  # as drawn
+REACH = 2.0  # standard deviations: a Gaussian covers neighbours within this distance
+COVERED_MAX = 48  # covered neighbours that are used to locate the border
+OTHERS_MIN = 0.3  # share of covered neighbours on the other side; with fewer it only touches the border
+SLIVER_MIN = 0.05  # share of a Gaussian beyond the border below which it is not cut
+FLATNESS = 0.1  # relative thickness at least assumed, so that a flat Gaussian covers its neighbours in the surface
+OPACITY_MAX = 0.999  # as in the renderer
 
 
 def trimmed(gaussians: Gaussians, selected: np.ndarray) -> tuple[Gaussians, np.ndarray, int]:

@@ -9,11 +9,11 @@ from assets.gaussians import Gaussians
 from core.camera import Camera
 from prepare.progress import Progress, no_progress
 
-ALPHA_MIN = 0.6  # opacity of a pixel that has a depth
-HIDDEN_RATIO = 0.9  # of a point's depth: one that is nearer by more, and close in the picture, hides it
-CELL = 1.6  # spacings of the points in a picture within which one hides another
+ALPHA_MIN = 0.6  # a pixel of lower opacity has no depth
+HIDDEN_RATIO = 0.9  # a point is hidden by one beside it in the picture that is nearer than this fraction of its depth
+CELL = 1.6  # spacings of the points in the picture within which one can hide another
 GAP = 8.0  # spacings of the points beyond which a pixel has no depth
-POINTS_MIN = 12  # in a picture: of fewer nothing can be said
+POINTS_MIN = 12  # visible in a picture; with fewer it has no depth
 
 
 def depths_of_splats(gaussians: Gaussians, cameras: list[Camera], report: Progress = no_progress) -> list[np.ndarray]:

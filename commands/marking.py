@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from assets.gaussians import Gaussians
@@ -14,7 +16,7 @@ from core.errors import BadInput
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.window.orbit_camera import OrbitCamera
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
-from prepare.segment.mask_files import COLORS, check_name, object_colors, photograph_size
+from prepare.segment.mask_files import check_name, object_colors
 from prepare.segment.mask_overlay import overlay
 from prepare.segment.picture_cut import grab_cut
 from prepare.segment.splat_marks import SplatMarks
@@ -24,6 +26,8 @@ from prepare.train.photographs import read_image
 ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed
 PICTURE_SIZE = (960, 540)  # [px] of the pictures of a splat that are marked
 STROKE_WIDTH = 0.006  # of a photograph's height
+SHOWN_SIDE = 1600  # [px] longer side of a photograph in the window
+CUT_SIDE = 320  # [px] of what is cut at once: a third of a second
 
 
 def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
@@ -58,6 +62,8 @@ def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
 class SplatSubject:
     """A splat that is marked from free views; a Subject of MarkWindow. Taichi must be running."""
 
+    size, version = PICTURE_SIZE, 0
+
     def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
         from display.viewer import FOV_Y, eye_around, middle_and_radius
         from prepare.segment.pixel_weights import PixelWeights
@@ -89,9 +95,9 @@ class SplatSubject:
         camera = self.orbit.camera(*PICTURE_SIZE)
         return replace(camera, world_to_camera=camera.world_to_camera @ self._upright)
 
-    def picture(self, view: str | None) -> np.ndarray:
+    def picture(self) -> np.ndarray:
         """As Subject.picture."""
-        rgb = self._drawn.picture(self._camera() if view is None else self.cameras[view])[0]
+        rgb = self._drawn.picture(self._camera())[0]
         return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
     def view_shown(self) -> str | None:
@@ -157,67 +163,113 @@ def same_camera(a: Camera, b: Camera) -> bool:
 
 
 class PhotographSubject:
-    """Photographs that are marked; a Subject of MarkWindow. Each is cut by its own marks alone."""
+    """Photographs that are marked; a Subject of MarkWindow. What is selected is a first idea: each photograph is cut
+    by its own marks alone, at a small size."""
 
     orbit = None
 
     def __init__(self, views: Sequence):
         self._views = {view.name: view for view in views}
         self.views, self._state = list(self._views), MarkState()
-        self._read: tuple[str, np.ndarray] | None = None
-        self._cuts: dict[tuple, np.ndarray] = {}
+        self._shown = self.views[0]
+        self._read: tuple[str, tuple[int, int], np.ndarray] | None = None
+        self._cuts: dict[tuple, Future] = {}
+        self._last: dict[tuple, np.ndarray] = {}
+        self._thread = ThreadPoolExecutor(1)  # else the window would not answer while it cuts
 
     @property
-    def sizes(self) -> dict[str, tuple[int, int]]:
-        """(width, height) of each photograph."""
-        return {name: photograph_size(view)[::-1] for name, view in self._views.items()}
+    def version(self) -> int:
+        """As Subject.version."""
+        return sum(cut.done() for cut in self._cuts.values())
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) [px] of the photograph."""
+        return self._photograph()[0]
 
     def colour(self, index: int) -> tuple[float, float, float]:
         """Colour of an object, 0..1."""
-        return tuple(np.array(COLORS[index % len(COLORS)]) / 255.0)
+        return tuple(object_colors(index + 1)[index] / 255.0)
 
-    def picture(self, view: str) -> np.ndarray:
-        """As Subject.picture."""
-        if self._read is None or self._read[0] != view:
-            self._read = view, read_image(self._views[view].image)[0]
-        pixels = self._read[1]
-        ids = np.zeros(pixels.shape[:2], np.uint8)
-        for name, mark in marks_of_state(self._state).in_view(view).items():
-            if mark.inside or mark.boxes:
-                ids[self._cut(pixels, name, view, mark)] = self._state.objects.index(name) + 1
-        return overlay(pixels, ids, object_colors(len(self._state.objects)))
-
-    def _cut(self, pixels: np.ndarray, name: str, view: str, mark: ViewMarks) -> np.ndarray:
-        key = (view, tuple(m for m in self._state.marks if (m.object, m.view) == (name, view)))
-        if key not in self._cuts:
-            shape = pixels.shape[:2]
-            width = max(3, round(STROKE_WIDTH * shape[0]))
-            inside, outside = (drawn_strokes(s, shape, width) for s in (mark.inside, mark.outside))
-            near = np.zeros(shape)
-            if mark.boxes:
-                near = drawn_boxes(mark.boxes, shape)
-                outside |= ~near
-            else:
-                ys, xs = np.nonzero(inside | outside)
-                near[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1] = 1.0
-            self._cuts[key] = grab_cut(pixels, near.astype(float), inside & ~outside, outside)
-        return self._cuts[key]
-
-    def view_shown(self) -> None:
-        """No view is free."""
+    def view_shown(self) -> str:
+        """As Subject.view_shown."""
+        return self._shown
 
     def view_here(self) -> str:
-        """No view is free."""
-        raise NotImplementedError
+        """As Subject.view_here."""
+        return self._shown
 
     def go_to(self, view: str) -> None:
-        """No view is free."""
+        """As Subject.go_to."""
+        self._shown = view
 
     def select(self, state: MarkState) -> str:
         """As Subject.select."""
-        marks_of_state(state)
-        self._state = state
-        return ""
+        marks, self._state = marks_of_state(state), state
+        once = [name for name, views in marks.objects.items() if len(views) == 1]
+        return f"{', '.join(once)}: mark it in one more photograph, from elsewhere" if once else ""
+
+    def picture(self) -> np.ndarray:
+        """As Subject.picture."""
+        _, pixels = self._photograph()
+        ids = np.zeros(pixels.shape[:2], np.uint8)
+        marks = marks_of_state(self._state).in_view(self._shown)
+        for name, mark in marks.items():
+            found = self._cut(name, marks) if mark.inside or mark.boxes else None
+            if found is not None:
+                large = cv2.resize(found.astype(np.float32), pixels.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+                ids[large > 0.5] = self._state.objects.index(name) + 1
+        return overlay(pixels, ids, object_colors(len(self._state.objects)))
+
+    def _photograph(self) -> tuple[tuple[int, int], np.ndarray]:
+        """The shown photograph: its (width, height) [px], and its pixels, reduced if it is large."""
+        if self._read is None or self._read[0] != self._shown:
+            pixels = read_image(self._views[self._shown].image)[0]
+            self._read = self._shown, pixels.shape[1::-1], at_most(pixels, SHOWN_SIDE)
+        return self._read[1:]
+
+    def _cut(self, name: str, marks: dict[str, ViewMarks]) -> np.ndarray | None:
+        """Mask (h, w) bool of an object in the shown photograph, small; the one before, or None, until it is made."""
+        relevant = tuple(m for m in self._state.marks if m.view == self._shown and m.kind != "outside")
+        own = tuple(m for m in self._state.marks if (m.object, m.view) == (name, self._shown))
+        key = (name, own, relevant)
+        if key not in self._cuts:
+            size, pixels = self._photograph()
+            self._cuts[key] = self._thread.submit(first_cut, at_most(pixels, CUT_SIDE), size, name, marks)
+        if self._cuts[key].done():
+            self._last[self._shown, name] = self._cuts[key].result()
+        return self._last.get((self._shown, name))
+
+
+def first_cut(picture: np.ndarray, size: tuple[int, int], name: str, marks: dict[str, ViewMarks]) -> np.ndarray:
+    """An object (h, w) bool in a small picture of a photograph of `size` [px], by all objects' marks in it: GrabCut."""
+    shape, scale = picture.shape[:2], picture.shape[1] / size[0]
+
+    def drawn(strokes: list[np.ndarray]) -> np.ndarray:
+        return drawn_strokes([scale * s for s in strokes], shape, max(3, round(STROKE_WIDTH * shape[0])))
+
+    own = marks[name]
+    inside, near = drawn(own.inside), drawn_boxes([scale * b for b in own.boxes], shape)
+    outside = drawn(own.outside) | drawn([s for other, m in marks.items() if other != name for s in m.inside])
+    if own.boxes:
+        outside |= ~near
+    else:
+        ys, xs = np.nonzero(inside | outside)
+        near[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1] = True
+    inside &= ~outside
+    found = grab_cut(picture, near.astype(float), inside, outside)
+    if inside.any():  # what else has its colours is not of it
+        part = cv2.connectedComponents(found.astype(np.uint8), connectivity=8)[1]
+        found &= np.isin(part, part[inside & found])
+    return found
+
+
+def at_most(pixels: np.ndarray, side: int) -> np.ndarray:
+    """The picture (H, W, 3) with a longer side of at most `side` [px]."""
+    scale = side / max(pixels.shape[:2])
+    if scale >= 1.0:
+        return pixels
+    return cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
 
 
 def check_window() -> None:

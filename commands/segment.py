@@ -35,7 +35,7 @@ CONDITIONS = (
         "is for a capture, not for a splat",
     ),
 )
-WINDOW_SIZE = (960, 600)  # in screen coordinates
+WINDOW_SIZE = (1200, 680)  # in screen coordinates
 LINE_SECONDS = 2.0  # between two progress lines; on a terminal a tenth
 
 
@@ -105,7 +105,6 @@ def segment_capture(args: argparse.Namespace) -> None:
         check_writable(args.overlay)
     capture = read_capture(args.capture)
     sizes = {v.name: photograph_size(v)[::-1] for v in capture.views}
-    marks = marked_photographs(capture, sizes) if args.marks is None else read_marks(args.marks, sizes)
     truth = None if args.compare is None else read_masks(args.compare, capture.views)
     cut = grab_cut
     if args.model is not None:
@@ -118,6 +117,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         start_taichi(args.arch)
     elif not len(capture.points):
         raise BadInput(f"{args.capture}: has no sparse points; train on it first, then give the splat with --splats")
+    marks = marked_photographs(capture, sizes) if args.marks is None else read_marks(args.marks, sizes)
     start, progress = time.perf_counter(), TimeLeft()
     photographs = []
     for k, view in enumerate(capture.views):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from prepare.segment.splat_marks import SplatMarks
 
 MARKS_FILE = "marks.json"  # in the output folder
-WINDOW_SIZE = (960, 540)  # in screen coordinates
+WINDOW_SIZE = (1200, 640)  # in screen coordinates
 
 
 def take_objects(args: argparse.Namespace) -> None:

@@ -157,15 +157,18 @@ class PictureTexture:
             self._texture.release()
         self._texture = self._shared = None
 
-    def draw(self, frame: tuple[int, int]) -> None:
-        """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs."""
+    def draw(self, frame: tuple[int, int], place: tuple[int, int, int, int] | None = None) -> None:
+        """Fill a framebuffer of `frame` (width, height) [px], bars at the sides if the aspect differs.
+
+        place  (left, top, width, height) [px] of the picture, which may reach beyond the framebuffer
+        """
         gl = self._gl
         gl.screen.use()
         gl.viewport = (0, 0, *frame)
         gl.clear(0.0, 0.0, 0.0)
         if self._texture is None:
             return
-        left, top, width, height = fit((self.size[0], self.size[1] // self._views), frame)
+        left, top, width, height = place or fit((self.size[0], self.size[1] // self._views), frame)
         gl.viewport = (left, frame[1] - top - height, width, height)
         gl.disable(gl.BLEND | gl.DEPTH_TEST | gl.CULL_FACE)
         self._texture.use(0)

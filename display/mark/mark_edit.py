@@ -63,11 +63,13 @@ class MarkEdit:
         mark = Mark(self.name, view, kind, tuple((float(x), float(y)) for x, y in points))
         self._do(replace(self.state, marks=(*self.state.marks, mark)))
 
-    def clear(self) -> None:
-        """Remove all marks of the current object."""
+    def delete(self) -> None:
+        """Delete the current object with its marks; the only one keeps its name."""
         left = tuple(m for m in self.state.marks if m.object != self.name)
         grow = tuple((n, r) for n, r in self.state.grow if n != self.name)
-        self._do(replace(self.state, marks=left, grow=grow))
+        objects = tuple(n for n in self.state.objects if n != self.name) or self.state.objects
+        self._do(MarkState(objects, left, grow))
+        self.current = min(self.current, len(objects) - 1)
 
     def grow(self, rings: int) -> None:
         """Grow the current object by so many rings more, or shrink it."""

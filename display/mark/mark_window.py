@@ -2,47 +2,53 @@
 
 from __future__ import annotations
 
+import itertools
+import sys
 from typing import Protocol
 
 import numpy as np
 
 from core.errors import BadInput, Cancelled
 from display.mark.mark_edit import MarkEdit, MarkState
-from display.picture import PictureTexture, fit
+from display.mark.mark_panel import WIDTH, MarkPanel
+from display.mark.placed_picture import PlacedPicture
+from display.picture import PictureTexture
 from display.window.gl_window import GLWindow, has_display
+from display.window.orbit_camera import OrbitCamera
 from display.window.panel.theme import apply_theme
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
 STEP = 0.06  # of the distance, for a key that walks
-POINT_GAP = 2.0  # [px] of the picture between two points of a stroke
-HELP = "Left: inside   Right or Shift: outside   B: box   N: new object   1-9: choose   Ctrl+Z, Ctrl+Y   + -: size"
-HELP_VIEWS = "Tab: next view   Del: clear   Enter: done   Esc: leave"
-HELP_ORBIT = "Space or middle drag: turn   Wheel: nearer   W A S D Q E: move"
+POINT_GAP = 2.0  # in screen coordinates, between two points of a stroke
 WALK = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
 
 
 class Subject(Protocol):
-    """Interface of what is marked.
+    """Interface of what is marked. One view of it is shown.
 
     views   names of the pictures that have been marked or can be
     orbit   an OrbitCamera where one looks freely, None for photographs
+    size    (width, height) [px] of the shown view, in which marks are counted
+    version changes when a picture has become another one by itself
     """
 
     views: list[str]
-    orbit: object | None
+    orbit: OrbitCamera | None
+    size: tuple[int, int]
+    version: int
 
-    def picture(self, view: str | None) -> np.ndarray:
-        """Picture (H, W, 3) uint8 of a view with what is selected in colours; of the free camera for None."""
-
-    def view_here(self) -> str:
-        """Name of the view of the free camera as it stands, a new one if need be."""
+    def picture(self) -> np.ndarray:
+        """Picture (H, W, 3) uint8 of the shown view with what is selected in colours, perhaps of another size."""
 
     def view_shown(self) -> str | None:
-        """Name of the view that the free camera sees now, None if it is none."""
+        """Name of the shown view, None for one that has no name yet."""
+
+    def view_here(self) -> str:
+        """Name of the shown view; it is given one if need be."""
 
     def go_to(self, view: str) -> None:
-        """Let the free camera see a view."""
+        """Show a view."""
 
     def select(self, state: MarkState) -> str:
         """Select by the marks; a line on what was found. Raises BadInput."""
@@ -58,30 +64,34 @@ class MarkWindow:
         if not has_display():
             raise BadInput("no display to mark objects on: --marks MARKS.json takes marks from a file")
         self.subject, self.edit = subject, edit
+        self.tool, self.line = "inside", ""  # what the left button draws; what is said at the panel's foot
         self._surface = GLWindow(title, *size, vsync=True)
         apply_theme(self._surface.scale)
-        self._texture = PictureTexture(self._surface.gl)
-        self._index, self._seen, self._cursor = 0, None, (0.0, 0.0)
+        self._texture, self._placed = PictureTexture(self._surface.gl), PlacedPicture()
+        self._panel = MarkPanel(self)
+        self._seen, self._cursor = None, (0.0, 0.0)
         self._drag: str | None = None  # "inside", "outside", "boxes" or "turn"
         self._points: list[tuple[float, float]] = []
         self._held: set[str] = set()
-        self._box = self._leaving = False
-        self._line, self._selected = "", MarkState()
-        self._shape = (1, 1)
+        self._leaving = False
+        self._selected = MarkState()
         self._result: MarkState | None = None
         self._open = True
 
     def run(self) -> MarkState | None:
         """Let the user mark."""
         try:
-            while self._open and not self._surface.closing:
+            while self._open:
+                if self._surface.closing:
+                    self._surface.stay()
+                    self.leave()
                 if self._surface.asleep():
                     continue
                 for event in self._surface.begin():
                     self._handle(*event)
                 waiting = self._drag is None and self.edit.state != self._selected
                 if waiting:
-                    self._line = "selecting ..."
+                    self.line = "selecting ..."
                 self._show()
                 self._surface.end()
                 self._surface.swap()
@@ -91,35 +101,31 @@ class MarkWindow:
         finally:
             self._surface.close()
 
-    @property
-    def view(self) -> str | None:
-        """The view that is shown; None: the free camera."""
-        return None if self.subject.orbit is not None else self.subject.views[self._index]
-
     def _select(self) -> None:
         self._selected, self._seen = self.edit.state, None
         try:
-            self._line = self.subject.select(self.edit.state)
+            self.line = self.subject.select(self.edit.state)
         except BadInput as e:
-            self._line = " ".join(str(e).split())
+            self.line = " ".join(str(e).split())
 
     def _show(self) -> None:
         """Draw picture, strokes and panel."""
-        orbit = self.subject.orbit
-        key = (self.view, None if orbit is None else (*orbit.eye, *orbit.target), self._surface.frame_size)
+        orbit, surface = self.subject.orbit, self._surface
+        key = (self.subject.version, self.subject.view_shown(), None if orbit is None else (*orbit.eye, *orbit.target))
         if key != self._seen:
-            picture = self.subject.picture(self.view)
-            self._texture.upload_pixels(picture)
-            self._seen, self._shape = key, picture.shape[1::-1]
-        self._texture.draw(self._surface.frame_size)
+            self._texture.upload_pixels(self.subject.picture())
+            self._seen, self._placed.size = key, self.subject.size
+        left, (width, height) = int(WIDTH * surface.scale), surface.window_size
+        self._placed.area = (left, 0, width - left, height)
+        pixels = surface.frame_size[0] / max(width, 1)
+        self._texture.draw(surface.frame_size, tuple(round(n * pixels) for n in self._placed.place))
         self._draw_marks()
-        self._draw_panel()
+        self._panel.draw((left, height), surface.scale)
 
     def _draw_marks(self) -> None:
         from imgui_bundle import imgui
 
-        draw, scale = imgui.get_background_draw_list(), self._surface.scale
-        shown = self.subject.view_shown() if self.subject.orbit is not None else self.view
+        draw, scale, shown = imgui.get_background_draw_list(), self._surface.scale, self.subject.view_shown()
         lines = [(m.object, m.kind, m.points) for m in self.edit.state.marks if m.view == shown]
         if self._drag in ("inside", "outside", "boxes"):
             lines.append((self.edit.name, self._drag, self._points))
@@ -127,62 +133,17 @@ class MarkWindow:
             index = self.edit.state.objects.index(name)
             colour = OUTSIDE_COLOUR if kind == "outside" else self.subject.colour(index)
             colour, edge = imgui.get_color_u32((*colour, 1.0)), imgui.get_color_u32((1.0, 1.0, 1.0, 0.8))
-            at = [self._to_screen(p) for p in points]
+            at = [self._placed.to_window(p) for p in points]
             if kind == "boxes" and len(at) > 1:
-                draw.add_rect(at[0], at[-1], colour, 0.0, 0, 2.5 * scale)
+                draw.add_rect(at[0], at[-1], edge, thickness=4.5 * scale)
+                draw.add_rect(at[0], at[-1], colour, thickness=2.5 * scale)
                 continue
-            for a, b in zip(at, at[1:] or at, strict=False):
-                draw.add_line(a, b, edge, 6.0 * scale)
-            for a, b in zip(at, at[1:] or at, strict=False):
-                draw.add_line(a, b, colour, 4.0 * scale)
-
-    def _draw_panel(self) -> None:
-        from imgui_bundle import imgui
-
-        area = imgui.get_io().display_size
-        imgui.set_next_window_pos((8, 8))
-        flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_collapse
-        imgui.begin("Objects", None, flags)
-        for k, name in enumerate(self.edit.state.objects):
-            imgui.color_button(f"##colour{k}", (*self.subject.colour(k), 1.0))
-            imgui.same_line()
-            if k == self.edit.current:
-                imgui.set_next_item_width(150 * self._surface.scale)
-                entered, text = imgui.input_text("##name", name, imgui.InputTextFlags_.enter_returns_true)
-                if entered and not self.edit.rename(text.strip()):
-                    self._line = f"{text.strip()!r} cannot be its name"
-            elif imgui.selectable(f"{k + 1} {name}", False)[0]:
-                self.edit.choose(k)
-        for text, act in (
-            ("New", self.edit.new_object),
-            ("Undo", self.edit.undo),
-            ("Redo", self.edit.redo),
-            ("Grow", lambda: self.edit.grow(1)),
-            ("Shrink", lambda: self.edit.grow(-1)),
-            ("Done", self._finish),
-        ):
-            if imgui.button(text):
-                act()
-            if text != "Done":
-                imgui.same_line()
-        imgui.text(("box: drag around it" if self._box else self.view or "free view") + f"   {self._line}")
-        imgui.end()
-        draw = imgui.get_foreground_draw_list()
-        lines = [HELP, HELP_VIEWS + ("   " + HELP_ORBIT if self.subject.orbit is not None else "")]
-        height = imgui.get_text_line_height_with_spacing()
-        top = area.y - len(lines) * height - 6
-        draw.add_rect_filled((0, top - 4), (area.x, area.y), imgui.get_color_u32((0.0, 0.0, 0.0, 0.65)))
-        for k, line in enumerate(lines):
-            draw.add_text((8, top + k * height), imgui.get_color_u32((1.0, 1.0, 1.0, 1.0)), line)
-
-    def _to_screen(self, point) -> tuple[float, float]:
-        left, top, width, height = fit(self._shape, self._surface.window_size)
-        return left + point[0] / self._shape[0] * width, top + point[1] / self._shape[1] * height
-
-    def _to_picture(self, x: float, y: float) -> tuple[float, float]:
-        left, top, width, height = fit(self._shape, self._surface.window_size)
-        u, v = (x - left) / width * self._shape[0], (y - top) / height * self._shape[1]
-        return min(max(u, 0.0), float(self._shape[0])), min(max(v, 0.0), float(self._shape[1]))
+            if len(at) == 1:
+                draw.add_circle_filled(at[0], 4.0 * scale, edge)
+                draw.add_circle_filled(at[0], 3.0 * scale, colour)
+            for thickness, paint in ((6.0, edge), (4.0, colour)):
+                for a, b in itertools.pairwise(at):
+                    draw.add_line(a, b, paint, thickness * scale)
 
     def _handle(self, kind: str, *what) -> None:
         from imgui_bundle import imgui
@@ -196,8 +157,11 @@ class MarkWindow:
                 self._press(name, x, y)
             elif not down:
                 self._release()
-        elif kind == "wheel" and self.subject.orbit is not None and not io.want_capture_mouse:
-            self.subject.orbit.zoom(what[0])
+        elif kind == "wheel" and not io.want_capture_mouse:
+            if self.subject.orbit is not None:
+                self.subject.orbit.zoom(what[0])
+            else:
+                self._placed.zoom(what[0], *self._cursor)
         elif kind == "key" and not (what[1] and io.want_text_input):
             self._key(*what)
         elif kind == "blur":
@@ -208,24 +172,25 @@ class MarkWindow:
         if self._drag is not None:
             return
         self._cursor, self._leaving = (x, y), False
-        if self.subject.orbit is not None and (button == "middle" or "space" in self._held):
+        if button == "middle" or "space" in self._held:
             self._drag = "turn"
             return
-        outside = button == "right" or "shift" in self._held
-        self._drag = "outside" if outside else "boxes" if self._box else "inside"
-        self._points = [self._to_picture(x, y)]
+        self._drag = "outside" if button == "right" or "shift" in self._held else self.tool
+        self._points = [self._placed.to_picture(x, y)]
 
     def _move(self, x: float, y: float) -> None:
         du, dv, self._cursor = x - self._cursor[0], y - self._cursor[1], (x, y)
-        if self._drag == "turn":
+        if self._drag == "turn" and self.subject.orbit is None:
+            self._placed.move(du, dv)
+        elif self._drag == "turn":
             gain = ORBIT_PER_HEIGHT / max(self._surface.window_size[1], 1)
             self.subject.orbit.turn(-gain * du, gain * dv)
         elif self._drag == "boxes":
-            self._points = [self._points[0], self._to_picture(x, y)]
+            self._points = [self._points[0], self._placed.to_picture(x, y)]
         elif self._drag is not None:
-            point = self._to_picture(x, y)
-            if np.hypot(point[0] - self._points[-1][0], point[1] - self._points[-1][1]) >= POINT_GAP:
-                self._points.append(point)
+            last = self._placed.to_window(self._points[-1])
+            if np.hypot(x - last[0], y - last[1]) >= POINT_GAP:
+                self._points.append(self._placed.to_picture(x, y))
 
     def _release(self) -> None:
         drag, self._drag = self._drag, None
@@ -235,8 +200,8 @@ class MarkWindow:
             x, y = zip(*self._points, strict=True)
             if max(x) - min(x) < 1 or max(y) - min(y) < 1:
                 return
-            self._points, self._box = [(min(x), min(y)), (max(x), max(y))], False
-        self.edit.add(self.subject.view_here() if self.subject.orbit is not None else self.view, drag, self._points)
+            self._points, self.tool = [(min(x), min(y)), (max(x), max(y))], "inside"
+        self.edit.add(self.subject.view_here(), drag, self._points)
 
     def _key(self, name: str, down: bool) -> None:
         if name in ("shift", "space"):
@@ -247,59 +212,87 @@ class MarkWindow:
         if name != "escape":
             self._leaving = False
         actions = {
-            "ctrl+z": self.edit.undo,
-            "ctrl+y": self.edit.redo,
+            "ctrl+z": self.undo,
+            "ctrl+y": self.redo,
             "n": self.edit.new_object,
-            "plus": lambda: self.edit.grow(1),
-            "minus": lambda: self.edit.grow(-1),
-            "delete": self.edit.clear,
-            "tab": self._next_view,
-            "enter": self._finish,
+            "delete": self.edit.delete,
+            "tab": lambda: self.turn_page(-1 if "shift" in self._held else 1),
+            "home": self._placed.whole,
+            "enter": self.finish,
             "escape": self._escape,
         }
         if name in actions:
             actions[name]()
         elif name == "b":
-            self._box = not self._box
+            self.tool = "inside" if self.tool == "boxes" else "boxes"
         elif name.isdigit():
             self.edit.choose(int(name) - 1)
-        elif name in WALK and self.subject.orbit is not None:
+        elif self.subject.orbit is not None and name in WALK:
             orbit = self.subject.orbit
             orbit.move(*(STEP * orbit.distance * np.array(WALK[name])))
+        elif self.subject.orbit is not None and name in ("plus", "minus"):
+            self.edit.grow(1 if name == "plus" else -1)
 
-    def _next_view(self) -> None:
-        """Show the next view, the previous one with Shift."""
-        if not self.subject.views:
-            self._line = "no view has marks yet"
+    def turn_page(self, step: int) -> None:
+        """Show the next view, or the previous one for -1."""
+        views, shown = self.subject.views, self.subject.view_shown()
+        if not views:
+            self.line = "no view has marks yet"
             return
-        self._index = (self._index + (-1 if "shift" in self._held else 1)) % len(self.subject.views)
-        if self.subject.orbit is not None:
-            self.subject.go_to(self.subject.views[self._index])
+        self.go_to(views[(views.index(shown) + step) % len(views) if shown in views else min(step, 0)])
 
-    def _finish(self) -> None:
-        """End with the marks, if each object has some."""
-        named = {m.object for m in self.edit.state.marks if m.kind != "outside"}
-        bare = [name for name in self.edit.state.objects if name not in named]
-        if bare:
-            self._line = f"{bare[0]} has no stroke inside of it yet"
-            return
-        self._result, self._open = self.edit.state, False
+    def go_to(self, view: str) -> None:
+        """Show a view as a whole."""
+        self._placed.whole()
+        self.subject.go_to(view)
 
-    def _escape(self) -> None:
-        """End the drag or the box; else leave, asked twice if something was marked."""
-        if self._drag is not None:
-            self._drag = None
-        elif self._box:
-            self._box = False
-        elif self.edit.changed and not self._leaving:
-            self._leaving, self._line = True, "Esc again leaves without keeping the marks; Enter keeps them"
+    def undo(self) -> None:
+        """Take the last step back; where it was on another photograph, show that."""
+        self._step(self.edit.undo)
+
+    def redo(self) -> None:
+        """Take the step that was undone last again."""
+        self._step(self.edit.redo)
+
+    def _step(self, act) -> None:
+        before = set(self.edit.state.marks)
+        act()
+        changed = {m.view for m in before ^ set(self.edit.state.marks)}
+        if self.subject.orbit is None and changed and self.subject.view_shown() not in changed:
+            self.go_to(min(changed))
+
+    def finish(self) -> None:
+        """End with the marks, if there are some, and each object that has marks has some inside."""
+        marks = self.edit.state.marks
+        bare = {m.object for m in marks} - {m.object for m in marks if m.kind != "outside"}
+        if not marks:
+            self.line = "draw a stroke inside of an object first"
+        elif bare:
+            self.line = f"{min(bare)} has no stroke inside of it yet"
+        else:
+            self._result, self._open = self.edit.state, False
+
+    def leave(self) -> None:
+        """End without the marks, asked twice if something was marked."""
+        if self.edit.changed and not self._leaving:
+            self._leaving, self.line = True, "Once more leaves without keeping the marks; Enter keeps them"
         else:
             self._open = False
+
+    def _escape(self) -> None:
+        """End the drag or the box; else leave."""
+        if self._drag is not None:
+            self._drag = None
+        elif self.tool != "inside":
+            self.tool = "inside"
+        else:
+            self.leave()
 
 
 def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]) -> MarkState:
     """The marks that a user makes in a window. Raises BadInput without a display, Cancelled if none are wanted."""
     state = MarkWindow(subject, edit, title, size).run()
     if state is None:
+        print("the window was left: no marks are kept, nothing is written", file=sys.stderr)
         raise Cancelled(quits=True)
     return state

@@ -154,6 +154,10 @@ class GLWindow:
         """True once the user has asked to close the window."""
         return bool(self.glfw.window_should_close(self.handle))
 
+    def stay(self) -> None:
+        """Stay open, though the user has asked to close the window."""
+        self.glfw.set_window_should_close(self.handle, False)
+
     def geometry(self) -> dict:
         """Placement for `restore`: "size" and "place" in screen coordinates, or "maximized" alone."""
         if self.glfw.get_window_attrib(self.handle, self.glfw.MAXIMIZED):

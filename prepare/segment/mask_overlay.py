@@ -16,8 +16,8 @@ TINT = 0.45  # opacity of a mask's colour over the photograph
 
 
 def overlay(pixels: np.ndarray, ids: np.ndarray | None, colors: np.ndarray) -> np.ndarray:
-    """A photograph (H, W, 3) uint8 with its objects tinted and outlined in their colours (K, 3)."""
-    if ids is None:
+    """A photograph (H, W, 3) uint8 with its objects tinted and outlined in their colours (K, 3), the rest darker."""
+    if ids is None or not ids.any():
         return pixels
     import cv2
 

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import pytest
 from assets.splat_files import read_gaussians, write_gaussians
 from commands.marking import PhotographSubject, edit_of, marks_of_state, state_of
 from display.mark.mark_edit import MarkEdit
+from display.mark.placed_picture import PlacedPicture
 from tests.prepare.test_splat_segmentation import balls_on_a_floor
+from tests.support.painted_capture import write_capture
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
@@ -44,6 +47,30 @@ def test_a_name_is_given_to_one_object_alone():
     assert not edit.rename("bear") and not edit.rename("")
 
 
+def test_a_deleted_object_comes_back_with_its_marks():
+    edit = MarkEdit()
+    edit.add("view_1", "inside", [(1, 2)])
+    edit.delete()
+    assert edit.state.objects == ("object_1",) and not edit.state.marks  # there is always one
+    edit.undo()
+    edit.new_object()
+    edit.delete()
+    assert edit.name == "object_1" and len(edit.state.marks) == 1
+
+
+def test_an_enlarged_picture_keeps_what_is_under_the_cursor():
+    placed = PlacedPicture()
+    placed.size, placed.area = (400, 200), (100, 0, 800, 600)
+    assert placed.place == (100, 100, 800, 400) and placed.to_picture(500, 300) == (200, 100)
+    at = placed.to_picture(300, 200)
+    placed.zoom(3, 300, 200)
+    np.testing.assert_allclose(placed.to_window(at), (300, 200))
+    placed.move(40, -30)
+    np.testing.assert_allclose(placed.to_window(at), (340, 170))
+    placed.zoom(-9, 300, 200)
+    assert placed.place == (100, 100, 800, 400)
+
+
 def test_marks_of_a_file_come_back_from_the_window():
     edit = MarkEdit()
     edit.add("a.jpg", "inside", [(1, 2), (3, 4)])
@@ -64,11 +91,13 @@ def test_the_photograph_shows_at_once_what_a_stroke_selects(tmp_path):
     picture[20:60, 30:70] = (40, 60, 220)
     cv2.imwrite(str(tmp_path / "a.png"), picture)
     subject = PhotographSubject([SimpleNamespace(name="a.png", image=tmp_path / "a.png")])
-    before, edit = subject.picture("a.png").astype(int), MarkEdit()
+    before, edit = subject.picture().astype(int), MarkEdit()
     edit.add("a.png", "inside", [(40, 30), (60, 50)])
     edit.add("a.png", "outside", [(15, 70), (85, 70)])
-    subject.select(edit.state)
-    changed = np.abs(subject.picture("a.png") - before).max(-1) > 5
+    assert "one more photograph" in subject.select(edit.state)
+    np.testing.assert_array_equal(subject.picture(), before)  # it is cut meanwhile
+    until(lambda: subject.version)
+    changed = np.abs(subject.picture() - 0.75 * before).max(-1) > 5  # the rest is darker
     assert changed[25:55, 35:65].mean() > 0.9 and changed[:15].mean() == 0.0
 
 
@@ -81,27 +110,26 @@ def test_without_a_display_marks_come_from_a_file(tmp_path, monkeypatch):
         check_window()
 
 
-@pytest.fixture
-def marking(tmp_path):
-    """A window on two balls on a floor: (screen, process, output folder)."""
-    write_gaussians(tmp_path / "balls.ply", balls_on_a_floor()[0])
-    with XServer(1000, 620) as screen:
-        words = [sys.executable, PROGRAM, "segment", tmp_path / "balls.ply", "--out", tmp_path / "out", "--arch", "cpu"]
-        process = subprocess.Popen(words, env=screen.env, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        try:
-            screen.wait_for_window("Mark balls.ply", seconds=120)
-            until(lambda: screen.pixels()[270, 441].max() > 60)  # the picture is there
-            yield screen, process, tmp_path / "out"
-        finally:
-            process.kill()
-            process.wait()
-
-
 def until(holds, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < end, "it never came"
-        time.sleep(0.1)
+        time.sleep(0.05)
+
+
+@contextmanager
+def opened(path: Path, out: Path):
+    """The window on a capture or splat: (screen, its id, process)."""
+    with XServer(1210, 690) as screen:
+        words = [sys.executable, PROGRAM, "segment", path, "--out", out]
+        process = subprocess.Popen(words, env=screen.env, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        try:
+            window = screen.wait_for_window(f"Mark {path.name}", seconds=120)
+            until(lambda: screen.pixels()[100:, 400:].max() > 60)  # the picture is there
+            yield screen, window, process
+        finally:
+            process.kill()
+            process.wait()
 
 
 def is_red(pixel) -> bool:
@@ -111,23 +139,53 @@ def is_red(pixel) -> bool:
 @pytest.mark.long
 @pytest.mark.window
 @pytest.mark.skipif(NEEDS_XVFB[1].args[0], reason=NEEDS_XVFB[1].kwargs["reason"])
-def test_strokes_in_the_window_take_a_ball_out(marking):
+def test_strokes_in_the_window_take_a_ball_out(tmp_path):
     """A stroke shows at once what it selects; undone it does not; Enter writes marks and splats."""
-    screen, process, out = marking
-    plain = screen.pixels()[270, 450].copy()
-    screen.drag((430, 250), (440, 285))
-    until(lambda: is_red(screen.pixels()[270, 455]))
-    screen.drag((360, 330), (440, 330), button=3)
-    until(lambda: screen.pixels()[330, 400].max() < 40)  # a dark stroke
-    until(lambda: not is_red(screen.pixels()[270, 518]))
-    screen.do("key", "ctrl+z", "key", "ctrl+z")
-    until(lambda: np.abs(screen.pixels()[270, 455].astype(int) - plain).max() < 12)
-    screen.do("key", "ctrl+y", "key", "ctrl+y")
-    until(lambda: is_red(screen.pixels()[270, 455]))
-    screen.key("Return")
-    text, errors = process.communicate(timeout=120)
+    write_gaussians(tmp_path / "balls.ply", balls_on_a_floor()[0])
+    out = tmp_path / "out"
+    with opened(tmp_path / "balls.ply", out) as (screen, _, process):
+        plain = screen.pixels()[320, 694].copy()
+        screen.drag((674, 300), (684, 335))
+        until(lambda: is_red(screen.pixels()[320, 699]))
+        screen.drag((605, 379), (684, 379), button=3)
+        until(lambda: screen.pixels()[379, 645].max() < 40)  # a dark stroke
+        until(lambda: not is_red(screen.pixels()[320, 762]))
+        screen.do("key", "ctrl+z", "key", "ctrl+z")
+        until(lambda: np.abs(screen.pixels()[320, 699].astype(int) - plain).max() < 12)
+        screen.do("key", "ctrl+y", "key", "ctrl+y")
+        until(lambda: is_red(screen.pixels()[320, 699]))
+        screen.key("Return")
+        text, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     marks = json.loads((out / "marks.json").read_text())
     assert set(marks["objects"]["object_1"]["view_1"]) == {"inside", "outside"}
     assert abs(len(read_gaussians(out / "object_1.ply")) - 1500) < 60
     assert (out / "view_1.png").is_file() and "object_1.ply" in text
+
+
+@pytest.mark.long
+@pytest.mark.window
+@pytest.mark.skipif(NEEDS_XVFB[1].args[0], reason=NEEDS_XVFB[1].kwargs["reason"])
+def test_two_objects_are_marked_on_photographs(tmp_path):
+    """Strokes, a name, a box, the next photograph, a cross clicked too early, and Enter."""
+    write_capture(tmp_path / "painted")
+    kept = tmp_path / "painted" / "marks.json"
+    with opened(tmp_path / "painted", tmp_path / "masks") as (screen, window, process):
+        screen.drag((680, 320), (740, 340), seconds=0.2)
+        until(lambda: is_red(screen.pixels()[330, 710]))
+        screen.click(150, 39)
+        screen.do("sleep", "0.2", "type", "--delay", "60", "clump")
+        screen.key("Return")
+        screen.do("sleep", "0.1", "key", "Tab", "sleep", "0.1", "key", "n", "sleep", "0.1", "key", "b", "sleep", "0.2")
+        screen.drag((620, 240), (820, 440), seconds=0.2)
+        until(lambda: (screen.pixels()[425:445, 720].astype(int) @ (-1, 0, 1)).max() > 120)  # a blue line
+        screen.close_window(window)
+        screen.do("sleep", "0.3")
+        assert process.poll() is None and not kept.exists()
+        screen.key("Return")
+        until(kept.exists)
+    objects = json.loads(kept.read_text())["objects"]
+    assert list(objects["clump"]) == ["00.png"] and list(objects["object_2"]) == ["01.png"]
+    x, y = np.array(objects["clump"]["00.png"]["inside"][0]).T
+    assert 25 < x.min() < x.max() < 40 and 28 < y.min() < y.max() < 36
+    assert len(objects["object_2"]["01.png"]["boxes"]) == 1

@@ -71,7 +71,8 @@ class BakedLight:
         rng: np.random.Generator,
         progress: Callable[[float], None] = lambda fraction: None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance (N, 3) of surfels of `surfaces`, from `rays` rays each, and mask (N,) of covered surfels.
+        """Irradiance (2, N, 3) of surfels of `surfaces`: direct, and gathered by `rays` rays each; and mask (N,) of
+        covered surfels.
 
         Thin sheets get the mean of their two sides, weighted by their translucency. `progress` is told the fraction
         of all surfels that are lit.
@@ -88,8 +89,8 @@ class BakedLight:
             facing = (((np.asarray(self._viewer.eye) - surfels.points[sheet]) * surfels.normals[sheet]).sum(1) > 0)[
                 :, None
             ]
-            here, there = np.where(facing, front[sheet], back), np.where(facing, back, front[sheet])
-            front[sheet] = (1 - t) * here + t * there
+            here, there = np.where(facing, front[:, sheet], back), np.where(facing, back, front[:, sheet])
+            front[:, sheet] = (1 - t) * here + t * there
             hidden[sheet] = False
         return front, hidden
 
@@ -166,18 +167,20 @@ class BakedLight:
     def _irradiance_from_front(
         self, points, normals, rays, near, rng, progress=lambda fraction: None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance (N, 3) on the side of the normals, and mask (N,) of points whose rays are nearly all short."""
-        total, hidden = self._direct_light(points, normals, rng), np.zeros(len(points), bool)
+        """Irradiance (2, N, 3) on the side of the normals, direct and gathered, and mask (N,) of points whose rays are
+        nearly all short."""
+        direct, gathered = self._direct_light(points, normals, rng), np.zeros((len(points), 3))
+        hidden = np.zeros(len(points), bool)
 
         def light(job: tuple[slice, np.random.Generator]) -> None:
             s, own_rng = job
             transport, emitted, short = self._gather(points, normals, rays, near, self._tree, s, own_rng)
-            total[s] += transport @ self._radiosity + emitted
+            gathered[s] = transport @ self._radiosity + emitted
             hidden[s] = short > COVERED_RAY_FRACTION
             progress(s.stop / len(points))
 
         in_threads(light, _jobs(len(points), rays, rng))
-        return total, hidden
+        return np.stack([direct, gathered]), hidden
 
     def _gather(self, points, normals, rays, near, tree, s: slice, rng) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
         """Final gather at the points `s`: transport matrix (N, look-up points), emitted irradiance (N, 3), and

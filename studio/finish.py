@@ -68,6 +68,8 @@ def smoothed(
 
     which  mask (N,) of the surfels whose values change (default: all)
     """
+    if not rounds:
+        return np.array(values)
     changing = np.arange(len(surfels)) if which is None else np.flatnonzero(which)
     averages, result = _averages(surfels, neighbours, width, changing), np.array(values)
     for _ in range(rounds):

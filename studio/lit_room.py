@@ -22,6 +22,7 @@ from studio.solids import Solid, sample_distance_grid
 from studio.surface_sampling import Surfels, Viewer, sample_surfaces
 
 GATHER_RAYS = 112  # for each Gaussian
+ROUNDS = 3  # in which light is smoothed
 WIDE_SIGMA = 0.022  # [m] above it a Gaussian's light is smoothed further
 RADIOSITY_SPACING = 0.03  # [m] approximate distance of the surfels that exchange light
 MIN_COARSE_FRACTION = 0.06  # of small surfels that exchange light
@@ -118,11 +119,22 @@ def visible_surfels(lit: LitRoom, rng: np.random.Generator, progress) -> tuple[S
     surfels = surfels.select(seen | sheet | ~thin | (surfels.normals[:, 1] > -0.2))
     irradiance, covered = lit.light.irradiance(surfels, surfaces, lit.detail.ray_count(GATHER_RAYS), rng, progress)
     keep = ~covered | np.array([not s.blocks_light for s in surfaces])[surfels.surface]
-    surfels, irradiance = surfels.select(keep), irradiance[keep]
+    surfels = surfels.select(keep)
     # Against the noise of the rays; contact shadows stay two Gaussians wide. On walls, few wide ones would show clouds.
-    irradiance = smoothed(surfels, irradiance, 1.3, 16, rounds=3)
+    direct, gathered = irradiance[:, keep]
+    gathered = smoothed(surfels, gathered, 1.3, 16, rounds=more_rounds(lit.detail))
+    irradiance = smoothed(surfels, direct + gathered, 1.3, 16, rounds=ROUNDS)
     wide = surfels.sigma.max(1) > lit.detail.spacing(WIDE_SIGMA)
     return surfels, smoothed(surfels, irradiance, 1.5, 20, rounds=4, which=wide)
+
+
+def more_rounds(detail: Detail) -> int:
+    """Rounds of smoothing of gathered light, besides ROUNDS, with which it spreads over as many metres at any detail.
+
+    A round spreads light by a variance of a Gaussian's squared width, which f times as many Gaussians divide by f.
+    With ROUNDS alone they would share the rays of fewer neighbours, and the rays' noise would show as blotches.
+    """
+    return max(round(ROUNDS * (detail.gaussians - 1)), 0)
 
 
 def _radiance(lit: LitRoom, surfels: Surfels, irradiance: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from studio.light_sources import Opening, Sun
-from studio.shapes import Mesh, Surface, box, grid_mesh, join, quad
+from studio.shapes import Mesh, Surface, box, grid_mesh, join, quad, welded
 from studio.textures import fbm, hash_uniform, mix, noise, plain, smoothstep, srgb, wood
 from studio.walls import reveal, wall_sheet, within
 
@@ -18,6 +18,7 @@ WINDOW_X, WINDOW_Y, REVEAL = (-0.36, 0.36), (1.18, 1.92), 0.14  # [m] in the far
 HOLE_X, HOLE_HEIGHT = (-0.14, 0.14), 0.27  # [m] of the hole in the far gable that the boxes hide
 PLANK, BOARD = 0.17, 0.13  # [m] width of floorboards, of the boards on walls and slopes
 SUN = Sun(np.array([0.30, -0.60, 0.74]) / np.linalg.norm([0.30, -0.60, 0.74]), np.array([1.0, 0.86, 0.64]) * 22)
+GAP = 0.006  # [m] between rafters and slopes
 PINE = ((0.46, 0.31, 0.17), (0.27, 0.165, 0.085))
 OLD = ((0.29, 0.195, 0.115), (0.135, 0.085, 0.048))
 DUST = (0.36, 0.33, 0.29)
@@ -60,7 +61,7 @@ def floorboards() -> Surface:
     """Wide, dusty boards along z."""
     mesh = quad((-KNEE[0], 0, Z1), (2 * KNEE[0], 0, 0), (0, 0, Z0 - Z1))
     colour = old_boards(PINE, 2, 0, PLANK, 3, 0.35)
-    return Surface("floorboards", mesh, colour, 0.0135, grain=(0, 0, 1), stretch=3.0, gloss=0.01)
+    return Surface("floorboards", mesh, colour, 0.0118, grain=(0, 0, 1), stretch=3.0, gloss=0.01)
 
 
 def slopes() -> list[Surface]:
@@ -86,9 +87,10 @@ def rafters() -> list[Surface]:
         along, inward = np.array([side * c, -s, 0.0]), np.array([-side * s, -c, 0.0])
         rotation = np.stack([along, -inward, np.cross(along, -inward)], 1)
         middle = np.array([0, RIDGE, 0]) + 0.5 * length * along
-        # In their own frame x runs down the slope and y out of the roof; what lies in the slope is left out.
-        beams = [box((-length / 2, -0.11, z - 0.04), (length / 2, 0.0, z + 0.04)) for z in _bays() * side]
-        beams = [within(m, (-9, -9, -9), (9, 0, 9)) for m in beams]
+        # In their own frame x runs down the slope and y out of the roof. They end just below the slope, since light
+        # from above would reach edges in it, and their upper faces, which nobody sees, are left out.
+        beams = [box((-length / 2, -0.11, z - 0.04), (length / 2, -GAP, z + 0.04)) for z in _bays() * side]
+        beams = [within(m, (-9, -9, -9), (9, -GAP, 9)) for m in beams]
         colour = old_boards(OLD, 0, 2, 4.0, 21)
         surfaces.append(
             Surface(f"rafters {side}", join(*beams), colour, 0.019, grain=(1, 0, 0), stretch=3.0).placed(
@@ -120,7 +122,7 @@ def gables() -> list[Surface]:
         box((HOLE_X[1] + 0.02, 0.0, Z0), (KNEE[0], 0.11, Z0 + 0.016)),
     ]
     return [
-        Surface("far gable", join(far, _arch()), colour, 0.015, grain=(0, 1, 0), stretch=2.5),
+        Surface("far gable", join(far, _arch()), colour, 0.0118, grain=(0, 1, 0), stretch=2.5),
         Surface("near gable", near, colour, 0.036, grain=(0, 1, 0), stretch=2.0),
         Surface(
             "skirting", _in_room(join(*skirting)), old_boards(OLD, 0, 1, 4.0, 33), 0.014, grain=(1, 0, 0), stretch=2.5
@@ -129,15 +131,21 @@ def gables() -> list[Surface]:
 
 
 def _gable(z: float, holes, facing: int) -> Mesh:
-    """A gable wall that ends behind the slopes; its face looks towards +z if `facing` is 1."""
+    """A gable wall up to the slopes: what stood out of them would be sunlit. It looks towards +z if `facing` is 1."""
+    import trimesh
+
     x = np.unique([*np.linspace(-KNEE[0], KNEE[0], 15), *(h for hole in holes for h in hole[:2])])
     y = np.unique([*np.linspace(0.0, RIDGE, 10), *(h for hole in holes for h in hole[2:])])
     mesh = grid_mesh(np.array([[(a, b, z) for b in y] for a in x[::facing]]))
-    centre, low = mesh.vertices[mesh.faces].mean(1), mesh.vertices[mesh.faces][..., 1].min(1)
-    inside = np.array([low_ < roof_height(a) + 0.1 for a, low_ in zip(centre[:, 0], low, strict=True)])
+    centre = mesh.vertices[mesh.faces].mean(1)
+    inside = np.ones(len(centre), bool)
     for x0, x1, y0, y1 in holes:
         inside &= ~((centre[:, 0] > x0) & (centre[:, 0] < x1) & (centre[:, 1] > y0) & (centre[:, 1] < y1))
-    return Mesh(mesh.vertices, mesh.faces[inside])
+    vertices, faces = mesh.vertices, mesh.faces[inside]
+    for side in (-1, 1):
+        inward = (side * (KNEE[1] - RIDGE), -KNEE[0], 0.0)
+        vertices, faces, _ = trimesh.intersections.slice_faces_plane(vertices, faces, inward, (0.0, RIDGE, z))
+    return welded(Mesh(vertices, faces))
 
 
 def _in_room(mesh: Mesh) -> Mesh:

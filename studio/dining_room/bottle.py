@@ -86,7 +86,7 @@ def bottle(rng: np.random.Generator, detail: Detail, report) -> Asset:
     height = c.points[:, 1] - BOTTLE_AT[1]
     c = c.select(~((c.surface == 0) & behind & (height > LABEL_Y[0] + 0.002) & (height < LABEL_Y[1] - 0.002)))
     irradiance, _ = light.irradiance(c, surfaces, detail.ray_count(160), rng)
-    irradiance = smoothed(c, irradiance, 4.0, 60, rounds=2)
+    irradiance = smoothed(c, irradiance.sum(0), 4.0, 60, rounds=2)
     diffuse = sample_albedo(c, surfaces, rng) * irradiance / np.pi
     views = view_directions(np.asarray(BOTTLE_AT) + (0.0, 0.5 * BOTTLE_HEIGHT, 0.0), lit.room.viewer)
     specular = _specular(c, light, views[0])

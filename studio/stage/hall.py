@@ -1,4 +1,4 @@
-"""The hall before the stage: carpet, papered walls with sconces, ceiling, rows of seats."""
+"""The hall before the stage: carpet, ceiling, sconces, chandelier, rows of seats."""
 
 from __future__ import annotations
 
@@ -6,14 +6,11 @@ import numpy as np
 
 from studio.light_sources import Lamp
 from studio.shapes import Surface, box, join, lathe, quad, smooth_curve, superellipsoid, tube
-from studio.textures import WALNUT, cloth, fbm, mix, plain, smoothstep, srgb, wood
+from studio.stage.hall_walls import GILT, X0, X1, Y1, Z0, Z1, walls
+from studio.textures import WALNUT, cloth, fbm, mix, plain, srgb, wood
 
-HALL_LOW, HALL_HIGH = (-2.9, 0.0, 0.30), (2.9, 3.7, 5.2)  # [m] the far wall is the stage's
-(X0, Y0, Z0), (X1, Y1, Z1) = HALL_LOW, HALL_HIGH
-DADO_HEIGHT = 0.95  # [m]
 SCONCE_Y, SCONCE_Z = 1.95, (1.1, 2.9)  # [m] on both side walls
 BULB = np.array([1.0, 0.66, 0.34])  # linear RGB of dimmed filaments
-GILT = "b8892f"
 CHANDELIER = (0.0, 3.05, 3.4)  # [m] centre of its bowl
 SEAT_ROWS = (2.75, 3.55, 4.35)  # [m] z of the rows
 SEAT_X = (-2.05, -1.45, -0.85, 0.85, 1.45, 2.05)  # [m] of the seats of a row, with an aisle between them
@@ -48,62 +45,6 @@ def carpet() -> Surface:
         return np.where(flower[:, None], gold, ground) * pile(p, n)
 
     return Surface("carpet", quad((X0, 0, Z1), (X1 - X0, 0, 0), (0, 0, Z0 - Z1)), colour_at, 0.033, width=1.1)
-
-
-def damask(seed: int):
-    """Colour of wallpaper with a woven ornament in two reds; dark panelling below."""
-    low, high, gold = srgb("6e1d24"), srgb("8f3030"), srgb(GILT)
-    panel = wood(WALNUT, axis=1, across=2, seed=seed)
-
-    def colour_at(p, n):
-        along = np.where(np.abs(n[:, 0]) > 0.5, p[:, 2], p[:, 0])
-        u, v = along / 0.34, p[:, 1] / 0.46
-        column = np.floor(u)
-        v = v + 0.5 * (column % 2)
-        u, v = u - column - 0.5, v - np.floor(v) - 0.5
-        r = np.hypot(1.5 * u, v)
-        leaf = np.cos(6 * np.arctan2(1.5 * u, v + 0.12)) * smoothstep(0.45, 0.12, r)
-        c = mix(low, high, smoothstep(0.05, 0.30, leaf) * (r < 0.45))
-        rail = np.abs(p[:, 1] - DADO_HEIGHT - 0.03) < 0.03
-        frame = np.abs(np.abs(along / 0.8 - np.round(along / 0.8)) - 0.44) < 0.012
-        frame |= (np.abs(p[:, 1] - 0.20) < 0.01) | (np.abs(p[:, 1] - 0.82) < 0.01)
-        below = mix(panel(p, n) * 1.5, gold, 0.8 * frame)
-        c = np.where((p[:, 1] < DADO_HEIGHT)[:, None], below, c)
-        return np.where(rail[:, None], gold, c) * (1 + 0.04 * fbm(p * 3, 2, seed))[:, None]
-
-    return colour_at
-
-
-def walls() -> list[Surface]:
-    """Side walls and the wall behind the seats."""
-    paper, leaf = damask(311), wood(WALNUT, axis=1, across=0, seed=317)
-
-    def with_doors(p, n):
-        x, y = np.abs(p[:, 0]), p[:, 1]
-        c = paper(p, n)
-        frame = (x < 0.96) & (y < 2.26)
-        c = np.where(frame[:, None], srgb(GILT), c)
-        panel = (np.abs(np.abs(x - 0.45) - 0.28) < 0.012) & (y > 0.25) & (y < 1.95)
-        panel |= ((np.abs(y - 0.25) < 0.012) | (np.abs(y - 1.1) < 0.03) | (np.abs(y - 1.95) < 0.012)) & (
-            np.abs(x - 0.45) < 0.28
-        )
-        door = mix(leaf(p, n) * 1.6, srgb(GILT), 0.8 * panel) * smoothstep(0.0, 0.012, x)[:, None]
-        return np.where(((x < 0.88) & (y < 2.18))[:, None], door, c)
-
-    left = quad((X0, 0, Z1), (0, 0, Z0 - Z1), (0, Y1, 0))
-    right = quad((X1, 0, Z0), (0, 0, Z1 - Z0), (0, Y1, 0))
-    back = quad((X1, 0, Z1), (X0 - X1, 0, 0), (0, Y1, 0))
-    cornice = join(
-        box((X0, Y1 - 0.14, Z0), (X0 + 0.12, Y1, Z1)),
-        box((X1 - 0.12, Y1 - 0.14, Z0), (X1, Y1, Z1)),
-        box((X0, Y1 - 0.14, Z1 - 0.12), (X1, Y1, Z1)),
-    )
-    return [
-        Surface("left wall", left, paper, 0.026, width=1.1),
-        Surface("right wall", right, paper, 0.026, width=1.1),
-        Surface("back wall", back, with_doors, 0.024, width=1.1),
-        Surface("cornice", cornice, plain("d9c79a", 0.03), 0.045),
-    ]
 
 
 def ceiling() -> Surface:

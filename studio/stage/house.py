@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from studio.shapes import Mesh, Surface, box, grid_mesh, join, lathe, quad, superellipsoid, tube
-from studio.stage.hall import GILT, HALL_HIGH, X1, damask
+from studio.stage.hall_walls import GILT, HALL_HIGH, X1, wallpaper
 from studio.textures import HONEY, WALNUT, cloth, fbm, hash_uniform, mix, plain, smoothstep, srgb, wood
 
 STAGE_TOP = 0.75  # [m] height of the boards; scenes repeat the stage for their analytic colliders
@@ -121,7 +121,7 @@ def proscenium() -> list[Surface]:
     return [
         Surface("proscenium", join(*frame), ornament, 0.0125),
         Surface("proscenium reveal", join(*reveal), plain("d9c9a2", 0.03), 0.020),
-        Surface("proscenium wall", join(*wall), damask(343), 0.020, width=1.1),
+        Surface("proscenium wall", join(*wall), wallpaper(343), 0.020, width=1.1),
         Surface("proscenium trim", join(*trim, ring), plain(GILT, 0.05), 0.018, gloss=0.22, roughness=0.3),
         Surface("sun", mask, sun_face, 0.011, gloss=0.2, roughness=0.3),
     ]

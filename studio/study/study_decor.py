@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from studio.doors import casing, panelled_leaf
 from studio.light_sources import Lamp
 from studio.shapes import (
     Surface,
@@ -18,7 +21,7 @@ from studio.shapes import (
     superellipsoid,
     tube,
 )
-from studio.study.study_shell import WINDOW_Y, X0, X1, Z0, Z1, boards
+from studio.study.study_shell import CASING, DOOR, WINDOW_Y, X0, X1, Z0, Z1, boards
 from studio.textures import WALNUT, cloth, fbm, mix, noise, plain, smoothstep, srgb, wood
 
 FLOOR_LAMP_AT = (1.52, 0.0, -0.95)  # [m]
@@ -292,21 +295,13 @@ def world_map() -> list[Surface]:
 
 def door() -> list[Surface]:
     """The door in the near wall, behind the player."""
-    x0, x1, height = -0.45, 0.45, 2.05
-    leaf = [box((x0, 0.01, Z1 - 0.03), (x1, height, Z1))]
-    panels = [
-        box((a, b, Z1 - 0.045), (a + 0.32, c, Z1 - 0.03))
-        for a in (x0 + 0.09, x1 - 0.41)
-        for b, c in ((0.15, 0.85), (1.0, 1.92))
-    ]
-    trim = [
-        box((x0 - 0.09, 0, Z1 - 0.04), (x0, height + 0.09, Z1)),
-        box((x1, 0, Z1 - 0.04), (x1 + 0.09, height + 0.09, Z1)),
-        box((x0, height, Z1 - 0.04), (x1, height + 0.09, Z1)),
-    ]
-    knob = superellipsoid((0.055,) * 3, 1.0, 14).moved(translation=(x0 + 0.07, 1.0, Z1 - 0.07))
+    x0, x1, y0, y1 = DOOR
+    leaf, face = (x0, x1, y0 + 0.008, y1), Z1 - 0.022
+    panels = [(a, a + 0.32, c, d) for a in (x0 + 0.09, x1 - 0.41) for c, d in ((0.20, 0.85), (1.02, 1.92))]
+    meshes = [*panelled_leaf(leaf, panels, face, 0.014), *casing(DOOR, CASING, Z1 - 0.04, Z1)]
+    knob = superellipsoid((0.055,) * 3, 1.0, 14).moved(translation=(x0 + 0.045, 1.0, face - 0.03))
     return [
-        boards([*leaf, *panels, *trim], "door", 341, 0.028, axis=1),
+        replace(boards(meshes, "door", 341, 0.020, axis=1), gloss=0.0),  # its joints would gleam
         Surface("door knob", knob, plain("a5834a"), 0.010, gloss=0.25),
     ]
 

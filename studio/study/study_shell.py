@@ -14,6 +14,8 @@ ROOM_LOW, ROOM_HIGH = (-1.9, 0.0, -1.75), (1.9, 2.7, 2.2)  # [m] scenes/study_ta
 WINDOW_Z, WINDOW_Y = (-1.05, 0.55), (0.97, 2.30)  # [m] in the left wall
 REVEAL = 0.16  # [m] depth of the window in the wall
 DADO = 0.92  # [m] height of the panelling
+DOOR = (-0.45, 0.45, 0.0, 2.05)  # [m] x from, to, y from, to: in the near wall
+CASING = 0.09  # [m] width of the boards around it
 BLOCK = 0.09  # [m] width of a block of the parquet; it is four times as long
 SUN = Sun(np.array([0.78, -0.55, 0.22]) / np.linalg.norm([0.78, -0.55, 0.22]), np.array([1.0, 0.84, 0.62]) * 15)
 FILL_LIGHT = (0.14, 0.14, 0.13)  # added to frames seen against the sky, like a photographer's fill light
@@ -75,7 +77,7 @@ def walls() -> list[Surface]:
         "far": ((X0, X1), [], lambda u, v: (u, v, Z0)),
         "left": ((Z1, Z0), [(*WINDOW_Z, *WINDOW_Y)], lambda u, v: (X0, v, u)),
         "right": ((Z0, Z1), [], lambda u, v: (X1, v, u)),
-        "near": ((X1, X0), [], lambda u, v: (u, v, Z1)),
+        "near": ((X1, X0), [_doorway()], lambda u, v: (u, v, Z1)),
     }
     surfaces = []
     for name, (span, holes, to_room) in sides.items():
@@ -92,12 +94,14 @@ def walls() -> list[Surface]:
 def mouldings() -> list[Surface]:
     """Skirting, dado rail and panel stiles of walnut, a white cornice."""
     runs, stiles, cornice = [], [], []
+    left, right, *_ = _doorway()
     for low, high, depth in ((0.0, 0.10, 0.018), (DADO - 0.03, DADO + 0.015, 0.024)):
         runs += [
             box((X0, low, Z0), (X1, high, Z0 + depth)),
             box((X0, low, Z0), (X0 + depth, high, Z1)),
             box((X1 - depth, low, Z0), (X1, high, Z1)),
-            box((X0, low, Z1 - depth), (X1, high, Z1)),
+            box((X0, low, Z1 - depth), (left, high, Z1)),
+            box((right, low, Z1 - depth), (X1, high, Z1)),
         ]
     for z in np.arange(Z0 + 0.45, Z1, 0.62):
         for x0, x1 in ((X0, X0 + 0.014), (X1 - 0.014, X1)):
@@ -116,6 +120,12 @@ def mouldings() -> list[Surface]:
         Surface("stiles", _in_room(stiles), timber, 0.020, gloss=0.03),
         Surface("cornice", _in_room(cornice), plain("ece7da", 0.01), 0.034),
     ]
+
+
+def _doorway() -> tuple[float, float, float, float]:
+    """The door with its casing: x from, to, y from, to [m]."""
+    x0, x1, y0, y1 = DOOR
+    return x0 - CASING, x1 + CASING, y0, y1 + CASING
 
 
 def _in_room(meshes: list[Mesh]) -> Mesh:

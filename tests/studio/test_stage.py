@@ -14,7 +14,7 @@ from scenes import theatre
 from studio.dancer.choreography import dance_rig
 from studio.dancer.garments import ponytail, skirt
 from studio.dancer.skeleton import HEIGHT, joint_positions
-from studio.stage import hall, house, prop_tables, stage_lights
+from studio.stage import hall_walls, house, prop_tables, stage_lights
 from studio.swept_cages import rod_cage, sheet_cage
 
 SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "data"
@@ -24,7 +24,7 @@ def test_the_scene_repeats_the_stage():
     edges = house.STAGE_TOP, house.STAGE_FRONT, house.STAGE_BACK, house.STAGE_HALF_WIDTH
     assert edges == (theatre.STAGE_TOP, theatre.STAGE_FRONT, theatre.STAGE_BACK, theatre.STAGE_HALF_WIDTH)
     assert theatre.OPENING_HALF_WIDTH == house.OPENING_HALF_WIDTH
-    assert (hall.HALL_HIGH[0], hall.HALL_HIGH[2]) == (theatre.HALL_HALF_WIDTH, theatre.HALL_BACK)
+    assert (hall_walls.HALL_HIGH[0], hall_walls.HALL_HIGH[2]) == (theatre.HALL_HALF_WIDTH, theatre.HALL_BACK)
     x, z = prop_tables.TABLE_X, prop_tables.TABLE_Z
     assert ((-x, prop_tables.TABLE_TOP, z), (x, prop_tables.TABLE_TOP, z)) == theatre.TABLES
     assert theatre.TABLE_HALF == prop_tables.TABLE_HALF
@@ -44,6 +44,16 @@ def test_the_shipped_stage_is_a_place():
     pool = boards & (np.hypot(g.means[:, 0], g.means[:, 2]) < 0.6)
     wings = np.abs(g.means[:, 0]) > 1.9
     assert brightness[pool].mean() > 2 * brightness[wings].mean()  # the dancer stands in the light
+
+
+def test_the_door_of_the_hall_is_modelled_and_not_painted():
+    """Its leaves are set into the wall, and its panels into them; there is no wall behind."""
+    (x0, x1, _, y1), z = hall_walls.DOOR, hall_walls.HALL_HIGH[2]
+    x = Asset.load(SHIPPED / "stage.h5").gaussians.means
+    low, high = np.array([x0 + 0.02, 0.02, z - 0.06]), np.array([x1 - 0.02, y1 - 0.02, z + 0.1])
+    depth = z - x[((x > low) & (x < high)).all(1), 2]
+    assert ((depth > 0.015) & (depth < 0.025)).sum() > 300 and ((depth > 0.004) & (depth < 0.008)).sum() > 300
+    assert (depth < 0.004).mean() < 0.06
 
 
 def test_standing_feet_do_not_slip():

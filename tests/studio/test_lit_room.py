@@ -1,0 +1,24 @@
+"""Light of a modelled room: how far it is smoothed."""
+
+import numpy as np
+
+from studio.detail import Detail
+from studio.finish import smoothed
+from studio.lit_room import ROUNDS, more_rounds
+from studio.shapes import Surface, quad
+from studio.surface_sampling import sample_surface
+from studio.textures import plain
+
+
+def test_gathered_light_is_smoothed_over_as_many_metres_at_any_detail():
+    """Of more Gaussians each gathers with fewer rays, whose noise showed as blotches when it shared as few of them."""
+    floor = Surface("floor", quad((-1, 0, 0.2), (2, 0, 0), (0, 0, -0.4)), plain("808080", 0.0), 0.06, uniform=True)
+    widths = []
+    for detail in (Detail(), Detail(9.0)):
+        finer = Surface("floor", floor.mesh, floor.colour, detail.spacing(floor.spacing), uniform=True)
+        surfels = sample_surface(finer, 0, np.random.default_rng(1), None)
+        bright = (surfels.points[:, :1] > 0.0).astype(float)
+        blurred = smoothed(surfels, bright, 1.3, 16, rounds=ROUNDS + more_rounds(detail))
+        inner = np.abs(surfels.points[:, 2]) < 0.1
+        widths.append(np.abs(blurred - bright)[inner & (np.abs(surfels.points[:, 0]) < 0.8)].mean())
+    assert 0.8 < widths[1] / widths[0] < 1.25

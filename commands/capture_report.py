@@ -1,4 +1,4 @@
-"""The report of `vrgs.py capture`: what the room looks like beside its photographs, its objects, seconds by stage."""
+"""The report of `vrgs.py capture`: the room beside its photographs, its objects, seconds of each stage."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from prepare.room_capture.room_pipeline import PlacedRoom, with_objects
 
 WIDTH = 360  # [px] of a picture
 MENU = (256, 144)  # [px] of the picture in the menu of scenes
-VIEWS = 3  # photographs that the room is shown beside
-PAPER_SECONDS = 2.5 * 3600  # that the preparation of a scene took the paper's authors
+VIEWS = 3  # photographs compared with the room
+PAPER_SECONDS = 2.5 * 3600  # the paper's time to prepare a scene
 
 
 def write_report(out: Path, room: PlacedRoom, rest: Gaussians, things: list, photographs: list, about: dict) -> None:

@@ -1,4 +1,4 @@
-"""Content and selection of the window for marks: the photographs of a capture, or a splat."""
+"""Content of the marking window: photographs of a capture, or a splat."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CUT_SIDE = 320  # [px] of what is cut at once: a third of a second
 
 
 def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
-    """Marks of a file as the window has them."""
+    """Marks of a file in the form of the window."""
     found = []
     for name, views in marks.objects.items():
         for view, m in views.items():
@@ -43,7 +43,7 @@ def state_of(marks: Marks, grow: dict[str, int]) -> MarkState:
 
 
 def marks_of_state(state: MarkState) -> Marks:
-    """Marks of the window as a file has them; objects without marks are left out. Raises BadInput for a name."""
+    """Marks of the window in the form of a file; objects without marks are left out. Raises BadInput for a name."""
     marks = Marks()
     for mark in state.marks:
         check_name(mark.object, "the window")
@@ -55,12 +55,12 @@ def marks_of_state(state: MarkState) -> Marks:
 
 
 def edit_of(marks: Marks, grow: dict[str, int]) -> MarkEdit:
-    """The marks of a file to go on from, or none."""
+    """Editing state that starts from the marks of a file."""
     return MarkEdit(state_of(marks, grow) if marks.objects else None)
 
 
 class SplatSubject:
-    """A splat that is marked from free views; a Subject of MarkWindow. Taichi must be running."""
+    """Subject of MarkWindow: a splat, marked from a free camera. Taichi must be running."""
 
     size, version = PICTURE_SIZE, 0
 
@@ -117,7 +117,7 @@ class SplatSubject:
         return name
 
     def go_to(self, view: str) -> None:
-        """As Subject.go_to; a camera that is rolled cannot be met."""
+        """As Subject.go_to; the camera's roll is ignored."""
         pose = self.cameras[view].world_to_camera @ self._upright.T
         eye = -pose[:3, :3].T @ pose[:3, 3]
         self.orbit.eye, self.orbit.target = eye, eye + self.orbit.distance * pose[2, :3]

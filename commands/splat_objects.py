@@ -1,4 +1,4 @@
-"""Objects taken out of a splat file by marks on its pictures: the half of `vrgs.py segment` without photographs."""
+"""`vrgs.py segment` for a splat file: objects are cut out by marks on its renderings, without photographs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WINDOW_SIZE = (1200, 640)  # in screen coordinates
 
 
 def take_objects(args: argparse.Namespace) -> None:
-    """Write a splat an object that `args.marks` mark in `args.capture`, to the folder `args.out`. Raises BadInput."""
+    """Write a splat per object that `args.marks` mark in `args.capture` to the folder `args.out`. Raises BadInput."""
     from display.picture import save_picture
     from prepare.segment.splat_marks import read_splat_marks, write_splat_marks
     from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
@@ -48,9 +48,9 @@ def take_objects(args: argparse.Namespace) -> None:
 
 
 def marked_splats(args: argparse.Namespace) -> SplatMarks:
-    """Marks that the user makes in a window, going on from those in the output folder; they are kept there.
+    """Marks drawn in a window, starting from those in the output folder, where they are saved.
 
-    Raises BadInput without a display, Cancelled if they are not wanted.
+    Raises BadInput without a display, Cancelled if the user leaves without saving.
     """
     from commands.marking import SplatSubject, check_window, edit_of
     from display.mark.mark_window import marked_in_window

@@ -13,9 +13,9 @@ TEST_PICTURES = 4  # of the page
 
 
 def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list, objects=None) -> None:
-    """Write the numbers, and a page with test photographs beside what is drawn.
+    """Write the numbers, and a page with held-out photographs beside their renderings.
 
-    objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): masks stand beside what Gaussians show
+    objects  (colours of the masks (K, 3) uint8, ids of the Gaussians): also shows masks beside the Gaussians' objects
     """
     from bench.html_page import Section, Table, html_page
 
@@ -50,7 +50,7 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
 
 def _perceptual(numbers: dict, trainer, test: list) -> str:
-    """Add the mean LPIPS of the test photographs to the numbers; returns what is said of it."""
+    """Add the mean LPIPS of the held-out photographs to the numbers; returns a sentence about it."""
     from prepare.train.perceptual import lpips_distance
 
     if not test:

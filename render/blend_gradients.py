@@ -24,11 +24,11 @@ from render.tile_batch import (
     tile_origin,
 )
 
-CPU_PIXELS = CPU_TILE * CPU_TILE  # of a block that the CPU walks through at once
-MIN_ALPHA = 1e-10  # of a pixel whose depth is divided by it, as in the picture
-SUMS = 10  # numbers of a Gaussian that pixels add to
-GEOMETRY = 7  # the first of them, which `into` shares
-INDEX = 2 * QUAD + 3  # word of shared memory that holds a splat's Gaussian
+CPU_PIXELS = CPU_TILE * CPU_TILE  # pixels of a CPU block
+MIN_ALPHA = 1e-10  # least opacity by which a pixel's depth is divided, as in the picture
+SUMS = 10  # accumulated numbers per Gaussian
+GEOMETRY = 7  # of them, the first, which `into` shares
+INDEX = 2 * QUAD + 3  # word of shared memory with the index of a splat's Gaussian
 
 vec2, vec3, vec4 = ti.math.vec2, ti.math.vec3, ti.math.vec4
 
@@ -39,25 +39,25 @@ class BlendGradients:
 
     In, fields of shape (height, width): `d_rgb` vec3, `d_alpha`, `d_depth`, derivatives with respect to the picture of
     a FloatImages sink, which has been drawn from the same bins. `with_depth=False`: the loss depends on colours alone,
-    and there are no such fields as the last two.
+    and the last two do not exist.
 
     Out, functions of a Gaussian, zero for those that are not in the picture:
     d_mean2d   (x, y [1/px], log2 opacity, camera z [1/m])
     d_conic    (A, B, C), as in `Projection.conic`
     d_color    (r, g, b)
 
-    With `color`, three numbers a Gaussian, vec3 (capacity,), the picture is of those in place of colours. With `into`,
-    the gradients of another picture from the same bins, d_mean2d and d_conic are added to its, and are the same.
+    With `color`, vec3 (capacity,), the picture shows those three numbers per Gaussian instead of colours. With `into`,
+    the BlendGradients of another picture from the same bins, d_mean2d and d_conic are shared: both add to them.
 
     With w_i = alpha_i T_i and s_i = dL/dC . c_i + dL/dD z_i + dL/dA, a pixel's loss changes by sum w_i s_i, and
 
         dL/dalpha_i = T_i s_i - (sum_{j > i} w_j s_j) / (1 - alpha_i).
 
-    The sum behind i is that of the whole pixel, which the picture gives, less the sum up to i: splats are walked
-    through from front to back as when they are drawn, and pixels end where they ended then. Pixels that have an order
+    The sum behind i is that of the whole pixel, known from the picture, minus the sum up to i: so splats are traversed
+    front to back as in the forward pass, and each pixel stops where it stopped there. Pixels that have an order
     of their own (sort="pixel", with a buffer of `buffer_size` splats) walk by themselves (per_pixel_gradients.py).
 
-    `sums` (capacity, SUMS) are what pixels add up, with d their distance [px] from the splat's centre and p the
+    `sums` (capacity, SUMS) accumulate over pixels, with d their offset [px] from the splat's centre and p the
     derivative with respect to the exponent: p, p d_x, p d_y, p d_x^2, p d_x d_y, p d_y^2, then dL/dz, dL/dcolour.
     """
 
@@ -86,7 +86,7 @@ class BlendGradients:
 
     @ti.func
     def clear(self, begin: ti.i32, end: ti.i32):
-        """Set the gradients of Gaussians [begin, end) to zero, but those of `into`; outermost level of a kernel."""
+        """Set the gradients of Gaussians [begin, end) to zero, except those of `into`; outermost level of a kernel."""
         for g in range(begin, end):
             for k in ti.static(range(SUMS)):
                 self.sums[g, k] = 0.0
@@ -308,7 +308,7 @@ def filled(value: ti.f32):
 def warp_sums(values: ti.template(), lane: ti.i32) -> ti.f32:
     """Sum over a warp of the SUMS values of each lane; a lane gets the sum of value `place_of_lane`.
 
-    Lanes exchange halves of what they hold with a partner 16 lanes away, then quarters with one 8 away, and so on: 12
+    Each lane exchanges half of its values with the lane 16 away, then a quarter with the one 8 away, and so on: 12
     exchanges instead of 50.
     """
     a = ti.Vector([0.0] * 5)

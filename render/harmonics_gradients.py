@@ -1,4 +1,4 @@
-"""Spherical harmonics up to degree 3 and their slopes, as device functions for the backward pass."""
+"""Spherical harmonics up to degree 3 and their derivatives, as device functions for the backward pass."""
 
 import taichi as ti
 
@@ -9,9 +9,9 @@ vec3 = ti.math.vec3
 
 @ti.func
 def basis_and_slopes(d: vec3, count: ti.template()):
-    """The first `count` basis functions at unit direction d, (count,), and their derivatives by d, (count, 3).
+    """The first `count` basis functions at unit direction d, (count,), and their derivatives d/dd, (count, 3).
 
-    They are those of the polynomials: the caller projects them to the tangent of the sphere.
+    Derivatives are those of the polynomials; the caller projects them onto the tangent plane of the sphere.
     """
     basis, slope = ti.Vector.zero(ti.f32, count), ti.Matrix.zero(ti.f32, count, 3)
     x, y, z = d.x, d.y, d.z

@@ -18,9 +18,9 @@ BEHIND_ALL = 0.0  # [1/m] of empty splats that follow the last one: they drain t
 def add_by_pixel(own: ti.template(), buffer_size: ti.template()):
     """Add the gradients of all tiles to those of `own`, a BlendGradients; outermost level of a kernel.
 
-    A pixel is walked through as `PerPixelSort` draws it, with the same buffer: what leaves the buffer is the next splat
-    from front to back, and its gradients are as in `BlendGradients`. The order itself has none. A splat that leaves is
-    fetched again, since where it lies from the pixel is not in the buffer.
+    Each pixel is traversed as in `PerPixelSort`, with the same buffer: the splat that leaves the buffer is the next one
+    from front to back, and its gradients are as in `BlendGradients`. The order itself has no gradient. A splat that
+    leaves is fetched again, since its offset from the pixel is not in the buffer.
     """
     tile_width, tile_height = ti.static(own.projection.tile[0], own.projection.tile[1])
     pixels = ti.static(tile_width * tile_height)

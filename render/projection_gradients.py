@@ -23,7 +23,7 @@ class ProjectionGradients:
 
     Out, of shape (capacity,), set for Gaussians in the picture and left as they are for all others, see `seen`:
     d_mean     vec3 [1/m]
-    d_cov      vec6 [1/m^2], with respect to the six stored entries: an off-diagonal one stands for two
+    d_cov      vec6 [1/m^2], with respect to the six stored entries; an off-diagonal one counts for two
     d_opacity  scalar
     d_sh       vec3 (capacity, coefficients)
     d_camera   vec4 (3,): with respect to the rows of world_to_camera, a sum over all Gaussians; with `of_camera`

@@ -1,4 +1,4 @@
-"""Marks while they are made: objects, strokes and boxes on views, and steps back and forth."""
+"""Marks being drawn: objects, strokes and boxes on views, with undo and redo."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class MarkState:
-    """All marks at a moment: names of objects, marks, and rings by which each object is grown (or shrunk)."""
+    """All marks at one moment: names of the objects, marks, and rings by which each is grown or shrunk."""
 
     objects: tuple[str, ...] = ("object_1",)
     marks: tuple[Mark, ...] = ()
@@ -36,7 +36,7 @@ class MarkState:
 
 
 class MarkEdit:
-    """State of the marks with undo; `current` is the index of the object that is marked."""
+    """State of the marks with undo; `current` is the index of the object being marked."""
 
     def __init__(self, state: MarkState | None = None):
         self.state, self.current = state or MarkState(), 0
@@ -45,12 +45,12 @@ class MarkEdit:
 
     @property
     def name(self) -> str:
-        """Name of the object that is marked."""
+        """Name of the object being marked."""
         return self.state.objects[self.current]
 
     @property
     def changed(self) -> bool:
-        """True if something was marked since the start, and is not undone."""
+        """True if anything was marked since the start and not undone."""
         return bool(self._done)
 
     def _do(self, state: MarkState) -> None:
@@ -72,13 +72,13 @@ class MarkEdit:
         self.current = min(self.current, len(objects) - 1)
 
     def grow(self, rings: int) -> None:
-        """Grow the current object by so many rings more, or shrink it."""
+        """Grow the current object by so many rings, or shrink it."""
         now = max(-GROW_MAX, min(GROW_MAX, self.state.rings(self.name) + rings))
         others = tuple((n, r) for n, r in self.state.grow if n != self.name)
         self._do(replace(self.state, grow=(*others, (self.name, now)) if now else others))
 
     def new_object(self) -> None:
-        """Mark another object from now on."""
+        """Start another object."""
         number = len(self.state.objects) + 1
         while f"object_{number}" in self.state.objects:
             number += 1
@@ -86,7 +86,7 @@ class MarkEdit:
         self.current = len(self.state.objects) - 1
 
     def rename(self, name: str) -> bool:
-        """Give the current object another name; False if another has it, or it is none."""
+        """Give the current object another name; False if it is taken or not valid."""
         old = self.name
         if not name or (name in self.state.objects and name != old):
             return False
@@ -100,16 +100,16 @@ class MarkEdit:
         return True
 
     def choose(self, index: int) -> None:
-        """Mark this object from now on, if there is one."""
+        """Make this object the current one, if it exists."""
         if 0 <= index < len(self.state.objects):
             self.current = index
 
     def undo(self) -> None:
-        """Take the last step back."""
+        """Undo the last step."""
         self._step(self._done, self._undone)
 
     def redo(self) -> None:
-        """Take the step that was undone last again."""
+        """Redo the step that was undone last."""
         self._step(self._undone, self._done)
 
     def _step(self, source: list[MarkState], target: list[MarkState]) -> None:

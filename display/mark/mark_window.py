@@ -1,4 +1,4 @@
-"""The window in which a user marks objects: strokes and boxes on photographs, or on a splat that one turns around."""
+"""Window to mark objects: strokes and boxes on photographs, or on a splat seen from a free camera."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from display.window.gl_window import GLWindow, has_display
 from display.window.orbit_camera import OrbitCamera
 from display.window.panel.theme import apply_theme
 
-ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
-STEP = 0.06  # of the distance, for a key that walks
+ORBIT_PER_HEIGHT = np.pi  # [rad] of rotation for a drag over the picture's height
+STEP = 0.06  # fraction of the distance per press of a walking key
 POINT_GAP = 2.0  # in screen coordinates, between two points of a stroke
 WALK = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "w": (0, 0, 1), "s": (0, 0, -1)}
 OUTSIDE_COLOUR = (0.05, 0.05, 0.05)
 
 
 class Subject(Protocol):
-    """Interface of what is marked. One view of it is shown.
+    """Interface of the content to be marked. One view of it is shown.
 
     views   names of the pictures that have been marked or can be
-    orbit   an OrbitCamera where one looks freely, None for photographs
+    orbit   an OrbitCamera for a free view, None for photographs
     size    (width, height) [px] of the shown view, in which marks are counted
     version changes when a picture has become another one by itself
     """
@@ -51,14 +51,14 @@ class Subject(Protocol):
         """Show a view."""
 
     def select(self, state: MarkState) -> str:
-        """Select by the marks; a line on what was found. Raises BadInput."""
+        """Update the selection from the marks; returns a line on the result. Raises BadInput."""
 
     def colour(self, index: int) -> tuple[float, float, float]:
         """Colour of an object, 0..1."""
 
 
 class MarkWindow:
-    """Open it, `run` it until the user has done: the marks, or None if they are not wanted. Raises BadInput."""
+    """Call `run` for the marks, or None if the user leaves without saving. Raises BadInput."""
 
     def __init__(self, subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]):
         if not has_display():
@@ -290,7 +290,7 @@ class MarkWindow:
 
 
 def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[int, int]) -> MarkState:
-    """The marks that a user makes in a window. Raises BadInput without a display, Cancelled if none are wanted."""
+    """Marks drawn in a window. Raises BadInput without a display, Cancelled if the user leaves without saving."""
     state = MarkWindow(subject, edit, title, size).run()
     if state is None:
         print("the window was left: no marks are kept, nothing is written", file=sys.stderr)

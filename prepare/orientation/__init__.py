@@ -1,4 +1,4 @@
-"""Orientation of captures: the up axis, the size, and the front.
+"""Orientation of captures: up axis, scale and front.
 
-From the cameras of a capture where there are some, and pictures of the possible answers where there are none.
+From the cameras of a capture where there are some; else pictures of the alternatives for the user.
 """

@@ -1,8 +1,8 @@
-"""The vertical of the world, from the cameras that photographed it.
+"""Up axis of a capture, from its cameras.
 
 People hold a camera level to a few degrees, upright or turned by a quarter, but tilt it up or down as they like. So the
-horizontal axis of each picture is nearly perpendicular to the vertical, and together these axes fix it as soon as the
-cameras look into different directions. What they leave open, the mean of the pictures' own up fills in.
+horizontal axis of each picture is nearly perpendicular to the vertical, and these axes determine it as soon as the
+cameras look in different directions. The mean up vector of the pictures decides what they leave open.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 ROLL = np.radians(4.0)  # standard deviation of a hand-held camera's roll
-TILT = np.radians(25.0)  # of the tilt that all photographs may share: a series of a table looks down at it
-OUTLIER = 3.0  # rolls beyond that many standard deviations say no more against a direction
+TILT = np.radians(25.0)  # standard deviation of a tilt shared by all photographs, as of a table seen from above
+OUTLIER = 3.0  # standard deviations of roll beyond which the cost is constant
 # Cost of a picture turned by 0, 1, 2, 3 quarters, as -log of how seldom that is: most cameras store pictures upright.
 QUARTER_COST = np.array([0.0, 2.0, 5.0, 2.0])
-STARTS = 60  # cameras whose picture axes are tried as the vertical
+STARTS = 60  # cameras whose axes are tried as the initial vertical
 ITERATIONS = 20
 
 
 @dataclass(frozen=True)
 class CameraUp:
-    """The vertical as cameras saw it.
+    """Vertical estimated from cameras.
 
     direction  unit, (3,), in the capture's frame
     error      standard deviation of its angle [rad], in the direction in which it is largest
-    quarters   by how many quarters each picture is turned, 0 to 3, (V,)
+    quarters   number of quarter turns of each picture, 0 to 3, (V,)
     """
 
     direction: np.ndarray
@@ -59,7 +59,7 @@ def up_of_cameras(world_to_camera: np.ndarray) -> CameraUp:
 
 
 def _costs(axes: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Cost (V, 4) of each picture's being turned by each number of quarters, if `up` is the vertical."""
+    """Cost (V, 4) of each picture for each number of quarter turns, given the vertical `up`."""
     along = axes @ up  # (V, 4)
     roll = np.roll(along, -1, axis=1)  # sine of the roll that is left
     held = np.minimum((roll / ROLL) ** 2, OUTLIER**2) / 2

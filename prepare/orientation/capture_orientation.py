@@ -15,15 +15,15 @@ from prepare.orientation.camera_up import up_of_cameras
 from prepare.train.capture import Capture
 
 SURFACE_OPACITY = 0.3  # fainter Gaussians are haze
-REACH = 2.5  # what lies farther, in distances of the cameras from what they look at, is background
+REACH = 2.5  # in distances of the cameras from what they look at; what is farther away is background
 AGREEMENT, AGREEMENT_MIN, AGREEMENT_MAX = 2.5, np.radians(3.0), np.radians(30.0)  # plane to cameras, in errors; [rad]
 PLANE_ERROR = np.radians(0.5)  # of a plane's normal, fitted to thousands of Gaussians
-PLANE_SHARE = 0.04  # of the area of all Gaussians below the cameras, at least, in a support plane
-LOWER_SHARE = 0.25  # of the support plane's area in a level plane under it: that is the floor, the upper one a table
+PLANE_SHARE = 0.04  # a support plane has at least this share of the area of all Gaussians below the cameras
+LOWER_SHARE = 0.25  # a level plane under it with this share of its area is the floor, the upper one a table
 EYE_HEIGHT, EYE_SPREAD = 1.5, 1.35  # [m] of a camera held by a standing person, and a factor for those who stoop
-VIEW_DISTANCE, VIEW_SPREAD = 1.5, 2.5  # [m] to what one photographs, where no floor was seen; it is a wide guess
-FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below, cameras went all around
-LENGTH_RANGE = (1e-3, 1e3)  # [m] that a user may have measured
+VIEW_DISTANCE, VIEW_SPREAD = 1.5, 2.5  # [m] to the subject if no floor was seen: a rough guess
+FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below it the cameras go all around
+LENGTH_RANGE = (1e-3, 1e3)  # [m] plausible measured lengths
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class CaptureOrientation:
 
     rotation      (3, 3);   scale [m per unit];   shift [m], (3,): the floor is at y = 0, what is looked at over (0, 0)
     up            in the capture's frame, (3,), and its error, a standard deviation [rad]
-    up_from       "cameras", or "support plane" where one agrees with them
+    up_from       "cameras", or "support plane" if one agrees with them
     scale_from    "measured", "eye height" or "viewing distance"; the last two are guesses
     scale_spread  factor by which a guess may be too large or too small (two times of three); 1.0: measured
     front_from    which photographs were taken from the front: "most photographs" or "first photograph"
@@ -88,7 +88,7 @@ def capture_orientation(
     measured: tuple[np.ndarray, np.ndarray] | None = None,
     length: float | None = None,
 ) -> CaptureOrientation:
-    """Up, size and front of what was captured.
+    """Up axis, scale and front of a capture.
 
     gaussians  trained from the capture, in its frame; None: cameras alone
     measured   two points (3,) of the capture's frame that are `length` [m] apart; else the scale is guessed

@@ -1,4 +1,4 @@
-"""Strip of pictures of a splat with each axis up that may well be, for a user who knows what it shows."""
+"""Strip of pictures of a splat with each plausible axis up, for the user to choose from."""
 
 from __future__ import annotations
 

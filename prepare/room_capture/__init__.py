@@ -1,5 +1,5 @@
-"""A captured room: what its cameras saw, its frame in metres, its background and its objects, as a ROOM/ folder.
+"""A captured room: its frame in metres, its background and its objects, written to a ROOM/ folder.
 
-In: a capture and the Gaussians that were trained from it.
-Out: an environment, bodies with cages, and where they stood.
+In: a capture and the Gaussians that were trained on it.
+Out: an environment, and bodies with cages in their captured places.
 """

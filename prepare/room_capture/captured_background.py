@@ -1,7 +1,7 @@
 """The background of a captured room as a static environment: its collider, its level planes, where things fall.
 
-Unlike `prepare --static` nothing is guessed that the cameras know: up and the floor come with the room's frame, what is
-free is what the cameras looked through, and the player stands where a photographer stood.
+Unlike `prepare --static` it relies on the cameras: the up axis and the floor come with the room's frame, the space that
+the cameras looked through is free, and the player stands where a photograph was taken.
 """
 
 from __future__ import annotations
@@ -116,8 +116,8 @@ def captured_environment(
     """The static environment of a background [m] with its floor at y = 0. Taichi must be running.
 
     extent    corners of what collides
-    near      corners (low, high) of the boxes where objects stood, in which the grids are fine
-    cell      spacing [m] of the coarse distance grid; None: as suits the size
+    near      corners (low, high) of the boxes of the objects, in which the grids are fine
+    cell      spacing [m] of the coarse distance grid; None: by size
     progress  called with "surface", "planes" or "distance" and the fraction of it that is done
     """
     low, high = extent
@@ -176,10 +176,10 @@ def seen_planes(scene: Upright, surface: Surface, view: RoomView) -> tuple[Suppo
 def free_place(
     planes: Sequence[SupportPlane], surface: Surface, view: RoomView
 ) -> tuple[np.ndarray, float, SupportPlane | None]:
-    """A place where a body may fall in the player's sight: the point (3,), the free radius [m] there, and the plane.
+    """A place in view of the player to drop a body: the point (3,), the free radius [m] there, and the plane.
 
-    Free places on planes, in the open space and in sight of the player, count by their radius and their nearness to
-    what the player looks at. Without any, a place over what the player looks at.
+    Free places on planes that the player can see are ranked by their radius and by their distance from the point that
+    the player looks at. If there is none, a place above that point.
     """
     k = view.photographer()
     eye, target, candidates = view.places[k], view.targets[k], []

@@ -24,7 +24,7 @@ NEAR_CAMERA = 0.12  # fraction of a view's depth: a Gaussian this near to the ca
 class Contributions:
     """Contributions of N Gaussians to V views, from pictures whose longer side is SIDE.
 
-    weight  sum over all pixels of all views of the blending weight, (N,) [px]
+    weight  blending weight summed over all pixels of all views, (N,) [px]
     views   number of views to which it gives a tenth of a pixel or more, (N,)
     depth   median depth of what each view shows, in the Gaussians' unit, (V,); NaN where it shows nothing
     """
@@ -87,7 +87,7 @@ def reduced(camera: Camera) -> Camera:
 
 
 def needed(gaussians: Gaussians, cameras: Sequence[Camera], found: Contributions) -> np.ndarray:
-    """Mask (N,) of the Gaussians that the photographs need and that do not float where a camera was."""
+    """Mask (N,) of the Gaussians that the photographs need, without floaters in front of cameras."""
     keep = found.weight >= NEEDED
     for camera, depth in zip(cameras, found.depth, strict=True):
         if np.isfinite(depth):
@@ -98,7 +98,7 @@ def needed(gaussians: Gaussians, cameras: Sequence[Camera], found: Contributions
 class WeightSums:
     """Sums of the blending weights of Gaussians over the pixels of cameras' pictures, whose longer side is SIDE.
 
-    With the derivative dL/dC of a map of pixels, the gradient by a Gaussian's colour is the sum of its weights there:
+    With a map of pixels for dL/dC, the gradient with respect to a Gaussian's colour is the sum of its weights there:
         C = sum_i w_i c_i,   dL/dc_i = sum over pixels of w_i dL/dC.
     """
 

@@ -1,4 +1,4 @@
-"""Objects of a captured room as bodies: what holds each of them, its cage, and its place."""
+"""Objects of a captured room as bodies: the support of each, its cage, and its place."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Support:
 def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
     """The part of the rest of a room [m], +y up, that holds an object.
 
-    It stands if the places near its foot where it touches something go all around its centre, as a base must; else it
-    hangs, as a trophy does on a wall. Raises BadInput if it touches nothing.
+    It stands if its contacts near the foot surround its centre, as those of a base do; else it hangs, as a trophy on a
+    wall does. Raises BadInput if it touches nothing.
     """
     thing, rest = thing.select(thing.opacities > SOLID), rest.select(rest.opacities > SOLID)
     own, others = thing.means.astype(np.float64), rest.means.astype(np.float64)
@@ -126,8 +126,8 @@ def object_body(
 
 
 def liftable(material: Material, volume: float) -> Material:
-    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and as much
-    softer, since it bears less weight."""
+    """The material of a body of this volume [m^3] that a hand can lift, as if it were hollow: lighter, and softer
+    in proportion, since it carries less weight."""
     share = min(1.0, MASS_MAX / (material.density * volume))
     young = max(material.young * share, min(material.young, MATERIALS[DEFAULT_MATERIAL].young))
     return replace(material, density=share * material.density, young=young)
@@ -143,7 +143,7 @@ def steady(material: Material, cage: Cage, down: np.ndarray, fixed_below: float 
 
 
 def object_files(names: Sequence[str]) -> list[str]:
-    """File names of objects in a room's folder, whatever they are called."""
+    """File names of objects in a room's folder, for any names."""
     files = []
     for k, name in enumerate(names):
         stem = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)[:60]

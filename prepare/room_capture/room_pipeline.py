@@ -25,7 +25,7 @@ from prepare.segment.object_ids import voted
 from prepare.train.capture import Capture
 from prepare.train.photographs import load_photograph
 
-OBJECT_SHARE = 0.002  # of what the pictures show, at least, in an object: less cannot be touched
+OBJECT_SHARE = 0.002  # least share of an object in what the pictures show
 NEAR_MARGIN = 0.03  # [m] around an object where the collider is fine
 
 
@@ -92,7 +92,7 @@ def placed_room(
     measured: tuple[np.ndarray, np.ndarray] | None = None,
     length: float | None = None,
 ) -> PlacedRoom:
-    """The room in metres without what no camera needs; `measured` points of the capture are `length` [m] apart."""
+    """The room in metres, pruned; `measured` points of the capture are `length` [m] apart."""
     cameras = cameras_of(capture)
     keep = needed(gaussians, cameras, found)
     gaussians, weight = gaussians.select(keep), found.weight[keep]
@@ -153,7 +153,7 @@ def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str],
 
 
 def too_little(thing: Gaussians, share: float) -> str:
-    """Reason why no object can be made of Gaussians that are a share of what the pictures show; "" if it can."""
+    """Reason why Gaussians with this share of the pictures cannot become an object; "" if they can."""
     opaque = int((thing.opacities > SOLID).sum())
     if opaque < MIN_GAUSSIANS:
         return f"only {opaque} opaque Gaussians belong to it; train longer (--steps) or mark more of it"

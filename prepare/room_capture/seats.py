@@ -1,8 +1,8 @@
-"""Seats of captured objects in the collider of their room: each rests where it was photographed.
+"""Seats of captured objects in the collider of their room: so each rests where it was photographed.
 
-What an object stands on was hidden by it: under its foot the collider is a guess, as deep as the noise of the capture,
-on which the object would tilt or sink as soon as it is let go. So the collider is filled there up to the plane on
-which the object stands by itself, and then hollowed out by all objects in their places.
+An object hides what it stands on: under its foot the collider is uncertain by the noise of the capture, and the object
+would tilt or sink as soon as it is released. So the collider is filled there up to the plane on which the object can
+stand, and the volume of all objects in their places is cut out of it.
 """
 
 from __future__ import annotations

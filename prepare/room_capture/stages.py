@@ -1,7 +1,7 @@
-"""Stages of a long pipeline: their results are kept in a folder, so that a cut run goes on; progress on stderr.
+"""Stages of a long pipeline: results are kept in a folder, so that an interrupted run resumes; progress on stderr.
 
-A stage is known by its inputs. Its folder holds stage.json with their digest; while it is being made it is called
-NAME.part, and becomes NAME when it is complete.
+A stage is identified by its inputs. Its folder holds stage.json with their digest; it is called NAME.part until it is
+complete.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ WIDTH = 110  # [characters] of a progress line, to cover the last one
 
 
 class Stages:
-    """Makes stages one after the other, or takes their results of an earlier run.
+    """Runs stages one after the other, or takes their results from an earlier run.
 
     folder   of all results
     names    of the stages, in the order in which they come
@@ -66,7 +66,7 @@ class Stages:
         return done
 
     def progress(self, step: str, done: float) -> None:
-        """Tell how far the present stage is, a fraction of `step`, and how long that will still take."""
+        """Report the progress of the current stage, a fraction of `step`, and the time left."""
         now = time.perf_counter()
         if now - self._told < LINE_SECONDS * (1 if sys.stderr.isatty() else 20):
             return
@@ -75,7 +75,7 @@ class Stages:
         self._print(f"{step} {done:.0%}, {passed:.0f} s{left}", end=False)
 
     def part(self, label: str, k: int, count: int) -> Callable[[str, float], None]:
-        """`progress` for the k-th of `count` equal parts of the present stage."""
+        """`progress` for the k-th of `count` equal parts of the current stage."""
         return lambda step, done: self.progress(f"{label}: {step}", (k + min(max(done, 0.0), 1.0)) / count)
 
     def _print(self, text: str, *, end: bool) -> None:
@@ -107,7 +107,7 @@ def remove(folder: Path) -> None:
 
 
 def file_key(path: Path) -> list:
-    """A file's name, size and time of change: enough to see that it was replaced."""
+    """A file's name, size and time of change: enough to detect that it was replaced."""
     try:
         found = path.stat()
     except OSError as e:

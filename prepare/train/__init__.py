@@ -1,4 +1,4 @@
 """Training: photographs with poses to Gaussians.
 
-In: a capture, images and their cameras. Out: Gaussians, and a report of how well unseen images are met.
+In: a capture (photographs and their cameras). Out: Gaussians, and their quality on held-out photographs.
 """

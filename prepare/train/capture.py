@@ -1,4 +1,4 @@
-"""A capture: photographs, the cameras that took them, and sparse points of what they show."""
+"""A capture: photographs, the cameras that took them, and sparse points of the scene."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from core.rotation import rotation_between
 from prepare.orientation.camera_up import up_of_cameras
 from prepare.train.lens import Lens
 
-VIEWS_MIN = 3  # two views of a point have one depth that explains them, a third one tells whether it is right
-ORTHONORMAL_TOLERANCE = 1e-2  # of a rotation in a file; a rounded one is made exact
-SPREAD_MIN = 1e-6  # of the cameras, in their distances from the origin: below it they stand in one place
-EXTENT_MARGIN = 1.1  # of the farthest camera from their middle, as in 3DGS
+VIEWS_MIN = 3  # two views always agree on some depth of a point; a third one checks it
+ORTHONORMAL_TOLERANCE = 1e-2  # of rotations in files, which are rounded; they are made exact
+SPREAD_MIN = 1e-6  # spread of the cameras relative to their distance from the origin; below it they stand in one place
+EXTENT_MARGIN = 1.1  # factor on the distance of the farthest camera from their centre, as in 3DGS
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Capture:
 
     @property
     def extent(self) -> float:
-        """Distance of the farthest camera from their middle, and a margin: the unit of the learning rates."""
+        """Distance of the farthest camera from their mean position, with a margin: the unit of the learning rates."""
         return EXTENT_MARGIN * max(np.linalg.norm(v.position - self.middle) for v in self.views)
 
     @property
@@ -89,7 +89,7 @@ class Capture:
 def read_capture(path: str | Path) -> Capture:
     """The capture in a folder, or of a transforms.json: nerfstudio, instant-ngp or COLMAP (text or binary).
 
-    Raises BadInput, which names what is wrong and what to do.
+    Raises BadInput, which names the fault and a remedy.
     """
     from prepare.train.colmap_model import find_colmap_model, read_colmap
     from prepare.train.transforms_json import read_transforms
@@ -114,7 +114,7 @@ def read_capture(path: str | Path) -> Capture:
 
 
 def checked(capture: Capture) -> Capture:
-    """The capture, its views sorted by name. Raises BadInput if nothing can be learned from it."""
+    """The capture, its views sorted by name. Raises BadInput if no training is possible with it."""
     views = sorted(capture.views, key=lambda v: str(v.image))
     for view in views:
         if not view.image.is_file():

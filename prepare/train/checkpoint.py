@@ -1,4 +1,4 @@
-"""Checkpoints of a training, from which a cut one goes on."""
+"""Checkpoints, from which an interrupted training resumes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LABELS = ("label", "first_label", "second_label")  # if objects are learned
 
 
 def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
-    """Write the state of a trainer; either the whole file or none. Raises BadInput."""
+    """Write the state of a trainer, atomically. Raises BadInput."""
     with atomic_write(path) as beside, h5py.File(beside, "w") as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         file.attrs["options"] = json.dumps(options, sort_keys=True)

@@ -1,4 +1,4 @@
-"""Births and deaths of Gaussians in training: adaptive density control, and MCMC with a fixed budget."""
+"""Densification in training: adaptive density control, and MCMC with a fixed budget."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from prepare.train.population import Population
 
 START, STOP, EVERY = 500, 15_000, 100  # steps of training
 RESET_EVERY = 3000  # steps between two resets of the opacities
-PULL_MIN = 2e-4  # [1/half picture] of the mean gradient by the position above which detail is missing
+PULL_MIN = 2e-4  # [1/half picture] mean pull above which detail is missing
 SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
 SPLIT_SHRINK = 1.6
 OPACITY_MIN, OPACITY_RESET = 0.005, 0.01
 LARGE = 0.1  # of the extent: larger ones are removed once opacities have been reset
 
-MCMC_GROWTH = 1.05  # a budget is filled by this factor each time
+MCMC_GROWTH = 1.05  # growth factor each time until the budget is used
 MCMC_STOP = 25_000
 NOISE = 5e5  # times the learning rate of the means
 OPACITY_COST = SCALE_COST = 0.01  # of the mean opacity and the mean scale
@@ -31,10 +31,10 @@ def logit(p: float) -> float:
 
 @dataclass
 class AdaptiveDensity:
-    """Kerbl 2023, Sec. 5: clone and split where the position is pulled, prune what is faint or huge, reset opacities.
+    """Kerbl 2023, Sec. 5: clone and split where `pull` is large, prune faint and huge Gaussians, reset opacities.
 
-    cap      most Gaussians, frozen ones included; those that are pulled hardest are divided where not all may be
-    budgeted what may be added grows towards `cap` by a schedule, fast at first: every step costs less until then
+    cap      upper limit of Gaussians, frozen ones included; those with the largest pull are divided first
+    budgeted the limit rises to `cap` by a schedule, fast at first, so that early steps cost less
     resets   opacities are lowered each RESET_EVERY steps
     start    Gaussians from which the schedule begins
     """
@@ -61,7 +61,7 @@ class AdaptiveDensity:
             self.population.activate()
 
     def budget(self, progress: float) -> int:
-        """Most Gaussians at a part of the time in which they grow: the cap, or what a parabola towards it allows."""
+        """Limit of Gaussians at a fraction of the growth phase: the cap, or a parabola that rises to it."""
         grown = progress * (2.0 - progress) if self.budgeted else 1.0
         return self.start + round((self.cap - self.start) * grown)
 
@@ -105,7 +105,7 @@ class AdaptiveDensity:
 
 @dataclass
 class MonteCarlo:
-    """Kheradmand 2024: a budget of `cap` Gaussians; dead ones are moved to live ones, and all are shaken."""
+    """Kheradmand 2024: a budget of `cap` Gaussians; dead ones are relocated to live ones, and noise is added to all."""
 
     population: Population
     extent: float
@@ -150,7 +150,7 @@ class MonteCarlo:
         return self.rng.choice(len(weights), count, p=weights / weights.sum())
 
     def _share(self, sources: np.ndarray, targets: np.ndarray) -> None:
-        """Put copies of `sources` at `targets`, so that all copies of one together look as it did."""
+        """Put copies of `sources` at `targets`, so that all copies of one together look like it."""
         p = self.population
         rows, copies = np.unique(sources, return_counts=True)
         opacity = 1.0 / (1.0 + np.exp(-p.parameters.logit.to_numpy()[rows].astype(np.float64)))
@@ -164,7 +164,7 @@ class MonteCarlo:
 
 
 def shared_opacity_and_scale(opacity: np.ndarray, copies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Opacity of each of N copies of a Gaussian, and the factor of its scale, so that they look as the one did.
+    """Opacity of each of N copies of a Gaussian, and the factor on its scale, so that together they look like the one.
 
     o_new = 1 - (1 - o)^(1/N);  factor = o / sum_{i=1..N} sum_{k<i} C(i-1, k) (-1)^k o_new^(k+1) / sqrt(k+1)
                                                                                        (Kheradmand 2024, eq. 9)

@@ -1,4 +1,4 @@
-"""Exposure of a photograph: a linear map of the drawn colours that is learned with them, and its gradient."""
+"""Exposure of a photograph: an affine map of the rendered colours that is learned with them, and its gradient."""
 
 import numpy as np
 import taichi as ti
@@ -17,7 +17,7 @@ class Exposure:
 
     affine    rows of [A b], vec4 (3,)
     rgb       Out: the mapped picture, (1, height, width) as a renderer's
-    d_affine  Out: gradient by the rows, vec4 (3,)
+    d_affine  Out: gradient with respect to the rows, vec4 (3,)
     """
 
     def __init__(self, height: int, width: int):
@@ -46,7 +46,7 @@ class Exposure:
 
     @ti.func
     def backward(self, rgb: ti.template(), d_rgb: ti.template(), height: ti.i32, width: ti.i32):
-        """Turn d_rgb, the gradient by the mapped picture, into that by `rgb`; outermost level of a kernel."""
+        """Turn d_rgb from the gradient of the mapped picture into that of `rgb`; outermost level of a kernel."""
         for k in range(3):
             self.d_affine[k] = vec4(0.0)
         blocks = (width + BLOCK - 1) // BLOCK

@@ -1,4 +1,4 @@
-"""A step of training on the device: draw, compare, gradients back to the parameters, Adam."""
+"""A training step on the device: render, loss, backpropagation to the parameters, Adam."""
 
 import numpy as np
 import taichi as ti
@@ -15,13 +15,13 @@ from render.renderer import FloatImages, Renderer
 
 @ti.data_oriented
 class GradientStep:
-    """Draws `population` in pictures of at most (height, width), and learns from them.
+    """Renders `population` in pictures of at most (height, width) and updates it from their loss.
 
-    A renderer keeps its kernels while pictures change their size, and its buffers for pairs of tile and Gaussian grow
-    on demand; the kernels that read those are compiled again then.
+    Pictures may change their size without recompilation. The buffers for pairs of tile and Gaussian grow on demand;
+    only then are the kernels that read them recompiled.
 
     exposes    colours are mapped before they are compared with a photograph, see `exposure`
-    of_camera  gradients by the camera are computed as well
+    of_camera  gradients with respect to the camera are computed, too
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class GradientStep:
         self.renderer.destroy()
 
     def draw(self, camera: Camera) -> "_BackwardPass":
-        """Draw for a camera; the backward pass that belongs to the picture."""
+        """Render for a camera; returns the backward pass of the picture."""
         rasterizer = self.renderer.rasterizer
         if (camera.width, camera.height) != (self.renderer.width, self.renderer.height):
             rasterizer.resize(camera.width, camera.height)
@@ -69,7 +69,7 @@ class GradientStep:
         return self._passes
 
     def compute(self, photograph: ti.Ndarray, camera: Camera, scale: float, mask=None, mask_scale=0.0) -> None:
-        """Draw, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels).
+        """Render, compare with a photograph, and compute all gradients; scale: 1 / (3 counted pixels).
 
         mask, mask_scale  `packed_labels` of the photograph and the factor of its loss: labels are compared, too
         """
@@ -92,7 +92,7 @@ class GradientStep:
         self._passes.update(self.population.frozen, self.population.count, *numbers)
 
     def camera_gradient(self) -> np.ndarray:
-        """Gradient of the last `compute` by the rows of world_to_camera, (3, 4); waits for the device."""
+        """Gradient of the last `compute` with respect to the rows of world_to_camera, (3, 4); waits for the device."""
         return self._passes.gradients.d_camera.to_numpy()
 
     def compare(self, photograph: ti.Ndarray, camera: Camera) -> np.ndarray:
@@ -105,7 +105,7 @@ class GradientStep:
         return sums
 
     def take_sums(self) -> np.ndarray:
-        """Sums of ImageLoss since they were taken last, (4,)."""
+        """Sums of ImageLoss since the last call, (4,)."""
         sums = self.loss.sums.to_numpy().sum(axis=0)
         self.loss.sums.fill(0.0)
         return sums
@@ -161,7 +161,7 @@ class _BackwardPass:
 
     @ti.func
     def _compare(self, photograph: ti.template(), height: ti.i32, width: ti.i32, scale: ti.f32, dssim: ti.f32):
-        """Write the gradient by the picture, through its exposure; outermost level of a kernel."""
+        """Write the gradient with respect to the picture, through its exposure; outermost level of a kernel."""
         if ti.static(self.exposes):
             self.exposure.apply(self.picture.rgb, height, width)
             self.loss.backward(self.exposure.rgb, photograph, self.blend.d_rgb, height, width, scale, dssim)

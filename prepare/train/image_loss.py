@@ -22,10 +22,10 @@ class ImageLoss:
     """(1 - lambda) |x - y| + lambda (1 - SSIM(x, y)), the mean over colours and over the pixels that count.
 
     Pixels are at most (height, width); `photograph` is an ndarray u32 R | G<<8 | B<<16 | A<<24, a pixel counts if A
-    is 255. Where it does not, x is taken for y: nothing is learned there.
+    is 255. Where it does not, y is set to x, so that the gradient is zero.
 
     Out: `sums` (SLOTS,), which together are the sums of (|x - y|, (x - y)^2, SSIM over colours, counted pixels) since
-    they were set to zero. A pixel adds to one of them: to a single number a GPU would add one after the other.
+    they were set to zero. A pixel adds to one slot, since atomic additions to a single number would be serial on a GPU.
 
     SSIM = (2 mx my + C1) (2 sxy + C2) / ((mx^2 + my^2 + C1) (sxx + syy + C2)), Wang 2004, with a Gaussian window of 11
     pixels and zeros outside of the image, as 3DGS has it. Its gradient is the same window applied to the derivatives

@@ -1,4 +1,4 @@
-"""Lenses: intrinsics and distortion of a photograph, and the undistorted image with a mask of what it holds."""
+"""Lenses: intrinsics and distortion of a photograph, and undistortion with a mask of the pixels it covers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from core.errors import BadInput
 
 SIDE_MAX = 16384  # [px]
-ASPECT_TOLERANCE = 0.01  # between an image and its camera: a reduced copy may be rounded to whole pixels
+ASPECT_TOLERANCE = 0.01  # between an image and its camera: sizes of reduced copies are rounded
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Lens:
     fisheye: bool = False
 
     def check(self, where: str) -> None:
-        """Raise BadInput, naming `where`, unless the numbers can be those of a lens."""
+        """Raise BadInput, naming `where`, unless the numbers describe a possible lens."""
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all() or not (0 < self.width <= SIDE_MAX and 0 < self.height <= SIDE_MAX):
             raise BadInput(f"{where}: the camera's size or intrinsics are no finite positive numbers")
@@ -40,11 +40,11 @@ class Lens:
 
     @property
     def distorts(self) -> bool:
-        """True if straight lines are bent."""
+        """True if there is any distortion."""
         return self.fisheye or any(k != 0.0 for k in self.distortion)
 
     def resized(self, width: int, height: int, where: str) -> Lens:
-        """The same lens for an image of another size. Raises BadInput, naming `where`, if that has another shape."""
+        """The same lens for an image of another size. Raises BadInput, naming `where`, if its aspect ratio differs."""
         sx, sy = width / self.width, height / self.height
         if abs(sx / sy - 1.0) > ASPECT_TOLERANCE:
             raise BadInput(f"{where}: the image is {width}x{height}, its camera {self.width}x{self.height}")
@@ -71,7 +71,7 @@ class Lens:
     def undistort(self, pixels: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (H, W, 3) and mask (H, W) bool as a pinhole camera sees them.
 
-        What the photograph does not hold is outside of the mask: learned as black it would cost much.
+        Pixels that the photograph does not cover are outside the mask: trained as black they would cost much quality.
         """
         if not self.distorts:
             return pixels, mask
@@ -84,7 +84,7 @@ class Lens:
         return out, whole > 0.999
 
     def undistort_labels(self, labels: np.ndarray) -> np.ndarray:
-        """Labels (H, W) uint8 of the photograph's pixels as a pinhole camera sees them; 0 where it holds none."""
+        """Labels (H, W) uint8 of the photograph's pixels as a pinhole camera sees them; 0 outside the photograph."""
         if not self.distorts:
             return labels
         import cv2
@@ -92,7 +92,7 @@ class Lens:
         return cv2.remap(labels, *self._photographed_places(), cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
 
     def distort_labels(self, labels: np.ndarray) -> np.ndarray:
-        """Labels (H, W) uint8 of the pinhole camera's pixels as the lens sees them; 0 where that sees none."""
+        """Labels (H, W) uint8 of the pinhole camera's pixels as the lens sees them; 0 outside the pinhole image."""
         if not self.distorts:
             return labels
         import cv2

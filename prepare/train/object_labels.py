@@ -1,4 +1,4 @@
-"""Labels: three learned numbers a Gaussian that say to which object it belongs, and the loss that teaches them."""
+"""Labels: three learned numbers per Gaussian that tell its object, and the segmentation loss."""
 
 import numpy as np
 import taichi as ti
@@ -11,7 +11,7 @@ from render.per_pixel_sort import PerPixelSort
 from render.renderer import FloatImages
 
 SEGMENTATION_WEIGHT = 0.1  # lambda_seg of the paper
-LABEL_RATE = 0.02  # of Adam: the way from the background's label to an object's is some 50 steps that see it
+LABEL_RATE = 0.02  # of Adam: some 50 steps that see a Gaussian move its label from the background's to an object's
 UNKNOWN = 255  # in masks: no object and no background
 
 vec3 = ti.math.vec3
@@ -20,8 +20,8 @@ vec3 = ti.math.vec3
 def label_colors(count: int) -> np.ndarray:
     """Labels of the background, black, and of `count` objects, (count + 1, 3) float64 in 0..1, far from each other.
 
-    The next one is always that point of a lattice which is farthest from those before. They stand for the colours of
-    the masks, which may lie as close together as their author likes.
+    Each next one is the lattice point farthest from all before it. They replace the colours of the masks, which may be
+    arbitrarily similar.
     """
     side = 2
     while side**3 <= count:
@@ -58,9 +58,9 @@ def packed_labels(ids: np.ndarray, counted: np.ndarray, count: int) -> ti.Ndarra
 
 @ti.data_oriented
 class Labels:
-    """Labels of up to `capacity` Gaussians, of shape (capacity,), and the moments of Adam. They begin as background.
+    """Labels of up to `capacity` Gaussians, of shape (capacity,), and the moments of Adam. All begin as background.
 
-    value          vec3; those of `label_colors` are what they are taught
+    value          vec3; targets are those of `label_colors`
     first, second  moments
     """
 
@@ -99,8 +99,8 @@ class LabelPass:
 
     L_seg = |M - I_seg|, the mean over three numbers and the pixels whose object is known   (VR-GS, Sec. 4.1)
 
-    It belongs to the total loss: its gradient by shapes and opacities is added to `blend`'s, so that Gaussians come to
-    end where objects do. With shapes left to the photographs, those that straddle a border of two like colours stay.
+    It is part of the total loss: its gradient with respect to shapes and opacities is added to `blend`'s, so that
+    Gaussians end at the borders of objects. Without that, those that straddle a border between similar colours remain.
     """
 
     def __init__(self, labels: Labels, blend: BlendGradients, images: FloatImages):

@@ -1,4 +1,4 @@
-"""Learned parameters of Gaussians: what they are activated to, and the gradient back to them."""
+"""Learned parameters of Gaussians: their activation, and the gradient through it."""
 
 import taichi as ti
 
@@ -11,13 +11,13 @@ vec3, vec4 = ti.math.vec3, ti.math.vec4
 
 @ti.data_oriented
 class Parameters:
-    """Rotations, scales and opacities of `splats` in the form in which they are learned, of shape (capacity,).
+    """Rotations, scales and opacities of `splats` in unconstrained form, of shape (capacity,).
 
     quat       wxyz of any length
     log_scale  vec3, natural logarithm [m]
     logit      of the opacity
 
-    Means and harmonics are learned as they stand in `splats`.
+    Means and harmonics need no activation and are learned in `splats`.
     """
 
     def __init__(self, splats: Splats):

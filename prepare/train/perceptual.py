@@ -1,4 +1,4 @@
-"""LPIPS (Zhang 2018), the perceptual distance of two images, if its package is installed: it is an optional one."""
+"""LPIPS (Zhang 2018), the perceptual distance of two images; needs the optional package `lpips`."""
 
 from __future__ import annotations
 

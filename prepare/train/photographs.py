@@ -15,7 +15,7 @@ from prepare.train.capture import View
 
 FILE_MAX = 512 << 20  # [bytes]
 PIXELS_MAX = 1 << 28
-HEADER_BYTES = 1 << 20  # of a file that is searched for its size: the preview in a JPEG may come first
+HEADER_BYTES = 1 << 20  # searched for the image size: the preview in a JPEG may come first
 
 
 class Photograph(NamedTuple):
@@ -31,7 +31,7 @@ class Photograph(NamedTuple):
 
 
 def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = None) -> Photograph:
-    """The view's photograph, its sides divided by `reduce`, and so the ids of its pixels. Raises BadInput."""
+    """The view's photograph and its ids, with width and height divided by `reduce`. Raises BadInput."""
     pixels, mask = read_image(view.image)
     if view.mask is not None:
         mask &= read_mask(view.mask, mask.shape)
@@ -47,7 +47,7 @@ def load_photograph(view: View, reduce: int = 1, objects: np.ndarray | None = No
 
 
 def reduced(photograph: Photograph, divisor: int) -> Photograph:
-    """The photograph with its sides divided; a pixel counts if all that it is the mean of did."""
+    """The photograph with width and height divided; a pixel counts if all pixels that it averages did."""
     if divisor == 1:
         return photograph
     import cv2
@@ -69,7 +69,7 @@ def reduced(photograph: Photograph, divisor: int) -> Photograph:
 def load_photographs(
     views: list[View], reduce: int = 1, objects=None, *, progress: Callable[[int], None] | None = None
 ) -> list[Photograph]:
-    """The photographs of all views, see `load_photograph`; `progress` is told how many are loaded. Raises BadInput.
+    """The photographs of all views, see `load_photograph`; `progress` is called with the number loaded. Raises BadInput.
 
     objects: ids of each view's pixels, or None, for each view.
     """
@@ -82,11 +82,9 @@ def load_photographs(
 
 
 def kept_for_test(items: list, every: int) -> tuple[list, list]:
-    """(what is learned from, what is kept for the test): every `every`th from the first on, none for 0.
+    """(training, held-out) items: every `every`th from the first on is held out, none for 0 or if there are fewer.
 
-    Of fewer than `every` none is kept: each is needed.
-
-    Raises BadInput if nothing is left to learn from.
+    Raises BadInput if none is left for training.
     """
     if every < 0:
         raise BadInput("--test-every is 0 or more")

@@ -1,4 +1,4 @@
-"""The Gaussians that are trained: parameters, the optimizer's moments, statistics, and their births and deaths."""
+"""The Gaussians in training: parameters, moments of the optimizer, statistics, copying and moving of rows."""
 
 import numpy as np
 import taichi as ti
@@ -10,7 +10,7 @@ from prepare.train.optimizer import BETA1, BETA2, EPSILON
 from prepare.train.parameters import Parameters
 from render.splats import Splats
 
-GEOMETRY = 11  # learned numbers of a Gaussian but for its harmonics: mean 3, quat 4, log_scale 3, logit 1
+GEOMETRY = 11  # learned numbers of a Gaussian without its harmonics: mean 3, quat 4, log_scale 3, logit 1
 
 vec3, vec4 = ti.math.vec3, ti.math.vec4
 geometry = ti.types.vector(GEOMETRY, ti.f32)
@@ -18,20 +18,20 @@ geometry = ti.types.vector(GEOMETRY, ti.f32)
 
 @ti.data_oriented
 class Population:
-    """Up to `capacity` Gaussians with all that training needs to know of them.
+    """Up to `capacity` Gaussians with all data that training needs.
 
     parameters  learned form of rotation, scale and opacity; means and harmonics are learned in `splats`
     first, second        moments of Adam of mean, quat, log_scale, logit, in this order
     first_sh, second_sh  those of the harmonics
-    pull        sum of the lengths of the gradient by the position in the picture [1/half picture], and `pulls`, how
-                many: of the steps since they were cleared in which a Gaussian was seen
+    pull        sum over steps since the last clearing of the norm of the gradient with respect to the position in the
+                picture [1/half picture]; `pulls` counts those steps, in which the Gaussian was visible
 
-    labels      of the objects that they belong to, if those are learned too
+    labels      of their objects, if there are masks
 
-    frozen      the first rows, as many as this, are drawn but never change, move or die
+    frozen      number of first rows that are drawn but never change, move or disappear
 
-    Rows beyond `count` are unused. Rows are copied by lists of indices from the host, which decides on births and
-    deaths (prepare/train/densification.py); no kernel depends on `count`.
+    Rows beyond `count` are unused. The host decides which rows are copied and dropped (prepare/train/densification.py);
+    no kernel depends on `count`.
     """
 
     def __init__(self, gaussians: Gaussians, capacity: int, frozen: int = 0, *, labelled: bool = False):
@@ -113,10 +113,10 @@ class Population:
         """A step of Adam for Gaussians [begin, end) with the gradients of this step; outermost level of a kernel.
 
         mean to harmonics      learning rates; bias1, bias2: 1 - beta^t of this step
-        active                 coefficients of the harmonics that are learned already
+        active                 number of coefficients of the harmonics that are learned by now
         half_width, half_height  of the picture [px]
         opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
-        sparse                 1: Gaussians out of the picture keep their place and their moments
+        sparse                 1: Gaussians outside the picture are not updated, nor their moments
         """
         for g in range(begin, end):
             seen = gradients.seen(g)
@@ -162,7 +162,7 @@ class Population:
     # births and deaths
 
     def copy(self, sources, targets, *, moments: bool) -> None:
-        """Overwrite rows `targets` by rows `sources`, which are no targets themselves.
+        """Overwrite rows `targets` with rows `sources`; no row is both.
 
         Without `moments` the copies' are zero, and so are their statistics.
         """

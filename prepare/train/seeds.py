@@ -12,12 +12,12 @@ from prepare.train.densification import logit
 
 OPACITY = 0.1
 NEIGHBOURS = 3
-RANDOM_COUNT = 100_000  # at most, where there are no points: as gsplat starts
-RANDOM_REACH = 3.0  # extents around the middle of the cameras, where there are no points
+RANDOM_COUNT = 100_000  # at most without sparse points, as in gsplat
+RANDOM_REACH = 3.0  # extents around the cameras' mean position, without sparse points
 
 
 def first_count(capture: Capture, cap: int) -> int:
-    """Most Gaussians to start from with a budget: all of it, but without points a quarter, so that they can grow."""
+    """Limit of initial Gaussians for a budget: all of it, or without points a quarter, which leaves room for growth."""
     return cap if _has_points(capture) else max(1, min(RANDOM_COUNT, cap // 4))
 
 
@@ -26,9 +26,9 @@ def _has_points(capture: Capture) -> bool:
 
 
 def seeds(capture: Capture, *, degree: int, count: int, rng: np.random.Generator) -> Gaussians:
-    """Round grey-white Gaussians as wide as their neighbours are far, at most `count` of them (Kerbl 2023).
+    """At most `count` isotropic Gaussians, as wide as the distance to their neighbours (Kerbl 2023).
 
-    Without points they lie at random around the cameras.
+    Without points they are placed at random around the cameras.
     """
     points, colors = capture.points, capture.colors
     if not _has_points(capture):

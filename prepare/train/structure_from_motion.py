@@ -1,4 +1,4 @@
-"""Poses of photographs and videos that come without any: structure from motion by pycolmap, an optional package."""
+"""Poses of photographs and videos without any: structure from motion by the optional package pycolmap."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 FRAMES = 120  # of a video
 SIDE_MAX = 1600  # [px] of images in which features are searched
 FEATURES_MAX = 4096  # in an image
-EXHAUSTIVE_MAX = 120  # photographs of which each is compared with each; of more, those that follow each other
+EXHAUSTIVE_MAX = 120  # up to this many photographs every pair is matched; beyond, only neighbours in the sequence
 Progress = Callable[[str], None]
 
 
@@ -26,9 +26,9 @@ def photographs_in(folder: Path) -> list[str]:
 
 
 def find_poses(images: Path, model: Path, *, names: list[str], in_order: bool, progress: Progress) -> None:
-    """Write a COLMAP model of the images (one camera, unless they differ in size) to `model`; all of it or nothing.
+    """Write a COLMAP model of the images (one camera, unless they differ in size) to `model`, atomically.
 
-    in_order: they follow each other, as frames of a video do. Raises BadInput if no poses can be found.
+    in_order: consecutive images overlap, as in a video. Raises BadInput if no poses can be found.
     """
     try:
         import pycolmap
@@ -75,7 +75,7 @@ def _size(image: Path) -> tuple[int, int]:
 def sharpest_frames(video: Path, folder: Path, count: int = FRAMES) -> int:
     """Write the sharpest frame of each of `count` equal parts of a video to `folder`; returns how many there are.
 
-    Sharp is what has the largest variance of its Laplacian. Raises BadInput.
+    Sharpness is the variance of the Laplacian. Raises BadInput.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Options of a training, and what they are by default."""
+"""Options of a training and their defaults."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ FAST = {"coarse": 0.3, "sparse": True, "harmonics_every": 2, "degree_interval": 
 class TrainOptions:
     """Options of a training.
 
-    strategy   of births and deaths: "default" grows where detail is missing, "mcmc" fills the budget `cap`
-    cap        most Gaussians, frozen ones included; memory for them is taken at the start
-    sort       order of blending that is trained for, one of render.SORTS
-    frozen     the first Gaussians, as many as this, are drawn but stay as they are, bit for bit
-    exposure   each photograph's exposure is learned, too (prepare/train/exposure.py)
-    poses      and corrections of its pose
+    strategy   of densification: "default" adds Gaussians where detail is missing, "mcmc" uses the whole budget `cap`
+    cap        upper limit of Gaussians, frozen ones included; their memory is allocated at the start
+    sort       order of blending in training, one of render.SORTS
+    frozen     number of first Gaussians that are drawn but stay as they are, bit for bit
+    exposure   also learn the exposure of each photograph (prepare/train/exposure.py)
+    poses      also learn corrections of the poses
 
-    What trades quality for time, see `fast`:
-    coarse           part of the steps in which pictures are drawn in a quarter, then in half of their size
-    sparse           Gaussians out of the picture rest: Adam does not move them
-    harmonics_every  steps from one in which harmonics above degree 0 learn to the next
+    Options that trade quality for time, see `fast`:
+    coarse           fraction of the steps that use pictures of a quarter, then half, of the size
+    sparse           Adam skips Gaussians outside the picture
+    harmonics_every  harmonics above degree 0 are updated only every so many steps
     degree_interval  steps after which one more degree of the harmonics is learned
-    budgeted         Gaussians grow towards `cap` by a schedule (`AdaptiveDensity`) and not as many as are pulled
-    resets           opacities are lowered from time to time, and what does not rise again dies
+    budgeted         the number of Gaussians follows a schedule towards `cap` (see `AdaptiveDensity`)
+    resets           opacities are lowered periodically; Gaussians whose opacity does not recover are pruned
     """
 
     steps: int = 30_000
@@ -51,5 +51,5 @@ class TrainOptions:
 
 
 def fast(options: TrainOptions) -> TrainOptions:
-    """The same options with all that trades quality for time as it was measured best (bench/NOTES.md)."""
+    """The same options with those that trade quality for time set to the best measured values (bench/NOTES.md)."""
     return replace(options, **FAST)

@@ -1,4 +1,4 @@
-"""Training of Gaussians to photographs: one view a step, all of it on the device."""
+"""Training of Gaussians on photographs: one view per step, entirely on the device."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Quality:
 
 
 class Trainer:
-    """Trains Gaussians to photographs; `step` once for each of `options.steps`.
+    """Trains Gaussians on photographs; call `step` once for each of `options.steps`.
 
     photographs  undistorted; each stays on the device as 4 bytes a pixel
-    extent       of the capture: the unit of the learning rate of positions, and of what is large
-    objects      names of the objects in the photographs' masks: those teach labels, by L + lambda_seg L_seg
+    extent       of the capture: the unit of positional learning rates and size limits
+    objects      names of the objects in the masks; with them labels are learned, by L + lambda_seg L_seg
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Trainer:
         self.population.destroy()
 
     def step(self) -> None:
-        """Learn from one view."""
+        """One training step, on one view."""
         if not self._queue:
             self._queue = self.rng.permutation(len(self.views)).tolist()
         view = self._queue.pop()
@@ -100,7 +100,7 @@ class Trainer:
         self.strategy.after(self.done, o.steps, mean_rate)
 
     def quality(self, photograph: Photograph) -> Quality:
-        """Quality of what is drawn now of a photograph."""
+        """Quality of the current rendering of a photograph."""
         sums = self.gradients.compare(packed(photograph), photograph.camera)
         values = 3.0 * max(float(sums[3]), 1.0)
         return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
@@ -112,7 +112,7 @@ class Trainer:
         return Quality(-10.0 * np.log10(max(sums[1] / values, 1e-12)), sums[2] / values, sums[0] / values)
 
     def gaussians(self) -> Gaussians:
-        """The Gaussians as they are now, which know the order that they were trained for."""
+        """The current Gaussians, with the sort they were trained for."""
         return replace(self.population.gaussians(), sort=self.options.sort)
 
     def picture(self, camera) -> np.ndarray:
@@ -126,14 +126,14 @@ class Trainer:
         return self.population.labels.value.to_numpy()[: self.population.count]
 
     def evidence(self) -> np.ndarray:
-        """Pixels of masks that each Gaussian was seen in, by their weights in the pictures, (N,) float64."""
+        """Number of mask pixels in which each Gaussian was visible, by its blending weights, (N,) float64."""
         views = [self.views.at(view, 1.0) for view in range(len(self.views))]
         return sum(self.gradients.weights(v.camera, v.mask) for v in views if v.mask is not None)
 
     def seen_objects(self, camera, ids: np.ndarray | None = None) -> np.ndarray:
         """Id of the object that each pixel of a picture shows, (H, W) uint8; `ids`: those of the Gaussians, (N,).
 
-        Without `ids` they are as the learned labels say.
+        Without `ids` they follow from the learned labels.
         """
         count, value = len(self.objects), self.population.labels.value
         if ids is None:
@@ -160,7 +160,7 @@ class Trainer:
         return {**self.population.read(), **own}
 
     def _of_views(self) -> dict:
-        """Corrections that are learned of each view, by name."""
+        """Learned corrections of the views, by name."""
         known = {"exposure": self.exposures, "pose": self.poses}
         return {name: learned for name, learned in known.items() if learned is not None}
 

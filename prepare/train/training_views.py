@@ -1,4 +1,4 @@
-"""The photographs that are learned from, on the device, in full size and reduced ones."""
+"""The training photographs on the device, at full and reduced size."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from core.camera import Camera
 from prepare.train.object_labels import packed_labels
 from prepare.train.photographs import Photograph, reduced
 
-COARSE = (4, 2)  # sides are divided by these while a training is coarse, each for an equal part of that time
-SIDE_MIN = 32  # [px] below which nothing is reduced: SSIM's window is 11
+COARSE = (4, 2)  # divisors of width and height in the coarse stage, each for an equal part of it
+SIDE_MIN = 32  # [px] smaller pictures are not reduced: SSIM's window is 11
 
 
 class Target(NamedTuple):
-    """A view to learn from: an image, its camera, how many of its pixels count, and labels of objects, if known.
+    """A training view: an image, its camera, the number of pixels that count, and object labels if known.
 
     mask   `packed_labels`, or None; known: the number of pixels that it counts
     """
@@ -31,9 +31,9 @@ class Target(NamedTuple):
 
 
 class TrainingViews:
-    """Photographs by view, as they are learned from at a time of the training.
+    """Training photographs by view, at the size for the current stage of the training.
 
-    coarse   part of the steps in which pictures are drawn smaller; 0: never, and no reduced copies are kept
+    coarse   fraction of the steps that use reduced pictures; 0: none, and no reduced copies are kept
     objects  number of objects in their masks
     """
 
@@ -47,14 +47,14 @@ class TrainingViews:
         return len(self.cameras)
 
     def at(self, view: int, progress: float) -> Target:
-        """A view after a part `progress` of the steps."""
+        """The target for a view after a fraction `progress` of the steps."""
         stages = len(self.levels) - 1
         k = min(stages, math.floor(stages * progress / self.coarse)) if stages else 0
         found = self.levels[k][view]
         return found._replace(camera=replace(found.camera, world_to_camera=self.cameras[view].world_to_camera))
 
     def set_pose(self, view: int, world_to_camera: np.ndarray) -> None:
-        """Draw a view from elsewhere from now on."""
+        """Render a view from another pose from now on."""
         self.cameras[view] = replace(self.cameras[view], world_to_camera=world_to_camera)
 
 

@@ -1,4 +1,4 @@
-"""Corrections that are learned of each photograph beside the Gaussians: of its exposure and of its pose."""
+"""Per-photograph corrections that are learned with the Gaussians: exposure and pose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ POSE_RATE = (1e-4, 1e-6)  # [rad], and of the capture's extent
 
 
 class ViewAdam:
-    """Adam for a few numbers a view, on the host: `values` (views, numbers), each view with its own count of steps."""
+    """Adam on the host for a few numbers per view: `values` (views, numbers), with a step count for each view."""
 
     def __init__(self, start: np.ndarray, views: int, rates: tuple[float, float]):
         self.values = np.tile(np.asarray(start, np.float64).ravel(), (views, 1))
@@ -20,7 +20,7 @@ class ViewAdam:
         self.steps, self.rates = np.zeros(views, np.int64), rates
 
     def step(self, view: int, gradient: np.ndarray, progress: float) -> np.ndarray:
-        """Move a view's numbers; `progress` is the part of the training that is done. Returns the move."""
+        """Step a view's numbers; `progress` is the fraction of the training done. Returns the change."""
         self.steps[view] += 1
         t, d = self.steps[view], np.asarray(gradient, np.float64).ravel()
         self.first[view] += (1.0 - BETA1) * (d - self.first[view])
@@ -43,7 +43,7 @@ class ViewAdam:
 
 
 class Exposures(ViewAdam):
-    """[A b] of each view. Their mean is the identity: a photograph that has none is compared with the plain picture."""
+    """[A b] of each view. Their mean is kept at the identity, which stands for photographs without one."""
 
     def __init__(self, views: int):
         super().__init__(IDENTITY, views, EXPOSURE_RATE)
@@ -53,14 +53,14 @@ class Exposures(ViewAdam):
         return self.values[view].reshape(3, 4)
 
     def step(self, view: int, gradient: np.ndarray, progress: float) -> np.ndarray:
-        """Move a view's numbers, and all back so that their mean stays."""
+        """Step a view's numbers, then shift all so that their mean stays."""
         move = super().step(view, gradient, progress)
         self.values -= move / len(self.values)
         return move
 
 
 class Poses(ViewAdam):
-    """A twist (rotation [rad], translation [extents]) that is added to each view's world_to_camera from the left."""
+    """A twist (rotation [rad], translation [extents]) that multiplies each view's world_to_camera from the left."""
 
     def __init__(self, given: list[np.ndarray], extent: float):
         super().__init__(np.zeros(6), len(given), POSE_RATE)
@@ -71,10 +71,10 @@ class Poses(ViewAdam):
         return twisted(self.values[view, :3], self.extent * self.values[view, 3:]) @ self.given[view]
 
     def learn(self, view: int, d_camera: np.ndarray, progress: float) -> None:
-        """Move a view; d_camera (3, 4): the gradient by the rows of world_to_camera.
+        """Step a view's pose; d_camera (3, 4): the gradient with respect to the rows of world_to_camera.
 
         The twist w, v of a small further motion changes column c of the matrix by w x c (and the last by v as well),
-        so dL/dw = sum c x dL/dc. It stands for the gradient by the whole twist, which is small.
+        so dL/dw = sum c x dL/dc. For a small twist this is also the gradient with respect to the whole twist.
         """
         columns = self.of(view)[:3].T
         d_rotation = np.cross(columns, d_camera.T).sum(axis=0)

@@ -69,7 +69,7 @@ def reduced(photograph: Photograph, divisor: int) -> Photograph:
 def load_photographs(
     views: list[View], reduce: int = 1, objects=None, *, progress: Callable[[int], None] | None = None
 ) -> list[Photograph]:
-    """The photographs of all views, see `load_photograph`; `progress` is called with the number loaded. Raises BadInput.
+    """The photographs of all views, see `load_photograph`; `progress` is called with their number. Raises BadInput.
 
     objects: ids of each view's pixels, or None, for each view.
     """

@@ -51,10 +51,12 @@ def write_report(path: Path, numbers: dict, trainer, test: list, qualities: list
 
 def _perceptual(numbers: dict, trainer, test: list) -> str:
     """Add the mean LPIPS of the held-out photographs to the numbers; returns a sentence about it."""
-    from prepare.train.perceptual import lpips_distance
+    from prepare.train.perceptual import SIDE_MIN, lpips_distance
 
     if not test:
         return ""
+    if min(min(p.mask.shape) for p in test) < SIDE_MIN:
+        return f"No LPIPS of photographs with sides below {SIDE_MIN} pixels."
     distance, why_not = lpips_distance()
     if distance is None:
         return f"{why_not}."

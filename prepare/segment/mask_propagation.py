@@ -74,7 +74,7 @@ class MarkPropagation:
         """Spread marks over the surfaces. Raises BadInput if an object's marks lie where nothing is known."""
         self.names = list(marks.objects)
         self._read(marks)
-        places = self._marked_points(marks)
+        places = self._marked_points()
         everything = np.concatenate(list(places.values()))
         low, high = everything.min(axis=0), everything.max(axis=0)
         centre = 0.5 * (low + high)
@@ -98,7 +98,7 @@ class MarkPropagation:
             seeds[nearest] = k + 1
         report("surface", 0.5)
         self.labels = spread(cloud, seeds, len(self.names) + 1, behind)
-        self._apply_boxes(marks)
+        self._apply_boxes()
         report("surface", 1.0)
 
     def ids_of(self, k: int) -> np.ndarray:
@@ -206,7 +206,7 @@ class MarkPropagation:
         lens = view.lens.resized(width, height, str(view.image))
         return lens.undistort_points(points) * (camera.width / width, camera.height / height)
 
-    def _marked_points(self, marks: Marks) -> dict[str, np.ndarray]:
+    def _marked_points(self) -> dict[str, np.ndarray]:
         """Points (N, 3) of each object under its strokes, or where a cut within its boxes finds it."""
         places: dict[str, list] = {name: [] for name in self.names}
         for k in range(len(self.cameras)):
@@ -248,8 +248,8 @@ class MarkPropagation:
         distance, index = self.cloud.tree.query(points, distance_upper_bound=2 * self.cloud.spacing)
         return np.unique(index[np.isfinite(distance)])
 
-    def _apply_boxes(self, marks: Marks) -> None:
-        """Take an object away from all surface that a view with a box of it shows outside of the box."""
+    def _apply_boxes(self) -> None:
+        """Remove an object from all surfaces that a view with a box of it shows outside the box."""
         for k, boxes in self._forbidden.items():
             x, y, z = seen_by(self.cameras[k], self.cloud.points)
             height, width = self.depths[k].shape

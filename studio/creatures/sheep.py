@@ -8,7 +8,7 @@ from studio.creatures.creature import Creature, Part, pair, tissue
 from studio.creatures.implicit import ellipsoid, limb
 from studio.shapes import rotation_about
 
-WOOL, FACE, MUZZLE, INNER, BLACK = "efe6d2", "443a33", "7a6659", "b58c7c", "0e0c0a"
+WOOL, FACE, MUZZLE, BLACK = "efe6d2", "443a33", "7a6659", "0e0c0a"
 YOUNG = 6e4  # [Pa]
 LUMPS, LUMP = 36, 0.052  # of the fleece, and their radius [m]
 

@@ -19,7 +19,7 @@ from studio.shapes import (
 )
 from studio.solids import Solid, cuboid, placed, revolved
 from studio.study.bookcases import closed_book
-from studio.textures import HONEY, fbm, mix, noise, plain, smoothstep, srgb, wood
+from studio.textures import HONEY, noise, plain, srgb, wood
 
 TABLE_TOP, TABLE_HALF, THICKNESS = 0.76, (0.75, 0.40), 0.036  # [m] scenes/study_table.py repeats them
 BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.030, 0.007)  # centre, radius and radius of the rod [m]: so does it these
@@ -237,11 +237,3 @@ def writing_things() -> list[Surface]:
         )
     ]
     return surfaces
-
-
-def blotter_colour(p, n):
-    """Green leather with a tooled border."""
-    edge = 0.5 * np.array([0.52, 0.36]) - np.abs(p[:, [0, 2]])
-    c = mix(srgb("2f5a41"), srgb("24452f"), smoothstep(-0.4, 0.5, fbm(p * 14, 3, 3)))
-    line = np.abs(edge.min(1) - 0.022) < 0.0025
-    return np.where(line[:, None], srgb("c79f4d"), c)

@@ -148,7 +148,7 @@ def test_a_cage_is_cut_where_the_skeleton_is_not_joined():
 
 def test_nothing_is_split_where_all_faces_hold():
     x, tets, _ = box((1, 1, 1), (2, 2, 2))
-    new, source = split_vertices(tets, inner_and_boundary_faces(tets)[0], len(x))
+    new, source = split_vertices(tets, inner_and_boundary_faces(tets)[0])
     assert (new == tets).all() and (source == np.arange(len(x))).all()
 
 

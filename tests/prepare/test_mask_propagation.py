@@ -114,7 +114,7 @@ def test_a_stroke_may_slip_off_the_object(scene):
     marks = Marks({"ball": {"3.png": ViewMarks([np.array([middle, top])])}})
     propagation = MarkPropagation(capture, photographs, depths, points=POINTS)
     propagation.mark(marks)
-    places = propagation._marked_points(marks)["ball"]
+    places = propagation._marked_points()["ball"]
     assert np.abs(np.linalg.norm(places - BALL, axis=1) - 0.1).max() < 0.02
     likely = propagation._likely(3)[..., 1] > 0.5
     assert (likely & (truth.ids[3] == 1)).sum() / (likely | (truth.ids[3] == 1)).sum() > 0.9

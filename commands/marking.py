@@ -66,7 +66,7 @@ class SplatSubject:
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
         from display.viewer import FOV_Y, eye_around, middle_and_radius
-        from prepare.segment.pixel_weights import PixelWeights
+        from prepare.blending_weights import BlendingWeights
         from prepare.segment.splat_selection import SplatSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
@@ -77,8 +77,8 @@ class SplatSubject:
         eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
         self.orbit = OrbitCamera(eye, middle, FOV_Y)
         self.gaussians, self.cameras = gaussians, dict(marks.cameras)
-        self._selection, self._weights = SplatSelection(gaussians), PixelWeights(gaussians)
-        self._drawn = PixelWeights(painted(replace(gaussians, object_id=np.zeros(len(gaussians), np.uint16)), 1))
+        self._selection, self._weights = SplatSelection(gaussians), BlendingWeights(gaussians)
+        self._drawn = BlendingWeights(painted(replace(gaussians, object_id=np.zeros(len(gaussians), np.uint16)), 1))
         self._seeds: dict[tuple, object] = {}
 
     @property

@@ -100,19 +100,20 @@ def within_object(
     background: Gaussians, views: list[HoleView], ball: Surroundings, progress: Progress, *, sort: str
 ) -> np.ndarray:
     """Mask (N,) of Gaussians around an object that appear almost only within its silhouettes: no camera saw them."""
-    from prepare.room_capture.contributions import WeightSums
+    from prepare.blending_weights import BlendingWeights
+    from prepare.room_capture.contributions import reduced
 
-    sums = WeightSums(background, [v.camera for v in views], sort=sort)
-    weights = np.zeros((len(background), 3))
+    sums = BlendingWeights(background, sort=sort)
+    weights = np.zeros((len(background), 2))
     for k, view in enumerate(views):
-        camera = sums.cameras[k]
+        camera = reduced(view.camera)
         own = binary_dilation(view.object_alpha > SOLID, iterations=SILHOUETTE_MARGIN).astype(np.float32)
         own = cv2.resize(own, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
-        weights += sums.of(k, np.dstack([own, 1.0 - own, own]))
+        weights += sums.sums(camera, [own, 1.0 - own])
         progress("hole", 0.5 * (k + 1) / len(views))
     sums.destroy()
     near = np.linalg.norm(background.means - ball.centre, axis=1) < INSIDE * ball.radius
-    return near & (weights[:, 1] < OUTSIDE_SHARE * weights[:, :2].sum(axis=1))
+    return near & (weights[:, 1] < OUTSIDE_SHARE * weights.sum(axis=1))
 
 
 def image_positions(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,14 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import taichi as ti
 
 from assets.gaussians import Gaussians
 from core.camera import Camera
+from prepare.blending_weights import CHANNELS, BlendingWeights
 from prepare.progress import Progress, no_progress
-from render.blend_gradients import GEOMETRY, BlendGradients
-from render.renderer import Renderer
-from render.splats import Splats
 
 SIDE = 320  # [px] longer side of the pictures in which contributions are summed
 NEEDED = 0.5  # [px] least sum of a Gaussian's weights over all these pictures; below, it is pruned
@@ -38,15 +35,15 @@ def contributions(
     gaussians: Gaussians, cameras: Sequence[Camera], *, sort: str = "radial", progress: Progress = no_progress
 ) -> Contributions:
     """Blending weights of the Gaussians, summed over views. Taichi must be running."""
-    n, sums = len(gaussians), WeightSums(gaussians, cameras, sort=sort)
+    n, weights = len(gaussians), BlendingWeights(gaussians, sort=sort)
     weight, views, depths = np.zeros(n), np.zeros(n, np.int32), []
-    for k in range(len(cameras)):
-        of_view = sums.of(k)[:, 0]
+    for k, camera in enumerate(map(reduced, cameras)):
+        of_view = weights.sums(camera, [np.ones((camera.height, camera.width))])[:, 0]
         weight += of_view
         views += of_view >= 0.1
-        depths.append(sums.depth())
+        depths.append(median_depth(weights))
         progress("views", (k + 1) / len(cameras))
-    sums.destroy()
+    weights.destroy()
     return Contributions(weight, views, np.array(depths))
 
 
@@ -66,15 +63,15 @@ def weights_in_masks(
     import cv2
 
     known = [k for k, ids in enumerate(masks) if ids is not None]
-    sums, total = WeightSums(gaussians, [cameras[k] for k in known]), np.zeros((len(gaussians), count + 1))
+    weights, total = BlendingWeights(gaussians, sort="radial"), np.zeros((len(gaussians), count + 1))
     for i, k in enumerate(known):
-        size = sums.cameras[i].width, sums.cameras[i].height
-        for first in range(0, count + 1, 3):
-            maps = [(masks[k] == o).astype(np.float32) for o in range(first, first + 3)]
-            maps = np.dstack([cv2.resize(m, size, interpolation=cv2.INTER_AREA) for m in maps])
-            total[:, first : first + 3] += sums.of(i, maps)[:, : count + 1 - first]
+        camera = reduced(cameras[k])
+        for first in range(0, count + 1, CHANNELS):
+            maps = [(masks[k] == o).astype(np.float32) for o in range(first, min(first + CHANNELS, count + 1))]
+            maps = [cv2.resize(m, (camera.width, camera.height), interpolation=cv2.INTER_AREA) for m in maps]
+            total[:, first : first + CHANNELS] += weights.sums(camera, maps)
         progress("masks", (i + 1) / len(known))
-    sums.destroy()
+    weights.destroy()
     return total
 
 
@@ -95,80 +92,20 @@ def needed(gaussians: Gaussians, cameras: Sequence[Camera], found: Contributions
     return keep
 
 
-class WeightSums:
-    """Sums of the blending weights of Gaussians over the pixels of cameras' pictures, whose longer side is SIDE.
-
-    With a map of pixels for dL/dC, the gradient with respect to a Gaussian's colour is the sum of its weights there:
-        C = sum_i w_i c_i,   dL/dc_i = sum over pixels of w_i dL/dC.
-    """
-
-    def __init__(self, gaussians: Gaussians, cameras: Sequence[Camera], *, sort: str = "radial"):
-        self.cameras, self.count = [reduced(c) for c in cameras], len(gaussians)
-        height, width = max(c.height for c in self.cameras), max(c.width for c in self.cameras)
-        self._splats = Splats(gaussians)
-        self._renderer = Renderer(self._splats, width, height, outputs="float", sort=sort)
-        self._backward: _BackwardPass | None = None
-        self._camera = self.cameras[0]
-
-    def of(self, k: int, maps: np.ndarray | None = None) -> np.ndarray:
-        """Sums (N, 3) for camera k over three maps (H, W, 3), or over the whole picture."""
-        camera, renderer = self.cameras[k], self._renderer
-        if (camera.width, camera.height) != (renderer.width, renderer.height):
-            renderer.rasterizer.resize(camera.width, camera.height)
-            renderer.width, renderer.height = camera.width, camera.height
-        renderer.render([camera])
-        self._camera, bins = camera, renderer.rasterizer.tile_pass.bins
-        if self._backward is None or self._backward.bins is not bins:
-            if self._backward is not None:
-                self._backward.destroy()
-            self._backward = _BackwardPass(bins, renderer.sink)
-        values = np.zeros((*self._backward.shape, 3), np.float32)
-        values[: camera.height, : camera.width] = 1.0 if maps is None else maps
-        return self._backward.sums(values, self.count)
-
-    def depth(self) -> float:
-        """Median depth of the picture that was drawn last; NaN where nothing is in it."""
-        rows = slice(0, self._camera.height, DEPTH_PIXELS), slice(0, self._camera.width, DEPTH_PIXELS)
-        alpha, depth = (field.to_numpy()[0][rows] for field in (self._renderer.alpha, self._renderer.depth))
-        return float(np.median(depth[alpha > MIN_ALPHA])) if (alpha > MIN_ALPHA).any() else float("nan")
-
-    def depth_at(self, u: float, v: float) -> float:
-        """Depth at a place of the picture that was drawn last, in parts of its width and height; NaN: nothing there."""
-        x, y = (min(int(t * n), n - 1) for t, n in ((u, self._camera.width), (v, self._camera.height)))
-        alpha, depth = (field.to_numpy()[0, y, x] for field in (self._renderer.alpha, self._renderer.depth))
-        return float(depth) if alpha > MIN_ALPHA else float("nan")
-
-    def destroy(self) -> None:
-        """Free the device memory."""
-        if self._backward is not None:
-            self._backward.destroy()
-        self._renderer.destroy()
-        self._splats.destroy()
+def median_depth(weights: BlendingWeights) -> float:
+    """Median depth of the picture that was drawn last; NaN where nothing is in it."""
+    _, depth, alpha = (a[::DEPTH_PIXELS, ::DEPTH_PIXELS] for a in weights.drawn())
+    return float(np.median(depth[alpha > MIN_ALPHA])) if (alpha > MIN_ALPHA).any() else float("nan")
 
 
-@ti.data_oriented
-class _BackwardPass:
-    """The kernel that depends on the bins of a picture."""
-
-    def __init__(self, bins, picture):
-        self.bins, self.shape = bins, picture.alpha.shape[1:]
-        self.gradients = BlendGradients(bins, picture, with_depth=False)
-
-    def destroy(self) -> None:
-        """Free the device memory."""
-        self.gradients.destroy()
-
-    def sums(self, maps: np.ndarray, count: int) -> np.ndarray:
-        """Sums (count, 3) over maps (H, W, 3) float32."""
-        self.gradients.d_rgb.from_numpy(maps)
-        self._clear(count)
-        self._add()
-        return self.gradients.sums.to_numpy()[:count, GEOMETRY:].astype(np.float64)
-
-    @ti.kernel
-    def _clear(self, count: ti.i32):
-        self.gradients.clear(0, count)
-
-    @ti.kernel
-    def _add(self):  # a kernel of its own, as it shares arrays
-        self.gradients.backward()
+def depth_at(gaussians: Gaussians, camera: Camera, x: float, y: float) -> float:
+    """Depth of what a pixel of a camera's picture shows; NaN: nothing. Taichi must be running."""
+    small = reduced(camera)
+    weights = BlendingWeights(gaussians, sort="radial")
+    _, depth, alpha = weights.picture(small)
+    weights.destroy()
+    row, column = (
+        min(int(at), n - 1)
+        for at, n in zip((y / camera.height * small.height, x / camera.width * small.width), depth.shape, strict=True)
+    )
+    return float(depth[row, column]) if alpha[row, column] > MIN_ALPHA else float("nan")

@@ -17,7 +17,7 @@ from prepare.cleaning import MIN_GAUSSIANS
 from prepare.orientation.capture_orientation import CaptureOrientation, capture_orientation
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent, view_of
-from prepare.room_capture.contributions import Contributions, WeightSums, contributions, needed, weights_in_masks
+from prepare.room_capture.contributions import Contributions, contributions, depth_at, needed, weights_in_masks
 from prepare.room_capture.objects import SOLID, Support, object_body, object_files, support_of
 from prepare.room_capture.seats import seated
 from prepare.segment.mask_files import Masks
@@ -110,10 +110,7 @@ def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: fl
     camera = views[0].camera()
     if not (0 <= x < camera.width and 0 <= y < camera.height):
         raise BadInput(f"{name} has {camera.width}x{camera.height} pixels: {x:g},{y:g} is none of them")
-    sums = WeightSums(gaussians, [camera])
-    sums.of(0)
-    depth = sums.depth_at(x / camera.width, y / camera.height)
-    sums.destroy()
+    depth = depth_at(gaussians, camera, x, y)
     if not np.isfinite(depth):
         raise BadInput(f"{name}: at {x:g},{y:g} nothing was captured")
     origin, direction = camera.ray(x, y)

@@ -20,7 +20,7 @@ class Seeds:
     """Seeds (N,) bool of an object: `inside`, `outside`, and `barred`, which no box around it holds."""
 
     def __init__(self, gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]):
-        """`weights` is a PixelWeights of the Gaussians."""
+        """`weights` are BlendingWeights of the Gaussians."""
         n = len(gaussians)
         self.inside, self.outside, self.barred = (np.zeros(n, bool) for _ in range(3))
         for name, mark in marks.items():

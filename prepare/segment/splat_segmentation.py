@@ -14,9 +14,9 @@ from assets.formats.ply import write_ply
 from assets.gaussians import Gaussians
 from core.errors import BadInput
 from core.spherical_harmonics import C0
+from prepare.blending_weights import BlendingWeights
 from prepare.segment.mask_files import object_colors
 from prepare.segment.object_ids import split
-from prepare.segment.pixel_weights import PixelWeights
 from prepare.segment.splat_marks import SplatMarks
 from prepare.segment.splat_seeds import Seeds
 from prepare.segment.splat_selection import SplatSelection
@@ -43,7 +43,7 @@ def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str
     start = perf_counter()
     selection = SplatSelection(gaussians)
     report(f"neighbours of {len(gaussians):,} Gaussians: {perf_counter() - start:.1f} s")
-    weights = PixelWeights(gaussians)
+    weights = BlendingWeights(gaussians)
     names = list(marks.marks.objects)
     seeds = [Seeds(gaussians, weights, marks.cameras, marks.marks.objects[name]) for name in names]
     weights.destroy()
@@ -117,7 +117,7 @@ def painted(gaussians: Gaussians, objects: int) -> Gaussians:
 def overlay_of(segmented: SegmentedSplat, marks: SplatMarks) -> dict[str, np.ndarray]:
     """A picture of each marked view with the objects in colours, (H, W, 3) uint8 RGB. Taichi must be running."""
     g = segmented.gaussians
-    weights = PixelWeights(painted(g, len(g.objects)))
+    weights = BlendingWeights(painted(g, len(g.objects)))
     pictures = {name: weights.picture(marks.cameras[name])[0] for name in marks.marks.views}
     weights.destroy()
     return {name: (p.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8) for name, p in pictures.items()}

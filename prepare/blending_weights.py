@@ -1,0 +1,105 @@
+"""Weights with which the Gaussians of a splat are blended into pixels of its pictures, summed over maps of pixels."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import taichi as ti
+
+from assets.gaussians import Gaussians
+from core.camera import Camera
+from render.blend_gradients import GEOMETRY, BlendGradients
+from render.renderer import Renderer
+from render.splats import Splats
+
+CHANNELS = 3  # maps of pixels that one pass sums over: a picture has so many colours
+
+
+class BlendingWeights:
+    """Draws `gaussians` and sums their blending weights over maps of pixels. Taichi must be running.
+
+    A picture is linear in the colours, C = sum_i w_i c_i, so dL/dc_i = sum over pixels of w_i dL/dC: with a map for
+    dL/dC, the backward pass of blending sums the weights over the map.
+    """
+
+    def __init__(self, gaussians: Gaussians, *, sort: str = "z"):
+        self._splats, self._sort = Splats(gaussians), sort
+        self._size = (0, 0)  # of the largest picture until now, for which there is room
+        self._renderer: Renderer | None = None
+        self._backward: _BackwardPass | None = None
+
+    def replace(self, gaussians: Gaussians) -> None:
+        """Draw other Gaussians from now on, as many and of the same SH degree."""
+        self._splats.replace(gaussians)
+
+    def picture(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Picture for a camera on black: rgb (H, W, 3), depth [m] and opacity (H, W), float32."""
+        self._draw(camera)
+        return self.drawn()
+
+    def drawn(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The picture that was drawn last, also by `sums`: as `picture`."""
+        r = self._renderer
+        return tuple(field.to_numpy()[0, : r.height, : r.width] for field in (r.rgb, r.depth, r.alpha))
+
+    def sums(self, camera: Camera, maps: Sequence[np.ndarray]) -> np.ndarray:
+        """Sum of each Gaussian's weights over each of up to three maps of pixels (H, W): (N, len(maps)) [px]."""
+        self._draw(camera)
+        bins = self._renderer.rasterizer.tile_pass.bins
+        if self._backward is None or self._backward.bins is not bins:
+            if self._backward is not None:
+                self._backward.destroy()
+            self._backward = _BackwardPass(bins, self._renderer.sink)
+        stack = np.zeros((*self._size[::-1], CHANNELS), np.float32)
+        for k, pixels in enumerate(maps):
+            stack[: camera.height, : camera.width, k] = pixels
+        return self._backward.sums(stack, self._splats.count)[:, : len(maps)]
+
+    def _draw(self, camera: Camera) -> None:
+        size, renderer = (camera.width, camera.height), self._renderer
+        if size[0] > self._size[0] or size[1] > self._size[1]:
+            self._release()
+            self._size = max(size[0], self._size[0]), max(size[1], self._size[1])
+            self._renderer = renderer = Renderer(self._splats, *self._size, outputs="float", sort=self._sort)
+        if (renderer.width, renderer.height) != size:
+            renderer.rasterizer.resize(*size)
+            renderer.width, renderer.height = size
+        renderer.render([camera])
+
+    def _release(self) -> None:
+        for part in (self._backward, self._renderer):
+            if part is not None:
+                part.destroy()
+        self._backward = self._renderer = None
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self._release()
+        self._splats.destroy()
+
+
+@ti.data_oriented
+class _BackwardPass:
+    """The backward pass through the bins of a picture."""
+
+    def __init__(self, bins, picture):
+        self.bins = bins
+        self.gradients = BlendGradients(bins, picture, with_depth=False)
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.gradients.destroy()
+
+    def sums(self, maps: np.ndarray, count: int) -> np.ndarray:
+        """Sums (count, 3) over maps (H, W, 3) float32."""
+        self.gradients.d_rgb.from_numpy(maps)
+        self._clear(count)
+        self._add()
+        return self.gradients.sums.to_numpy()[:count, GEOMETRY:].astype(np.float64)
+
+    @ti.kernel
+    def _clear(self, count: ti.i32):
+        self.gradients.clear(0, count)
+
+    @ti.kernel
+    def _add(self):  # a kernel of its own, as it shares arrays
+        self.gradients.backward()

@@ -217,7 +217,7 @@ class RoomMaking:
         if self.marks is not None:
             read_marks(self.marks, sizes)
             return
-        self.masks = masks_of(capture, self.args.masks, self.say)[1]
+        self.masks = masks_of(capture, self.args.masks, lambda line: line in self.notes or self.say(line))[1]
         if self.masks is None:  # asked before the long stages, if there are poses
             check_can_ask()
             marked_photographs(capture, sizes)

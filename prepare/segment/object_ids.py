@@ -32,7 +32,7 @@ def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Cap
         if not beside.is_dir() or not any(mask_file(beside, v).is_file() for v in capture.views):
             return capture, None
         if any(v.mask is not None and v.mask.parent == beside for v in capture.views):
-            report(f"{beside}: the pixels that count, as transforms.json says; --masks {beside} learns objects from them")
+            report(f"{beside}: used as the pixels that count, as transforms.json says; as objects: --masks {beside}")
             return capture, None
     try:
         masks = read_masks(folder or beside, capture.views)

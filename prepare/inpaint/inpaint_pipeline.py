@@ -9,6 +9,7 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.errors import BadInput
+from core.threads import in_threads
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
@@ -121,7 +122,7 @@ def find_hole(
     for k, surface in enumerate(surfaces):
         others = [s for s in surfaces if s is not surface]
         textures.append(texture_of(surface, others, views, ball, photographed=photographed))
-        progress("hole", (k + 1) / (len(surfaces) + 1))
+        progress("hole", 0.5 + 0.5 * (k + 1) / len(surfaces))
     textures = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
     return Hole(kept, len(background) - len(kept), ball, views, textures)
@@ -149,8 +150,10 @@ def close_hole(
         return hole.background
     patch = concatenate([seed_patch(t, hole.background, hole.background.sh_degree) for t in textures])
     targets = []
-    for view in hole.views:
-        color, pixels, counts = target(view, textures)
+    for texture in textures:
+        _ = texture.relief  # once, before several threads ask for it
+    wanted = in_threads(lambda view: target(view, textures), hole.views)
+    for view, (color, pixels, counts) in zip(hole.views, wanted, strict=True):
         if pixels.sum() >= HOLE_PIXELS:
             picture = (color.clip(0.0, 1.0) * 255).round().astype(np.uint8)
             targets.append((int(pixels.sum()), Photograph(picture, counts, view.camera)))

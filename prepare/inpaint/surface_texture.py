@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, label
 
+from core.threads import in_threads
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
 from prepare.inpaint.support_surface import SupportSurface, fit_relief
 
@@ -96,8 +97,8 @@ def texture_of(
     places = texture.places()
     looking, seen, through, covered, lacking = (np.zeros((count, count), np.int32) for _ in range(5))
     heights = np.zeros((count, count))
-    for view in views:
-        look = _look(texture, surface.points(places), view, tolerance)
+    flat = surface.points(places)
+    for look in in_threads(lambda view: _look(texture, flat, view, tolerance), views):
         looking += look.inside
         seen += look.shows
         through += look.behind
@@ -169,13 +170,16 @@ def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[n
 
 def _colors(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> np.ndarray:
     """Colour of each known texel, from the view with the best resolution and angle."""
+
+    def seen_in(view: HoleView) -> tuple[np.ndarray, np.ndarray]:
+        shows = _look(texture, points, view, tolerance).shows
+        at, z, cosine = projected(view, points, texture.surface.axes[2])
+        merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
+        return merit, cv2.remap(view.color, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+
     color = np.zeros((*texture.hole.shape, 3), np.float32)
     best = np.zeros(texture.hole.shape)
-    for view in views:
-        look = _look(texture, points, view, tolerance)
-        at, z, cosine = projected(view, points, texture.surface.axes[2])
-        merit = np.where(look.shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
-        drawn = cv2.remap(view.color, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    for merit, drawn in in_threads(seen_in, views):
         better = merit > best
         color[better], best[better] = drawn[better], merit[better]
     return np.where(texture.known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)

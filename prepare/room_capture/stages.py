@@ -19,6 +19,7 @@ from core.errors import BadInput
 
 ABOUT = "stage.json"
 LINE_SECONDS = 0.3  # [s] between two progress lines of a terminal; elsewhere twenty times as long
+LEAST_DONE, LEAST_SECONDS = 0.05, 1.0  # of a step, and [s] of it, before it is said how long it will take
 WIDTH = 110  # [characters] of a progress line, to cover the last one
 
 
@@ -34,6 +35,7 @@ class Stages:
         self.folder, self.names, self.seconds = folder, names, {}
         self._digest = ""  # of all inputs so far
         self._now, self._begin, self._told = "", 0.0, 0.0
+        self._step, self._since = ("", ""), (0.0, 0.0)  # which is being done; when it began [s], and at which fraction
 
     def run(self, name: str, inputs: dict, make: Callable[[Path], None]) -> Path:
         """The folder with the result of a stage: kept, or made now by `make`, which writes into a folder.
@@ -44,6 +46,7 @@ class Stages:
         self._digest = hashlib.sha256(text.encode()).hexdigest()
         done, part = self.folder / name, self.folder / f"{name}.part"
         self._now, self._begin, self._told = name, time.perf_counter(), 0.0
+        self._step = ("", "")
         kept = about_of(done)
         if kept.get("digest") == self._digest:
             self.seconds[name] = float(kept.get("seconds", 0.0))
@@ -66,17 +69,34 @@ class Stages:
         return done
 
     def progress(self, step: str, done: float) -> None:
-        """Report the progress of the current stage, a fraction of `step`, and the time left."""
-        now = time.perf_counter()
-        if now - self._told < LINE_SECONDS * (1 if sys.stderr.isatty() else 20):
-            return
-        self._told, passed = now, now - self._begin
-        left = f", {passed * (1 - done) / done:.0f} s left" if done > 0.02 else ""
-        self._print(f"{step} {done:.0%}, {passed:.0f} s{left}", end=False)
+        """Report the progress of a step of the current stage, a fraction, and the time left of that step.
+
+        Nothing is known of the steps after it. Steps are told apart by their names.
+        """
+        self._tell(step, done, "")
 
     def part(self, label: str, k: int, count: int) -> Callable[[str, float], None]:
-        """`progress` for the k-th of `count` equal parts of the current stage."""
-        return lambda step, done: self.progress(f"{label}: {step}", (k + min(max(done, 0.0), 1.0)) / count)
+        """`progress` for the k-th of `count` like parts of the current stage: those done tell how long all take."""
+        begin = time.perf_counter()
+        passed = begin - self._begin
+
+        def progress(step: str, done: float) -> None:
+            left = passed / k * (count - k) - (time.perf_counter() - begin) if k else 0.0
+            rest = f"{label}, {k + 1} of {count}{f', all in {left:.0f} s' if left > 0.5 else ''}: " if count > 1 else ""
+            self._tell(step, done, rest or f"{label}: ")
+
+        return progress
+
+    def _tell(self, step: str, done: float, of: str) -> None:
+        now = time.perf_counter()
+        if (of.split(",")[0], step) != self._step:
+            self._step, self._since = (of.split(",")[0], step), (now, done)
+        if now - self._told < LINE_SECONDS * (1 if sys.stderr.isatty() else 20):
+            return
+        self._told, (since, from_) = now, self._since
+        sure = done - from_ > LEAST_DONE and now - since > LEAST_SECONDS
+        left = f", {(now - since) * (1 - done) / (done - from_):.0f} s left" if sure and done < 1 else ""
+        self._print(f"{now - self._begin:.0f} s; {of}{step} {done:.0%}{left}", end=False)
 
     def _print(self, text: str, *, end: bool) -> None:
         line = f"[{self.names.index(self._now) + 1}/{len(self.names)}] {self._now}: {text}"

@@ -17,6 +17,7 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import MATERIALS
 from prepare.own_weight import bent_by_weight
+from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
 from prepare.room_capture.objects import liftable, object_files, steady, support_of
@@ -220,6 +221,39 @@ def test_a_cut_run_goes_on_and_changed_inputs_are_made_anew(tmp_path):
     (tmp_path / "work/first/stage.json").write_text("[")
     run(2)
     assert made[-1] == "first"
+
+
+def test_time_left_is_that_of_the_step_and_is_not_said_where_it_is_not_known(tmp_path, monkeypatch, capsys):
+    """Views pass in 4 s; a paint step of unknown length begins, and tells nothing until it is done."""
+    clock = [100.0]
+    monkeypatch.setattr(stages_module.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(stages_module, "LINE_SECONDS", 0.0)
+    stages = Stages(tmp_path / "work", ("first",))
+
+    def said() -> str:
+        return capsys.readouterr().err.strip()
+
+    def make(folder):
+        first, second = (stages.part(name, k, 2) for k, name in enumerate(("cup", "duck")))
+        for k in range(5):
+            clock[0] = 100.0 + k
+            first("views", k / 4)
+            assert said() == f"[1/1] first: {k} s; cup, 1 of 2: views {k / 4:.0%}" + (
+                f", {4 - k} s left" if 2 <= k < 4 else ""
+            )
+        clock[0] = 104.5
+        first("paint", 0.0)
+        assert said().endswith("paint 0%")
+        clock[0] = 130.0
+        second = stages.part("duck", 1, 2)
+        clock[0] = 140.0
+        second("views", 0.5)
+        assert said() == "[1/1] first: 40 s; duck, 2 of 2, all in 20 s: views 50%", "as long as the cup took"
+        clock[0] = 142.0
+        stages.part("duck", 0, 1)("patch", 0.0)
+        assert said() == "[1/1] first: 42 s; duck: patch 0%"
+
+    stages.run("first", {}, make)
 
 
 def test_points_of_a_scale():

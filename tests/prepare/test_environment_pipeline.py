@@ -51,7 +51,7 @@ def scenes(ti_cpu):
     found = {}
     for name, made, size in (("room", room(), 5.01), ("garden", garden(), 7.6)):
         capture = made.transformed(LEANING, (3.0, -1.0, 2.0), 0.5)
-        asset, _ = prepare_environment(capture, EnvironmentOptions(scale=size, cell=0.055))
+        asset, _ = prepare_environment(capture, EnvironmentOptions(scale=size, cell=0.075))
         # the rotation, scale and shift that carried the code's frame to the asset's: least squares over all centres
         a = np.c_[made.means.astype(float), np.ones(len(made))]
         found[name] = made, asset, np.linalg.lstsq(a, asset.gaussians.means.astype(float), rcond=None)[0]

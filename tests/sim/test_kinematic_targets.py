@@ -108,7 +108,7 @@ def test_a_free_collision_of_soft_and_rigid_conserves_momentum(place):
     assert_allclose(L, L0, atol=2e-3 * np.linalg.norm(p0) * SIDE)
 
 
-def test_a_soft_ball_knocks_over_a_stack_of_bricks(place):
+def test_a_soft_ball_knocks_over_a_stack_of_bricks_and_a_soft_ring_carries_one(place):
     solver, where = started(place)
     run(solver, 1.5)
     *bricks, ball = solver.bodies()[where["tower"]]
@@ -116,11 +116,7 @@ def test_a_soft_ball_knocks_over_a_stack_of_bricks(place):
     assert max(b.centroid[0] for b in bricks) > 0.1
     assert min(b.low[1] for b in [*bricks, ball]) > -2e-3
     assert ball.velocity[0] < 3.0
-
-
-def test_a_soft_ring_carries_a_brick(place):
-    solver, where = started(place)
-    run(solver, 2.0)
+    run(solver, 0.5)
     ring, load = solver.bodies()[where["ring"]]
     assert load.low[1] > 0.03 and ring.low[1] > -1e-3
     assert_allclose(load.centroid[[0, 2]], (4, 0), atol=5e-3)

@@ -242,7 +242,9 @@ def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
     if figures["min_dihedral"] < ANGLE_MIN:
         raise NoSoundCage(f"the cage is not sound: its smallest dihedral angle is {figures['min_dihedral']} degrees")
     if figures["inside"] < INSIDE_MIN:
-        raise NoSoundCage(f"the cage holds only {figures['inside']:.1%} of the opaque Gaussians; ask for more vertices")
+        raise NoSoundCage(
+            f"only {figures['inside']:.2%} of the opaque Gaussians are inside the cage of {wanted} vertices"
+        )
     if abs(len(cage.vertices) - wanted) > VERTEX_TOLERANCE * wanted:
         raise NoSoundCage(f"the cage has {len(cage.vertices)} vertices, {wanted} were asked for")
     return figures

@@ -85,7 +85,7 @@ def prepare_file(
                 break
             except NoSoundCage as e:
                 if not wanted:
-                    raise
+                    raise BadInput(f"{e}; --vertices N makes a finer cage") from e
                 checkpoints.clear()
                 report(f"{e}; trying {wanted[0]} vertices")
         if source is not None:

@@ -224,7 +224,7 @@ def fault(cage: Cage, filled: float, inside: float, vertices: int, exact: bool |
     if angle < ANGLE_MIN:
         return f"the cage is not sound: its smallest dihedral angle is {angle:.1f} degrees"
     if inside < INSIDE_MIN:
-        return f"only {inside:.2%} of the opaque Gaussians lie inside the cage; ask for more vertices"
+        return f"only {inside:.2%} of the opaque Gaussians lie inside the cage of {vertices} vertices"
     off = volume.sum() / filled - 1
     if exact and abs(off) > VOLUME_MAX:
         return f"the cage's volume is {off:+.1%} off that of the shape, which is too thin for {vertices} vertices"

@@ -36,6 +36,7 @@ class AdaptiveDensity:
     cap      upper limit of Gaussians, frozen ones included; those with the largest pull are divided first
     budgeted the limit rises to `cap` by a schedule, fast at first, so that early steps cost less
     resets   opacities are lowered each RESET_EVERY steps
+    prunes_large  Gaussians larger than LARGE are removed after the first RESET_EVERY steps
     start    Gaussians from which the schedule begins
     """
 
@@ -47,6 +48,7 @@ class AdaptiveDensity:
     scale_cost: float = 0.0
     budgeted: bool = False
     resets: bool = True
+    prunes_large: bool = True
     start: int = 0
 
     def after(self, step: int, steps: int, mean_rate: float) -> None:
@@ -55,7 +57,8 @@ class AdaptiveDensity:
         if step >= stop:
             return
         if step > START and step % EVERY == 0:
-            self.refine(prune_large=step > RESET_EVERY, most=self.budget((step - START) / max(1, stop - START)))
+            large = self.prunes_large and step > RESET_EVERY
+            self.refine(prune_large=large, most=self.budget((step - START) / max(1, stop - START)))
         if self.resets and step % RESET_EVERY == 0:
             self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
             self.population.activate()

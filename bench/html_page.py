@@ -17,8 +17,8 @@ figure { display: inline-block; margin: 0 10px 12px 0; vertical-align: top; }
 figure img { display: block; max-width: 100%; border-radius: 4px; }
 figcaption { font-size: .85em; color: #555; }
 table { border-collapse: collapse; margin: 1em 0; font-variant-numeric: tabular-nums; }
-th, td { padding: .25em .9em .25em 0; text-align: right; border-bottom: 1px solid #e4e0d6; }
-th:first-child, td:first-child { text-align: left; } td.text { text-align: left; }
+th, td { padding: .25em .9em .25em 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e4e0d6; }
+th:first-child, td:first-child { text-align: left; }
 .note { color: #555; font-size: .9em; max-width: 60em; }
 """
 

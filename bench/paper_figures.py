@@ -28,6 +28,8 @@ from scenes.paper_demos import PAPER_DEMOS
 FRAME = 1 / 60  # [s]
 DARKENED = 0.02  # of the full brightness: pixels that lose more count as in shadow
 UNKNOWN = "–"
+DEVICES = {"cuda": "a CUDA GPU"}
+MARGIN = 14  # [px] of background around what a picture shows
 
 
 @dataclass(frozen=True)
@@ -54,14 +56,17 @@ FULL = Effort(tuple(DEFORMATIONS), np.pi, 0.35, (1.5, 1.0, 2.5), 2.0, None, (560
 QUICK = Effort(("180 degrees",), 0.5 * np.pi, 0.35, (0.3, 0.1, 0.6), 0.1, 1, (160, 90))
 
 
-def run(args) -> None:
-    """Run the command: make all figures, then write the page and its numbers. Raises BadInput."""
+def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> None:
+    """Run the command: make all figures, then write the page and its numbers. Raises BadInput.
+
+    inpainting  makes the figure of that, from the dictionary that takes its numbers and a function that takes lines
+    """
     effort = QUICK if args.quick else FULL
     make_folder(args.out)
     page, numbers = args.out / "figures.html", args.out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
-    say = _progress(5)
+    say = _progress(6)
     bar = prepared("bar")[1]
     results: dict = {"arch": arch(), "quick": args.quick}
     say("two-level and one-level embedding")
@@ -70,12 +75,15 @@ def run(args) -> None:
     sections.append(twist_section(bar, effort, results))
     say("solvers")
     sections.append(solver_section(bar, effort, results))
+    say("inpainting")
+    sections.append(inpainting(results, _told))
     say("demos")
-    demos = demo_pictures(effort, results, lambda text: print(f"      {text}", file=sys.stderr, flush=True))
+    demos = demo_pictures(effort, results, _told)
     say("shadow")
     sections.insert(1, shadow_section(effort, results))
     sections.append(demos)
-    text = f"Made by vrgs.py figures on {arch()}{', quickly, at small sizes' if args.quick else ''}. {PAPER}"
+    how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if args.quick else ''}"
+    text = f"Made by vrgs.py figures on {how}. {PAPER}"
     with atomic_write_all(page, numbers) as (page_part, numbers_part):
         page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
         numbers_part.write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
@@ -86,6 +94,11 @@ PAPER = (
     "The paper is VR-GS: A Physical Dynamics-Aware Interactive Gaussian Splatting System in Virtual Reality "
     "(SIGGRAPH 2024, arXiv:2401.16663); what is quoted from it was measured by its authors on an RTX 4090."
 )
+
+
+def _told(text: str) -> None:
+    """Print a line of a figure in the making."""
+    print(f"      {text}", file=sys.stderr, flush=True)
 
 
 def _progress(count: int) -> Callable[[str], None]:
@@ -114,7 +127,7 @@ def embedding_section(bar, effort: Effort, results: dict) -> Section:
         "A striped bar in a coarse cage is twisted and stretched by formula. One-level: a Gaussian takes the gradient "
         "of the tetrahedron that holds its centre. Two-level: that of its own local tetrahedron, whose corners are "
         "embedded in the cage one by one (Sec. 4.3.2).",
-        pictures,
+        cropped(pictures),
         Table(("deformation", "embedding", "spikes", "error, 95%", "jump between neighbours, 95%"), table),
         "Spikes: Gaussians more than twice as elongated as they should be. Error: of the covariance, relative to that "
         "of the formula. Jump: of the error, from one Gaussian to the next.",
@@ -135,7 +148,7 @@ def twist_section(bar, effort: Effort, results: dict) -> Section:
         "Deformation under twist",
         f"The upper end of a bar of soft silicone is turned by {np.degrees(effort.turn):.0f}° in "
         f"{effort.seconds[0]:g} s, held for {effort.seconds[1]:g} s and let go; the lower end is clamped. Simulated.",
-        found.pictures,
+        cropped(found.pictures),
         Table(("", "theory", "measured"), rows),
         "Angles are relative to that of the upper clamp: by theory they grow linearly between the clamps.",
     )
@@ -149,12 +162,12 @@ def solver_section(bar, effort: Effort, results: dict) -> Section:
         measured, theory = found.frequency
         results[f"solver_{name}"] = {k: v for k, v in asdict(found).items() if k != "pictures"}
         error = f"{measured:.2f} Hz ({measured / theory - 1:+.1%})" if np.isfinite(measured) else UNKNOWN
-        sizes = f"{len(bar.cage.vertices):,} vertices"
-        steps = f"{found.substeps} of {1e3 * found.dt:.2f} ms, {found.iterations} iteration(s)"
+        sizes = f"{len(bar.cage.vertices):,}"
+        steps = f"{found.substeps} of {1e3 * found.dt:.2f} ms, {iterations(found.iterations)}"
         rows.append((f"here: {method}", "tetrahedral cage", sizes, steps, f"{found.frame_ms:.2f} ms", error))
     for demo in PAPER_DEMOS:
-        name, sizes = f"VR-GS, {demo.name.replace('_', ' ')}: XPBD", f"{demo.vertices:,} vertices"
-        steps, took = f"{demo.iterations} iteration(s)", f"{1e3 / demo.fps:.1f} ms, with the picture"
+        name, sizes = f"VR-GS, {demo.name.replace('_', ' ')}: XPBD", f"{demo.vertices:,}"
+        steps, took = iterations(demo.iterations), f"{1e3 / demo.fps:.1f} ms*"
         rows.append((name, "tetrahedral cage", sizes, steps, took, UNKNOWN))
     for name in ("PhysGaussian: material point method", "PAC-NeRF: material point method"):
         carrier = "Gaussians as particles" if name.startswith("Phys") else "particles of a voxel radiance field"
@@ -166,12 +179,24 @@ def solver_section(bar, effort: Effort, results: dict) -> Section:
         f"A bar of {MATERIAL.young / 1e3:.0f} kPa is twisted by {np.degrees(effort.small_turn):.0f}° and let go. "
         f"Theory of slender bars has it swing at {theory:.2f} Hz.",
         {},
-        Table(("method", "what is simulated", "size", "substeps a frame of 1/60 s", "time a frame", "swing"), rows),
-        "The theory neglects that the clamp holds the section's warping, which stiffens a short bar, as coarse linear "
-        "tetrahedra do. VR-GS: the paper's table of demos. PhysGaussian (arXiv:2311.12198) and PAC-NeRF "
-        "(arXiv:2303.05512): what they simulate, by their authors. The paper's times for these two are not known here, "
-        "so none are given.",
+        Table(("method", "what is simulated", "vertices", "substeps a frame of 1/60 s", "time a frame", "swing"), rows),
+        "*: with the picture. The theory neglects that the clamp holds the section's warping, which stiffens a short "
+        "bar, as coarse linear tetrahedra do. VR-GS: the paper's table of demos. PhysGaussian (arXiv:2311.12198) and "
+        "PAC-NeRF (arXiv:2303.05512): what they simulate, by their authors. The paper's times for these two are not "
+        "known here, so none are given.",
     )
+
+
+def iterations(count: int) -> str:
+    """A number of iterations in words."""
+    return f"{count} iteration{'' if count == 1 else 's'}"
+
+
+def cropped(pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Pictures (H, W, 3) of one size without the columns at both sides that show in all of them the background only."""
+    shown = np.any([np.ptp(p.reshape(len(p), -1, 3).astype(int), axis=0).max(axis=1) > 8 for p in pictures.values()], 0)
+    first, last = (np.flatnonzero(shown)[[0, -1]] if shown.any() else (0, len(shown))) + np.array([-MARGIN, MARGIN + 1])
+    return {name: p[:, max(first, 0) : last] for name, p in pictures.items()}
 
 
 def shadow_section(effort: Effort, results: dict) -> Section:

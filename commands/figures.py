@@ -27,5 +27,7 @@ def run(args: argparse.Namespace) -> None:
         raise BadInput(f"{args.out}: is a file, not a folder")
     start_taichi(args.arch)
     from bench.paper_figures import run as make
+    from commands.inpainting_figure import FULL, QUICK, inpainting_section
 
-    make(args)
+    effort = QUICK if args.quick else FULL
+    make(args, lambda results, report: inpainting_section(effort, results, report))

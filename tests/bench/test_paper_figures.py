@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from importlib.util import find_spec
 
 import cv2
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from bench import paper_figures
 from bench.html_page import Section, Table, html_page
 from bench.twist import TwistedBar, crossing_frequency
+from commands import inpainting_figure
+from core.errors import BadInput
 from scenes import registry
 from vrgs import main
 
@@ -29,6 +32,16 @@ def test_a_page_holds_its_pictures_and_escapes_its_texts():
     assert "A &amp; B" in page and "x &lt; y" in page and "red &amp; small" in page and "http" not in page
     (picture,) = pictures(page)
     assert picture.shape == (4, 6, 3) and (picture == (0, 0, 255)).all()  # OpenCV has blue first
+
+
+def test_pictures_of_a_figure_lose_the_sides_that_all_of_them_leave_empty():
+    one, two = np.full((30, 100, 3), 245, np.uint8), np.full((30, 100, 3), 245, np.uint8)
+    one[10:20, 40:45], two[10:20, 50:60] = 0, 9
+    pictures = paper_figures.cropped({"one": one, "two": two})
+    margin = paper_figures.MARGIN
+    assert {p.shape for p in pictures.values()} == {(30, 20 + 2 * margin, 3)}
+    assert (pictures["one"][15, margin : margin + 5] == 0).all()
+    assert paper_figures.cropped({"empty": np.zeros((4, 8, 3), np.uint8)})["empty"].shape == (4, 8, 3)
 
 
 def test_a_frequency_is_read_off_its_crossings():
@@ -53,13 +66,39 @@ def test_the_quick_page_is_whole(tmp_path):
     assert sorted(p.name for p in out.iterdir()) == ["figures.html", "figures.json"]
     page, numbers = (out / "figures.html").read_text(), json.loads((out / "figures.json").read_text())
     shown = pictures(page)
-    assert len(shown) == 2 + 2 + 4 + 1 and all(p.std() > 4 for p in shown)
+    inpainted = find_spec("open3d") is not None
+    assert len(shown) == 2 + 2 + 4 + inpainted + 1 and all(p.std() > 4 for p in shown)
+    if inpainted:
+        (toy,) = numbers["inpainting"]["objects"].values()
+        assert toy["psnr"]["after"] > toy["psnr"]["before"] and toy["area"] > 0
     with_shadow, without = shown[2:4]
     assert without.astype(float).mean() > with_shadow.mean() and numbers["shadow"]["pixels"] > 0.001
     one, two = numbers["embedding"]
     assert one["scheme"] == "one-level" and two["jump"] < one["jump"]
     assert numbers["demos"].keys() <= {*registry.names(), "fox", "bear", "horse"}
     assert "PhysGaussian" in page and "PAC-NeRF" in page
+
+
+def test_without_open3d_the_page_says_that_inpainting_is_left_out(monkeypatch):
+    def missing(user):
+        raise BadInput(f"{user} needs the package open3d: install it")
+
+    monkeypatch.setattr(inpainting_figure, "check_open3d", missing)
+    told, results = [], {}
+    section = inpainting_figure.inpainting_section(inpainting_figure.QUICK, results, told.append)
+    assert "open3d: install it" in section.note and not section.pictures and results == {"inpainting": None}
+    assert len(told) == 1
+
+
+def test_an_object_that_cannot_be_inpainted_is_named(monkeypatch):
+    picture = np.zeros((4, 16, 3), np.uint8)
+    closed = {"psnr": {"before": 20.0, "after": 25.0}, "area": 0.01, "deviation": 3.0, "picture": picture}
+    rows = {"duck": closed, "ball": {"refused": "ball: no camera sees it"}}
+    monkeypatch.setattr(inpainting_figure, "_measured", lambda folder, effort, report: rows)
+    monkeypatch.setattr(inpainting_figure, "check_open3d", lambda user: None)
+    section = inpainting_figure.inpainting_section(inpainting_figure.FULL, {}, print)
+    assert len(section.pictures) == 1 and section.note.endswith("Not closed: ball: no camera sees it.")
+    assert section.table.rows == [("duck", "20.0 dB", "25.0 dB", "100 cm²", "3.0")]
 
 
 def test_a_file_in_the_way_is_told_in_one_line(tmp_path, capsys):

@@ -1,0 +1,149 @@
+"""The figure of `vrgs.py figures` on inpainting: objects of a procedural capture, before and after, beside the truth.
+
+The capture is modelled and ray-cast, a splat is trained with its masks, and each object is taken out by itself.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bench.html_page import Section, Table
+from core.errors import BadInput
+from core.open3d_package import check_open3d
+
+TITLE = "Inpainting"
+WIDTH = 1100  # [px] of a picture on the page, at least
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Amount of work: photographs and their size [px], steps of training, objects (None: all that there are)."""
+
+    views: int
+    size: tuple[int, int]
+    steps: int
+    objects: tuple[str, ...] | None = None
+
+
+FULL = Effort(40, (320, 240), 2500)
+QUICK = Effort(20, (160, 120), 400, ("teddy",))
+
+
+def inpainting_section(effort: Effort, results: dict, report: Callable[[str], None]) -> Section:
+    """The section; without the package open3d, which casts the capture's rays, it says that it is not made."""
+    text = (
+        "Toys on a table, photographed by ray casting, so that it is known what stands behind each. A splat is trained "
+        "with their masks; an object's Gaussians are taken out; where no photograph shows what was behind them, a "
+        "patch of new Gaussians is made up, and all others stay as they are."
+    )
+    try:
+        check_open3d("figures")
+    except BadInput as e:
+        report(f"left out: {e}")
+        results["inpainting"] = None
+        return Section(TITLE, text, note=f"Not made: {e}.")
+    with tempfile.TemporaryDirectory(prefix="vrgs-figures-") as folder:
+        rows = _measured(Path(folder) / "capture", effort, report)
+    refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
+    closed = {name: row for name, row in rows.items() if "refused" not in row}
+    pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}
+    results["inpainting"] = {"views": effort.views, "size": effort.size, "steps": effort.steps, "objects": rows}
+    table = [
+        (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²",
+         f"{row['deviation']:.1f}" if row["area"] else "–")
+        for name, row in closed.items()
+    ]  # fmt: skip
+    return Section(
+        TITLE,
+        text,
+        pictures,
+        Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera", "deviation between views"), table),
+        f"{effort.views} photographs of {effort.size[0]}×{effort.size[1]}, {effort.steps:,} steps of training. PSNR: "
+        "against the scene without the object, over the pixels that it covered, in all views. Deviation: of a place's "
+        "colour from view to view, of 255. The object's shadow stays in the photographs, and so in the splat."
+        + refused,
+    )
+
+
+def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> dict[str, dict]:
+    """Numbers and the picture of each object."""
+    from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+    from prepare.inpaint.inpaint_pipeline import STEPS, close_hole, find_hole, order_of, paint_hole
+    from prepare.inpaint.picture_inpainting import paint_from_patches
+    from prepare.progress import no_progress
+    from prepare.train.photographs import load_photograph
+    from studio.procedural_capture import CaptureOptions, write_procedural_capture
+
+    report("a capture, by ray casting")
+    write_procedural_capture(folder, CaptureOptions(views=effort.views, size=effort.size), lambda line: None)
+    capture, photographs, gaussians = _trained(folder, effort.steps, report)
+    options, found = {"antialias": False, "sort": order_of(gaussians)}, {}
+    for number, name in enumerate(gaussians.objects, 1):
+        if effort.objects is not None and name not in effort.objects:
+            continue
+        report(f"without the {name}")
+        own = gaussians.object_id == number
+        before = gaussians.select(~own)
+        cameras = [p.camera for p in photographs]
+        told = options | {"progress": no_progress}
+        try:
+            hole = find_hole(before, gaussians.select(own), cameras, name=name, **told)
+        except BadInput as e:  # a small capture's splat is rough
+            report(str(e))
+            found[name] = {"refused": str(e)}
+            continue
+        textures = paint_hole(hole, paint_from_patches)
+        after = close_hole(hole, textures, steps=STEPS, **told)
+        behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
+        truths = [load_photograph(v) for v in behind]
+        views = [v for v in compare(hole, textures, before, after, truths, **options) if v.covered.any()]
+        found[name] = {
+            "gaussians": int(own.sum()),
+            "new": len(after) - len(hole.background),
+            "area": hole.area,
+            "psnr": uncovered_psnr(views)["object"],
+            "deviation": inconsistency(views, textures, [v.after for v in views]),
+            "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),
+        }
+    return found
+
+
+def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
+    """The capture, its photographs, and the Gaussians trained to them, with the ids of its objects."""
+    from prepare.segment.object_ids import identified, masks_of
+    from prepare.train.capture import read_capture
+    from prepare.train.photographs import load_photographs
+    from prepare.train.seeds import seeds
+    from prepare.train.train_options import CAPS, TrainOptions
+    from prepare.train.trainer import Trainer
+
+    capture, masks = masks_of(read_capture(folder).upright(), folder / "masks", report)
+    photographs = load_photographs(capture.views, 1, masks.ids)
+    options = TrainOptions(steps=steps, cap=CAPS["cpu"], degree=1)
+    start = seeds(capture, degree=options.degree, count=options.cap, rng=np.random.default_rng(options.seed))
+    trainer = Trainer(photographs, start, capture.extent, options, masks.names)
+    while trainer.done < steps:
+        trainer.step()
+        if trainer.done % max(steps // 4, 1) == 0:
+            report(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
+    gaussians = identified(trainer)
+    trainer.destroy()
+    return capture, photographs, gaussians
+
+
+def _strip(view, photographs) -> np.ndarray:
+    """A view's photograph, and the pictures before, after and of the truth, side by side, (H, W, 3) uint8."""
+    import cv2
+
+    from prepare.inpaint.hole_quality import cut_out
+
+    parts = [cut_out(photographs[view.view.index], view.view), view.before, view.after, view.truth]
+    strip = np.concatenate(parts, axis=1)
+    times = WIDTH / strip.shape[1]
+    strip = cv2.resize(strip, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC) if times > 1 else strip
+    return (strip.clip(0.0, 1.0) * 255).round().astype(np.uint8)

@@ -56,7 +56,7 @@ class Trainer:
         drawn |= {"exposes": options.exposure, "of_camera": options.poses}
         self.gradients = GradientStep(self.population, *size, **drawn)
         self.exposures = Exposures(len(cameras)) if options.exposure else None
-        self.poses = Poses([c.world_to_camera for c in cameras], extent) if options.poses else None
+        self.poses = Poses([c.world_to_camera for c in cameras], extent, options.steps) if options.poses else None
         self.rates = LearningRates()
         self.done = 0  # steps
         self._queue: list[int] = []  # views that follow, in a random order without repetition
@@ -76,6 +76,8 @@ class Trainer:
         progress = self.done / max(o.steps, 1)
         mean_rate = r.of_mean(self.done, o.steps, self.extent)
         degree = min(o.degree, self.done // o.degree_interval)
+        if self.poses is not None:
+            self.views.set_pose(view, self.poses.of(view))  # others' steps moved it, too
         self.done += 1
         biases = 1.0 - BETA1**self.done, 1.0 - BETA2**self.done
         target = self.views.at(view, progress)
@@ -87,7 +89,6 @@ class Trainer:
             self.exposures.step(view, self.gradients.exposure.d_affine.to_numpy(), progress)
         if self.poses is not None:
             self.poses.learn(view, self.gradients.camera_gradient(), progress)
-            self.views.set_pose(view, self.poses.of(view))
         if target.mask is not None:
             self.gradients.update_labels(biases)
         self.gradients.update(

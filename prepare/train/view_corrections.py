@@ -8,7 +8,8 @@ from prepare.train.exposure import IDENTITY
 from prepare.train.optimizer import BETA1, BETA2, EPSILON
 
 EXPOSURE_RATE = (1e-2, 1e-3)  # first and last, as in 3DGS's own exposure compensation
-POSE_RATE = (1e-4, 1e-6)  # [rad], and of the capture's extent
+POSE_REACH = 0.01  # [rad], and of the capture's extent: the farthest that a pose can move in a training
+POSE_DECAY = 0.01  # of the rate from the first step to the last
 
 
 class ViewAdam:
@@ -60,11 +61,20 @@ class Exposures(ViewAdam):
 
 
 class Poses(ViewAdam):
-    """A twist (rotation [rad], translation [extents]) that multiplies each view's world_to_camera from the left."""
+    """A twist (rotation [rad], translation [extents]) that multiplies each view's world_to_camera from the left.
 
-    def __init__(self, given: list[np.ndarray], extent: float):
-        super().__init__(np.zeros(6), len(given), POSE_RATE)
+    steps  of the training, in which all views take turns: a view that is seen seldom takes longer steps
+
+    All together they neither move, turn nor scale the capture: Gaussians would follow, away from views that keep their
+    poses, and nothing would be gained.
+    """
+
+    def __init__(self, given: list[np.ndarray], extent: float, steps: int):
+        mean = (1.0 - POSE_DECAY) / -np.log(POSE_DECAY)  # of the decaying rate over all steps
+        rate = POSE_REACH * len(given) / (mean * max(steps, len(given)))
+        super().__init__(np.zeros(6), len(given), (rate, POSE_DECAY * rate))
         self.given, self.extent = given, extent
+        self._common = common_twists(np.array(given), extent)
 
     def of(self, view: int) -> np.ndarray:
         """world_to_camera (4, 4) of a view, corrected."""
@@ -79,6 +89,22 @@ class Poses(ViewAdam):
         columns = self.of(view)[:3].T
         d_rotation = np.cross(columns, d_camera.T).sum(axis=0)
         self.step(view, np.concatenate([d_rotation, self.extent * d_camera[:, 3]]), progress)
+        twists = self.values.ravel()
+        self.values = (twists - self._common @ (self._common.T @ twists)).reshape(self.values.shape)
+
+
+def common_twists(world_to_camera: np.ndarray, extent: float) -> np.ndarray:
+    """Twists of all cameras (N, 4, 4) when the world turns, moves or scales, (6 N, 7), orthonormal columns.
+
+    A point w x x + v + s x of the world, in a camera at R x + t, is one of the twist (R w, R v - R w x t - s t).
+    """
+    R, t = world_to_camera[:, :3, :3], world_to_camera[:, :3, 3] / extent
+    turned = R.transpose(0, 2, 1)  # row k: R e_k
+    turns = np.concatenate([turned, -np.cross(turned, t[:, None])], axis=-1)
+    moves = np.concatenate([np.zeros_like(turned), turned], axis=-1)
+    scales = np.concatenate([np.zeros_like(t), -t], axis=-1)[:, None]
+    basis = np.concatenate([turns, moves, scales], axis=1)  # (N, 7, 6)
+    return np.linalg.qr(basis.transpose(0, 2, 1).reshape(-1, 7))[0]
 
 
 def twisted(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:

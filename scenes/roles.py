@@ -8,8 +8,10 @@ turned so that its user stands where the scene's does. So a scene's game and scr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +21,8 @@ from assets.environment import Environment
 from assets.hdf5 import open_hdf5
 from assets.integers import read_grid
 from assets.library import animated_height, asset_material, cage_vertices, find_asset
+from assets.room_folder import is_room_folder, read_room
+from core.camera import Camera
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
@@ -37,6 +41,7 @@ USER_POINTS = 16  # heights at which that is tested: every 0.1 m, for a table to
 TURNS = np.pi / 8 * np.array([0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6, 7, -7, 8])  # [rad] of a room around a play
 BOX_POINTS = 0.1 + 0.4 * np.indices((3, 3, 3)).reshape(3, -1).T  # of a body's bounding box, in its extents
 SHIFTS_ASIDE, SHIFTS_UP = np.linspace(0.0, 1.0, 21), (0.0, 0.2, 0.4, 0.6, 0.8)  # of the way to the spot; [m]
+UNSEEN_WEIGHT = 0.3  # [m] of free space, and of the way to the eye, for a view that no photograph is like
 NEAREST_EYE = 0.4  # of the way from target to eye: nearer, one would not see the play
 
 
@@ -101,17 +106,20 @@ def in_room(scene: Scene, stage: str) -> Scene:
     """The scene in a room of the user's, made by `prepare --static`. Raises BadInput."""
     own = scene.room
     environment, grid = load_room(stage)
-    at, free = spot_in(environment, grid, own)
+    cameras = photographs_of(stage)
+    at, free = spot_in(environment, grid, own, partial(unphotographed, scene, cameras) if cameras else None)
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
     angles = facing + TURNS if own.on_floor else facing[None]
     played = [b for b in scene.bodies if b.asset not in own.assets]
     best = None
-    for angle in angles:  # the widest view, then the fewest bodies in the way, then nearest to where its user stood
+    # The widest view, of what was photographed, then the fewest bodies in the way, then nearest to where its user stood
+    for angle in angles:
         rotation, position = around(own.spot, at, angle)
         eye, part = free_eye(scene, grid, rotation, position, floor)
         bodies = clear_of_room(played, grid, rotation, position, own.spot)
-        rank = part, -sum(a is not b for a, b in zip(bodies, played, strict=True))
+        unseen = float(unphotographed(scene, cameras, at[None], np.array([angle]))[0])
+        rank = part - UNSEEN_WEIGHT * unseen, -sum(a is not b for a, b in zip(bodies, played, strict=True))
         if best is None or rank > best[0]:
             best = rank, eye, [Body(stage, rotation=rotation, position=position), *bodies]
     _, eye, bodies = best
@@ -170,8 +178,52 @@ def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
     return environment, grid
 
 
-def spot_in(environment: Environment, grid: DistanceGrid | None, own: Room) -> tuple[np.ndarray, float]:
-    """The point (3,) of a room around which to play, and the radius [m] of free space there."""
+def photographs_of(stage: str) -> tuple[Camera, ...]:
+    """The cameras of the photographs of a room that is the background of a captured one, else none. Raises BadInput."""
+    folder = Path(find_asset(stage)).parent
+    if not is_room_folder(folder):
+        return ()
+    room = read_room(folder)
+    return room.cameras if Path(room.background).name == Path(stage).name else ()
+
+
+def unphotographed(scene: Scene, cameras: Sequence[Camera], at: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Difference (N,) of the player's view from the photograph most like it; 0 if there are none.
+
+    The distance between the eyes over that of the eye from the play, and 1 minus the cosine between the directions.
+
+    at      points (N, 3) of a room that come to lie on the scene's spot
+    angles  of the room about +y (N,) [rad]
+    """
+    if not cameras:
+        return np.zeros(len(at))
+    places = np.array([c.position for c in cameras])
+    ahead = np.array([c.world_to_camera[2, :3] for c in cameras])
+    way, look = np.subtract(scene.eye, scene.room.spot), np.subtract(scene.target, scene.eye)
+    far, look = np.linalg.norm(way), look / np.linalg.norm(look)
+    to_room = rotations_about_up(-angles)
+    eyes, looks = at + to_room @ way, to_room @ look
+    apart = np.linalg.norm(eyes[:, None] - places, axis=2) / far
+    return (apart + 1.0 - looks @ ahead.T).min(axis=1)
+
+
+def rotations_about_up(angles: np.ndarray) -> np.ndarray:
+    """Rotation matrices (N, 3, 3) about +y."""
+    half = 0.5 * np.asarray(angles, np.float64)
+    zero = np.zeros_like(half)
+    return matrices_from_quaternions(np.stack([np.cos(half), zero, np.sin(half), zero], axis=1))
+
+
+def spot_in(
+    environment: Environment,
+    grid: DistanceGrid | None,
+    own: Room,
+    unseen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> tuple[np.ndarray, float]:
+    """The point (3,) of a room around which to play, and the radius [m] of free space there.
+
+    unseen  see `unphotographed`, of points and angles
+    """
     drop = np.array(environment.drop_point)
     if not own.on_floor or grid is None or not environment.planes:
         return drop, environment.clear_radius
@@ -190,6 +242,9 @@ def spot_in(environment: Environment, grid: DistanceGrid | None, own: Room) -> t
     if not free.any():  # no floor was captured
         return drop, environment.clear_radius
     score = np.minimum(radius, 1.5 * own.radius) - MIDDLE_WEIGHT * np.linalg.norm(at - 0.5 * (low + high), axis=-1)
+    if unseen is not None:
+        points = np.insert(at[free], 1, height, axis=1)
+        score[free] -= UNSEEN_WEIGHT * np.min([unseen(points, np.full(len(points), t)) for t in TURNS], axis=0)
     best = np.unravel_index(np.where(free, score, -np.inf).argmax(), free.shape)
     return np.array([at[best][0], height, at[best][1]]), float(radius[best])
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from assets.asset import Asset, Cage
 from assets.gaussians import Gaussians
@@ -63,13 +63,21 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
         )
     centre, touching = np.median(own, axis=0), own[touch]
     foot = touching[touching[:, 1] < low[1] + BASE * (high[1] - low[1])][:, [0, 2]]
-    if len(foot) >= TOUCHES_MIN and holds_centre(foot, centre[[0, 2]]):
+    if len(foot) >= TOUCHES_MIN and holds_centre(foot, middle_of(own)[[0, 2]]):
         return Support(np.array([0.0, 1.0, 0.0]), True)
     away = centre - touching.mean(0)
     if np.linalg.norm(away) < 1e-3 * size:
         return Support(np.array([0.0, 1.0, 0.0]), True)
     away /= np.linalg.norm(away)
     return Support(away, False, float(np.median(touching @ away)))
+
+
+def middle_of(points: np.ndarray) -> np.ndarray:
+    """Centre of mass (3,) of the convex hull of points (N, 3): their own is where most details are."""
+    apex = points.mean(axis=0)  # within: the hull is a cone over each of its triangles
+    triangles = points[ConvexHull(points, qhull_options="QJ").simplices]
+    volumes = np.abs(np.linalg.det(triangles - apex))
+    return 0.25 * apex + 0.75 * volumes @ triangles.mean(axis=1) / volumes.sum()
 
 
 def widths(g: Gaussians) -> np.ndarray:

@@ -13,12 +13,14 @@ from assets.asset import Asset
 from assets.environment import Environment
 from assets.gaussians import Gaussians
 from assets.library import find_asset
+from assets.room_folder import RoomManifest, write_room
+from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from scenes import registry
-from scenes.roles import CELL, bounds, clear_of_room, places, spot_in
+from scenes.roles import CELL, bounds, clear_of_room, in_room, photographs_of, places, spot_in
 from scenes.scene import Body, Plane, Role, Room
 from vrgs import main
 
@@ -175,6 +177,24 @@ def test_a_play_on_the_floor_finds_free_floor(tmp_path):
     assert free == pytest.approx(min(2.0 - abs(spot[0]), 3.0 - abs(spot[2]), to_table), abs=2 * CELL)
     spot, free = spot_in(asset.environment, asset.sdf, Room((), (), (0.0, 0.0, 0.0), 0.5, on_floor=True))
     assert free > 0.45 and abs(spot[2]) < 0.3  # enough, and near the room's middle
+
+
+def test_a_play_in_a_captured_room_is_where_its_photographs_look(tmp_path):
+    """Cameras in one corner of a room, all turned to a place on its floor."""
+    stage = room(tmp_path, table=True)
+    looked_at = np.array([1.0, 0.0, 1.2])
+    eyes = [(x, 1.4, 2.6) for x in (0.4, 1.0, 1.6)]
+    cameras = tuple(perspective(64, 48, 0.9, look_at(eye, looked_at)) for eye in eyes)
+    write_room(tmp_path, RoomManifest("room.h5", (), eyes[1], tuple(looked_at), 0.9, 0.0, 1.0, np.eye(4), cameras))
+    assert len(photographs_of(stage)) == 3
+    placed = in_room(registry.load("box_moving"), stage)
+    turn = matrices_from_quaternions(np.array(placed.bodies[0].rotation))
+    eye, target = ((np.array(p) - placed.bodies[0].position) @ turn for p in (placed.eye, placed.target))
+    assert np.linalg.norm(eye - np.array(eyes), axis=1).min() < 0.5 and (target - eye)[2] < -0.5, (
+        "where they stood, where they looked"
+    )
+    (tmp_path / "room.json").unlink()
+    assert photographs_of(stage) == ()
 
 
 def test_a_room_that_is_too_small_is_told(tmp_path):

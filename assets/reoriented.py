@@ -8,6 +8,7 @@ import numpy as np
 
 from assets.asset import Asset, Cage
 from assets.environment import Environment
+from assets.relevelled import floor_of, relevelled
 from assets.up_axis import SIZE_RANGE
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
@@ -22,8 +23,9 @@ def reoriented(asset: Asset, rotation: np.ndarray, factor: float = 1.0) -> Asset
     middle of its footprint.
 
     A cage's tets and the embedding stay what they were: both are affine. Distance grids are interpolated, but only
-    where there is a turn. Raises BadInput for a body with a motion of its own, for a room that would no longer be
-    level, and for a size that no body can have.
+    where there is a turn. In a room that is tilted, floor, tables and places are found anew; its floor comes to y = 0.
+    Raises BadInput for a body with a motion of its own, for a room without a floor, and for a size that no body can
+    have.
     """
     rotation = np.asarray(rotation, np.float64)
     if asset.animation is not None:
@@ -40,20 +42,25 @@ def reoriented(asset: Asset, rotation: np.ndarray, factor: float = 1.0) -> Asset
             )
         shift = -np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
         cage = Cage((x + shift).astype(np.float32), cage.tets, cage.surface)
-    elif asset.environment is not None and rotation[1, 1] < LEVEL:
-        raise BadInput("a room's floor and tables must stay level: prepare it again with --up")
+    tilted = asset.environment is not None and rotation[1, 1] < LEVEL
+    if tilted:
+        shift = np.array([0.0, -floor_of(asset.gaussians.transformed(rotation, shift, factor)), 0.0])
+    g = asset.gaussians.transformed(rotation, shift, factor)
     grid = None if asset.sdf is None else turned_grid(asset.sdf, rotation, factor, shift)
-    environment = None if asset.environment is None else turned_environment(asset.environment, rotation, factor)
-    provenance = asset.provenance | {"reoriented": _quaternion_and_factor(asset.provenance, rotation, factor)}
+    environment = asset.environment and turned_environment(asset.environment, rotation, factor, shift)
+    if tilted:
+        height = factor * (asset.environment.eye_position[1] - asset.environment.floor_height)
+        environment = relevelled(environment, g, grid, height)
+    provenance = asset.provenance | {"reoriented": _transforms(asset.provenance, rotation, factor, shift)}
     if "size" in provenance:
         provenance["size"] = float(provenance["size"]) * factor
-    g = asset.gaussians.transformed(rotation, shift, factor)
     return replace(asset, gaussians=g, cage=cage, sdf=grid, environment=environment, provenance=provenance)
 
 
-def _quaternion_and_factor(provenance: dict, rotation: np.ndarray, factor: float) -> list:
-    """All turns and scales so far: [[quaternion wxyz, factor], ...]."""
-    return [*provenance.get("reoriented", []), [quaternions_from_matrices(rotation).tolist(), float(factor)]]
+def _transforms(provenance: dict, rotation: np.ndarray, factor: float, shift: np.ndarray) -> list:
+    """All turns and scales so far: [[quaternion wxyz, factor, shift], ...]."""
+    last = [quaternions_from_matrices(rotation).tolist(), float(factor), shift.tolist()]
+    return [*provenance.get("reoriented", []), last]
 
 
 def turned_grid(grid: DistanceGrid, rotation: np.ndarray, factor: float, shift: np.ndarray) -> DistanceGrid:
@@ -75,23 +82,24 @@ def turned_grid(grid: DistanceGrid, rotation: np.ndarray, factor: float, shift: 
     return DistanceGrid(values.astype(grid.values.dtype), nodes.origin + shift, scaled.spacing)
 
 
-def turned_environment(environment: Environment, rotation: np.ndarray, factor: float) -> Environment:
-    """The same floor, planes and places; a plane is the bounding rectangle of its turned one."""
+def turned_environment(environment: Environment, rotation: np.ndarray, factor: float, shift: np.ndarray) -> Environment:
+    """The same floor, planes and places; a plane is the bounding rectangle of its turned one, at its middle."""
     drop, eye = (
-        tuple((factor * rotation @ np.array(p)).tolist()) for p in (environment.drop_point, environment.eye_position)
+        tuple((factor * rotation @ np.array(p) + shift).tolist())
+        for p in (environment.drop_point, environment.eye_position)
     )
     return Environment(
-        factor * environment.floor_height,
+        factor * environment.floor_height + float(shift[1]),
         drop,
         eye,
         factor * environment.clear_radius,
-        tuple(_turned_plane(plane, rotation, factor) for plane in environment.planes),
-        tuple(turned_grid(grid, rotation, factor, np.zeros(3)) for grid in environment.fine_grids),
+        tuple(_turned_plane(plane, rotation, factor, shift) for plane in environment.planes),
+        tuple(turned_grid(grid, rotation, factor, shift) for grid in environment.fine_grids),
     )
 
 
-def _turned_plane(plane: tuple, rotation: np.ndarray, factor: float) -> tuple:
+def _turned_plane(plane: tuple, rotation: np.ndarray, factor: float, shift: np.ndarray) -> tuple:
     kind, height, x0, z0, x1, z1 = plane
-    corners = factor * np.array([[x, height, z] for x in (x0, x1) for z in (z0, z1)]) @ rotation.T
+    corners = factor * np.array([[x, height, z] for x in (x0, x1) for z in (z0, z1)]) @ rotation.T + shift
     (low_x, _, low_z), (high_x, _, high_z) = corners.min(0), corners.max(0)
-    return (kind, factor * height, *map(float, (low_x, low_z, high_x, high_z)))
+    return (kind, float(corners[:, 1].mean()), *map(float, (low_x, low_z, high_x, high_z)))

@@ -77,6 +77,12 @@ def is_room_folder(path: str | Path) -> bool:
 
 def write_room(folder: Path, room: RoomManifest) -> None:
     """Write the manifest of a room. Raises BadInput."""
+    with atomic_write(folder / MANIFEST) as beside:
+        write_manifest(beside, room)
+
+
+def write_manifest(path: Path, room: RoomManifest) -> None:
+    """Write the manifest of a room to this file."""
     objects = []
     for o in room.objects:
         entry = {"name": o.name, "asset": o.asset, "position": list(o.position), "rotation": list(o.rotation)}
@@ -94,8 +100,7 @@ def write_room(folder: Path, room: RoomManifest) -> None:
         "objects": objects,
         "cameras": [camera_entry(c) for c in room.cameras],
     }
-    with atomic_write(folder / MANIFEST) as beside:
-        beside.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 
 def read_room(folder: str | Path) -> RoomManifest:

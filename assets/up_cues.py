@@ -33,6 +33,19 @@ LAYER_THICKNESS = 0.06  # of the extent: surfaces this close, seen from above an
 MAP_CELLS = 24  # on the longest side of the maps of what stands where
 MIRROR_CELLS = 20  # on the longest side of the grid in which mirror images are compared
 MIRROR_PLANES = 8  # vertical planes that are tried
+RESTING_POINTS = 2000  # that are looked at for poses of rest
+NEAR, AROUND = np.cos(np.radians(25.0)), np.cos(np.radians([35.0, 50.0]))  # of a pose of rest: its lean, and its rim
+
+
+def sphere_directions(count: int) -> np.ndarray:
+    """Unit vectors (count, 3) spread evenly (Fibonacci lattice)."""
+    k = np.arange(count) + 0.5
+    z, a = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    r = np.sqrt(1 - z * z)
+    return np.stack([r * np.cos(a), r * np.sin(a), z], 1)
+
+
+DIRECTIONS = sphere_directions(600)
 
 
 def outermost_points(points: np.ndarray, axis: int, low: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -45,26 +58,6 @@ def outermost_points(points: np.ndarray, axis: int, low: np.ndarray, longest: fl
     return order[np.r_[0, edge]], order[np.r_[edge - 1, len(order) - 1]]
 
 
-def convex_hull(points: np.ndarray) -> np.ndarray:
-    """Corners (C, 2) of the convex hull of points (N, 2), counterclockwise (Andrew 1979); fewer than three of a line.
-
-    Not SciPy's, because that takes a quarter of a second to import.
-    """
-    corners = []
-    ordered = points[np.lexsort(points.T[::-1])].tolist()
-    for sweep in (ordered, ordered[::-1]):  # the lower half, then the upper
-        half = []
-        for x, y in sweep:
-            while len(half) > 1:
-                (x0, y0), (x1, y1) = half[-2:]
-                if (x1 - x0) * (y - y0) > (y1 - y0) * (x - x0):
-                    break
-                half.pop()
-            half.append((x, y))
-        corners += half[:-1]
-    return np.array(corners).reshape(-1, 2)
-
-
 def surface_centre(points: np.ndarray, longest: float) -> np.ndarray:
     """Centre (3,) of the surface that points (N, 3) lie on, independent of their density."""
     cell = np.floor(points / longest * VIEW_PIXELS).clip(-(1 << 20), (1 << 20) - 1).astype(np.int64) + (1 << 20)
@@ -74,32 +67,25 @@ def surface_centre(points: np.ndarray, longest: float) -> np.ndarray:
     return cells.mean(0) * longest / VIEW_PIXELS
 
 
-def tipping_slope(points: np.ndarray, sign: int) -> float:
-    """Slope (-0.5 to 0.5) at which an object tips over that stands on its part lowest along `sign` y; negative if it
-    falls by itself."""
+def resting_heights(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Height (D,) of the surface's centre over the lowest point with each of the directions (D, 3) upwards, and the
+    extent. A pose in which a thing rests is a minimum of it (Goldberg et al. 1999)."""
     low, high = robust_bounds(points)
-    longest = (high - low).max()
-    centre, h = surface_centre(points, longest), sign * points[:, 1]
-    ground = np.percentile(h, 0.3)
-    foot = points[h < ground + FOOT_HEIGHT * longest][:, [0, 2]]
-    sides = convex_hull(foot) - centre[[0, 2]]
-    along = np.roll(sides, -1, axis=0) - sides
-    length = np.hypot(*along.T)
-    if len(sides) < 3 or length.min() == 0.0:  # a point or a line
-        return -0.5
-    inside = ((sides[:, 0] * along[:, 1] - sides[:, 1] * along[:, 0]) / length).min()  # distance to the nearest side
-    return float(np.clip(inside / max(sign * centre[1] - ground, 1e-12), -0.5, 0.5))
+    longest = float((high - low).max())
+    some = points[:: max(1, len(points) // RESTING_POINTS)]
+    k = int(0.005 * len(some))
+    lowest = np.partition(DIRECTIONS @ some.T, k, axis=1)[:, k]
+    return DIRECTIONS @ surface_centre(points, longest) - lowest, longest
 
 
 def up_cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
     """Cues for each axis, "+x" to "-z", to point up, by name.
 
-    opacity, bright  how much more opaque the undermost Gaussians are, and how much brighter the topmost
+    bright           how much brighter the topmost Gaussians are than the undermost
     open             how high those columns lie that hold a single layer: an underside is missing
-    hollow           how many more columns lie over a hollow that opens upwards, as a cup's
     low              how low the middle of the surface lies
     foot             how much wider the lowest slice is than the highest
-    stable           slope at which the thing tips over
+    stable           how far the centre must rise, in extents, for the thing to tip out of the nearest pose of rest
     unlike           how little it resembles its image mirrored at a level plane
     askew            how little it resembles its images mirrored at upright planes
     shelves, sharp   share of the surface that is level between its ends, and that is very level
@@ -111,18 +97,27 @@ def up_cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
     areas = np.minimum(areas, np.percentile(areas, 99.0))
     areas /= max(areas.sum(), 1e-30)
     luma = np.clip(0.5 + C0 * core.sh[:, 0], 0, 1) @ LUMA
+    heights, longest = resting_heights(points)
     found = {}
     for axis in range(3):
         along = np.eye(3)[axis]
         direction = refine_direction(along, normals, areas)
         turn = rotation_between(direction if direction @ along > LEAN_MAX else along, (0.0, 1.0, 0.0))
         level = np.abs(normals @ turn[1])
-        odd, even = _cues_along(points @ turn.T, level, areas, core.opacities, luma)
+        odd, even = _cues_along(points @ turn.T, level, areas, luma)
         for sign in (1, -1):
-            found[axis_name(axis, sign)] = {name: sign * value for name, value in odd.items()} | even
             up = axis_name(axis, sign)
-            found[up]["stable"] = tipping_slope(points @ turn.T, sign)
+            found[up] = {name: sign * value for name, value in odd.items()} | even
+            found[up]["stable"] = _stability(sign * along, heights, longest)
     return {up: found[up] for up in AXES}
+
+
+def _stability(up: np.ndarray, heights: np.ndarray, longest: float) -> float:
+    """How far the centre must rise for the thing to leave the pose of rest nearest to `up` (3,), in its extents; -0.2
+    to 0.2, negative where it falls by itself. So it does not matter how the frame leans."""
+    cosine = DIRECTIONS @ up
+    rim = heights[(cosine < AROUND[0]) & (cosine > AROUND[1])].min()
+    return float(np.clip((rim - heights[cosine > NEAR].min()) / longest, -0.2, 0.2))
 
 
 def core_of(gaussians: Gaussians) -> Gaussians:
@@ -133,7 +128,7 @@ def core_of(gaussians: Gaussians) -> Gaussians:
     return g.select(near)
 
 
-def _cues_along(p, level, areas, opacities, luma) -> tuple[dict[str, float], dict[str, float]]:
+def _cues_along(p, level, areas, luma) -> tuple[dict[str, float], dict[str, float]]:
     """Cues of +y to point up: those that change sign for -y, and those that are the same.
 
     p (N, 3);   level (N,) cosine of normals to the vertical;   areas (N,), their sum is 1
@@ -158,10 +153,8 @@ def _cues_along(p, level, areas, opacities, luma) -> tuple[dict[str, float], dic
     foot = [seen(s * h < slab - 1).sum() / whole for s in (1, -1)]
     centre = surface_centre(p, longest)
     odd = {
-        "opacity": opacities[below].mean() - opacities[above].mean(),
         "bright": luma[above].mean() - luma[below].mean(),
         "open": (single * (h[below] + h[above]) / 2).mean(),
-        "hollow": hollow[0].mean() - hollow[1].mean(),
         "low": -(2 * (centre[1] - low[1]) / extent - 1),
         "foot": foot[0] - foot[1],
     }

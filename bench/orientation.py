@@ -53,7 +53,7 @@ def measured(cases) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Confidence of each guess (C,), whether it is right (C,), and the family of each case."""
     said, right, families = [], [], []
     for case in cases:
-        p = up_probabilities(case.gaussians, EVEN)
+        p = up_probabilities(case.gaussians, EVEN, case.kind)
         up = max(p, key=p.get)
         said.append(p[up])
         right.append(up == case.up)
@@ -115,31 +115,22 @@ def print_table(row: dict) -> None:
 
 
 def fit_model(count: int) -> None:
-    """Fit the weights and the lapse to procedural cases, and print them.
-
-    The confidence of families that were not fitted is what a user gets, so that the weights are shrunk by the
-    temperature that suits each family when it is left out.
-    """
+    """Fit the weights and the lapse of each kind to procedural cases, and print them."""
     cases = list(procedural_cases(count, FIT_SEED))
     print(f"cues of {len(cases)} cases ...", file=sys.stderr, flush=True)
-    x, y = table(cases)
-    width = x.reshape(-1, x.shape[2]).std(axis=0)
-    x, families = x / width, np.array([case.family for case in cases])
-    left_out = np.zeros(x.shape[:2])
-    for family in np.unique(families):
-        own = families == family
-        left_out[own] = x[own] @ fitted(x[~own], y[~own])[0]
-    temperature, lapse = fitted(left_out[..., None], y, ridge=0.0)
-    weights = fitted(x, y)[0] * temperature[0] / width
-    print("WEIGHTS = {")
-    for name, weight in zip(WEIGHTS, weights, strict=True):
-        print(f'    "{name}": {weight:.3g},')
-    print(f"}}\nLAPSE = {lapse:.2g}\ntemperature of unseen families: {1 / temperature[0]:.2f}")
+    for kind, names in WEIGHTS.items():
+        x, y = table([case for case in cases if case.kind == kind], list(names))
+        width = x.reshape(-1, x.shape[2]).std(axis=0)
+        weights, lapse = fitted(x / width, y)
+        print(f'WEIGHTS["{kind}"] = {{')
+        for name, weight in zip(names, weights / width, strict=True):
+            print(f'    "{name}": {weight:.3g},')
+        print(f'}}\nLAPSE["{kind}"] = {lapse:.2g}')
 
 
-def table(cases: list[OrientationCase]) -> tuple[np.ndarray, np.ndarray]:
+def table(cases: list[OrientationCase], names: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Cues (C, 6, K) of the axes and the index (C,) of the one that is up."""
-    names, axes = list(WEIGHTS), list(AXES)
+    axes = list(AXES)
     found = [up_cues(case.gaussians) for case in cases]
     x = np.array([[[of[up][name] for name in names] for up in axes] for of in found])
     return x, np.array([axes.index(case.up) for case in cases])

@@ -7,7 +7,7 @@ looked, or none of that; floaters; a frame that leans.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,16 +26,22 @@ ROOMS = ("attic", "childrens_room", "dining_room", "garden", "stage", "study")  
 NO_UP = ("ball", "rubber_ball", "ring_red", "ring_blue", "ring_yellow")  # of the shipped bodies: as good either way up
 NEAR_DUPLICATES = ("brick_", "box_")  # of these kinds of shipped bodies one each
 SQUARE = 0.3  # of the files: their axes are those of the walls
-LEAN = np.radians(8.0)  # standard deviation of the frame's lean
+LEAN = np.radians(8.0), np.radians(16.0)  # standard deviation of a frame's lean: most frames', and others'
 
 
 @dataclass(frozen=True)
 class OrientationCase:
-    """Gaussians in the frame of a file whose axis `up` points up; `family` is the kind of what they show."""
+    """Gaussians in the frame of a file whose axis `up` points up; `family` is what they show, of `kind` "body" or
+    "scene"."""
 
     family: str
     gaussians: Gaussians
     up: str
+
+    @property
+    def kind(self) -> str:
+        """What the user says that it is."""
+        return "scene" if self.family in (*ROOMS, *SCENES) else "body"
 
 
 def procedural_cases(count: int, seed: int) -> Iterator[OrientationCase]:
@@ -43,8 +49,8 @@ def procedural_cases(count: int, seed: int) -> Iterator[OrientationCase]:
     for k in range(count):
         rng = np.random.default_rng([seed, k])
         if k % 3 == 0:
-            make = (room, tabletop, ground)[k // 3 % 3]
-            yield in_file(rng, make.__name__, make(rng))
+            family = list(SCENES)[k // 3 % len(SCENES)]
+            yield in_file(rng, family, SCENES[family](rng))
         else:
             family = list(KINDS)[k % len(KINDS)]
             yield in_file(rng, family, captured(rng, standing(rng, family)))
@@ -71,7 +77,8 @@ def in_file(rng, family: str, g: Gaussians) -> OrientationCase:
     if rng.random() < SQUARE:
         level = about(1, 0.5 * np.pi * rng.integers(4))
     else:
-        level = about(0, rng.normal(0, LEAN)) @ about(2, rng.normal(0, LEAN)) @ about(1, rng.uniform(0, 2 * np.pi))
+        lean = LEAN[0] if rng.random() < 0.6 else LEAN[1]
+        level = about(0, rng.normal(0, lean)) @ about(2, rng.normal(0, lean)) @ about(1, rng.uniform(0, 2 * np.pi))
     return OrientationCase(family, g.transformed(rotation_to_up(up).T @ level, scale=float(rng.uniform(0.3, 3))), up)
 
 
@@ -218,6 +225,53 @@ def room(rng) -> Gaussians:
     return scene_of(rng, parts)
 
 
+def interior(rng) -> Gaussians:
+    """A furnished room: most things stand along the walls, some on tables or shelves; rugs, lamps, pictures."""
+    w, h, d, thin = rng.uniform(2.5, 7), rng.uniform(2.2, 3.2), rng.uniform(2.5, 6), 0.06
+    parts = [solid("box", (w, thin, d), (0, -thin / 2, 0), rng)]
+    ceiling = rng.random() < 0.5
+    if ceiling:
+        parts.append(solid("box", (w, thin, d), (0, h, 0), rng))
+    shown = rng.permutation(4)[: rng.integers(1, 5)]
+    for k in shown:
+        way, wide, deep = about(1, 0.5 * np.pi * k), *((w, d) if k % 2 == 0 else (d, w))
+        parts += turned([solid("box", (wide, h, thin), (0, h / 2, -deep / 2), rng)], way)
+        for _ in range(int(rng.integers(0, 6))):
+            at = rng.uniform(-0.4, 0.4) * wide
+            if rng.random() < 0.3:  # a picture or a window
+                own = [solid("box", (*rng.uniform(0.3, 1.2, 2), 0.05), (at, rng.uniform(0.9, h - 0.5), 0.03), rng)]
+            elif rng.random() < 0.3:  # a board with things on it
+                high = rng.uniform(0.9, 1.8)
+                own = [solid("box", (rng.uniform(0.5, 1.4), 0.04, 0.3), (at, high, 0.15), rng)]
+                own += turned(clutter(rng, 2, 0.3, 0.02, 0.1, 0.3), np.eye(3), shift=[at, high + 0.02, 0.15])
+            else:  # a cupboard, a bed, a sofa
+                size = np.array([rng.uniform(0.4, 2.0), rng.uniform(0.3, 2.1), rng.uniform(0.3, 0.9)])
+                own = [solid("box", size, (at, size[1] / 2, size[2] / 2), rng)]
+                if rng.random() < 0.5:
+                    high = size[1] + 0.3 * rng.random() * size[1]
+                    own.append(solid("box", (size[0], high, 0.2 * size[2]), (at, high / 2, 0.1 * size[2]), rng))
+            parts += turned(own, way, shift=way @ [0, 0, -deep / 2])
+    for _ in range(int(rng.integers(0, 3))):  # tables, with things on them
+        high, size = rng.uniform(0.4, 0.9), rng.uniform(0.5, 1.6, 2)
+        own = [solid("box", (size[0], 0.04, size[1]), (0, high, 0), rng)]
+        own += [solid("tube", (0.06, high, 0.06), (x * 0.42 * size[0], high / 2, z * 0.42 * size[1]), rng) for x in (-1, 1) for z in (-1, 1)]  # fmt: skip  # noqa: E501
+        own += turned(clutter(rng, int(rng.integers(0, 6)), 0.4 * size[0], 0.4 * size[1], 0.1, 0.4), np.eye(3), shift=[0, high + 0.02, 0])  # fmt: skip  # noqa: E501
+        turn = about(1, rng.uniform(0, np.pi) if rng.random() < 0.5 else 0.0)
+        parts += turned(own, turn, shift=[rng.uniform(-0.3, 0.3) * w, 0, rng.uniform(-0.3, 0.3) * d])
+    if ceiling and rng.random() < 0.5:
+        drop, wide = rng.uniform(0.2, 1.0), rng.uniform(0.2, 0.6)
+        at = rng.uniform(-0.2, 0.2, 2) * [w, d]
+        parts.append(solid("tube", (0.02, drop, 0.02), (at[0], h - drop / 2, at[1]), rng))
+        parts.append(solid("tube", (wide, 0.6 * wide, wide), (at[0], h - drop, at[1]), rng, top=rng.uniform(0.2, 1)))
+    parts += clutter(rng, int(rng.integers(0, 6)), 0.4 * w, 0.4 * d, 0.3, 1.3)
+    return scene_of(rng, parts)
+
+
+def corner(rng) -> Gaussians:
+    """The part of a furnished room that somebody photographed."""
+    return part_of_room(rng, interior(rng))
+
+
 def tabletop(rng) -> Gaussians:
     """Some of a table or a floor, with several objects on it."""
     w, d = rng.uniform(0.6, 2.0, 2)
@@ -263,3 +317,6 @@ def scene_of(rng, parts: list[Solid]) -> Gaussians:
         g = g.select(along > np.quantile(along, rng.uniform(0, 0.5)))
     low, high = g.means.min(0), g.means.max(0)
     return concatenate([g, floaters(rng, int(len(g) * rng.uniform(0, 0.08)), low, high)])
+
+
+SCENES: dict[str, Callable] = {f.__name__: f for f in (room, interior, tabletop, corner, ground)}

@@ -23,10 +23,12 @@ from render.renderer import Renderer
 from render.shadow_map import ShadowMap
 from render.skinned_props import Skin, SkinnedProps
 from render.splats import Splats
+from render.still_pose import StillPose
 from scenes.scene import Light, Scene
 from sim.capacity import MAX_BODIES, Capacity
 from sim.contact.contact_samples import MAX_SAMPLES
 from sim.contact.line_of_sight import LineOfSight
+from sim.contact.static_shapes import placed
 from sim.embedding import BodySpan, Embedding, PackedBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody, Solver
@@ -79,7 +81,8 @@ class DeviceScene:
             + max(math.ceil(HEADROOM * sum(self.gaussian_counts)), 2 * sum(len(p.part.gaussians) for p in reserved)),
         )
         self.props = SkinnedProps(self.splats, props, len(still)) if props else None
-        obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
+        self.obstacles = obstacles = [*scene.colliders, *(grid for _, grids in static for grid in grids)]
+        self._still_pose: StillPose | None = None
         self.sight = LineOfSight(obstacles)
         self.solver = Solver(
             [body for body, _ in moving],
@@ -134,6 +137,17 @@ class DeviceScene:
     def place_props(self, poses: np.ndarray) -> bool:
         """Move the props; returns whether any has moved."""
         return self.props is not None and self.props.place(poses, self.light)
+
+    def place_room(self, pose: np.ndarray) -> None:
+        """Let all that stands still be at a rigid transform (4, 4) of where it was at the start, colliders too."""
+        if self.still and self._still_pose is None:
+            self._still_pose = StillPose(self.splats, self.still)
+        if self._still_pose is not None:
+            self._still_pose.place(pose)
+        shapes = [placed(shape, pose) for shape in self.obstacles]
+        self.sight = LineOfSight(shapes)
+        self.solver.place_static(shapes)
+        self.renderer.forget()
 
     def set_light(self, light: Light) -> None:
         """Replace the scene's light."""

@@ -93,6 +93,9 @@ class WorldView(Protocol):
     recently_selected: bool = False
     """True if it was selected or changed within the last seconds."""
 
+    room_middle: np.ndarray | None = None
+    """What the user's room is turned about, (3,) [m]; None: there is no room of the user's."""
+
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Acceleration of what falls [m/s^2]."""
 

@@ -112,6 +112,14 @@ class Place:
 
 
 @dataclass(frozen=True)
+class TurnRoom:
+    """Turn the user's room by a quaternion (wxyz) about what the scene looks at, with all that is in it."""
+
+    rotation: tuple[float, float, float, float]
+    continued: bool = False
+
+
+@dataclass(frozen=True)
 class SetMaterial:
     """Make a body of another material, given or named (core/material.py)."""
 
@@ -304,6 +312,7 @@ Command = (
     | Rescale
     | Rotate
     | Place
+    | TurnRoom
     | SetMaterial
     | Undo
     | Redo

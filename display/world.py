@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -17,6 +17,7 @@ from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
+from display.edit.room_turn import RoomTurn
 from display.protocol import Frame, WorldView
 from display.timing import Timings
 from display.user_commands import (
@@ -50,6 +51,7 @@ class WorldSnapshot:
     time: float
     owed: float
     game: dict
+    room: np.ndarray = field(default_factory=lambda: np.eye(4))  # pose of the room (display/edit/room_turn.py)
 
 
 class World(WorldView):
@@ -67,6 +69,7 @@ class World(WorldView):
         self.timings = Timings()
         self.device = DeviceScene(scene, (width, height), reserve=reserve, **options)
         self.registry = BodyRegistry(self.device)
+        self.room = RoomTurn(self.device)
         self.editor = Editor(self, self.registry)
         self.paused = self.demo = self.moving = False
         self.time_scale = 1.0
@@ -228,6 +231,9 @@ class World(WorldView):
         if self.registry.changed:
             self.editor.deselect()
         self.registry.reset()
+        if self.room.moved:  # the start is a place in the room
+            for k in range(len(self.registry.members)):
+                self.registry.displace(k, self.room.pose, rest=True)
         self.time = self.owed = 0.0
         if self.scene.game is not None:
             self.scene.game.reset()
@@ -275,12 +281,13 @@ class World(WorldView):
     def snapshot(self) -> WorldSnapshot:
         """The state now; hands count as open."""
         game = {} if self.scene.game is None else deepcopy(vars(self.scene.game))
-        return WorldSnapshot(self.registry.snapshot(), self.time, self.owed, game)
+        return WorldSnapshot(self.registry.snapshot(), self.time, self.owed, game, self.room.pose)
 
     def restore(self, snapshot: WorldSnapshot) -> None:
         """Bring a state back; a demo ends."""
         self._end_demo()
         self.registry.restore(snapshot.bodies)
+        self.room.place(snapshot.room)
         self.time, self.owed = snapshot.time, snapshot.owed
         if self.scene.game is not None:
             vars(self.scene.game).update(deepcopy(snapshot.game))
@@ -304,7 +311,7 @@ class World(WorldView):
 
     def close(self) -> None:
         """Let go of all that the device holds, whoever still refers to this world, which cannot be used any more."""
-        del self.device, self.registry, self.editor
+        del self.device, self.registry, self.editor, self.room
 
     def scripted_hands(self, time: float) -> list[Hand]:
         """Hands of the scene's scripted player at `time` [s]."""
@@ -373,6 +380,11 @@ class World(WorldView):
     def selected(self) -> int | None:
         """Index of the body that was last held or pointed at."""
         return self.editor.selected
+
+    @property
+    def room_middle(self) -> np.ndarray | None:
+        """What the user's room is turned about (3,) [m]; None: there is no room of the user's."""
+        return self.room.middle if self.room.own is not None else None
 
     @property
     def recently_selected(self) -> bool:

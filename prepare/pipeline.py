@@ -178,7 +178,7 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
         g, counts = clean(gaussians)
         cluster = np.zeros(len(g), int)
     progress("orient", 0.0)
-    chances = up_probabilities(g) if options.up is None else {options.up: 1.0}
+    chances = up_probabilities(g, kind="body") if options.up is None else {options.up: 1.0}
     up, sure = most_likely(chances)
     turned = g.transformed(rotation_to_up(up))
     return arrays_of(turned, counts=counts, up=up, sure=sure, chances=chances) | {"cluster": cluster}

@@ -116,10 +116,14 @@ class Rasterizer:
     def resize(self, width: int, height: int) -> None:
         """Draw pictures of another size from now on, with the same kernels unless they need more tiles."""
         self.projection.set_size(width, height)
-        self._kept, self._last = 0, None
+        self.forget()
         bins = self.tile_pass.bins
         if bins.tiles > bins.tile_capacity:
             self.reserve(bins.capacity * 4 // 5)
+
+    def forget(self) -> None:
+        """Draw all anew: what was said to stand still has moved."""
+        self._kept, self._last = 0, None
 
     def set_camera(self, view: int, camera: Camera) -> None:
         """Set the camera of a view; its size must be the rasterizer's."""

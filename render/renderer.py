@@ -137,6 +137,10 @@ class Renderer:
         self.sink.set_background(colour)
         self.rasterizer.resize(self.width, self.height)  # nothing is left of the last picture
 
+    def forget(self) -> None:
+        """Draw all anew: what was said to stand still has moved."""
+        self.rasterizer.forget()
+
     def render(self, cameras: list[Camera]) -> None:
         """Draw one picture per camera; it is complete on return."""
         if len(cameras) != self.views:

@@ -231,6 +231,12 @@ class Solver:
         """Force of all contacts on each body in the last substep [N], (B, 3)."""
         return np.zeros((len(self._model.bodies), 3)) if self.contacts is None else self.contacts.forces.per_body()
 
+    def place_static(self, shapes: Sequence[Shape]) -> None:
+        """Put the static shapes, the same ones as at first, where these are; all bodies wake."""
+        if self.contacts is not None:
+            self.contacts.static_shapes.place(list(shapes))
+        self.wake()
+
     def wake(self) -> None:
         """Wake all bodies: after a change that the solver cannot see, such as of `x` or `v`."""
         self._reductions.forget()

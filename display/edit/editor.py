@@ -26,13 +26,19 @@ from display.user_commands import (
     Rotate,
     Select,
     SetMaterial,
+    TurnRoom,
     Undo,
     in_order,
 )
 from scenes.scene import BodyState, Hand
 
-DRAG_GAP = {"light": 30, "rescale": 2, "rotate": 2}  # frames without such a command that end a drag of it; others say
-EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, SetMaterial, Undo, Redo)
+DRAG_GAP = {
+    "light": 30,
+    "rescale": 2,
+    "rotate": 2,
+    "turn room": 2,
+}  # frames without such a command that end a drag of it; others say
+EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, TurnRoom, SetMaterial, Undo, Redo)
 SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
 FARTHEST = 100.0  # [m] that a body can be moved at once
@@ -97,6 +103,8 @@ class Editor:
                 self._rotate(self._index(body), rotation)
             case Place(body, offset, rotation, continued):
                 self._place(self._index(body), offset, rotation, continued)
+            case TurnRoom(rotation, continued):
+                self._turn_room(rotation, continued)
             case SetMaterial(body, material, continued):
                 self._set_material(self._index(body), material, continued)
             case Undo():
@@ -169,6 +177,17 @@ class Editor:
         by[:3, :3] = rotation_matrix(rotation)
         by[:3, 3] = body.centroid + offset - by[:3, :3] @ body.centroid
         self._edit("place", lambda: self._bodies.displace(k, by, rest=True), select=k, continued=continued)
+
+    def _turn_room(self, rotation, continued: bool) -> None:
+        room = self._world.room
+        by = room.about(rotation_matrix(rotation))
+
+        def turn() -> None:
+            room.place(by @ room.pose)
+            for k in range(len(self._bodies.members)):
+                self._bodies.displace(k, by, rest=True)
+
+        self._edit("turn room", turn, continued=continued)
 
     def _set_material(self, k: int, material: Material | str, continued: bool) -> None:
         self._edit("material", lambda: self._bodies.set_material(k, material), select=k, continued=continued)

@@ -1,4 +1,5 @@
-"""A body's corrected up, front and size, written into the asset file it was made of, so that the next play has them."""
+"""A body's corrected up, front and size, or a room's, written into the asset file it was made of, so that the next play
+has them."""
 
 from __future__ import annotations
 
@@ -9,8 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from assets.asset import Asset, is_quantised
+from assets.file_access import atomic_write_all
 from assets.library import SHIPPED_FOLDER, find_asset
+from assets.moved_room import moved_room
 from assets.reoriented import reoriented
+from assets.room_folder import MANIFEST, is_room_folder, read_room, write_manifest
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from scenes.scene import Body
@@ -25,12 +29,14 @@ SAME = 1e-6  # of a rotation's entries, and of a factor
 def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callable[[], None]]:
     """The asset file of a body, None: of the selected one, and what writes it as the body stands and how large it is.
 
-    Of a viewer the file that it shows. The next play of the same scene puts the body where it stood at its beginning,
-    turned and as large as it is now.
+    Of a viewer the file that it shows; of a room that has been turned its own, before any body's. The next play of the
+    same scene puts the body where it stood at its beginning, turned and as large as it is now.
     Raises BadInput for a body whose file is not the user's own, or whose frame cannot change.
     """
     if world.file is not None:
         return file_writer(world)
+    if world.room.turned:
+        return room_writer(world)
     k = world.selected if body is None else body
     if k is None:
         raise BadInput("Take hold of something first, or point at it.")
@@ -40,12 +46,46 @@ def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callabl
         raise BadInput(f"{path.stem} comes with the program: only a body of your own can be changed for good.")
     asset, small = Asset.load(path), is_quantised(path)
     rotation, factor = turn_since(asset, world, k)
-    start = matrices_from_quaternions(np.asarray(placed.rotation, np.float64))
+    start = world.room.pose[:3, :3] @ matrices_from_quaternions(np.asarray(placed.rotation, np.float64))
     rotation, factor = start.T @ rotation, factor / placed.scale
     if np.abs(rotation - np.eye(3)).max() < SAME and abs(factor - 1.0) < SAME:
         raise BadInput(f"{path.stem} is in its file as it is here.")
     changed = reoriented(asset, rotation, factor)
     return path, lambda: changed.save(path, quantised=small)
+
+
+def room_writer(world: World) -> tuple[Path, Callable[[], None]]:
+    """The file of the room that has been turned, and what writes it, which takes some seconds."""
+    room = world.room
+    path, pose = find_asset(room.own.asset), room.pose
+    start = matrices_from_quaternions(np.asarray(room.own.rotation, np.float64))
+    rotation = start.T @ pose[:3, :3] @ room.kept[:3, :3].T @ start
+
+    def write() -> None:
+        write_room_turned(path, rotation)
+        room.kept = pose
+
+    return path, write
+
+
+def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> None:
+    """Write a room's asset turned by (3, 3) and scaled, and the manifest of the captured room that it belongs to.
+
+    Raises BadInput.
+    """
+    changed, small = reoriented(Asset.load(path), rotation, factor), is_quantised(path)
+    if not is_room_folder(path.parent):
+        changed.save(path, quantised=small)
+        return
+    if factor != 1.0:
+        raise BadInput(
+            "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
+        )
+    room = read_room(path.parent)
+    moved = moved_room(room, rotation, np.array(changed.provenance["reoriented"][-1][2]))
+    with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):
+        changed.save(background, quantised=small)
+        write_manifest(manifest, moved)
 
 
 def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
@@ -58,10 +98,14 @@ def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:
     if file.path.resolve().is_relative_to(SHIPPED_FOLDER.resolve()):
         raise BadInput(f"{file.path.stem} comes with the program: only a file of your own can be changed for good.")
     turn, factor = file.turn, file.factor
-    changed, small = reoriented(Asset.load(file.path), turn, factor), is_quantised(file.path)
+    asset, small = Asset.load(file.path), is_quantised(file.path)
+    changed = None if asset.environment is not None else reoriented(asset, turn, factor)
 
     def write() -> None:
-        changed.save(file.path, quantised=small)
+        if changed is None:
+            write_room_turned(file.path, turn, factor)
+        else:
+            changed.save(file.path, quantised=small)
         viewer.frame_kept(file.path, turn, factor)
 
     return file.path, write

@@ -26,7 +26,9 @@ View = tuple[tuple[float, float, float], tuple[float, float, float]]  # eye and 
 
 def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
     """The state of a world as it is now; without a view it is that of its last picture. Raises BadInput."""
-    device, registry = world.device, world.registry
+    device, registry, room = world.device, world.registry, world.room
+    if np.abs(room.kept - np.eye(4)).max() > 0.0:
+        raise BadInput("The room's file has been turned since: begin the play again before you save its state.")
     solver, begin = device.solver.snapshot(), device.solver.vertex_offset
     bodies = [
         SavedBody(
@@ -42,6 +44,7 @@ def state_of(world: World, about: dict, view: View | None = None) -> SceneState:
     settings = Settings(
         world.time, world.owed, world.gravity, world.time_scale, world.interaction, world.light,
         tuple(map(float, eye)), tuple(map(float, target)), None if game is None else game_state(game),
+        tuple(map(tuple, room.pose.tolist())),
     )  # fmt: skip
     return SceneState(
         located(about),
@@ -107,7 +110,7 @@ def put_state(world: World, state: SceneState, where: str) -> None:
     game_before = None if game is None else dict(vars(game))
     try:
         bodies = BodiesSnapshot(solver, members, animations)
-        world.restore(WorldSnapshot(bodies, settings.time, settings.owed, values or {}))
+        world.restore(WorldSnapshot(bodies, settings.time, settings.owed, values or {}, np.array(settings.room)))
         if game is not None:
             try_game(world, deepcopy(values), where)
     except BadInput:

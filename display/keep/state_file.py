@@ -22,14 +22,15 @@ piece of what joined; whether it is a copy |
 | settings | (C,) uint8 | JSON |
 
 `settings`: time and owed [s], gravity [m/s^2], time_scale, interaction, light (the fields of a Light, or null), eye and
-target [m], material_names (a list), game (its name, and its state as display/keep/plain_values.py encodes it), or null.
+target [m], room (4, 4: how far the user's has been turned), material_names (a list), game (its name, and its state as
+display/keep/plain_values.py encodes it), or null.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import h5py
@@ -90,6 +91,7 @@ class Settings:
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     game: dict | None
+    room: tuple[tuple[float, float, float, float], ...] = tuple(map(tuple, np.eye(4).tolist()))
 
 
 @dataclass(frozen=True)
@@ -167,14 +169,17 @@ def checked_settings(given) -> tuple[list[str], Settings]:
             raise ValueError
         if values["light"] is not None:
             values["light"] = {"Light": values["light"]}
-        kinds = {f.name: f.type for f in fields(Settings) if f.name != "game"}
+        values.setdefault("room", np.eye(4).tolist())  # which earlier files do not have
+        room = np.array(values.pop("room"), np.float64)
+        kinds = {f.name: f.type for f in fields(Settings) if f.name not in ("game", "room")}
         if values.keys() != kinds.keys():
             raise ValueError
         vector = tuple[float, float, float]
         types = {**dict.fromkeys(("time", "owed", "time_scale"), float), "interaction": str, "light": Light | None}
         types |= dict.fromkeys(("gravity", "eye", "target"), vector)
         settings = Settings(**{k: checked_value(v, types[k]) for k, v in values.items()}, game=game)
-    except (LookupError, TypeError, ValueError) as e:
+        settings = replace(settings, room=tuple(map(tuple, room.tolist())))
+    except (LookupError, TypeError, ValueError, OverflowError) as e:
         raise BadInput("its settings make no sense") from e
     light = settings.light
     numbers = [*settings.gravity, *settings.eye, *settings.target]
@@ -182,9 +187,20 @@ def checked_settings(given) -> tuple[list[str], Settings]:
     sound = 0 <= settings.time < TIME_MAX and 0 <= settings.owed < TIME_MAX and 0 < settings.time_scale <= 1
     if not sound or settings.interaction not in ("physics", "transform") or settings.eye == settings.target:
         raise BadInput("its settings cannot be")
+    if room.shape != (4, 4) or not is_rigid(room):
+        raise BadInput("its settings hold a turn of the room that cannot be")
     if not all(abs(n) < 1e6 for n in numbers):
         raise BadInput("its settings hold numbers that cannot be")
     return names, settings
+
+
+def is_rigid(pose: np.ndarray) -> bool:
+    """True for a rotation and a translation (4, 4)."""
+    R = pose[:3, :3]
+    turns = np.abs(R @ R.T - np.eye(3)).max() < 1e-6 and np.linalg.det(R) > 0
+    return bool(
+        np.isfinite(pose).all() and turns and np.abs(pose[:3, 3]).max() < 1e6 and (pose[3] == [0, 0, 0, 1]).all()
+    )
 
 
 def read_bodies(file: Hdf5Reader, names: list[str]) -> tuple[SavedBody, ...]:

@@ -38,6 +38,7 @@ KEYS = {  # of the commands that change the world
     "rescale": user_commands.Rescale,
     "rotate": user_commands.Rotate,
     "place": user_commands.Place,
+    "turn_room": user_commands.TurnRoom,
     "material": user_commands.SetMaterial,
     "undo": user_commands.Undo,
     "redo": user_commands.Redo,

@@ -28,7 +28,7 @@ from scenes.registry import Demo
 from scenes.scene import BodyState, Scene
 
 # Actions of keys that a page has in its own way, or not at all.
-WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "escape")
+WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "toggle_room_gizmo", "escape")
 PAGE_KEYS = [
     ("F1", "show or hide the panel"),
     ("F2", "choose another scene"),

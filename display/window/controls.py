@@ -9,7 +9,7 @@ import numpy as np
 
 from core.camera import Camera
 from display import user_commands
-from display.edit.edit_steps import rotation_step
+from display.edit.edit_steps import ROOM_STEP, rotation_step
 from display.protocol import WorldView
 from display.user_commands import SIZED, Command, SaveState
 from display.window.key_bindings import bound
@@ -28,6 +28,7 @@ WALK_KEYS = {"d": (1, 0, 0), "a": (-1, 0, 0), "e": (0, 1, 0), "q": (0, -1, 0), "
 RELATIVE_GRAB_RADIUS = 0.25  # of the body's largest extent: finger and thumb, not the whole body
 MIN_GRAB_RADIUS, MAX_GRAB_RADIUS = 0.02, 0.15  # [m]
 GIZMOS = (None, "move", "turn", "scale")  # in the order of the key
+ROOM_GIZMO = "room"  # rings that turn the whole room
 ENDING_DRAGS = (
     user_commands.Reset,
     user_commands.LoadState,
@@ -207,7 +208,8 @@ class Controls:
 
     def show_next_gizmo(self) -> None:
         """Show the next kind of gizmo, or none after the last."""
-        self.gizmo = GIZMOS[(GIZMOS.index(self.gizmo) + 1) % len(GIZMOS)]
+        now = None if self.gizmo == ROOM_GIZMO else self.gizmo
+        self.gizmo = GIZMOS[(GIZMOS.index(now) + 1) % len(GIZMOS)]
 
     def next_gizmo(self, press: Press) -> list[Command]:
         """Show the gizmo of the body under the cursor, or of the selected one: move, turn, scale, none."""
@@ -220,6 +222,21 @@ class Controls:
             press.world.tell("Point at a body, or hold one, to move it.")
             return []
         return [select]
+
+    def toggle_room_gizmo(self, press: Press) -> None:
+        """Show rings that turn the whole room, or hide them."""
+        self.gizmo = None if self.gizmo == ROOM_GIZMO else ROOM_GIZMO
+        if self.gizmo is not None and press.world.room_middle is None:
+            self.gizmo = None
+            press.world.tell("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
+
+    def tilt_room_away(self, press: Press) -> list[Command]:
+        """Turn the room about the camera's horizontal axis."""
+        return [user_commands.TurnRoom(rotation_step(press.camera.world_to_camera[0, :3], step=ROOM_STEP))]
+
+    def tilt_room_towards(self, press: Press) -> list[Command]:
+        """Turn the room about the camera's horizontal axis, the other way."""
+        return [user_commands.TurnRoom(rotation_step(press.camera.world_to_camera[0, :3], -1.0, step=ROOM_STEP))]
 
     def toggle_menu(self, press: Press) -> None:
         """Show the menu of scenes, or hide it."""

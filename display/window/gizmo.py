@@ -1,4 +1,4 @@
-"""The gizmo of the selected body (ImGuizmo): arrows, rings or handles that move, turn or scale it."""
+"""The gizmo of the selected body or of the room (ImGuizmo): arrows, rings or handles that move, turn or scale it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import numpy as np
 
 from core.camera import Camera
 from core.rotation import quaternions_from_matrices
-from display.user_commands import Command, Place, Rescale
-from scenes.scene import BodyState
+from display.user_commands import Command, Place, Rescale, TurnRoom
 
 NEAR, FAR = 0.01, 1000.0  # [m] of the projection
 SIZE = 0.16  # of the gizmo, in half widths of the picture
@@ -15,7 +14,8 @@ STILL = 1e-5  # [m]; less is no motion, and no turn as a matrix's entries
 
 
 class Gizmo:
-    """Handles at a body's centre. A drag of move or turn acts at once, one of scale when it ends.
+    """Handles at a body's centre, or at what a room is turned about. A drag of move or turn acts at once, one of scale
+    when it ends.
 
     `over`: the cursor is on a handle or drags it, so that the mouse does nothing else. `scaling` is the factor that a
     drag of scale has now, else 1.
@@ -32,16 +32,17 @@ class Gizmo:
         self.over, self.scaling, self._dragging = False, 1.0, False
 
     def draw(
-        self, kind: str, body: BodyState, k: int, camera: Camera, area: tuple[float, float, float, float]
+        self, kind: str, at: np.ndarray, k: int | None, camera: Camera, area: tuple[float, float, float, float]
     ) -> list[Command]:
-        """Draw the handles of `kind` at body k into an area (left, top, width, height) [px]; the user's commands."""
+        """Draw the handles of `kind` at the centre (3,) of body k into an area (left, top, width, height) [px]; the
+        user's commands. None: of the room, which can be turned only."""
         from imgui_bundle import imgui, imguizmo
 
         gizmo = imguizmo.im_guizmo
         operation = {"move": "translate", "turn": "rotate", "scale": "scale"}[kind]
         if not self._dragging:
             self._matrix, self._turned, self._sent, self.scaling = np.eye(4), np.eye(3), False, 1.0
-            self._matrix[:3, 3] = body.centroid
+            self._matrix[:3, 3] = at
         gizmo.begin_frame()
         gizmo.set_drawlist(imgui.get_background_draw_list())
         gizmo.set_rect(*area)
@@ -65,7 +66,7 @@ class Gizmo:
         self._matrix = np.array(matrix.values, np.float64).reshape(4, 4).T
         if kind == "scale":
             return self._scale(k, ended=was and not self._dragging)
-        return self._place(body, k) if self._dragging else []
+        return self._place(at, k) if self._dragging else []
 
     def _scale(self, k: int, *, ended: bool) -> list[Command]:
         """The factor of any handle is that of the whole body."""
@@ -77,14 +78,16 @@ class Gizmo:
             self.scaling = float(axes[np.argmax(np.abs(np.log(np.maximum(axes, 1e-3))))])
         return []
 
-    def _place(self, body: BodyState, k: int) -> list[Command]:
+    def _place(self, at: np.ndarray, k: int | None) -> list[Command]:
         """Bring the body to where the handles are, in every frame: it neither falls nor is pushed away."""
         turned = self._matrix[:3, :3] / np.linalg.norm(self._matrix[:3, :3], axis=0)
-        rotation, offset = turned @ self._turned.T, self._matrix[:3, 3] - body.centroid
+        rotation, offset = turned @ self._turned.T, self._matrix[:3, 3] - at
         if not self._sent and np.abs(offset).max() < STILL and np.abs(rotation - np.eye(3)).max() < STILL:
             return []
         self._turned, continued, self._sent = turned, self._sent, True
         quaternion = tuple(quaternions_from_matrices(rotation).tolist())
+        if k is None:
+            return [TurnRoom(quaternion, continued)]
         return [Place(k, tuple(offset.tolist()), quaternion, continued)]
 
 

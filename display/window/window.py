@@ -17,7 +17,7 @@ from display.preferences import Preferences, read_bookmarks
 from display.protocol import Frame, WorldView
 from display.user_commands import Command, Pause, SingleStep, ViewFiles, last_of
 from display.window import hover
-from display.window.controls import Controls
+from display.window.controls import ROOM_GIZMO, Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
 from display.window.hover import Hover
@@ -303,13 +303,15 @@ class Window:
         return left + at[0] / self._camera.width * width, top + at[1] / self._camera.height * height
 
     def _draw_gizmo(self, world: WorldView) -> list[Command]:
-        """Draw the gizmo of the selected body; its commands."""
+        """Draw the gizmo of the selected body, or of the room; its commands."""
         kind, k, bodies = self._controls.gizmo, world.selected, world.bodies()
-        if kind is None or k is None or k >= len(bodies) or bodies[k].held:
+        area = fit((self._camera.width, self._camera.height), self._surface.window_size)
+        if kind == ROOM_GIZMO and world.room_middle is not None:
+            return self._gizmo.draw("turn", world.room_middle, None, self._camera, area)
+        if kind in (None, ROOM_GIZMO) or k is None or k >= len(bodies) or bodies[k].held:
             self._gizmo.hide()
             return []
-        area = fit((self._camera.width, self._camera.height), self._surface.window_size)
-        commands = self._gizmo.draw(kind, bodies[k], k, self._camera, area)
+        commands = self._gizmo.draw(kind, bodies[k].centroid, k, self._camera, area)
         if self._gizmo.scaling != 1.0:
             self._draw_marker(scaled(bodies[k], self._gizmo.scaling))
         return commands

@@ -198,7 +198,7 @@ def stand_upright(gaussians: Gaussians, main: Gaussians, options: EnvironmentOpt
     """Level the scene by its floor, scale it to metres and cut objects out."""
     normals, areas = normals_and_areas(main)
     weights = np.minimum(areas, float(np.percentile(areas, 99)))  # a smear must not outweigh a floor
-    chances = up_probabilities(main) if options.up is None else {options.up: 1.0}
+    chances = up_probabilities(main, kind="scene") if options.up is None else {options.up: 1.0}
     up, _ = most_likely(chances)
     floor, rotation = find_gravity(main.means.astype(np.float64), normals, weights, up)
     level = main.means.astype(np.float64) @ rotation.T

@@ -1,6 +1,6 @@
 """Static shapes on the device: signed distances and normals of planes, capsules, boxes and distance grids."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import taichi as ti
@@ -9,7 +9,7 @@ from taichi.math import vec3
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.fields import FieldGroup
-from core.rotation import matrices_from_quaternions
+from core.rotation import matrices_from_quaternions, quaternions_from_matrices
 from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
 from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
@@ -55,6 +55,10 @@ class StaticShapes:
         self.frame, self.count = group.matrix(MAX_SHAPES), group.scalar(dtype=ti.i32)
         group.build()
         self.count[None] = len(shapes)
+        self.place(shapes)
+
+    def place(self, shapes: list[Shape]) -> None:
+        """Put the shapes, the same ones as at first, where these are."""
         gridded = 0
         for k, shape in enumerate(shapes):
             self._put(k, shape, gridded)
@@ -130,6 +134,26 @@ class StaticShapes:
         else:
             phi = UNKNOWN_DISTANCE
         return phi, normal
+
+
+def placed(shape: Shape, pose: np.ndarray) -> Shape:
+    """The shape at a rigid transform (4, 4) of where it is. Raises BadInput for a box: its sides are along the axes."""
+    R = pose[:3, :3]
+
+    def at(point) -> Vec3:
+        return tuple((R @ np.asarray(point, np.float64) + pose[:3, 3]).tolist())
+
+    match shape:
+        case StaticGrid():
+            q = quaternions_from_matrices(R @ matrices_from_quaternions(np.asarray(shape.rotation, np.float64)))
+            return replace(shape, rotation=tuple(q.tolist()), position=at(shape.position))
+        case Plane():
+            return replace(shape, point=at(shape.point), normal=tuple((R @ np.asarray(shape.normal)).tolist()))
+        case Capsule():
+            return replace(shape, a=at(shape.a), b=at(shape.b))
+    if np.abs(R - np.eye(3)).max() > 1e-9:
+        raise BadInput("a room with a box for a collider cannot be turned")
+    return replace(shape, center=at(shape.center))
 
 
 def grid_box(shape: StaticGrid, R: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

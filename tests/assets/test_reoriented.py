@@ -1,16 +1,20 @@
 """A prepared asset in another frame is what it was, turned and scaled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset
 from assets.environment import Environment
+from assets.gaussians import Gaussians, concatenate
 from assets.library import SHIPPED_FOLDER
 from assets.reoriented import reoriented
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from tests.support.leaning_room import flat, leaning_room
 from tests.support.samples import some_gaussians
 
 TURN = matrices_from_quaternions(np.array([0.8, 0.3, -0.4, 0.3]))
@@ -77,11 +81,47 @@ def test_a_room_turns_about_the_vertical_and_grows(tmp_path):
     assert_allclose(same.sdf.values, 2 * old.sdf.values.astype(np.float32), atol=2e-3)
 
 
+def upright_wall() -> Gaussians:
+    """Flat Gaussians whose normals are along x."""
+    points = np.random.default_rng(0).uniform(-1, 1, (500, 3)) * [0.01, 1, 1]
+    return flat(points, [-6.0, -3.0, -3.0])
+
+
+def test_a_room_that_leans_is_put_level():
+    """Floor, table, drop and eye are those of the level room, and the distance grid is that over its floor."""
+    lean = matrices_from_quaternions(np.array([np.cos(0.1), np.sin(0.1), 0, 0]))  # 11 degrees
+    new = reoriented(leaning_room(lean), lean.T)
+    found = new.environment
+    assert found.floor_height == 0.0 and [p[0] for p in found.planes] == ["floor", "table"]
+    assert_allclose(found.planes[1][1], 0.7, atol=0.02)
+    assert_allclose(found.planes[1][2:], (0.0, 0.0, 1.0, 0.6), atol=0.05)
+    assert_allclose(found.planes[0][2:], (-2.0, -2.0, 2.0, 2.0), atol=0.1)
+    assert_allclose(found.drop_point[1], 0.0, atol=0.02)
+    assert found.eye_position[1] == pytest.approx(1.6 * np.cos(0.2) - 1.2 * np.sin(0.2), abs=0.02)  # as it was, leaning
+    x = np.array([[-0.5, h, 0.2] for h in (0.2, 0.6, 1.0)])
+    assert_allclose(new.sdf.sample(x), [0.2, 0.6, 1.0], atol=0.03)
+
+
+def test_a_room_on_its_head_gets_another_floor():
+    """What was its ceiling is its floor then; the table hangs from above and is none."""
+    over = matrices_from_quaternions(np.array([0.0, 1.0, 0.0, 0.0]))
+    ceiling = np.random.default_rng(2).uniform([-2, 2.39, -2], [2, 2.41, 2], (4000, 3))
+    room = leaning_room(np.eye(3))
+    room = replace(room, gaussians=concatenate([room.gaussians, flat(ceiling, [-3.0, -7.0, -3.0])]))
+    found = reoriented(room, over)
+    low = found.gaussians.means[:, 1].min()
+    assert low == pytest.approx(0.0, abs=0.05) and found.environment.planes[0][1] == 0.0
+    assert found.provenance["reoriented"][0][2][1] == pytest.approx(2.4, abs=0.02)
+
+
+TURN_A_LITTLE = matrices_from_quaternions(np.array([np.cos(0.05), 0, 0, np.sin(0.05)]))
+
+
 @pytest.mark.parametrize(
     ("make", "turn", "factor", "says"),
     [
         (lambda: Asset.load(SHIPPED_FOLDER / "dancer.h5"), np.eye(3), 2.0, "its motion"),
-        (room, TURN, 1.0, "prepare it again with --up"),
+        (lambda: replace(room(), gaussians=upright_wall()), TURN_A_LITTLE, 1.0, "needs a floor"),
         (lambda: Asset.load(SHIPPED_FOLDER / "brick_red.h5"), np.eye(3), 1e4, "out of range"),
         (room, np.eye(3), 0.0, "0 times"),
     ],

@@ -1,11 +1,13 @@
-"""Up axis: known scenes and a cup, confidence against frequency; and the convex hull by hand against SciPy's."""
+"""Up axis: known scenes and a cup, downloaded splats, confidence against frequency; and poses of rest of a box."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from assets.gaussians import Gaussians
 from assets.level_planes import hollow_columns
+from assets.splat_files import read_gaussians
 from assets.up_axis import (
     AXES,
     LAPSE,
@@ -16,7 +18,7 @@ from assets.up_axis import (
     rotation_to_up,
     up_probabilities,
 )
-from assets.up_cues import convex_hull, outermost_points
+from assets.up_cues import DIRECTIONS, outermost_points, resting_heights
 from bench.orientation import measured
 from bench.orientation_cases import procedural_cases, shipped_cases
 from prepare.cleaning import clean
@@ -42,7 +44,7 @@ def test_a_scene_stands_on_its_floor_whatever_axis_is_up(scenes, name):
     """Walls, a shelf and a chest do not mislead."""
     g = every(scenes[name], 3)
     for up in AXES:
-        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN)
+        p = up_probabilities(g.transformed(rotation_to_up(up).T), EVEN, "scene")
         assert max(p, key=p.get) == up and p[up] > 0.4, (up, p)
 
 
@@ -56,7 +58,7 @@ def test_an_empty_box_has_no_up():
 def test_what_misleads_makes_unsure():
     """A mug whose underside is missing looks as if it were open below, too: the truth is among the alternatives."""
     p = up_probabilities(clean(case("mug", 12_000))[0], EVEN)
-    assert "+y" in alternatives(p) and max(p.values()) < 0.6
+    assert "+y" in alternatives(p) and len(alternatives(p)) > 1
 
 
 @pytest.mark.parametrize("made", [ball, toy, lambda: case("capsule", 6000)])
@@ -80,7 +82,7 @@ def test_how_sure_a_guess_is_is_said():
 
 def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
     """A table on its legs is beyond doubt, but the cues may mean nothing there."""
-    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - LAPSE * 5 / 6 + 1e-12
+    assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - min(LAPSE.values()) * 5 / 6 + 1e-12
 
 
 @pytest.mark.parametrize("cases", [procedural_cases, shipped_cases])
@@ -91,23 +93,31 @@ def test_a_said_confidence_is_a_frequency(cases):
     assert right.mean() > 0.5
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_corners_are_those_of_scipy_and_run_counterclockwise(seed):
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(500, 2)) * (1.0, 0.01)
-    if seed % 2:  # many on the same lines, many twice
-        points = np.round(points * (3, 300)) / 8
-    corners = convex_hull(points)
-    reference = points[ConvexHull(points).vertices]
-    assert {tuple(p) for p in corners} == {tuple(p) for p in reference} and len(corners) == len(reference)
-    ahead, back = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
-    assert (back[:, 0] * ahead[:, 1] > back[:, 1] * ahead[:, 0]).all()
+def test_a_thing_rests_on_the_sides_it_can_lie_on():
+    """The height of a box's centre is least where one of its sides is below, and is half the box there."""
+    half = np.array([0.3, 0.1, 0.2])
+    points = np.random.default_rng(0).uniform(-1, 1, (4000, 3))
+    points[np.arange(4000), np.random.default_rng(1).integers(0, 3, 4000)] = np.random.default_rng(2).choice(
+        [-1, 1], 4000
+    )
+    heights, longest = resting_heights(points * half)
+    assert longest == pytest.approx(0.6, rel=0.02)
+    for axis in range(3):
+        for sign in (1, -1):
+            near = DIRECTIONS @ (sign * np.eye(3)[axis]) > np.cos(np.radians(8.0))  # they lie about that far apart
+            assert heights[near].min() == pytest.approx(half[axis], abs=0.05)
+    corner = DIRECTIONS @ (np.ones(3) / np.sqrt(3)) > 0.99
+    assert heights[corner].min() > 0.3  # it stands on a corner, and would fall
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 9])
-def test_a_line_or_less_has_fewer_than_three_corners(count):
-    assert len(convex_hull(np.arange(count)[:, None] * np.array([[1.0, 2.0]]))) < 3
-    assert len(convex_hull(np.ones((count, 2)))) < 3
+@pytest.mark.parametrize("name", ["toy_cat", "plush_dragon", "biker_human"])
+def test_downloaded_splats_stand_on_their_feet(name):
+    """None of which the model was fitted to."""
+    path = Path(__file__).parents[3] / f"shared/data/splats/{name}.ply"
+    if not path.exists():
+        pytest.skip(f"needs {path}")
+    found = guess_up_axis(read_gaussians(path), "body")
+    assert found[0] == {"toy_cat": "-y", "plush_dragon": "+y", "biker_human": "-y"}[name] and found[1] > 0.6
 
 
 def test_what_looks_the_same_from_all_sides_is_not_sure():

@@ -18,7 +18,7 @@ WINDOW_X, WINDOW_Y, REVEAL = (-0.36, 0.36), (1.18, 1.92), 0.14  # [m] in the far
 HOLE_X, HOLE_HEIGHT = (-0.14, 0.14), 0.27  # [m] of the hole in the far gable that the boxes hide
 PLANK, BOARD = 0.17, 0.13  # [m] width of floorboards, of the boards on walls and slopes
 SUN = Sun(np.array([0.30, -0.60, 0.74]) / np.linalg.norm([0.30, -0.60, 0.74]), np.array([1.0, 0.86, 0.64]) * 22)
-GAP = 0.006  # [m] between rafters and slopes
+GAP, VERGE = 0.006, 0.15  # [m] between rafters and slopes, and by which slopes stand out over the gables
 PINE = ((0.46, 0.31, 0.17), (0.27, 0.165, 0.085))
 OLD = ((0.29, 0.195, 0.115), (0.135, 0.085, 0.048))
 DUST = (0.36, 0.33, 0.29)
@@ -65,13 +65,14 @@ def floorboards() -> Surface:
 
 
 def slopes() -> list[Surface]:
-    """Boards along z on both slopes, under the slates."""
+    """Boards along z on both slopes, under the slates; beyond the gables they cover the joint from outside."""
     surfaces = []
     for side in (-1, 1):
         run = np.array([side * KNEE[0], KNEE[1] - RIDGE, 0.0])
-        mesh = quad((0, RIDGE, Z1), run, (0, 0, Z0 - Z1))
+        length = Z1 - Z0 + 2 * VERGE
+        mesh = quad((0, RIDGE, Z1 + VERGE), run, (0, 0, -length))
         if side > 0:
-            mesh = quad((0, RIDGE, Z0), run, (0, 0, Z1 - Z0))
+            mesh = quad((0, RIDGE, Z0 - VERGE), run, (0, 0, length))
         colour = old_boards(OLD, 2, 0, BOARD * 0.73, 11 + side)
         surfaces.append(Surface(f"slope {side}", mesh, colour, 0.026, grain=(0, 0, 1), stretch=3.0))
     return surfaces

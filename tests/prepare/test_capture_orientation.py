@@ -75,9 +75,10 @@ def test_pictures_held_on_their_side_and_upside_down_are_told_apart():
 
 
 def test_some_pictures_held_askew_do_no_harm():
+    """A third, all turned the same way and taken from one side: least squares without limits are off by 90 degrees."""
     rng = np.random.default_rng(2)
-    poses = orbit(rng, 60, 5.0, 0.7)
-    poses[::5] = [rolled(pose, rng.uniform(0.4, 1.1)) for pose in poses[::5]]
+    poses = orbit(rng, 60, 2.0, 0.7)
+    poses[::3] = [rolled(pose, rng.uniform(0.4, 1.1)) for pose in poses[::3]]
     assert degrees_apart(up_of_cameras(poses).direction, (0, 1, 0)) < 1.5
 
 

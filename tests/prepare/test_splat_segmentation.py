@@ -14,9 +14,10 @@ from core.spherical_harmonics import C0
 from prepare.segment.graph_cut import banded_cut, min_cut, random_walk
 from prepare.segment.marks import Marks, ViewMarks
 from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
+from prepare.segment.splat_seeds import Seeds
 from prepare.segment.splat_segmentation import segment_splat, write_segmented
 from prepare.segment.splat_selection import SplatSelection
-from prepare.segment.trimming import full_matrices, halves, trimmed
+from prepare.segment.trimming import full_matrices, halves, straddlers, trimmed
 
 CAMERA = perspective(160, 120, 0.9, look_at((0.0, 0.9, 1.2), (0.0, 0.1, 0.0)))
 
@@ -115,6 +116,31 @@ def test_growing_and_shrinking_are_by_rings_of_neighbours(scene):
     assert less.sum() < one.sum() < more.sum()
 
 
+def test_small_holes_are_filled_and_large_ones_are_not(scene):
+    g, true = scene
+    selection, nothing = SplatSelection(g), np.zeros(len(g), bool)
+    from_top = np.linalg.norm(g.means - [-0.17, 0.3, 0.0], axis=1)
+    for radius, filled in ((0.03, True), (0.12, False)):
+        cut = (true == 1) & (from_top > radius)
+        hole = (true == 1) & ~cut
+        assert hole.sum() > 10
+        assert selection._without_holes(cut, nothing)[hole].all() == filled
+
+
+def test_a_gaussian_under_strokes_of_both_sides_seeds_the_side_that_clearly_has_more_of_it():
+    class Weights:
+        """Sums over the strokes inside and outside, [px]."""
+
+        def sums(self, camera, maps):
+            return np.array([[10.0, 0.0], [0.0, 10.0], [3.0, 2.0], [4.0, 1.0], [2.0, 3.0]])
+
+    mark = ViewMarks(inside=[np.zeros((1, 2))], outside=[np.ones((1, 2))])
+    g = surfels(np.zeros((5, 3)), np.tile([0.0, 1.0, 0.0], (5, 1)), 0.01, (0.5, 0.5, 0.5))
+    seeds = Seeds(g, Weights(), {"view": CAMERA}, {"view": mark})
+    assert seeds.inside.tolist() == [True, False, False, True, False]
+    assert seeds.outside.tolist() == [False, True, False, False, False]
+
+
 def test_least_cut_of_a_chain_is_its_weakest_link():
     weights = np.array([0.9, 0.5, 0.2, 0.6])
     graph = csr_matrix((weights, (range(4), range(1, 5))), (5, 5))
@@ -161,6 +187,16 @@ def test_a_wide_gaussian_over_the_border_is_cut_in_two():
     assert reach[left].max() < 0.25 < g.means[wide, 0] + 2 * 0.2
     assert whole.means[wide, 0] < -0.1
     assert (whole.means[len(g) :, 0] > 0).all() and (~left[len(g) :]).any()
+
+
+def test_gaussians_that_only_touch_the_border_are_not_cut():
+    """Of rows 5 cm apart, 8 cm wide each, only the two beside the border straddle it; the next ones reach it, too."""
+    x, z = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1) + [0.025, 0, 0]
+    g = surfels(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), 0.08, (0.5, 0.5, 0.5))
+    which, normal, _ = straddlers(g, points[:, 0] < 0)
+    assert len(which) == 82 and np.abs(points[which, 0]).max() < 0.03
+    assert (np.sign(normal[:, 0]) == np.sign(points[which, 0])).all()
 
 
 def test_marks_and_cameras_are_read_as_they_were_written(tmp_path):

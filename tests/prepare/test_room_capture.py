@@ -53,7 +53,7 @@ def test_what_stands_what_hangs_and_what_nothing_holds():
     assert in_corner.stands
     on_wall = support_of("fox", ball((0.0, 1.0, 0.15)), plane(2, 0.0))
     assert not on_wall.stands and on_wall.direction @ [0, 0, 1] > 0.98
-    face = discs(np.random.default_rng(0).normal((0.12, 0.2, 0.0), 0.01, (3000, 3)), 0.002)  # over no foot
+    face = discs(np.random.default_rng(0).normal((0.145, 0.17, 0.0), 0.003, (900, 3)), 0.002)  # over no foot
     narrow = concatenate([ball((0.0, 0.15, 0.0)), face])
     assert support_of("bust", narrow, plane(1, 0.0)).stands, "what stands on its middle stands, whatever its details"
     with pytest.raises(BadInput, match="kite: touches nothing"):

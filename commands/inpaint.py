@@ -49,6 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "LaMa network with inputs image (1, 3, 512, 512) and mask (1, 1, 512, 512) in 0..1 (default: patch synthesis)"
     )
     parser.add_argument("--lama", type=Path, metavar="FILE.onnx", help=text)
+    text = "leave the object's shadow; default: its surroundings get back the light that it took"
+    parser.add_argument("--keep-shadow", action="store_true", help=text)
     parser.add_argument(
         "--steps", type=positive(int), metavar="N", help="training steps of the new Gaussians (default 200)"
     )
@@ -66,7 +68,7 @@ def run(args: argparse.Namespace) -> None:
     """Remove, inpaint and write. Raises BadInput."""
     from assets.gaussians import concatenate
     from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
-    from prepare.inpaint.inpaint_pipeline import STAGES, STEPS, close_hole, find_hole, order_of, paint_hole
+    from prepare.inpaint.inpaint_pipeline import STAGES, STEPS, close_hole, find_hole, order_of, paint_hole, take_shadow
     from prepare.inpaint.lama_network import LamaNetwork
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import progress_on
@@ -80,13 +82,16 @@ def run(args: argparse.Namespace) -> None:
     start_taichi(args.arch)
     begin, reports = time.perf_counter(), []
     options = {"antialias": False, "sort": order_of(background)}
-    for name, removed in objects.items():
+    for k, (name, removed) in enumerate(objects.items()):
         others = [g for other, g in objects.items() if other != name]
+        standing = list(objects.values())[k + 1 :]  # the shadows of those before went with them
         progress = progress_on(sys.stderr, STAGES)
         told = options | {"progress": progress}
         try:
             more = concatenate(others) if others else None
             hole = find_hole(background, removed, cameras, name=name, others=more, **told)
+            if not args.keep_shadow:
+                hole = take_shadow(hole, removed, concatenate(standing) if standing else None, **told)
             textures = paint_hole(hole, painter, progress)
             after = close_hole(hole, textures, steps=args.steps or STEPS, **told)
         finally:

@@ -12,13 +12,14 @@ from core.errors import BadInput
 from core.threads import in_threads
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
+from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
 from prepare.inpaint.support_surface import support_surfaces
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import Progress, no_progress
 from prepare.train.photographs import Photograph
 
-STAGES = ("views", "hole", "paint", "patch")
+STAGES = ("views", "hole", "shadow", "paint", "patch")
 STEPS = 200  # of training the patch
 OBJECT_MIN = 20  # Gaussians of an object
 RIM_KNOWN = 0.6  # known share of the rim of a hole on a further surface; else it is the side of a nearby thing
@@ -33,6 +34,7 @@ class Hole:
     background  what stays, without Gaussians that no camera saw behind the object
     dropped     number of those
     views       of the scene without the object, and of the object alone
+    support     texture of the surface that the object stands on
     textures    of the support surfaces that have a hole, not painted yet; empty: cameras saw everything behind it
     """
 
@@ -40,6 +42,7 @@ class Hole:
     dropped: int
     ball: Surroundings
     views: list[HoleView]
+    support: SurfaceTexture
     textures: list[SurfaceTexture]
 
     @property
@@ -55,6 +58,8 @@ def inpaint(
     *,
     name: str = "the object",
     others: Gaussians | None = None,
+    standing: Gaussians | None = None,
+    keep_shadow: bool = False,
     painter: Painter = paint_from_patches,
     steps: int = STEPS,
     antialias: bool = False,
@@ -62,10 +67,12 @@ def inpaint(
 ) -> Gaussians:
     """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
 
-    The background's Gaussians stay as they are, bit for bit, except that those inside the object, which no camera
-    saw, are left out.
+    The background's Gaussians stay as they are, bit for bit, except for their colours in the object's shadow, and that
+    those inside the object, which no camera saw, are left out.
 
     others    Gaussians of other objects that are removed as well: what they hid was not seen either
+    standing  objects that cast shadows on the background, too, in addition to those in it that have an id
+    keep_shadow  leave all colours as they are
     cameras   of the photographs, in the frame of the Gaussians; None: there are none, and the hole is whatever is empty
               when the object's place is rendered from all sides
     painter   fills a picture's hole
@@ -75,6 +82,8 @@ def inpaint(
     """
     options = {"antialias": antialias, "sort": order_of(background), "progress": progress}
     hole = find_hole(background, removed, cameras, name=name, others=others, **options)
+    if not keep_shadow:
+        hole = take_shadow(hole, removed, standing, **options)
     textures = paint_hole(hole, painter, progress)
     return close_hole(hole, textures, steps=steps, **options)
 
@@ -123,9 +132,31 @@ def find_hole(
         others = [s for s in surfaces if s is not surface]
         textures.append(texture_of(surface, others, views, ball, photographed=photographed))
         progress("hole", 0.5 + 0.5 * (k + 1) / len(surfaces))
-    textures = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
+    holes = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
-    return Hole(kept, len(background) - len(kept), ball, views, textures)
+    return Hole(kept, len(background) - len(kept), ball, views, textures[0], holes)
+
+
+def take_shadow(
+    hole: Hole,
+    removed: Gaussians,
+    standing: Gaussians | None = None,
+    *,
+    antialias: bool,
+    sort: str,
+    progress: Progress = no_progress,
+) -> Hole:
+    """The hole with its surroundings as they are without the shadow of the removed object. See `inpaint`."""
+    options = {"antialias": antialias, "sort": sort}
+    progress("shadow", 0.0)
+    others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
+    shadow = find_shadow(removed, concatenate(others), hole.support, hole.ball, **options)
+    if shadow is None:
+        return hole
+    background = without_shadow(hole.background, shadow, hole.ball, hole.views)
+    support, *textures = textures_without_shadow([hole.support, *hole.textures], shadow)
+    views = views_of(background, hole.views, progress, **options)
+    return replace(hole, background=background, views=views, support=support, textures=textures)
 
 
 def paint_hole(hole: Hole, painter: Painter, progress: Progress = no_progress) -> list[SurfaceTexture]:

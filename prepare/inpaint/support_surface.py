@@ -13,14 +13,18 @@ from scipy.spatial import cKDTree
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
 PLANES_MAX = 3  # a floor and two walls meeting in a corner
-POINTS = 6000  # sampled on the background around the object, from all views
+POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
+OBJECT_POINTS = 2000  # sampled on the object
 TRIALS = 400  # RANSAC planes through three points
+REFITS = 8  # of the best plane
 NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
-FLAT = 0.03  # radii: largest distance of a plane's points from it
-SHARE = 0.04, 0.08  # of all points that the largest plane needs, and further planes
+CONTACT = 0.08  # radii from the object at which a point's weight is half
+FLAT = 0.06  # radii: largest distance of a plane's points from it
+UNTOUCHED = 0.03  # share of the object that counts as touching a plane where its underside was not seen
+SHARE = 0.04, 0.08  # of all points' weight that the first plane needs, and further planes
 PARALLEL = 0.85  # cosine between a point's normal and its plane's
 NEIGHBOURS = 32  # points from which a normal is estimated
-GAP = 0.3  # radii between the object and its support, at most
+GAP = 0.5  # radii between the object and its support, at most: its underside may be unseen
 BENEATH = 0.12  # radii that the object may reach behind its support
 HALO = 2  # [px] around the object in which its colour leaks into the background
 RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
@@ -31,7 +35,7 @@ SMOOTHING = 0.1  # of the thin-plate spline, with the hole's size as the unit
 class SupportSurface:
     """A plane with a smooth relief. Its frame: origin [m] (3,), rows of `axes` (3, 3) along it and towards the object.
 
-    spread  root mean square distance [m] of the points it was found from
+    spread  standard deviation [m] of the points it was found from, by their median
     """
 
     origin: np.ndarray
@@ -84,56 +88,64 @@ def unproject(view: HoleView, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def support_surfaces(
     views: list[HoleView], removed_means: np.ndarray, ball: Surroundings, rng: np.random.Generator
 ) -> list[SupportSurface]:
-    """Planes around the object with it and most cameras on one side, the largest first; [] if there is none."""
+    """Planes at the object that have it, and most cameras, on one side; the one it touches first, [] if there is none.
+
+    Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
+    """
     points, normals = rim_points(views, ball, rng)
-    left, turned = points, normals
+    near = 1.0 / (1.0 + (cKDTree(removed_means).query(points)[0] / (CONTACT * ball.radius)) ** 2)
     eyes = np.array([v.camera.position for v in views])
-    found = []
-    while len(found) < PLANES_MAX and len(left) >= max(50, SHARE[1] * len(points)):
-        plane = _largest_plane(left, turned, removed_means, eyes, ball, rng)
+    found, total = [], near.sum()
+    while len(found) < PLANES_MAX and len(points) >= POINTS_MIN:
+        plane = _supporting_plane(points, normals, near, removed_means, eyes, ball, rng)
         if plane is None:
             break
         origin, normal, spread = plane
-        along = np.abs(turned @ normal) > PARALLEL
-        on = along & (np.abs((left - origin) @ normal) < 2 * FLAT * ball.radius)
-        if on.sum() < SHARE[min(len(found), 1)] * len(points):
+        along = np.abs(normals @ normal) > PARALLEL
+        on = along & (np.abs((points - origin) @ normal) < FLAT * ball.radius)
+        if near[on].sum() < SHARE[min(len(found), 1)] * total:
             break
         found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
-        left, turned = left[~along], turned[~along]  # a parallel one would be the same again, seen with noise
+        points, normals, near = points[~along], normals[~along], near[~along]  # parallel ones: the same with noise
     return found
 
 
-def _largest_plane(points, own_normals, object_points, eyes, ball: Surroundings, rng):
-    """Origin, normal towards the object, and spread of the plane with most points; None if no plane carries it."""
-    corners = points[rng.integers(0, len(points), (TRIALS, 3))]
+def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surroundings, rng):
+    """Origin, normal towards the object, and spread of the plane that explains most; None if no plane carries it.
+
+    Sample consensus with a truncated square (MSAC), of planes through three points and planes like these that the
+    object touches; a plane counts by the share of the object at it, too. Then weighted least squares.
+    """
+    flat = FLAT * ball.radius
+    corners = points[rng.choice(len(points), (TRIALS, 3), p=near / near.sum())]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
     wide = length > 1e-3 * ball.radius**2
     normals, origins = normals[wide] / length[wide, None], corners[wide, 0]
     normals *= np.sign(((ball.centre - origins) * normals).sum(axis=1))[:, None]
-    offsets = (origins * normals).sum(axis=1)
-    lowest = np.percentile(object_points[:: max(1, len(object_points) // 2000)] @ normals.T, 3, axis=0) - offsets
+    some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
+    lowest = np.percentile(some @ normals.T, 3, axis=0)
+    offsets = np.concatenate([(origins * normals).sum(axis=1), lowest])
+    normals, lowest = np.concatenate([normals, normals]), np.concatenate([lowest, lowest]) - offsets
     facing = (eyes @ normals.T > offsets).mean(axis=0)
-    on = (np.abs(points @ normals.T - offsets) < FLAT * ball.radius) & (np.abs(own_normals @ normals.T) > PARALLEL)
-    count = on.sum(axis=0)
-    count[(lowest < -BENEATH * ball.radius) | (lowest > GAP * ball.radius) | (facing < SOLID)] = 0
-    if not count.size or not count.max():
+    carries = (lowest > -BENEATH * ball.radius) & (lowest < GAP * ball.radius) & (facing > SOLID)
+    own = (1.0 - ((points @ normals.T - offsets) / flat) ** 2).clip(0.0) * (np.abs(own_normals @ normals.T) > PARALLEL)
+    touching = (1.0 - ((some @ normals.T - offsets) / flat) ** 2).clip(0.0).mean(axis=0)
+    score = np.where(carries, (near @ own) * (UNTOUCHED + touching), 0.0)
+    if not score.size or not score.max():
         return None
-    best = int(count.argmax())
-    normal, origin = normals[best], origins[best]
-    for _ in range(4):
-        own = points[_on_plane(points, own_normals, origin, normal, ball)]
-        if len(own) < 10:
+    best = int(score.argmax())
+    normal, origin = normals[best], normals[best] * offsets[best]
+    for _ in range(REFITS):
+        along = np.abs(own_normals @ normal) > PARALLEL
+        weights = near * along * (1.0 - ((points - origin) @ normal / flat) ** 2).clip(0.0)
+        if (weights > 0).sum() < 10:
             return None
-        origin = own.mean(axis=0)
-        found = np.linalg.eigh(np.cov((own - origin).T))[1][:, 0]
+        origin = np.average(points, axis=0, weights=weights)
+        found = np.linalg.eigh(np.cov((points - origin).T, aweights=weights))[1][:, 0]
         normal = found * np.sign(found @ normal)
-    own = points[_on_plane(points, own_normals, origin, normal, ball)]
-    return origin, normal, float(np.sqrt((((own - origin) @ normal) ** 2).mean()))
-
-
-def _on_plane(points, normals, origin, normal, ball: Surroundings) -> np.ndarray:
-    return (np.abs((points - origin) @ normal) < FLAT * ball.radius) & (np.abs(normals @ normal) > PARALLEL)
+    off = np.abs((points - origin) @ normal)[np.abs(own_normals @ normal) > PARALLEL]
+    return origin, normal, 1.48 * float(np.median(off[off < flat]))
 
 
 def _frame(normal: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from scipy.interpolate import RBFInterpolator
 from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, label
 
 from core.threads import in_threads
@@ -24,6 +25,7 @@ LEAK, RIM = 2, 6  # texels repainted around a hole, and compared for its known s
 SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foot, not the end of the surface
 ROW = 1024  # texels sampled per row (cv2.remap limits rows)
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
+EDGE_POINTS = 50, 400  # least and most from which a surface's edge is continued
 SURE = 0.5  # share of the views past the object that must show no surface, where there are no photographs
 
 
@@ -93,45 +95,95 @@ def texture_of(
     color = np.zeros((count, count, 3), np.float32)
     corner, texel = np.full(2, -REACH * ball.radius), 2 * REACH * ball.radius / count
     texture = SurfaceTexture(surface, corner, texel, color, nothing, nothing)
-    tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
     places = texture.places()
-    looking, seen, through, covered, lacking = (np.zeros((count, count), np.int32) for _ in range(5))
-    heights = np.zeros((count, count))
-    flat = surface.points(places)
-    for look in in_threads(lambda view: _look(texture, flat, view, tolerance), views):
-        looking += look.inside
-        seen += look.shows
-        through += look.behind
-        covered += look.covered
-        lacking += look.lacks
-        heights += np.where(look.shows, look.height, 0.0)
-    known = (seen > through) & (seen > SEEN_SHARE * looking)
-    empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
-    surface = fit_relief(surface, places[known], heights[known] / seen[known], ball.radius)
+    tolerance = max(NEAR_SURFACE * ball.radius, 3 * surface.spread)
+    seen = _seen(texture, surface.points(places), views, tolerance)
+    known, empty = seen.known, seen.empty
+    surface = fit_relief(surface, places[known], seen.height[known], ball.radius)
     points = surface.points(places)
     beyond = np.zeros_like(known)
     for other in others:
         beyond |= other.local(points)[..., 2] < 0.5 * texel
-    hole = ~known & ~empty & (covered > COVERED_SHARE * looking) & ~beyond
+    hole = ~known & ~empty & seen.covered & ~beyond & goes_on(known, empty)
     if not photographed:
-        hole &= lacking > SURE * covered
-    if known.any():  # the surface ends where the nearest place that was seen has none
-        nearest = distance_transform_edt(~(known | empty), return_distances=False, return_indices=True)
-        hole &= known[tuple(nearest)]
+        hole &= seen.lacking
     hole = _without_specks(hole)
     if hole.any():  # its rim is repainted, as the object's colour leaks there
         hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
     known &= ~hole
     around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
     rim = float(known[around].mean()) if around.any() else 1.0
-    texture = replace(texture, surface=surface, known=known, hole=hole, rim=rim)
-    return replace(texture, color=_colors(texture, points, views, tolerance))
+    color = _seen(texture, points, views, tolerance).color  # where the relief is
+    color = np.where(known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
+    return replace(texture, surface=surface, color=color, known=known, hole=hole, rim=rim)
+
+
+def goes_on(known: np.ndarray, empty: np.ndarray) -> np.ndarray:
+    """Mask (H, W) of where a surface is, seen or not, that was seen to be (`known`) and to end (`empty`).
+
+    Its edge goes on where nothing was seen as it runs beside it: the zero of a thin plate through signed distances.
+    """
+    if not known.any() or not empty.any():
+        return np.full(known.shape, known.any())
+    to = [distance_transform_edt(~mask) for mask in (known, empty)]
+    unseen = distance_transform_edt(~binary_opening(~(known | empty), iterations=SLIVER))
+    distance = np.where(known, to[1], -to[0])
+    sure = (known | empty) & (np.abs(distance) <= unseen)  # nothing unseen is nearer than the edge
+    y, x = np.nonzero(sure)
+    if len(y) < EDGE_POINTS[0]:
+        return to[0] <= to[1]
+    chosen = np.random.default_rng(0).permutation(len(y))[: EDGE_POINTS[1]]
+    at, unit = np.stack([y, x], axis=-1)[chosen].astype(float), float(max(known.shape))
+    plate = RBFInterpolator(at / unit, distance[sure][chosen] / unit, kernel="thin_plate_spline", smoothing=0.01)
+    there = known.copy()
+    y, x = np.nonzero(~(known | empty))
+    if len(y):
+        there[y, x] = plate(np.stack([y, x], axis=-1) / unit) > 0
+    return there
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Texels (H, W) of what all views show: the surface is known, or ends; the object covered it, and nothing was drawn
+    where it should be then; the mean height [m] and the colour (H, W, 3) of what shows."""
+
+    known: np.ndarray
+    empty: np.ndarray
+    covered: np.ndarray
+    lacking: np.ndarray
+    height: np.ndarray
+    color: np.ndarray
+
+
+def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> _Seen:
+    """What the views show within a tolerance [m] of the surface's points (H, W, 3).
+
+    The colour is that of the view that shows a texel largest and least slanted.
+    """
+    shape = texture.hole.shape
+    looking, shown, through, covered, lacking = (np.zeros(shape, np.int32) for _ in range(5))
+    heights, color, best = np.zeros(shape), np.zeros((*shape, 3), np.float32), np.zeros(shape)
+    looks = in_threads(lambda view: _look(texture, points, view, tolerance), views)
+    for look, view in zip(looks, views, strict=True):
+        looking += look.inside
+        shown += look.shows
+        through += look.behind
+        covered += look.covered
+        lacking += look.lacks
+        heights += np.where(look.shows, look.height, 0.0)
+        drawn = cv2.remap(view.color, look.at[..., 0], look.at[..., 1], cv2.INTER_LINEAR)
+        better = look.merit > best
+        color[better], best[better] = drawn[better], look.merit[better]
+    known = (shown > through) & (shown > SEEN_SHARE * looking)
+    empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
+    height = heights / np.maximum(shown, 1)
+    return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, height, color)
 
 
 @dataclass(frozen=True)
 class _Look:
     """Classes of the texels that a view looks at: the surface, something behind it, the object before it (and nothing
-    where the surface should be then); and the height [m] of what it shows."""
+    where the surface should be then); the height [m] of what it shows, how large it is seen, and the pixels' places."""
 
     inside: np.ndarray
     shows: np.ndarray
@@ -139,6 +191,8 @@ class _Look:
     covered: np.ndarray
     lacks: np.ndarray
     height: np.ndarray
+    merit: np.ndarray
+    at: np.ndarray
 
 
 def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance: float) -> _Look:
@@ -157,7 +211,9 @@ def _look(texture: SurfaceTexture, points: np.ndarray, view: HoleView, tolerance
     shows = inside & ~before & solid & (np.abs(height) < tolerance)
     behind = inside & ~before & (~solid | (height < -2 * tolerance))
     covered = inside & before
-    return _Look(inside, shows, behind, covered, covered & (~solid | (height < -tolerance)), height)
+    lacks = covered & (~solid | (height < -tolerance))
+    merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
+    return _Look(inside, shows, behind, covered, lacks, height.astype(np.float32), merit.astype(np.float32), at)
 
 
 def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -166,23 +222,6 @@ def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[n
     rays = view.camera.position - points
     cosine = rays @ normal / np.maximum(np.linalg.norm(rays, axis=-1), 1e-12)
     return at, z, cosine
-
-
-def _colors(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> np.ndarray:
-    """Colour of each known texel, from the view with the best resolution and angle."""
-
-    def seen_in(view: HoleView) -> tuple[np.ndarray, np.ndarray]:
-        shows = _look(texture, points, view, tolerance).shows
-        at, z, cosine = projected(view, points, texture.surface.axes[2])
-        merit = np.where(shows, cosine / np.maximum(z / view.camera.fx, 1e-12), 0.0)
-        return merit, cv2.remap(view.color, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-
-    color = np.zeros((*texture.hole.shape, 3), np.float32)
-    best = np.zeros(texture.hole.shape)
-    for merit, drawn in in_threads(seen_in, views):
-        better = merit > best
-        color[better], best[better] = drawn[better], merit[better]
-    return np.where(texture.known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
 
 
 def _footprint(view: HoleView, ball: Surroundings) -> float:

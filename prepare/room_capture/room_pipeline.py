@@ -166,6 +166,7 @@ def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], p
     for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
         others = [other for other in things if other is not thing]  # what they hid was not seen either
         how["others"] = concatenate(others) if others else None
+        how["standing"] = concatenate(things[k + 1 :]) if things[k + 1 :] else None  # those before took their shadow
         rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
     return rest
 

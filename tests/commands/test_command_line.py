@@ -20,7 +20,8 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     "train": "--help --arch --out --steps --strategy --cap --degree --antialias --sort --reduce --test-every --report"
     " --masks --split --checkpoint-every --preview --seed --fast --exposure --refine-poses",
     "capture": "--help --arch --out --marks --masks --no-objects --scale-points --steps --reduce --cap --cell --seed",
-    "inpaint": "--help --remove --objects --out --capture --lama --steps --report --truth --reduce --arch",
+    "inpaint": "--help --remove --objects --out --capture --lama --keep-shadow --steps --report --truth --reduce"
+    " --arch",
     "segment": "--help --splats --marks --out --model --reduce --overlay --compare",
     "bench": "--help --arch --json",
     "figures": "--help --arch --out --quick",

@@ -15,7 +15,7 @@ from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera
-from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole
+from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import support_surfaces
@@ -55,10 +55,26 @@ def cameras():
     return [perspective(112, 84, 0.75, look_at(eye, (0, 0.08, 0))) for eye in eyes]
 
 
+def shadowed_table() -> Gaussians:
+    """The table in the shadow of the ball, 0.7 of its form factor R^2 h / d^3."""
+    whole = table()
+    distance = np.sqrt((whole.means[:, [0, 2]] ** 2).sum(axis=1) + RADIUS**2)
+    left = (1.0 - 0.7 * (RADIUS / distance) ** 3)[:, None, None]
+    return replace(whole, sh=(whole.sh * left + (left - 1.0) * 0.5 / C0).astype(np.float32))
+
+
 @pytest.fixture(scope="module")
-def closed(ti_cpu):
-    """The hole under the ball, its painted textures, and the table with the patch."""
-    hole = find_hole(table(), ball(), cameras(), name="ball", **OPTIONS)
+def shadowed(ti_cpu):
+    """The hole under the ball, with its shadow around."""
+    return find_hole(shadowed_table(), ball(), cameras(), name="ball", **OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def closed(shadowed):
+    """The hole without the shadow, its painted textures, and the table with the patch."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("prepare.inpaint.object_shadow.DIRECTIONS", 24)
+        hole = take_shadow(shadowed, ball(), **OPTIONS)
     textures = paint_hole(hole, paint_from_patches)
     return hole, textures, close_hole(hole, textures, steps=20, **OPTIONS)
 
@@ -114,8 +130,26 @@ def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed,
     assert inconsistency(views, textures, flat_grey) > 30.0  # the measure tells
 
 
-def test_all_that_was_seen_stays_bit_for_bit(closed):
+def test_the_shadow_goes_with_the_object(shadowed, closed):
+    """The surroundings get their own colours back, and nothing but colours changes."""
+    lit, whole = closed[0].background, table()
+    away = np.linalg.norm(whole.means[:, [0, 2]], axis=1)
+    near = np.flatnonzero((away > 1.2 * RADIUS) & (away < 2.0 * RADIUS))
+    row = {tuple(mean): k for k, mean in enumerate(lit.means.tolist())}
+    own = np.array([row[tuple(mean)] for mean in whole.means[near].tolist()])
+    off = [np.abs(C0 * (g.sh[own] - whole.sh[near])).mean() for g in (shadowed.background, lit)]
+    assert off[0] > 0.05 and off[1] < 0.4 * off[0]
+    for name in ROWS:
+        if name != "sh":
+            assert_array_equal(getattr(lit, name), getattr(shadowed.background, name))
+
+
+def test_all_that_was_seen_stays_bit_for_bit(shadowed, closed):
     hole, _, after = closed
+    rows = {mean.tobytes(): sh.tobytes() for mean, sh in zip(shadowed_table().means, shadowed_table().sh, strict=True)}
+    assert all(
+        rows[m.tobytes()] == s.tobytes() for m, s in zip(shadowed.background.means, shadowed.background.sh, strict=True)
+    )
     kept = after.select(slice(len(hole.background)))
     for name in ROWS:
         assert_array_equal(getattr(kept, name), getattr(hole.background, name))
@@ -143,9 +177,9 @@ def test_an_object_in_the_air_is_refused(ti_cpu):
 
 
 def test_an_object_in_the_air_has_no_surface():
-    views = [noisy_view(k, c, noise=0.0, dent=0.0) for k, c in enumerate(cameras())]
-    sphere = Surroundings(np.array([0.0, 3 * RADIUS, 0.0]), RADIUS)
-    assert support_surfaces(views, ball(height=3 * RADIUS).means, sphere, np.random.default_rng(0)) == []
+    views = [noisy_view(k, c, noise=0.0) for k, c in enumerate(cameras())]
+    sphere = Surroundings(np.array([0.0, 1.6 * RADIUS, 0.0]), RADIUS)
+    assert support_surfaces(views, ball(height=1.6 * RADIUS).means, sphere, np.random.default_rng(0)) == []
 
 
 def test_an_unseen_object_is_refused(ti_cpu):
@@ -155,13 +189,17 @@ def test_an_unseen_object_is_refused(ti_cpu):
         find_hole(table(), ball().select(slice(5)), cameras(), name="ball", **OPTIONS)
 
 
-def noisy_view(index: int, camera, noise: float, dent: float) -> HoleView:
-    """A table without end, its depth off by `noise` [m], with a dent around the foot of a ball."""
+def noisy_view(index: int, camera, noise: float, dent: float = 0.0, plinth: tuple | None = None) -> HoleView:
+    """A table without end, its depth off by `noise` [m], with a dent around the foot of a ball; or with a round
+    `plinth`, radius and height [m], under it, whose top is at y = 0."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
     rays = rays @ camera.world_to_camera[:3, :3]
     eye, down = camera.position, rays[..., 1] < -1e-3
     depth = np.where(down, -eye[1] / np.minimum(rays[..., 1], -1e-3), 9.0)
+    if plinth is not None:
+        beside = np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1) > plinth[0]
+        depth = np.where(beside & down, depth * (1.0 + plinth[1] / eye[1]), depth)
     away = np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1)
     rough = gaussian_filter(np.random.default_rng(index).normal(size=depth.shape), 4)
     depth = depth + noise * rough / rough.std()
@@ -176,7 +214,7 @@ def noisy_view(index: int, camera, noise: float, dent: float) -> HoleView:
 def test_a_small_object_on_a_noisy_surface_has_one_hole():
     """Noise of the depth makes no further planes, and a narrow dent around the foot is no end of the surface."""
     sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
-    views = [noisy_view(k, c, noise=0.02, dent=0.006) for k, c in enumerate(cameras())]
+    views = [noisy_view(k, c, noise=0.012, dent=0.006) for k, c in enumerate(cameras())]
     surfaces = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
     assert len(surfaces) == 1 and surfaces[0].axes[2][1] > 0.995
     texture = texture_of(surfaces[0], [], views, sphere, photographed=True)
@@ -184,6 +222,22 @@ def test_a_small_object_on_a_noisy_surface_has_one_hole():
     away = np.linalg.norm(places[..., [0, 2]], axis=-1)
     assert texture.hole[away < 0.3 * RADIUS].all()
     assert texture.hole[np.abs(away - 0.55 * RADIUS) < 0.05 * RADIUS].mean() > 0.9  # the dent's inner half
+
+
+def test_an_object_stands_on_the_plinth_that_it_touches():
+    """Not on the larger ground beside it."""
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = [noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS)) for k, c in enumerate(cameras())]
+    top, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
+    assert top.axes[2][1] > 0.99 and abs(top.local(np.zeros(3))[2]) < 0.06 * RADIUS
+
+
+def test_an_object_whose_underside_no_camera_saw_stands_level():
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cameras())]
+    means = ball().means
+    surface, *_ = support_surfaces(views, means[means[:, 1] > 0.45 * RADIUS], sphere, np.random.default_rng(0))
+    assert surface.axes[2][1] > 0.998 and abs(surface.local(np.zeros(3))[2]) < 0.03 * RADIUS
 
 
 def cameras_at(height: float):
@@ -268,6 +322,7 @@ def test_the_command_writes_the_scene_and_a_report(closed, views, tmp_path, caps
     hole, _, after = closed
     (line, _), report = write_scene(tmp_path), tmp_path / "report.json"
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.find_hole", lambda *_, **__: hole)
+    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.take_shadow", lambda *_, **__: hole)
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.close_hole", lambda *_, **__: after)
     monkeypatch.setattr("prepare.inpaint.hole_quality.compare", lambda *_, **__: views)
     assert main([*line, "--remove", "ball", "--report", str(report)]) == 0

@@ -1,0 +1,181 @@
+"""The shadow of an object on its surroundings, which goes with it.
+
+With light from all sides, a surface loses to things that stand in the way
+
+    d(x) = sum_j b_j max(0, n . w_j) (1 - V_j(x))                    of directions w_j, V_j: what passes by,
+
+and shows E(x) = e - d(x). The object's shape gives V_j, as shadow maps from all w_j; e and b_j >= 0 are fitted to what
+the surface that it stands on shows around its foot. Without the object more of V_j passes; E without it over E with it
+is by how much its surroundings were darkened.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from assets.gaussians import Gaussians
+from core.camera import look_at, perspective
+from core.spherical_harmonics import C0
+from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.inpaint.surface_texture import SurfaceTexture
+from prepare.progress import Progress
+
+DIRECTIONS = 64  # over the half sphere above the surface
+FAR = 12.0  # radii of a thing to the eye of its shadow map: nearly parallel light
+MAP_SIDE = 96  # [px]
+BIAS = 0.05  # radii in front of a surface that do not shade it: it is thick and noisy, too
+TEXELS = 2500  # that the light is found from
+EVEN = 0.1  # weight of small b_j
+ROUNDS = 6  # of least squares, with weights that leave out marks and other things on the surface
+DARKEST = 0.2  # of the light that the object leaves: beyond, colours are noise
+REACH = 5.0  # radii from the object's middle: where its shadow is taken away
+NEIGHBOURS = 24  # Gaussians that a normal is found from
+
+
+class ShadowMaps:
+    """What a thing lets pass of light from directions (J, 3)."""
+
+    def __init__(self, thing: Gaussians, directions: np.ndarray, *, antialias: bool, sort: str):
+        ball = Surroundings.of(thing)
+        radius = float(np.linalg.norm(thing.means - ball.centre, axis=1).max())
+        eyes = ball.centre + FAR * radius * directions
+        angle = 2.2 / FAR  # of the whole thing, with the width of its outermost Gaussians
+        self._cameras = [perspective(MAP_SIDE, MAP_SIDE, angle, look_at(eye, ball.centre)) for eye in eyes]
+        drawing = Drawing(thing, self._cameras, antialias=antialias, sort=sort)
+        self._maps = [drawing(camera)[1:] for camera in self._cameras]
+        drawing.destroy()
+
+    def passing(self, points: np.ndarray, bias: float) -> np.ndarray:
+        """Light (N, J), 0..1, that reaches points (N, 3) past all that is farther than `bias` [m] in front of them."""
+        found = np.ones((len(points), len(self._cameras)), np.float32)
+        for k, (camera, (alpha, depth)) in enumerate(zip(self._cameras, self._maps, strict=True)):
+            at, z = image_positions(camera, points)
+            shades = nearest_pixels(depth, at, np.inf) < z - bias
+            found[shades, k] -= nearest_pixels(cv2.GaussianBlur(alpha, (3, 3), 0), at, 0.0)[shades]
+        return found
+
+
+@dataclass(frozen=True)
+class ObjectShadow:
+    """Light from directions (J, 3) that a surface loses (J,), as a share of all that reaches it in the open."""
+
+    directions: np.ndarray
+    lost: np.ndarray
+    own: ShadowMaps
+    others: ShadowMaps | None
+    bias: float
+
+    def left(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Share (N,) of the light that the object leaves to points (N, 3) with unit normals, DARKEST to 1."""
+        toward = (normals @ self.directions.T).clip(0.0) * self.lost
+        without = np.ones((len(points), 1)) if self.others is None else self.others.passing(points, self.bias)
+        there = self.own.passing(points, self.bias) * without
+        open_to = 1.0 - (toward * (1.0 - without)).sum(axis=1)
+        shaded = 1.0 - (toward * (1.0 - there)).sum(axis=1)
+        return (shaded / np.maximum(open_to, DARKEST)).clip(DARKEST, 1.0)
+
+
+def find_shadow(
+    removed: Gaussians,
+    others: Gaussians | None,
+    texture: SurfaceTexture,
+    ball: Surroundings,
+    *,
+    antialias: bool,
+    sort: str,
+) -> ObjectShadow | None:
+    """The shadow of an object among others on a surface; None where more of the surface is hidden than seen."""
+    y, x = np.nonzero(texture.known)
+    if len(y) <= texture.hole.sum():
+        return None
+    chosen = np.unique(np.linspace(0, len(y) - 1, TEXELS).round().astype(int))
+    y, x = y[chosen], x[chosen]
+    points = texture.surface.points(texture.places()[y, x])
+    directions = half_sphere(DIRECTIONS) @ texture.surface.axes
+    options, bias = {"antialias": antialias, "sort": sort}, BIAS * ball.radius
+    own = ShadowMaps(removed, directions, **options)
+    maps = ShadowMaps(others, directions, **options) if others is not None and len(others) else None
+    passing = own.passing(points, bias)
+    if maps is not None:
+        passing = passing * maps.passing(points, bias)
+    cosines = directions @ texture.surface.axes[2]
+    across = np.stack([x / texture.hole.shape[1], y / texture.hole.shape[0]], axis=1) - 0.5
+    lost = fit_light(texture.color[y, x].mean(axis=1), cosines * (1.0 - passing) / cosines.sum(), across)
+    return ObjectShadow(directions, lost / cosines.sum(), own, maps, bias)
+
+
+def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Non-negative b (J,) in shown (N,) = e (1 - hidden b), hidden (N, J).
+
+    e >= 0 is linear in the place `across` (N, 2), -0.5 to 0.5.
+    """
+    n, count = hidden.shape
+    tilts = np.concatenate([np.ones((n, 1)), 0.5 + across, 0.5 - across], axis=1)  # each >= 0, as their weights are
+    columns, zeros = tilts.shape[1], np.zeros((count, tilts.shape[1]))
+    small = np.concatenate([zeros, EVEN * np.sqrt(n) / count * np.eye(count)], axis=1)
+    rows = np.concatenate([tilts, -hidden], axis=1)
+    values, weights = shown / np.median(shown), np.ones(n)
+    for _ in range(ROUNDS):
+        weighted = np.concatenate([rows * weights[:, None], small])
+        found, _ = nnls(weighted, np.concatenate([values * weights, np.zeros(count)]))
+        off = values - rows @ found
+        weights = 1.0 / np.sqrt(1.0 + (off / (1.48 * np.median(np.abs(off)) + 1e-6)) ** 2)
+    open_light = float((tilts @ found[:columns]).mean())
+    return found[columns:] / max(open_light, 1e-9)
+
+
+def half_sphere(count: int) -> np.ndarray:
+    """Unit directions (count, 3) evenly over the half sphere around +z."""
+    k = np.arange(count) + 0.5
+    z, turn = 1.0 - k / count, np.pi * (1 + 5**0.5) * k
+    flat = np.sqrt(1.0 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def without_shadow(background: Gaussians, shadow: ObjectShadow, ball: Surroundings, views: list[HoleView]) -> Gaussians:
+    """The background in the colours that it has without the object; all else as it is."""
+    near = np.linalg.norm(background.means - ball.centre, axis=1) < REACH * ball.radius
+    part = background.select(near)
+    if len(part) < NEIGHBOURS:
+        return background
+    eye = np.mean([view.camera.position for view in views], axis=0)
+    left = shadow.left(part.means.astype(np.float64), _normals(part.means.astype(np.float64), eye))
+    sh, lit = background.sh.copy(), part.sh / left[:, None, None]
+    lit[:, 0] += ((1.0 / left - 1.0) * 0.5 / C0)[:, None]  # colour = 0.5 + SH
+    sh[near] = np.where((left < 1.0)[:, None, None], lit, part.sh)
+    return replace(background, sh=sh)
+
+
+def textures_without_shadow(textures: list[SurfaceTexture], shadow: ObjectShadow) -> list[SurfaceTexture]:
+    """The textures in the colours that they have without the object."""
+    found = []
+    for texture in textures:
+        points = texture.surface.points(texture.places()[texture.known])
+        left = shadow.left(points, np.broadcast_to(texture.surface.axes[2], points.shape))
+        color = texture.color.copy()
+        color[texture.known] /= left[:, None]
+        found.append(replace(texture, color=color.clip(0.0, 1.0)))
+    return found
+
+
+def views_of(background: Gaussians, views: list[HoleView], progress: Progress, *, antialias: bool, sort: str):
+    """The views in the colours of another background of the same shape."""
+    drawing, found = Drawing(background, [v.camera for v in views], antialias=antialias, sort=sort), []
+    for k, view in enumerate(views):
+        found.append(replace(view, color=drawing(view.camera)[0]))
+        progress("shadow", (k + 1) / len(views))
+    drawing.destroy()
+    return found
+
+
+def _normals(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """Unit normals (N, 3) of points' neighbourhoods, on the side of the eye."""
+    own = points[cKDTree(points).query(points, k=NEIGHBOURS)[1]]
+    own -= own.mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", own, own))[1][:, :, 0]
+    return normals * np.where(((eye - points) * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]

@@ -8,7 +8,7 @@ from prepare.train.exposure import IDENTITY
 from prepare.train.optimizer import BETA1, BETA2, EPSILON
 
 EXPOSURE_RATE = (1e-2, 1e-3)  # first and last, as in 3DGS's own exposure compensation
-POSE_REACH = 0.01  # [rad], and of the capture's extent: the farthest that a pose can move in a training
+POSE_REACH = 0.003  # [rad], and of the extent, that a pose can move in a training: more is worse (bench/NOTES.md)
 POSE_DECAY = 0.01  # of the rate from the first step to the last
 
 

@@ -138,7 +138,7 @@ def read_masks(folder: str | Path, views: Sequence[View]) -> Masks:
     for name, count in zip(masks.names, seen, strict=True):
         if count < VIEWS_MIN:
             raise BadInput(
-                f"{folder}: {name!r} is seen in {count} masks; its shape shows only from {VIEWS_MIN} or more"
+                f"{folder}: {name!r} is seen in {count} of the masks; its shape shows only from {VIEWS_MIN} or more"
             )
     return masks
 

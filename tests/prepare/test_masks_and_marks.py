@@ -78,7 +78,7 @@ def test_a_folder_with_other_things_is_not_replaced(tmp_path, views):
         (lambda f: painted(f, "a.png", np.zeros((4, 5), np.uint8)), "5x4, its photograph 24x16"),
         (lambda f: painted(f, "d.png", np.zeros((HEIGHT, WIDTH), np.uint8)), r"d\.png is of no photograph"),
         (lambda f: painted(f, "b.png", np.full((HEIGHT, WIDTH), 77, np.uint8)), r"\(77, 77, 77\) is not in"),
-        (lambda f: painted(f, "b.png", np.zeros((HEIGHT, WIDTH), np.uint8)), "'big bear' is seen in 1 masks"),
+        (lambda f: painted(f, "b.png", np.zeros((HEIGHT, WIDTH), np.uint8)), "'big bear' is seen in 1 of the masks"),
         (lambda f: (f / "a.png").write_text("no picture"), "not an image"),
         (lambda f: [p.unlink() for p in f.glob("*.png")], "no mask in it"),
         (lambda f: [painted(f, n, np.zeros((HEIGHT, WIDTH), np.uint8)) for n in SIZES], "no object in any mask"),

@@ -13,7 +13,7 @@ from core.threads import in_threads
 from prepare.progress import Progress, no_progress
 from prepare.segment.marks import Marks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import Masks, object_colors, photograph_size
-from prepare.segment.picture_cut import Cut, border_band, cut_objects, grab_cut
+from prepare.segment.picture_cut import SURE, Cut, border_band, cut_objects, grab_cut
 from prepare.segment.surface_cloud import (
     POINTS,
     SurfaceCloud,
@@ -37,7 +37,6 @@ COARSE_BAND = 2  # factor on BAND where depth comes from sparse points only
 GAP = 1.08  # ratio of depths under a stroke that separates two surfaces
 DEPTH_TOLERANCE = 0.02  # relative: a point this near to the depth map is visible
 VOTERS, VOTE_REACH = 10, 0.02  # nearest views that vote, and how far around their masks [diagonals]
-SURE = 0.2  # a pixel is disputed if its second label is at least this probable
 
 
 class MarkPropagation:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 MARGIN = 0.3  # object sizes around an object from which the background's colours are learned
+SURE = 0.2  # a pixel is disputed if its second label is at least this probable
 ROUNDS = 3  # iterations of GrabCut
 PIXELS_MIN = 6  # a smaller object is not refined
 
@@ -42,7 +43,7 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
 
     likely  probability (H, W, K + 1) of the background and each object
     unsure  (H, W) bool, pixels in which the colours decide
-    reach   [px] around an object to which its pixels are limited
+    reach   [px] around an object to which its pixels are limited, but for those in which it is disputed
     """
     import cv2
 
@@ -56,7 +57,7 @@ def cut_objects(picture: np.ndarray, likely: np.ndarray, unsure: np.ndarray, rea
         x, y, w, h = cv2.boundingRect(own)
         pad = 2 * reach + int(MARGIN * max(w, h))
         at = np.s_[max(y - pad, 0) : y + h + pad, max(x - pad, 0) : x + w + pad]
-        near = unsure[at] & (cv2.dilate(own[at], kernel) > 0)
+        near = unsure[at] & ((cv2.dilate(own[at], kernel) > 0) | (likely[at][..., k] > SURE))
         own = own[at] > 0
         core = own & ~near
         if not core.any():

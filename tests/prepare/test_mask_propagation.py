@@ -13,7 +13,7 @@ from prepare.segment.mask_files import Masks, object_colors, overlap_of
 from prepare.segment.mask_network import MaskNetwork
 from prepare.segment.mask_overlay import contact_sheet, overlay
 from prepare.segment.mask_propagation import MarkPropagation, view_depths
-from prepare.segment.picture_cut import grab_cut
+from prepare.segment.picture_cut import border_band, cut_objects, grab_cut
 from prepare.segment.view_depths import depths_of_points, points_at, seen_by
 from prepare.train.capture import Capture, View
 from prepare.train.lens import Lens
@@ -211,3 +211,19 @@ def test_a_sheet_shows_objects_in_their_colours():
     assert (overlay(grey, None, np.zeros((0, 3))) == grey).all()
     sheet = contact_sheet([shown] * 7)
     assert sheet.shape == (40, 150, 3) and not sheet[20:, 60:].any()
+
+
+def test_colours_decide_wherever_an_object_is_disputed():
+    """A foot, farther from what is surely the object than the cut reaches: of a colour of the object, so it is its."""
+    picture = np.full((60, 80, 3), (90, 120, 90), np.uint8)
+    picture[10:50, 20:40] = (200, 140, 60)
+    picture[16:46, 23:37] = picture[36:50, 40:56] = (240, 230, 220)  # belly and foot
+    picture = np.clip(picture + np.random.default_rng(0).normal(0, 4, picture.shape), 0, 255).astype(np.uint8)
+    likely = np.zeros((60, 80, 2))
+    likely[10:50, 20:40, 1], likely[36:50, 40:56, 1] = 0.95, 0.45
+    likely[..., 0] = 1.0 - likely[..., 1]
+    unsure = border_band(likely.argmax(axis=2).astype(np.uint8), 2) | (likely.min(axis=2) > 0.2)
+    true = np.zeros((60, 80), bool)
+    true[10:50, 20:40] = true[36:50, 40:56] = True
+    found = cut_objects(picture, likely, unsure, 2, grab_cut) == 1
+    assert (found & true).sum() > 0.97 * (found | true).sum()

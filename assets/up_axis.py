@@ -97,7 +97,7 @@ def most_likely(probabilities: dict[str, float]) -> tuple[str, float]:
 def alternatives(probabilities: dict[str, float]) -> list[str]:
     """The axes that may well point up, most probable first; one alone if that is sure."""
     ranked = sorted(probabilities, key=probabilities.get, reverse=True)
-    if probabilities[ranked[0]] >= UNSURE:
+    if not ranked or probabilities[ranked[0]] >= UNSURE:
         return ranked[:1]
     return [up for up in ranked if probabilities[up] >= ALTERNATIVE_MIN]
 

@@ -13,7 +13,7 @@ from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import start_taichi
 
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 4, 4  # of what `cached_body` and `cached_environment` make
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 5, 5  # of what `cached_body` and `cached_environment` make
 
 
 def prepared_bodies(args: argparse.Namespace) -> list[str]:
@@ -109,6 +109,8 @@ def cached_body(splats: Path, args: argparse.Namespace) -> Path:
         adaptive = args.cells == "adaptive"
         options = Options(args.vertices or chosen[0], args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
         prepare_file(splats, out, options, vertices=chosen)
+    else:
+        _ask_up(splats, out)
     if chosen:
         args.vertices = wanted_vertices(out)
         print(f"{splats.name}: {suited(args.vertices)}", flush=True)
@@ -165,7 +167,21 @@ def cached_environment(splats: Path, args: argparse.Namespace) -> Path:
 
         _begin(splats, out, args)
         prepare_environment_file(splats, out)
+    else:
+        _ask_up(splats, out)
     return out
+
+
+def _ask_up(splats: Path, prepared: Path) -> None:
+    """Say again, of what was prepared earlier, that its up axis was not sure, unless the user has turned it since."""
+    from assets.hdf5 import open_hdf5
+    from prepare.orientation.orientation_strip import question
+
+    with open_hdf5(prepared) as file:
+        provenance = file.json("", "provenance")
+    chances = {} if "reoriented" in provenance else provenance.get("up_probabilities", {})
+    if line := question(chances):
+        print(f"{splats.name}: {line}", flush=True)
 
 
 def _begin(splats: Path, out: Path, args: argparse.Namespace) -> None:

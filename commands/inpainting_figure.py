@@ -65,15 +65,14 @@ def inpainting_section(effort: Effort, results: dict, report: Callable[[str], No
         Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera", "deviation between views"), table),
         f"{effort.views} photographs of {effort.size[0]}×{effort.size[1]}, {effort.steps:,} steps of training. PSNR: "
         "against the scene without the object, over the pixels that it covered, in all views. Deviation: of a place's "
-        "colour from view to view, of 255. The object's shadow stays in the photographs, and so in the splat."
-        + refused,
+        "colour from view to view, of 255. The object's shadow is taken away with it." + refused,
     )
 
 
 def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> dict[str, dict]:
     """Numbers and the picture of each object."""
     from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-    from prepare.inpaint.inpaint_pipeline import STEPS, close_hole, find_hole, order_of, paint_hole
+    from prepare.inpaint.inpaint_pipeline import STEPS, close_hole, find_hole, order_of, paint_hole, take_shadow
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
@@ -92,7 +91,9 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
         cameras = [p.camera for p in photographs]
         told = options | {"progress": no_progress}
         try:
-            hole = find_hole(before, gaussians.select(own), cameras, name=name, **told)
+            hole = take_shadow(
+                find_hole(before, gaussians.select(own), cameras, name=name, **told), gaussians.select(own), **told
+            )
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}

@@ -124,6 +124,7 @@ def segment_capture(args: argparse.Namespace) -> None:
         photographs.append(load_photograph(view, args.reduce))
         progress("photographs", (k + 1) / len(capture.views))
     if splats is not None:
+        progress("splats beside photographs", 0.0)  # compiles the renderer
         capture, photographs = in_world_of(splats, capture, photographs, args.splats)
     masks = propagate_marks(capture, photographs, marks, splats, progress, cut=cut)
     progress.end()

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
+from core.spherical_harmonics import C0
 
 WIDTH, HEIGHT, FOV_Y = 96, 54, 0.9  # [px], [rad] of the pictures that are compared
 NEAR = 0.4  # of the way to the target: what is nearer hides it
 SOLID = 0.8  # opacity of a pixel that shows something
+FOG_WIDTH = 0.1  # [rad] two standard deviations of a Gaussian that hides what is behind it without showing anything
+FOG_SHARE = 0.3  # of a pixel
 CLEAR = 0.7  # of a picture's pixels; below, a view is poor
 
 
@@ -22,14 +27,24 @@ def clearest(gaussians: Gaussians, eyes: list[np.ndarray], target: np.ndarray) -
     from render.renderer import Renderer
     from render.splats import Splats
 
-    splats = Splats(gaussians)
-    renderer = Renderer(splats, WIDTH, HEIGHT, outputs="float", sort="radial")
     shares = []
     for eye in eyes:
+        splats = Splats(as_fog(gaussians, eye, target))
+        renderer = Renderer(splats, WIDTH, HEIGHT, outputs="float", sort="radial")
         renderer.render([perspective(WIDTH, HEIGHT, FOV_Y, look_at(eye, target))])
-        alpha, depth = renderer.alpha.to_numpy()[0], renderer.depth.to_numpy()[0]
-        shares.append(float(((alpha > SOLID) & (depth > NEAR * np.linalg.norm(target - eye))).mean()))
-    renderer.destroy()
-    splats.destroy()
+        fog, alpha, depth = (f.to_numpy()[0] for f in (renderer.rgb, renderer.alpha, renderer.depth))
+        clear = (alpha > SOLID) & (depth > NEAR * np.linalg.norm(target - eye)) & (fog[..., 0] < FOG_SHARE)
+        shares.append(float(clear.mean()))
+        renderer.destroy()
+        splats.destroy()
     best = int(np.argmax(np.round(shares, 1)))
     return eyes[best], shares[best]
+
+
+def as_fog(gaussians: Gaussians, eye: np.ndarray, target: np.ndarray) -> Gaussians:
+    """The Gaussians in white where they are fog, seen from an eye: before the target, and wide; all others in black."""
+    away = np.linalg.norm(gaussians.means - eye, axis=1)
+    width = 2.0 * np.exp(np.sort(gaussians.log_scales, axis=1)[:, 1])
+    fog = (away < np.linalg.norm(target - eye)) & (width > FOG_WIDTH * away)
+    sh = np.where(fog, 0.5 / C0, -0.5 / C0)[:, None, None].repeat(3, axis=2).astype(np.float32)
+    return replace(gaussians, sh=sh)

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "folder for figures.html, which holds all pictures, and figures.json, the numbers"
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help=text)
-    parser.add_argument("--quick", action="store_true", help="small pictures, one demo, short plays: a minute")
+    parser.add_argument("--quick", action="store_true", help="small pictures, one demo, one toy: two minutes")
     add_arch(parser)
 
 

@@ -240,7 +240,7 @@ def picture(splats: Splats, g: Gaussians, turn) -> np.ndarray:
     """Picture (PANEL, PANEL, 3) uint8 of a deformed body that stands on y = 0."""
     extent = np.ptp(g.means, axis=0) * ([1, 1.5, 1] if turn is None else [1, 1, 1])
     target, fov = np.array([0.0, 0.5 * extent[1], 0.0]), np.radians(30)
-    eye = target + np.linalg.norm(extent) / np.tan(fov / 2) * np.array([0.25, 0.18, 0.5])
+    eye = target + np.linalg.norm(extent) / np.tan(fov / 2) * np.array([0.28, 0.20, 0.56])
     renderer = Renderer(splats, PANEL, PANEL, background=(0.96, 0.96, 0.95))
     renderer.render([perspective(PANEL, PANEL, fov, look_at(eye, target))])
     pixels = pixels_of(renderer.picture)[..., :3].copy()

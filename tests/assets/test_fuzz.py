@@ -26,7 +26,7 @@ def matrix(row: int, column: int, value) -> list:
 
 BAD_CAMERAS = {
     '{"width": 1': "not a JSON file",
-    "": "not a JSON file",
+    "": "is empty",
     "[" * 100_000: "not a JSON file",
     "[]": "holds no camera",
     "3": "camera 0: expected an object",

@@ -33,6 +33,7 @@ class StereoPlay:
         hands = avatar.skins()
         self.hand_gaussians = sum(len(skin.gaussians) for skin in hands)
         self.world = World(scene, width=size[0], height=size[1], views=2, fingers=True, props=hands)
+        self.world.script_dt = 1 / RATE  # each frame is simulated, as with hands of a player's
         self.world.warm_up()
         self.frame_ms: list[float] = []
         self.photon_ms: list[float] = []

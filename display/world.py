@@ -40,7 +40,7 @@ from display.user_commands import (
 from scenes.scene import BodyState, Hand, Light, Scene
 
 MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's
-SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length
+SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whatever the display's, to play alike
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,7 @@ class World(WorldView):
         self.time_scale = 1.0
         self.time = 0.0  # [s] of simulation since the last reset
         self._demo_from = self.interaction  # in which mode the demo began
+        self.script_dt = SCRIPT_DT
         self.owed = 0.0  # [s] of a demo that have passed but are not simulated yet
         self._cost = SimulationCost()
         self._hands: list[Hand] = []  # of the last frame
@@ -143,8 +144,8 @@ class World(WorldView):
         return moving
 
     def _simulate(self, frame: Frame) -> None:
-        """Step with the user's hands at the display's pace, or with the scripted ones in frames of SCRIPT_DT."""
-        passed, script_dt = frame.dt * self.time_scale, SCRIPT_DT * self.time_scale
+        """Step with the user's hands at the display's pace, or with the scripted ones in frames of `script_dt`."""
+        passed, script_dt = frame.dt * self.time_scale, self.script_dt * self.time_scale
         if not self.demo:
             for dt, hands in frame_steps(passed, frame.max_step, self._hands, frame.hands):
                 self.registry.step(dt, hands)

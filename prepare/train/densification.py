@@ -15,7 +15,6 @@ PULL_MIN = 2e-4  # [1/half picture] mean pull above which detail is missing
 SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
 SPLIT_SHRINK = 1.6
 OPACITY_MIN, OPACITY_RESET = 0.005, 0.01
-LARGE = 0.1  # of the extent: larger ones are removed once opacities have been reset
 
 MCMC_GROWTH = 1.05  # growth factor each time until the budget is used
 MCMC_STOP = 25_000
@@ -31,12 +30,13 @@ def logit(p: float) -> float:
 
 @dataclass
 class AdaptiveDensity:
-    """Kerbl 2023, Sec. 5: clone and split where `pull` is large, prune faint and huge Gaussians, reset opacities.
+    """Kerbl 2023, Sec. 5: clone and split where `pull` is large, prune faint Gaussians, reset opacities.
+
+    Large Gaussians are not pruned as they are there: what lies far behind the objects is meant to be large.
 
     cap      upper limit of Gaussians, frozen ones included; those with the largest pull are divided first
     budgeted the limit rises to `cap` by a schedule, fast at first, so that early steps cost less
     resets   opacities are lowered each RESET_EVERY steps
-    prunes_large  Gaussians larger than LARGE are removed after the first RESET_EVERY steps
     start    Gaussians from which the schedule begins
     """
 
@@ -48,7 +48,6 @@ class AdaptiveDensity:
     scale_cost: float = 0.0
     budgeted: bool = False
     resets: bool = True
-    prunes_large: bool = True
     start: int = 0
 
     def after(self, step: int, steps: int, mean_rate: float) -> None:
@@ -57,8 +56,7 @@ class AdaptiveDensity:
         if step >= stop:
             return
         if step > START and step % EVERY == 0:
-            large = self.prunes_large and step > RESET_EVERY
-            self.refine(prune_large=large, most=self.budget((step - START) / max(1, stop - START)))
+            self.refine(self.budget((step - START) / max(1, stop - START)))
         if self.resets and step % RESET_EVERY == 0:
             self.population.limit_logits(self.population.frozen, self.population.count, logit(OPACITY_RESET))
             self.population.activate()
@@ -68,7 +66,7 @@ class AdaptiveDensity:
         grown = progress * (2.0 - progress) if self.budgeted else 1.0
         return self.start + round((self.cap - self.start) * grown)
 
-    def refine(self, *, prune_large: bool, most: int | None = None) -> None:
+    def refine(self, most: int | None = None) -> None:
         """Clone, split and prune once, up to `most` Gaussians (default: the cap)."""
         p = self.population
         n = p.count
@@ -85,16 +83,14 @@ class AdaptiveDensity:
         split = scale[divided] > SMALL * self.extent
         both = np.concatenate([divided[split], added[split]])
         p.scatter(both, self.rng.standard_normal((len(both), 3)), SPLIT_SHRINK)
-        self.prune(prune_large=prune_large)
+        self.prune()
         p.clear_statistics()
 
-    def prune(self, *, prune_large: bool) -> None:
-        """Remove faint Gaussians, and huge ones if asked for; the last rows take their places."""
+    def prune(self) -> None:
+        """Remove faint Gaussians; the last rows take their places."""
         p = self.population
         n = p.count
         dead = p.parameters.logit.to_numpy()[:n] < logit(OPACITY_MIN)
-        if prune_large:
-            dead |= p.parameters.log_scale.to_numpy()[:n].max(axis=1) > np.log(LARGE * self.extent)
         dead[: p.frozen] = False
         alive = max(1, n - int(dead.sum()))
         if alive == n:

@@ -30,7 +30,6 @@ class TrainOptions:
     degree_interval  steps after which one more degree of the harmonics is learned
     budgeted         the number of Gaussians follows a schedule towards `cap` (see `AdaptiveDensity`)
     resets           opacities are lowered periodically; Gaussians whose opacity does not recover are pruned
-    prunes_large     Gaussians larger than LARGE (densification.py) are pruned, after the first reset
     """
 
     steps: int = 30_000
@@ -49,7 +48,6 @@ class TrainOptions:
     degree_interval: int = SH_DEGREE_INTERVAL
     budgeted: bool = False
     resets: bool = True
-    prunes_large: bool = True
 
 
 def fast(options: TrainOptions) -> TrainOptions:

@@ -47,7 +47,6 @@ class Trainer:
         self.strategy = STRATEGIES[options.strategy](self.population, extent, options.cap, self.rng)
         if isinstance(self.strategy, AdaptiveDensity):
             self.strategy.budgeted, self.strategy.resets = options.budgeted, options.resets
-            self.strategy.prunes_large = options.prunes_large
             self.strategy.start = len(start)
         self.views = TrainingViews(photographs, options.coarse, len(self.objects))
         cameras = self.views.cameras

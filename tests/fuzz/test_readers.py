@@ -41,7 +41,7 @@ FAULTS = {
     "RuntimeWarning": lambda path: np.float32(1e30) * np.float32(1e30),
     "not one line": multi_line,
     "names the file": lambda path: refuse("something"),
-    "took": lambda path: np.ones(4_000_000).sum(),
+    "took": lambda path: np.ones(12_500_000).sum(),  # over 32 MiB: never from memory that the process still holds
 }
 
 

@@ -79,7 +79,7 @@ def test_what_is_divided_hands_its_label_down(trained):
     rows = {"pull": pull, "pulls": np.ones(n, np.float32), "logit": logits, "label": labels}
     small = np.full((n, 3), np.log(0.005), np.float32)  # cloned, not split
     p.write(kept | rows | {"first_label": labels, "log_scale": small})
-    AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1)).refine(prune_large=False)
+    AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1)).refine()
     after = p.read()
     assert p.count == n + 1
     assert_array_equal(after["label"][n], labels[3])

@@ -86,7 +86,7 @@ def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
     pull[[3, 5]], scales[5], logits[[0, 8]] = 1.0, np.log(0.05), logit(0.001)
     rows = kept | {"pull": pull, "pulls": np.ones(n, np.float32), "log_scale": scales, "logit": logits}
     p.write(rows)
-    strategy.refine(prune_large=False)
+    strategy.refine()
     after = p.read()
     assert p.count == n + 2 - 2 and not after["pull"].any()
     assert_array_equal(after["mean"][3], kept["mean"][3])  # the clone keeps its moments, its copy has none
@@ -99,7 +99,7 @@ def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
     assert not gone & moved and len(moved & {tuple(m) for m in kept["mean"].tolist()}) == n - 3
     rows["pull"] = np.ones(n, np.float32)
     p.write(rows)
-    strategy.refine(prune_large=False)
+    strategy.refine()
     assert p.count <= CAP  # the budget holds
     p.write(kept)
 
@@ -115,7 +115,7 @@ def test_frozen_gaussians_stay_as_they_are_bit_for_bit(trained):
         p.write(p.read() | {"logit": faint, "pull": np.ones(p.count, np.float32)})
         before, cov = p.read(), p.splats.cov.to_numpy()
         adaptive = AdaptiveDensity(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
-        adaptive.refine(prune_large=True)
+        adaptive.refine()
         p.limit_logits(p.frozen, p.count, logit(0.01))
         monte_carlo = MonteCarlo(p, extent=1.0, cap=CAP, rng=np.random.default_rng(1))
         monte_carlo.relocate()

@@ -2,8 +2,8 @@
 
 Each demo is played by its scene's scripted player in steps of 1/90 s, one a frame, in two eyes of 1800x1920, with the
 player's hands drawn and their finger contact, but no OpenGL: a frame ends when the device has finished the picture. A
-game that is over begins again. Times of the stages are medians of a second play, in which each stage waits for the device; that
-takes longer than a frame as it runs.
+game that is over begins again. Times of the stages are medians of a second play, in which each stage waits for the
+device; that takes longer than a frame as it runs.
 """
 
 from __future__ import annotations

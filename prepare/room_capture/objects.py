@@ -42,7 +42,7 @@ class Support:
     level: float = 0.0
 
 
-def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
+def support_of(thing: Gaussians, rest: Gaussians) -> Support:
     """The part of the rest of a room [m], +y up, that holds an object.
 
     It stands if its contacts near the foot surround its centre, as those of a base do; else it hangs, as a trophy on a
@@ -58,9 +58,7 @@ def support_of(name: str, thing: Gaussians, rest: Gaussians) -> Support:
         reach = TOUCH * size + widths(thing)[:, None] + widths(rest)[at]
         touch = np.flatnonzero((away < reach).any(axis=1))
     if len(touch) < TOUCHES_MIN:
-        raise BadInput(
-            f"{name}: touches nothing that holds it up; photograph what it stands on, or mark it as background"
-        )
+        raise BadInput("touches nothing that holds it up; photograph what it stands on, or mark it as background")
     centre, touching = np.median(own, axis=0), own[touch]
     foot = touching[touching[:, 1] < low[1] + BASE * (high[1] - low[1])][:, [0, 2]]
     if len(foot) >= TOUCHES_MIN and holds_centre(foot, middle_of(own)[[0, 2]]):

@@ -120,17 +120,24 @@ def point_in_photograph(gaussians: Gaussians, capture: Capture, name: str, x: fl
 def held_objects(room: PlacedRoom, say: Callable[[str], None]) -> tuple[PlacedRoom, list[Support]]:
     """The room whose objects can be grabbed, and what holds each of them.
 
-    An object of too few Gaussians stays in the background, as a line to `say` tells. Raises BadInput, naming an object
-    that nothing holds, or if no object is left.
+    An object of too few Gaussians, or one that nothing holds, stays in the background, as a line to `say` tells. Raises
+    BadInput if no object is left.
     """
     g, lost = room.gaussians, {}
     for k in sorted({*range(1, len(g.objects) + 1), *np.unique(g.object_id).tolist()} - {0}):
         own = g.object_id == k
         if why := too_little(g.select(own), room.weight[own].sum() / room.weight.sum()):
             lost[object_name(g, k)] = why
-    room = without_objects(room, lost, say)
-    things, rest = room.parts()
-    return room, [support_of(name, thing, rest) for name, thing in zip(room.names, things, strict=True)]
+    while True:
+        room, lost, held = without_objects(room, lost, say), {}, []
+        things, rest = room.parts()
+        for name, thing in zip(room.names, things, strict=True):
+            try:
+                held.append(support_of(thing, rest))
+            except BadInput as e:
+                lost[name] = str(e)
+        if not lost:  # else what stays in the background may hold another
+            return room, held
 
 
 def without_objects(room: PlacedRoom, lost: dict[str, str], say: Callable[[str], None]) -> PlacedRoom:

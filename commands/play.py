@@ -216,6 +216,8 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
     if not scene.cast:
         return scene
     files = dict(zip([*bodies, stage], [*(args.body or ()), args.stage], strict=True))
+    if room := (args.options or {}).get("capture"):
+        files[str(Path(room) / "room.h5")] = room
     cast = tuple((Path(files[asset]).name, role) for asset, role in scene.cast)
     print("; ".join(f"{file} is {role}" for file, role in cast), flush=True)
     return replace(scene, cast=cast)

@@ -13,6 +13,7 @@ from assets.gaussians import Gaussians
 from assets.library import find_asset
 from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
 from commands.parser import parse
+from commands.play import load_scene
 from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
@@ -112,11 +113,14 @@ def test_pointed_ends_come_first_and_what_is_held_is_no_end():
     assert parts[0].part == "right" and "lower end" not in {p.part for p in parts}
 
 
-def test_other_demos_play_in_a_captured_room(folder):
+def test_other_demos_play_in_a_captured_room(folder, capsys):
     scene = registry.load("box_moving", capture=str(folder))
     assert scene.bodies[0].asset == str(folder / "room.h5") and scene.cast[-1][1].startswith("the room")
     args = parse(["--scene", "animal_crossing", "--stage", str(folder)], "", print)
     assert prepared_stage(args) == str(folder / "room.h5")
+    capsys.readouterr()
+    load_scene(parse(["--scene", "box_moving", "--capture", str(folder)], "", print), None)
+    assert capsys.readouterr().out.startswith(f"{folder.name} is the room")
 
 
 def test_rooms_in_the_working_directory_are_in_the_menu_of_scenes(folder, monkeypatch):

@@ -199,6 +199,7 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
 
     A line says which role each of them plays.
     """
+    from assets.room_folder import read_room
     from scenes import registry
 
     if args.detail == "paper":
@@ -217,7 +218,7 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
         return scene
     files = dict(zip([*bodies, stage], [*(args.body or ()), args.stage], strict=True))
     if room := (args.options or {}).get("capture"):
-        files[str(Path(room) / "room.h5")] = room
+        files[str(Path(room) / read_room(room).background)] = room
     cast = tuple((Path(files[asset]).name, role) for asset, role in scene.cast)
     print("; ".join(f"{file} is {role}" for file, role in cast), flush=True)
     return replace(scene, cast=cast)

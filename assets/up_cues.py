@@ -113,8 +113,10 @@ def up_cues(gaussians: Gaussians) -> dict[str, dict[str, float]]:
 
 
 def _stability(up: np.ndarray, heights: np.ndarray, longest: float) -> float:
-    """How far the centre must rise for the thing to leave the pose of rest nearest to `up` (3,), in its extents; -0.2
-    to 0.2, negative where it falls by itself. So it does not matter how the frame leans."""
+    """Height by which the centre must rise to leave the pose of rest nearest to `up` (3,), in its extents.
+
+    -0.2 to 0.2, negative where it falls by itself. So it does not matter how the frame leans.
+    """
     cosine = DIRECTIONS @ up
     rim = heights[(cosine < AROUND[0]) & (cosine > AROUND[1])].min()
     return float(np.clip((rim - heights[cosine > NEAR].min()) / longest, -0.2, 0.2))

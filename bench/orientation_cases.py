@@ -40,7 +40,7 @@ class OrientationCase:
 
     @property
     def kind(self) -> str:
-        """What the user says that it is."""
+        """The kind that the user names."""
         return "scene" if self.family in (*ROOMS, *SCENES) else "body"
 
 

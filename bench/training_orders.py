@@ -157,7 +157,7 @@ def default_order(rows: list[dict]) -> tuple[str, str]:
 
 
 def foreign_costs(rows: list[dict]) -> str:
-    """What it costs to play Gaussians that were trained for z in another order, means over the captures."""
+    """Costs of playing Gaussians that were trained for z in another order, means over the captures."""
     psnr = {sort: np.mean([r["psnr"] for r in rows if r["trained"] == "z" and r["played"] == sort]) for sort in SORTS}
     parts = [f"{sort} {psnr[sort] - psnr['z']:+.2f} dB" for sort in SORTS if sort != "z"]
     best = max(psnr, key=psnr.get)

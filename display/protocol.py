@@ -94,7 +94,7 @@ class WorldView(Protocol):
     """True if it was selected or changed within the last seconds."""
 
     room_middle: np.ndarray | None = None
-    """What the user's room is turned about, (3,) [m]; None: there is no room of the user's."""
+    """Point (3,) [m] about which the user's room is turned; None: there is no room of the user's."""
 
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Acceleration of what falls [m/s^2]."""

@@ -384,7 +384,7 @@ class World(WorldView):
 
     @property
     def room_middle(self) -> np.ndarray | None:
-        """What the user's room is turned about (3,) [m]; None: there is no room of the user's."""
+        """Point (3,) [m] about which the user's room is turned; None: there is no room of the user's."""
         return self.room.middle if self.room.own is not None else None
 
     @property

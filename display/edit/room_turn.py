@@ -26,7 +26,7 @@ def own_room(scene: Scene) -> Body | None:
 
 
 class RoomTurn:
-    """How far the room has been turned since the start: `pose`, a rigid transform (4, 4) of the world.
+    """The turn of the room since the start: `pose`, a rigid transform (4, 4) of the world.
 
     own   the room's body; None: it is none of the user's
     kept  the pose that its file has
@@ -57,7 +57,7 @@ class RoomTurn:
 
     @property
     def middle(self) -> np.ndarray:
-        """What the scene looks at (3,) [m]: it stays where it is."""
+        """The point (3,) [m] that the scene looks at: it stays where it is."""
         return np.asarray(self._device.scene.target, np.float64)
 
     def place(self, pose: np.ndarray) -> None:

@@ -38,7 +38,7 @@ NEIGHBOURS = 24  # Gaussians that a normal is found from
 
 
 class ShadowMaps:
-    """What a thing lets pass of light from directions (J, 3)."""
+    """The share of light from directions (J, 3) that a thing lets pass."""
 
     def __init__(self, thing: Gaussians, directions: np.ndarray, *, antialias: bool, sort: str):
         ball = Surroundings.of(thing)

@@ -1,7 +1,5 @@
 """Up axis: known scenes and a cup, downloaded splats, confidence against frequency; and poses of rest of a box."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -111,12 +109,9 @@ def test_a_thing_rests_on_the_sides_it_can_lie_on():
 
 
 @pytest.mark.parametrize("name", ["toy_cat", "plush_dragon", "biker_human"])
-def test_downloaded_splats_stand_on_their_feet(name):
+def test_downloaded_splats_stand_on_their_feet(name, shared):
     """None of which the model was fitted to."""
-    path = Path(__file__).parents[3] / f"shared/data/splats/{name}.ply"
-    if not path.exists():
-        pytest.skip(f"needs {path}")
-    found = guess_up_axis(read_gaussians(path), "body")
+    found = guess_up_axis(read_gaussians(shared / f"data/splats/{name}.ply"), "body")
     assert found[0] == {"toy_cat": "-y", "plush_dragon": "+y", "biker_human": "-y"}[name] and found[1] > 0.6
 
 

@@ -11,7 +11,7 @@ N, J = 600, 24
 
 
 class Screen:
-    """What a thing lets pass: the same to all points."""
+    """Light that a thing lets pass: the same to all points."""
 
     def __init__(self, passing):
         self._passing = np.asarray(passing, float)

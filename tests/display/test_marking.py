@@ -125,7 +125,7 @@ def opened(path: Path, out: Path):
         process = subprocess.Popen(words, env=screen.env, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         try:
             window = screen.wait_for_window(f"Mark {path.name}", seconds=120)
-            until(lambda: screen.pixels()[100:, 400:].max() > 60)  # the picture is there
+            until(lambda: (screen.pixels()[100:, 400:] > 60).mean() > 0.02)  # the picture is there, not only a pointer
             yield screen, window, process
         finally:
             process.kill()

@@ -27,24 +27,26 @@ def clearest(gaussians: Gaussians, eyes: list[np.ndarray], target: np.ndarray) -
     from render.renderer import Renderer
     from render.splats import Splats
 
+    black = np.zeros((len(gaussians), 1, 3), np.float32)
+    splats = Splats(replace(gaussians, sh=black))
+    renderer = Renderer(splats, WIDTH, HEIGHT, outputs="float", sort="radial")
     shares = []
     for eye in eyes:
-        splats = Splats(as_fog(gaussians, eye, target))
-        renderer = Renderer(splats, WIDTH, HEIGHT, outputs="float", sort="radial")
+        splats.write(0, gaussians.opacities, fog_colours(gaussians, eye, target))
         renderer.render([perspective(WIDTH, HEIGHT, FOV_Y, look_at(eye, target))])
         fog, alpha, depth = (f.to_numpy()[0] for f in (renderer.rgb, renderer.alpha, renderer.depth))
         clear = (alpha > SOLID) & (depth > NEAR * np.linalg.norm(target - eye)) & (fog[..., 0] < FOG_SHARE)
         shares.append(float(clear.mean()))
-        renderer.destroy()
-        splats.destroy()
+    renderer.destroy()
+    splats.destroy()
     best = int(np.argmax(np.round(shares, 1)))
     return eyes[best], shares[best]
 
 
-def as_fog(gaussians: Gaussians, eye: np.ndarray, target: np.ndarray) -> Gaussians:
-    """The Gaussians in white where they are fog, seen from an eye: before the target, and wide; all others in black."""
+def fog_colours(gaussians: Gaussians, eye: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Harmonics (N, 1, 3) that draw Gaussians which are fog for an eye in white: wide ones before the target; all
+    others in black."""
     away = np.linalg.norm(gaussians.means - eye, axis=1)
     width = 2.0 * np.exp(np.sort(gaussians.log_scales, axis=1)[:, 1])
     fog = (away < np.linalg.norm(target - eye)) & (width > FOG_WIDTH * away)
-    sh = np.where(fog, 0.5 / C0, -0.5 / C0)[:, None, None].repeat(3, axis=2).astype(np.float32)
-    return replace(gaussians, sh=sh)
+    return np.where(fog, 0.5 / C0, -0.5 / C0)[:, None, None].repeat(3, axis=2).astype(np.float32)

@@ -21,4 +21,5 @@ def test_fog_before_the_eye_is_no_clear_view(ti_cpu):
     eyes, target = [np.array([-1.2, 0.0, 2.0]), np.array([1.2, 0.0, 2.0])], np.zeros(3)
     chosen, share = clearest(concatenate([wall, fog]), eyes, target)
     assert (chosen == eyes[1]).all() and share > CLEAR
-    assert clearest(concatenate([wall, fog]), eyes[:1], target)[1] < CLEAR
+    far = np.array([0.0, 0.0, 200.0])  # for which nothing is fog, and which sees next to nothing
+    assert clearest(concatenate([wall, fog]), [far, eyes[0]], target)[1] < CLEAR

@@ -314,6 +314,24 @@ def some_stage() -> Asset:
     return Asset(g, environment=stage)
 
 
+def test_objects_cut_out_are_not_left_behind_without_their_scene(tmp_path, monkeypatch):
+    """The scene's own file is the last to be written, and all of them appear at once."""
+
+    def prepared(*_, **__):
+        stage = some_stage()
+        return replace(stage, provenance={"up_probabilities": {"+y": 1.0}}), {7: stage.gaussians}
+
+    def refuse(*_, **__):
+        raise BadInput("out.h5: cannot be written (No space left on device)")
+
+    write_gaussians(tmp_path / "in.ply", table_and_jug())
+    monkeypatch.setattr("prepare.prepared_files.prepare_environment", prepared)
+    monkeypatch.setattr("assets.asset.Asset.save", refuse)
+    with pytest.raises(BadInput, match="No space left"):
+        prepare_environment_file(tmp_path / "in.ply", tmp_path / "out.h5", report=lambda line: None)
+    assert [p.name for p in tmp_path.iterdir()] == ["in.ply"]
+
+
 def test_a_stage_is_written_and_read_again(tmp_path):
     asset = some_stage()
     asset.save(tmp_path / "s.h5")

@@ -168,17 +168,6 @@ def test_an_empty_scene(prepared, tmp_path):
     assert_refused(prepared("empty.ply", "--static"), "no Gaussians")
 
 
-def refuse(*_, **__):
-    raise BadInput("out.h5: cannot be written (No space left on device)")
-
-
-def test_objects_cut_out_are_not_left_behind_without_their_scene(prepared, tmp_path, monkeypatch):
-    """The scene's own file is the last to be written, and all of them appear at once."""
-    Asset(table_and_jug()).save(tmp_path / "in.h5")
-    monkeypatch.setattr("assets.asset.Asset.save", refuse)
-    assert_refused(prepared("in.h5", "--static", "--cut", "7"), "No space left")
-
-
 def test_an_asset_is_not_left_behind_without_its_report(prepared, tmp_path, monkeypatch):
     write_gaussians(tmp_path / "ball.ply", ball(1000))
     monkeypatch.setattr("prepare.prepared_files.splat_picture", lambda *_: np.zeros((48, 56, 3), np.uint8))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial import Delaunay
+from scipy.spatial import ConvexHull
 
 from assets.asset import Asset
 from assets.library import animated_height, find_asset
@@ -54,7 +54,8 @@ def test_the_scripted_player_meets_the_dancer_with_what_he_throws(throws, stage)
             least = min(least, least_volumes(asset.cage.tets, np.stack([rest, x])).min())
             round_hem = x[hem, ::2] - x[hem, ::2].mean(0)
             swing = max(swing, np.ptp(np.linalg.norm(round_hem, axis=1)))
-            through = max(through, (Delaunay(x[skirt]).find_simplex(x[knees]) < 0).mean())
+            hull = ConvexHull(x[skirt]).equations
+            through = max(through, (x[knees] @ hull[:, :3].T + hull[:, 3] > 0).any(axis=1).mean())
     assert game.score == throws
     if throws == 3:
         game.verify(world.bodies())

@@ -10,7 +10,7 @@ from scenes import registry
 from scenes.attic_floor import FAR, HOLE, PALLET, SIZES, boxes, colliders
 from scenes.box_moving import TURN, BoxMoving, before_hole
 from scenes.scene import Box
-from tests.support.blind_world import blind_world
+from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]
 

@@ -15,6 +15,7 @@ from prepare.rig.skin_weights import least_volumes
 from scenes import registry
 from scenes.just_dance import THROW_PERIOD
 from scenes.scene import Hand
+from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]
 
@@ -22,12 +23,7 @@ DT = 1 / 60  # [s]
 @pytest.fixture(scope="module")
 def stage(ti_cpu):
     """The scene in a world that draws nothing, and the dancer's asset."""
-    from display.world import World
-
-    world = World(registry.load("just_dance"), width=32, height=32)
-    world.device.render = lambda cameras: None
-    world.device.cast_shadow = lambda: None
-    return world, Asset.load(find_asset("dancer"))
+    return blind_world(registry.load("just_dance")), Asset.load(find_asset("dancer"))
 
 
 def shape(world, asset) -> np.ndarray:
@@ -72,7 +68,7 @@ def test_a_hand_does_not_stop_the_dance(stage):
     world, asset = stage
     world.apply([Reset()])
     a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
-    place = np.array(world.scene.bodies[1].position)
+    place = np.array(world.scene.bodies[0].position)
     led = a.vertices[a.driven]
     free = np.setdiff1d(np.arange(len(rest)), led)
     grip = place + rest[free[np.argmin(np.linalg.norm(rest[free] - rest.mean(0), axis=1))]]
@@ -91,7 +87,7 @@ def test_a_hand_does_not_stop_the_dance(stage):
 def led_and_wanted(world, asset, body: int, time: float, move: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Driven vertices of a body as they are, and as the motion has them, moved by (4, 4) of the world."""
     a, rest = asset.animation, asset.cage.vertices.astype(np.float64)
-    place = np.array(world.scene.bodies[1].position)
+    place = np.array(world.scene.bodies[0].position)
     led, first = a.vertices[a.driven], world.device.solver.vertex_offset[body]
     wanted = a.skinned(rest[a.vertices], a.matrices(time))[a.driven] + place
     x = world.device.solver.x.to_numpy()[first : first + len(rest)].astype(np.float64)

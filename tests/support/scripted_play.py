@@ -1,4 +1,4 @@
-"""A scene without its room played through by its scripted hands; nothing is drawn."""
+"""A scene without its room, simulated but not drawn, and played through by its scripted hands."""
 
 from __future__ import annotations
 
@@ -10,16 +10,22 @@ from scenes.scene import Scene
 DT = 1 / 60  # [s]
 
 
-def play(scene: Scene, seconds: float | None = None, each=None):
-    """The World after the game's duration, or `seconds`; `each(time, world)` is called after every frame."""
+def blind_world(scene: Scene):
+    """The World of a scene's bodies without its room, as they start; neither shadows nor pictures are made."""
     from display.world import World
 
     bare = replace(scene, bodies=[b for b in scene.bodies if b.material is not None])
     world = World(bare, width=32, height=32)
     world.device.render, world.device.cast_shadow = lambda cameras: None, lambda: None
-    for k in range(round((seconds or scene.game.duration) / DT)):
-        time = (k + 1) * DT
-        world.step(Frame(DT, time, [], world.scripted_hands(time)))
+    return world
+
+
+def play(scene: Scene, seconds: float | None = None, each=None, *, dt: float = DT):
+    """The World after the game's duration, or `seconds`; `each(time, world)` is called after every frame."""
+    world = blind_world(scene)
+    for k in range(round((seconds or scene.game.duration) / dt)):
+        time = (k + 1) * dt
+        world.step(Frame(dt, time, [], world.scripted_hands(time)))
         if each is not None:
             each(time, world)
     return world

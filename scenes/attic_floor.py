@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from core.material import Material
-from scenes.scene import Body, Box, Capsule, Light, Plane, Quat, Room, Vec3
+from scenes.scene import Body, Box, Capsule, Game, Light, Plane, Quat, Room, Spot, Vec3
 
 KNEE, RIDGE = (2.1, 0.62), 2.55  # [m] x and height of the knee walls, height of the ridge
 FAR, NEAR = -1.1, 2.5  # [m] z of the gable walls
@@ -32,6 +34,7 @@ STARTS = {
     "box_crate": (-0.46, 0.0, -0.86, 0.0),
     "box_cardboard": (0.0, 0.0, -0.88, 0.0),
 }
+STATIONS = ((0.90, 0.02, 0.65), (0.0, -0.88, 0.33), (-0.46, -0.86, 0.28))  # x, z, radius: the pallet, two stacks [m]
 PLACES = {
     "box_parcel": (-0.26, 0.21),
     "box_tin": (0.26, 0.21),
@@ -64,9 +67,9 @@ def colliders() -> list[Plane | Box | Capsule]:
     return [*room_colliders(), Box((x, h / 2, z), (w / 2, h / 2, d / 2), friction=0.6)]
 
 
-def room() -> Room:
+def room(game_at: Callable[[Sequence[Spot], float], Game]) -> Room:
     """The attic, from which the play moves on to another floor: boxes and pallet come along."""
-    return Room(("attic",), tuple(room_colliders()), (0.3, 0.0, -0.3), 1.0, on_floor=True)
+    return Room(("attic",), tuple(room_colliders()), (0.3, 0.0, -0.3), 1.0, True, STATIONS, game_at)
 
 
 def room_colliders() -> list[Plane | Box | Capsule]:

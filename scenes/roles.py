@@ -21,13 +21,14 @@ from assets.environment import Environment
 from assets.hdf5 import open_hdf5
 from assets.integers import read_grid
 from assets.library import animated_height, asset_material, cage_vertices, find_asset
-from assets.room_folder import is_room_folder, read_room
+from assets.room_folder import RoomManifest, is_room_folder, read_room
 from core.camera import Camera
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Body, Plane, Quat, Role, Room, Vec3
+from scenes.free_ground import SIZES, ground_of, laid_out, line_of_sight
+from scenes.scene import Body, Box, Plane, Quat, Role, Room, Spot, Vec3
 
 if TYPE_CHECKING:  # a module that has it is taken for a scene
     from scenes.scene import Scene
@@ -42,6 +43,9 @@ TURNS = np.pi / 8 * np.array([0, 1, -1, 2, -2, 3, -3, 4, -4, 5, -5, 6, -6, 7, -7
 BOX_POINTS = 0.1 + 0.4 * np.indices((3, 3, 3)).reshape(3, -1).T  # of a body's bounding box, in its extents
 SHIFTS_ASIDE, SHIFTS_UP = np.linspace(0.0, 1.0, 21), (0.0, 0.2, 0.4, 0.6, 0.8)  # of the way to the spot; [m]
 UNSEEN_WEIGHT = 0.3  # [m] of free space, and of the way to the eye, for a view that no photograph is like
+EYES_TRIED = 16  # photographers from whose places a play is looked for
+PAD, PAD_FRICTION = 0.85, 0.8  # of a station's radius: half a side of the level pad in its ground
+SHOWN = 0.8  # of the view from there, in which its ground must lie
 NEAREST_EYE = 0.4  # of the way from target to eye: nearer, one would not see the play
 
 
@@ -108,6 +112,9 @@ def in_room(scene: Scene, stage: str) -> Scene:
     environment, grid = load_room(stage)
     cameras = photographs_of(stage)
     at, free = spot_in(environment, grid, own, partial(unphotographed, scene, cameras) if cameras else None)
+    if own.stations and grid is not None and free < own.radius:
+        grids = [g.scaled(1.0) for g in (grid, *environment.fine_grids)]  # to float32 once, not for each sample
+        return set_out(scene, stage, environment, grids)
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
     angles = facing + TURNS if own.on_floor else facing[None]
@@ -135,6 +142,86 @@ def in_room(scene: Scene, stage: str) -> Scene:
         floor=floor,
         cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
     )
+
+
+def set_out(scene: Scene, stage: str, environment: Environment, grids: list[DistanceGrid]) -> Scene:
+    """The scene with its stations laid out on free ground of a room, where one of its photographers saw them all.
+
+    All is smaller where it must be. Raises BadInput where there is no room even so.
+    """
+    own, fov = scene.room, scene.fov_y
+    best, eyes = None, [(environment.eye_position, environment.drop_point)]
+    if room := room_around(stage):
+        step = -(-len(room.cameras) // EYES_TRIED)
+        ahead = [(c.position, c.position + c.world_to_camera[2, :3]) for c in room.cameras[::step]]
+        eyes, fov = [(room.eye, room.target), *ahead], room.fov_y
+    focus = np.array(room.target if room else environment.drop_point)[[0, 2]]
+    ground = ground_of(grids, environment.floor_height)
+    for eye, target in eyes:
+        sees = partial(in_view, grids, np.array(eye), np.array(target), SHOWN * 0.5 * fov)
+        found = laid_out(ground, [radius for *_, radius in own.stations], focus, sees)
+        if found is not None and (best is None or found[1] > best[2]):
+            best = np.array(eye), *found
+    if best is None:
+        places = f"{len(own.stations)} places of {200 * SIZES[-1] * min(r for *_, r in own.stations):.0f} cm and more"
+        raise BadInput(f"{stage}: there is no room for this play: it needs {places} of free, level ground in view")
+    eye, spots, size = best
+    middle = np.mean([(s.at[0], s.ground, s.at[1]) for s in spots], axis=0)
+    extent = max(np.hypot(*(middle[[0, 2]] - s.at)) + size * r for s, (*_, r) in zip(spots, own.stations, strict=True))
+    nearer = extent / (SHOWN * np.tan(0.5 * fov)) / np.linalg.norm(eye - middle)
+    eye = middle + np.clip(nearer, NEAREST_EYE, 1.0) * (eye - middle)  # nothing is in between
+    at = np.array([middle[0], environment.floor_height, middle[2]])
+    rotation, position = around(own.spot, at, angle_between(eye - middle, np.subtract(scene.eye, own.spot)))
+    turn = matrices_from_quaternions(np.array(rotation))
+    spots = [placed_spot(spot, turn, np.array(position)) for spot in spots]
+
+    def station(at: np.ndarray) -> int:
+        return int(np.argmin([np.hypot(at[0] - x, at[2] - z) for x, z, _ in own.stations]))
+
+    def there(at: Vec3, on: float, k: int) -> Vec3:
+        x, z, _ = own.stations[k]
+        return tuple(map(float, size * np.subtract(at, (x, own.spot[1], z)) + (spots[k].at[0], on, spots[k].at[1])))
+
+    bodies, colliders = [Body(stage, rotation=rotation, position=position)], []
+    for body in scene.bodies:
+        if body.asset not in own.assets:
+            k = station(np.array(body.position))
+            on = spots[k].ground if body.material is None else spots[k].top
+            bodies.append(replace(body, position=there(body.position, on, k), scale=size * body.scale))
+    for box in scene.colliders:
+        if box not in own.colliders:  # of what stands on a station: a box
+            k = station(np.array(box.center))
+            half = tuple(size * h for h in box.half_size)
+            colliders.append(replace(box, center=there(box.center, spots[k].ground, k), half_size=half))
+    stood_on = {station(np.array(b.position)) for b in scene.bodies if b.material is None and b.asset not in own.assets}
+    for k, spot in enumerate(spots):
+        if k not in stood_on:  # captured ground is rough: what is slender would fall
+            half = PAD * size * own.stations[k][2]
+            colliders.append(Box((spot.at[0], spot.top - half, spot.at[1]), (half, half, half), friction=PAD_FRICTION))
+    how = f", where the ground is free{'' if size == 1 else f'; all else is {100 * size:.0f} % as large'}"
+    return replace(
+        scene,
+        bodies=bodies,
+        colliders=[Plane((0.0, own.spot[1], 0.0), (0.0, 1.0, 0.0)), *colliders],
+        eye=tuple(map(float, turn @ eye + position)),
+        target=tuple(map(float, turn @ middle + position)),
+        fov_y=fov,
+        floor=own.spot[1],
+        game=own.game_at(spots, size),
+        cast=(*scene.cast, (stage, f"the room{how}")),
+    )
+
+
+def in_view(grids: list[DistanceGrid], eye: np.ndarray, target: np.ndarray, half: float, point: np.ndarray) -> bool:
+    """True if a point (3,) is seen from an eye, at most the angle `half` [rad] off what it looks at."""
+    a, b = target - eye, point - eye
+    return a @ b > np.cos(half) * np.linalg.norm(a) * np.linalg.norm(b) and line_of_sight(grids, eye, point)
+
+
+def placed_spot(spot: Spot, turn: np.ndarray, position: np.ndarray) -> Spot:
+    """A spot of a room that is turned about +y by a matrix and then moved."""
+    x, _, z = turn @ (spot.at[0], 0.0, spot.at[1]) + position
+    return Spot((float(x), float(z)), *(float(h + position[1]) for h in (spot.ground, spot.top, spot.over)))
 
 
 def clear_of_room(
@@ -178,13 +265,17 @@ def load_room(stage: str) -> tuple[Environment, DistanceGrid | None]:
     return environment, grid
 
 
+def room_around(stage: str) -> RoomManifest | None:
+    """The captured room whose background a room is; None if there is none. Raises BadInput."""
+    folder = Path(find_asset(stage)).parent
+    room = read_room(folder) if is_room_folder(folder) else None
+    return room if room and Path(room.background).name == Path(stage).name else None
+
+
 def photographs_of(stage: str) -> tuple[Camera, ...]:
     """The cameras of the photographs of a room that is the background of a captured one, else none. Raises BadInput."""
-    folder = Path(find_asset(stage)).parent
-    if not is_room_folder(folder):
-        return ()
-    room = read_room(folder)
-    return room.cameras if Path(room.background).name == Path(stage).name else ()
+    room = room_around(stage)
+    return room.cameras if room else ()
 
 
 def unphotographed(scene: Scene, cameras: Sequence[Camera], at: np.ndarray, angles: np.ndarray) -> np.ndarray:

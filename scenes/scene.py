@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -154,6 +155,22 @@ class Role:
 
 
 @dataclass(frozen=True)
+class Spot:
+    """Ground in a room for a station of a play (scenes/free_ground.py).
+
+    at      (x, z) of its middle [m]
+    ground  its usual height [m]
+    top     its highest [m]: nothing that stands there begins in the ground
+    over    the highest ground [m] on the straight way from the play's largest station
+    """
+
+    at: tuple[float, float]
+    ground: float
+    top: float
+    over: float
+
+
+@dataclass(frozen=True)
 class Room:
     """The part of a scene that is its room, which one of the user's may replace (scenes/roles.py).
 
@@ -162,6 +179,9 @@ class Room:
     spot       middle of the play [m], which comes to lie on a table or the floor of the user's room
     radius     [m] of level, free space that the play takes around it
     on_floor   the spot belongs on the floor, where a table may be higher
+    stations   discs of ground (x, z, radius) [m], each with what stands there: where the radius is not free they are
+               laid out one by one, all of them smaller if they must be; none: the play takes the ground that there is
+    game_at    makes the game of a play that was laid out so, from the spots of the stations and its size (1: as it is)
     """
 
     assets: tuple[str, ...]
@@ -169,6 +189,8 @@ class Room:
     spot: Vec3
     radius: float
     on_floor: bool = False
+    stations: tuple[Vec3, ...] = ()
+    game_at: Callable[[Sequence[Spot], float], Game] | None = None
 
 
 @dataclass(frozen=True)

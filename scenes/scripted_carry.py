@@ -47,14 +47,14 @@ class Carry:
         return Hand(tuple(position), grip=self.approach_time <= t < self.released_at, reach=self.reach)
 
 
-def placing_hands(body: BodyState, place: tuple[float, float], factor: float, t: float) -> list[Hand]:
-    """Two hands that put a standing body down at `place`, x and z [m], and draw it larger by `factor`.
+def placing_hands(body: BodyState, place: Vec3, factor: float, t: float) -> list[Hand]:
+    """Two hands that put a standing body down on the ground at `place`, and draw it larger by `factor`.
 
     `t` [s] after the start, when the body was as in `body`.
     """
     x, middle, z = body.centroid
     s = ease((t - 0.3) / 0.8)
-    way = np.array([place[0] - x, (factor - 1) * (middle - body.low[1]), place[1] - z])
+    way = np.array(place) + [0.0, factor * (middle - body.low[1]), 0.0] - body.centroid
     at = np.array([x, middle + 0.35 * np.sin(np.pi * s), z]) + s * way
     apart = 0.06 * (1 + (factor - 1) * s)
     return [Hand(tuple(at + [0.0, 0.0, d]), grip=0.2 < t < 1.25, reach=0.2) for d in (-apart, apart)]

@@ -20,6 +20,7 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
 from core.runtime import end_taichi, start_taichi
+from prepare.room_capture.program_source import source_digest
 from prepare.room_capture.stages import Stages, file_key
 from prepare.segment.marks import read_marks
 from prepare.segment.mask_files import photograph_size
@@ -146,6 +147,7 @@ class RoomMaking:
 
     def __init__(self, args: argparse.Namespace, stages):
         self.args, self.stages, self.notes = args, stages, []
+        self.source = source_digest("commands.capture_room")
         self.folder = args.capture if args.capture.is_dir() else args.capture.parent
         beside = self.folder / MARKS
         self.marks = args.marks or (beside if args.masks is None and beside.is_file() else None)
@@ -202,7 +204,7 @@ class RoomMaking:
         inputs = {**options, "capture": str(a.capture.resolve()), "files": capture_files(a.capture)}
         if self.masks is not None or a.masks:
             inputs["masks"] = [file_key(p) for p in sorted((a.masks or self.folder / "masks").iterdir())]
-        done = self.stages.run("train", inputs, make)
+        done = self.stages.run("train", inputs, make, source_digest("commands.train"))
         as_filed = train.posed_capture(arguments(done))
         self.turn, self.capture = rotation_between(as_filed.up, (0.0, 1.0, 0.0)), as_filed.upright()
         self.find_objects(self.capture)
@@ -232,7 +234,7 @@ class RoomMaking:
             found = seen_by_cameras(self.gaussians, self.capture, self.stages.progress)
             np.savez(folder / "seen.npz", weight=found.weight, views=found.views, depth=found.depth)
 
-        done = self.stages.run("cameras", {}, make)
+        done = self.stages.run("cameras", {}, make, self.source)
         with np.load(done / "seen.npz", allow_pickle=False) as file:
             return Contributions(file["weight"], file["views"], file["depth"])
 
@@ -243,7 +245,7 @@ class RoomMaking:
 
         g = self.gaussians
         if self.args.no_objects or self.masks is not None:  # those of masks have been learned with the Gaussians
-            self.stages.run("objects", {"none": self.args.no_objects}, lambda folder: None)
+            self.stages.run("objects", {"none": self.args.no_objects}, lambda folder: None, self.source)
             if self.args.no_objects:
                 self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
@@ -253,7 +255,7 @@ class RoomMaking:
             made = labelled(g, self.capture, self.masks_from(marks), self.stages.progress)
             write_gaussians(into / "objects.ply", made)
 
-        done = self.stages.run("objects", {"marks": marks.read_text(encoding="utf-8")}, make)
+        done = self.stages.run("objects", {"marks": marks.read_text(encoding="utf-8")}, make, self.source)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
     def masks_from(self, marks: Path):
@@ -300,7 +302,7 @@ class RoomMaking:
             made = {"objects": [asdict(thing) for _, thing in found], "lost": lost}
             (folder / "objects.json").write_text(json.dumps(made), encoding="utf-8")
 
-        done = self.stages.run("cages", inputs, make)
+        done = self.stages.run("cages", inputs, make, self.source)
         made = json.loads((done / "objects.json").read_text(encoding="utf-8"))
         rows = [{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()} for row in made["objects"]]
         things = [RoomObject(**row) for row in rows]
@@ -323,7 +325,7 @@ class RoomMaking:
                 painter = LamaNetwork(a.lama)
             write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, painter))
 
-        done = self.stages.run("inpaint", inputs, make)
+        done = self.stages.run("inpaint", inputs, make, self.source)
         return read_gaussians(done / "background.ply", self.say)
 
     def finish(self, room, rest, things: list) -> None:
@@ -336,7 +338,7 @@ class RoomMaking:
         def make(folder: Path) -> None:
             background(room, rest, things, cell=self.args.cell, progress=self.stages.progress).save(folder / "room.h5")
 
-        done, out = self.stages.run("room", {"cell": self.args.cell}, make), self.args.out
+        done, out = self.stages.run("room", {"cell": self.args.cell}, make, self.source), self.args.out
         (out / MANIFEST).unlink(missing_ok=True)  # until all parts are there this is no room
         shutil.rmtree(out / "objects", ignore_errors=True)
         make_folder(out / "objects")

@@ -1,7 +1,7 @@
 """Stages of a long pipeline: results are kept in a folder, so that an interrupted run resumes; progress on stderr.
 
-A stage is identified by its inputs. Its folder holds stage.json with their digest; it is called NAME.part until it is
-complete.
+A stage is identified by its inputs and by the program's source that makes it. Its folder holds stage.json with the
+digest of these; it is called NAME.part until it is complete.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ class Stages:
         self._now, self._begin, self._told = "", 0.0, 0.0
         self._step, self._since = ("", ""), (0.0, 0.0)  # which is being done; when it began [s], and at which fraction
 
-    def run(self, name: str, inputs: dict, make: Callable[[Path], None]) -> Path:
+    def run(self, name: str, inputs: dict, make: Callable[[Path], None], source: str = "") -> Path:
         """The folder with the result of a stage: kept, or made now by `make`, which writes into a folder.
 
         inputs  all that the result depends on, besides the stages before; JSON
+        source  digest of the program's source that makes it: after an update of the program it is made again
         """
-        text = json.dumps([self._digest, name, inputs], sort_keys=True)
+        text = json.dumps([self._digest, name, inputs, source], sort_keys=True)
         self._digest = hashlib.sha256(text.encode()).hexdigest()
         done, part = self.folder / name, self.folder / f"{name}.part"
         self._now, self._begin, self._told = name, time.perf_counter(), 0.0

@@ -21,6 +21,7 @@ from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
 from prepare.room_capture.objects import liftable, object_files, steady, support_of
+from prepare.room_capture.program_source import source_digest
 from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, without_objects
 from prepare.room_capture.seats import base_of, seated, without_solid
 from prepare.room_capture.stages import Stages
@@ -226,6 +227,39 @@ def test_a_cut_run_goes_on_and_changed_inputs_are_made_anew(tmp_path):
     (tmp_path / "work/first/stage.json").write_text("[")
     run(2)
     assert made[-1] == "first"
+
+
+def test_a_stage_is_made_again_once_the_source_that_makes_it_has_changed(tmp_path):
+    """By a module that is imported at any depth, in a function too; not by one that only shows results."""
+    files = {
+        "commands/make.py": "def run():\n    from prepare import cut\n    import display.window\n",
+        "prepare/cut.py": "import numpy as np\nfrom core.size import SIZE\n",
+        "core/size.py": "SIZE = 1\n",
+        "display/window.py": "TITLE = 'a'\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    made = []
+
+    def run() -> int:
+        source = source_digest("commands.make", tmp_path)
+        Stages(tmp_path / "work", ("first",)).run("first", {}, lambda folder: made.append(folder), source)
+        return len(made)
+
+    assert (run(), run()) == (1, 1)
+    (tmp_path / "display/window.py").write_text("TITLE = 'b'\n")
+    assert run() == 1
+    (tmp_path / "core/size.py").write_text("SIZE = 2\n")
+    assert run() == 2
+    (tmp_path / "prepare/cut.py").write_text("import numpy as np\nSIZE = 3\n")
+    assert run() == 3
+
+
+def test_a_module_without_source_is_an_error():
+    """Else a result would be taken for fresh for ever."""
+    with pytest.raises(FileNotFoundError, match=r"commands\.nothing"):
+        source_digest("commands.nothing")
 
 
 def test_time_left_is_that_of_the_step_and_is_not_said_where_it_is_not_known(tmp_path, monkeypatch, capsys):

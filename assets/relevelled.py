@@ -45,7 +45,7 @@ def relevelled(turned: Environment, gaussians: Gaussians, grid: DistanceGrid, ey
     others = [found for plane in turned.planes[1:] if (found := _level_part(plane, points[level], areas[level]))]
     drop, clear = _drop(turned, [floor, *others], grid)
     eye = _eye(np.array(turned.eye_position), np.array(drop), eye_height, grid)
-    return Environment(0.0, drop, eye, clear, (floor, *others), turned.fine_grids)
+    return Environment(0.0, drop, eye, clear, (floor, *others), turned.fine_grids, turned.target)
 
 
 def _level_part(plane: tuple, points: np.ndarray, areas: np.ndarray) -> tuple | None:

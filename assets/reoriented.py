@@ -84,9 +84,9 @@ def turned_grid(grid: DistanceGrid, rotation: np.ndarray, factor: float, shift: 
 
 def turned_environment(environment: Environment, rotation: np.ndarray, factor: float, shift: np.ndarray) -> Environment:
     """The same floor, planes and places; a plane is the bounding rectangle of its turned one, at its middle."""
-    drop, eye = (
-        tuple((factor * rotation @ np.array(p) + shift).tolist())
-        for p in (environment.drop_point, environment.eye_position)
+    drop, eye, target = (
+        p and tuple((factor * rotation @ np.array(p) + shift).tolist())
+        for p in (environment.drop_point, environment.eye_position, environment.target)
     )
     return Environment(
         factor * environment.floor_height + float(shift[1]),
@@ -95,6 +95,7 @@ def turned_environment(environment: Environment, rotation: np.ndarray, factor: f
         factor * environment.clear_radius,
         tuple(_turned_plane(plane, rotation, factor, shift) for plane in environment.planes),
         tuple(turned_grid(grid, rotation, factor, shift) for grid in environment.fine_grids),
+        target,
     )
 
 

@@ -117,28 +117,37 @@ def in_room(scene: Scene, stage: str) -> Scene:
         return set_out(scene, stage, environment, grids)
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
-    angles = facing + TURNS if own.on_floor else facing[None]
+    angles = facing + TURNS if own.on_floor and environment.target is None else facing[None]
     played = [b for b in scene.bodies if b.asset not in own.assets]
     best = None
     # The widest view, of what was photographed, then the fewest bodies in the way, then nearest to where its user stood
     for angle in angles:
         rotation, position = around(own.spot, at, angle)
-        eye, part = free_eye(scene, grid, rotation, position, floor)
+        eye, part = free_eye(scene, grid, rotation, position, floor) if environment.target is None else (None, 1.0)
         bodies = clear_of_room(played, grid, rotation, position, own.spot)
         unseen = float(unphotographed(scene, cameras, at[None], np.array([angle]))[0])
         rank = part - UNSEEN_WEIGHT * unseen, -sum(a is not b for a, b in zip(bodies, played, strict=True))
         if best is None or rank > best[0]:
             best = rank, eye, [Body(stage, rotation=rotation, position=position), *bodies]
     _, eye, bodies = best
+    target, levels = scene.target, [floor]
+    if environment.target is not None:  # a view that was searched: from elsewhere there may be fog
+        turn = matrices_from_quaternions(np.array(bodies[0].rotation))
+        eye, target = (
+            tuple((turn @ np.asarray(p) + bodies[0].position).tolist())
+            for p in (environment.eye_position, environment.target)
+        )
+    levels += [own.spot[1] for kind, *_ in environment.planes if kind == "unseen"]
     small = f" ({100 * free:.0f} cm are free around the play, which takes {100 * own.radius:.0f} cm)"
     return replace(
         scene,
         bodies=bodies,
         colliders=[
-            Plane((0.0, floor, 0.0), (0.0, 1.0, 0.0)),
+            *(Plane((0.0, height, 0.0), (0.0, 1.0, 0.0)) for height in levels),
             *(c for c in scene.colliders if c not in own.colliders),
         ],
         eye=eye,
+        target=target,
         floor=floor,
         cast=(*scene.cast, (stage, f"the room{small if free < own.radius else ''}")),
     )

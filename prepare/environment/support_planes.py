@@ -18,7 +18,12 @@ MIN_PLANE_AREA = 0.06  # [m^2] of a plane that can carry something
 HEIGHTS = (0.08, 2.2)  # [m] above the floor, of tables and shelves
 MAX_BOARD = 0.09  # [m] thickness; a plane this little under another is its underside
 GROUND_AREA, GROUND_DEPTH = 2.0, 0.3  # [m^2] of a plane that a table stands on, and [m] under it at least
+LEAN_COS = np.cos(np.radians(32.0))  # of a floor against the file's axis; beyond, another axis is nearer, or a wall
 TABLE_HEIGHTS, TABLE_AREA = (0.3, 1.2), 0.25  # [m], and [m^2] at least; other planes are shelves
+
+
+class NoFloor(BadInput):
+    """A scene in which no floor is found."""
 
 
 @dataclass(frozen=True)
@@ -58,13 +63,15 @@ def find_gravity(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, up:
     """Height of the floor along the true vertical, and the levelling rotation (3, 3), near the axis `up` of the file.
 
     points (N, 3) in the file's frame, normals (N, 3) of any sign, areas (N,) weights. An axis of the file is refined
-    to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis.
+    to the level planes, as cameras are seldom held straight. Raises BadInput for an unknown axis, and NoFloor.
     """
     turn = rotation_to_up(up)
     direction = refine_direction(turn[1], normals, areas)
     heights = points @ direction
     floor = find_floor_plane(heights, np.abs(normals @ direction) > LEVEL_COS, areas)[0]
     floor, direction = fit_floor(points, normals, areas, floor, direction)
+    if direction @ turn[1] < LEAN_COS:
+        raise NoFloor("what is most nearly level leans too much to be a floor")
     return floor, rotation_to_y(turn @ direction) @ turn
 
 
@@ -99,13 +106,13 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
     """The floor and, largest first, the tables and shelves.
 
     points [m] (N, 3) of the surface, evenly spread, +y up; normals (N, 3) that point into free space.
-    Peaks of a histogram of heights are split into connected components. Raises BadInput where there is no floor.
+    Peaks of a histogram of heights are split into connected components. Raises NoFloor.
     """
     up = normals[:, 1] > LEVEL_COS
     p = points[up]
     near = np.abs(p[:, 1] - floor) < 2 * THICKNESS
     if not near.any():
-        raise BadInput("no floor was found under the scene")
+        raise NoFloor("no floor was found under the scene")
     found = [planes_at(p[near], float(np.median(p[near, 1])), "floor")]
     left = p[(p[:, 1] > floor + HEIGHTS[0]) & (p[:, 1] < floor + HEIGHTS[1])]
     tried = set()
@@ -128,7 +135,7 @@ def support_planes(points: np.ndarray, normals: np.ndarray, floor: float = 0.0) 
                 taken |= slab & plane.covers(left[:, [0, 2]])
             left = left[~taken]
     if not found[0]:
-        raise BadInput("no floor was found under the scene")
+        raise NoFloor("no floor was found under the scene")
     return [max(found[0], key=lambda s: s.area), *sorted(filter(free_above(planes), planes), key=lambda s: -s.area)]
 
 

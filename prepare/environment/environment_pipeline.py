@@ -35,7 +35,7 @@ from prepare.environment.visibility import VoxelGrid, open_space, oriented, view
 from prepare.environment.winding_number import COARSENING, WindingNumber, signed_distance, winding_number
 from prepare.progress import Progress, no_progress
 
-ENVIRONMENT_VERSION = 5
+ENVIRONMENT_VERSION = 6
 ENVIRONMENT_STEPS = ("clean", "upright", "surface", "planes", "distance")
 MAX_COARSE_CELLS = 16_000_000  # of the coarse grid: 64 MB on the device, and some 2 GB while it is made
 USUAL_CELLS = 2_500_000  # of the coarse grid unless `cell` says otherwise

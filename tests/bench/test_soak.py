@@ -16,7 +16,7 @@ from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW
 from sim.solver import Solver
 
-RANGES = Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=6, max_load=0.5)
+RANGES = Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=3, max_load=0.5)
 
 
 def test_two_episodes_of_anything(ti_cpu):

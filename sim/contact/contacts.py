@@ -312,10 +312,10 @@ class Contacts(Constraint):
             if ti.static(self.deformable.needed):
                 p, hosts = r - self.deformable.begin, self.deformable.hosts
                 a = self.state.body_of_tet[hosts.host[p]]
-                if hosts.is_finger(p):
+                if hosts.points.is_finger(p):
                     b = FINGER
-                elif hosts.group(p) < MAX_BODIES:
-                    b = hosts.group(p)
+                elif hosts.points.group(p) < MAX_BODIES:
+                    b = hosts.points.group(p)
         elif ti.static(self.has_fingers and self.coupled):
             a, b = self.fingers.rigid_body[r - self.begin_fingers], FINGER
         return a, b

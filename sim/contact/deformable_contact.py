@@ -40,7 +40,7 @@ NORMAL_STEPS = 2.0**20  # of a unit normal in integer sums, which do not depend 
 
 @ti.data_oriented
 class DeformableContact:
-    """Contact of points and tets of other bodies: constraint begin + p for point p of sim/contact/nearest_tet.py."""
+    """Contact of points and tets of other bodies: constraint begin + p for point p of sim/contact/query_points.py."""
 
     def __init__(
         self,
@@ -86,7 +86,7 @@ class DeformableContact:
     @property
     def first_finger(self) -> int:
         """The first constraint of a finger."""
-        return self.begin + (self.hosts.first_finger if self.needed else 0)
+        return self.begin + (self.hosts.points.first_finger if self.needed else 0)
 
     @property
     def size(self) -> int:
@@ -122,7 +122,7 @@ class DeformableContact:
         p = r - self.begin
         sampled = p < self.samples.count[None]
         t = self.hosts.host[p]
-        thick, phi, normal, b, X, beyond = self.distance(t, self.hosts.position(p, False))
+        thick, phi, normal, b, X, beyond = self.distance(t, self.hosts.points.position(p, False))
         usable = constraints.active[r] != 0  # a tet crushed flat has no normal: its contact stays as it was
         if thick:
             host = s.body_of_tet[t]
@@ -145,8 +145,8 @@ class DeformableContact:
                             usable = False
                             constraints.postpone(r, min_distance - distance, closing_speed)
             if ti.static(self.has_fingers):  # noqa: SIM102
-                if self.hosts.is_finger(p):
-                    closing_speed += self.fingers.speed_of(p - self.hosts.first_finger)
+                if self.hosts.points.is_finger(p):
+                    closing_speed += self.fingers.speed_of(p - self.hosts.points.first_finger)
             self.hosts.host[p] = self.hosts.next_host(t, b)
             if usable:
                 self._fill(r, p, t, b, phi, normal, closing_speed, constraints)
@@ -184,9 +184,9 @@ class DeformableContact:
                 if constraints.rigid_bodies.kind[body] != 0:
                     constraints.set_body(r, 0, body, self.samples.blend(p, s.x), 1.0)
                     constraints.body_count[r], first = 1, 0
-        elif self.hosts.is_finger(p):
+        elif self.hosts.points.is_finger(p):
             if ti.static(self.has_fingers):
-                q = p - self.hosts.first_finger
+                q = p - self.hosts.points.first_finger
                 phi -= self.fingers.radius[q]  # skin has a coefficient of friction of 1
                 self.fingers.set_push(r, q, self.fingers.max_force_on(q, s.mu[host]), constraints)
             if ti.static(constraints.coupled):

@@ -1,8 +1,7 @@
 """Nearest-tetrahedron query: the tet of another body that holds each contact sample or may come to it.
 
-The query points are the bodies' surface samples and samples on the axes of capsules: of static ones, so that nothing
-thin slips between the others, and of the hands' fingers. Bodies and capsules are *groups*; a point looks for tets of
-other groups, and of its own body where that may touch itself (sim/contact/self_collision.py).
+The query points and their groups are those of sim/contact/query_points.py; a point looks for tets of other groups, and
+of its own body where that may touch itself (sim/contact/self_collision.py).
 """
 
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
-from sim.contact.contact_samples import MAX_CAPSULES
+from sim.contact.query_points import QueryPoints
 from sim.contact.self_pairs import bounding_sphere, neighborhood, outside_sphere, stay_apart
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.tet_geometry import (
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from sim.model import Model
     from sim.state import State
 
-STATIC_GROUPS = MAX_BODIES + MAX_CAPSULES  # the next ones are finger capsules
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
 CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
@@ -52,8 +50,6 @@ class NearestTets:
     rest vec3[N] [m]: where a body's sample is at rest.
 
     Of the hash's entries: entry_group i32[N], and of bodies' samples entry_rest [m] and entry_velocity [m/s], vec3[N].
-
-    Points: the samples of bodies, then of static capsules, and from `first_finger` on those of fingers.
 
     Within a cell's size that is exact. For what may come from farther away until the next search, the search begins at
     the nearest of a body's SEEDS tets, and goes from neighbor to neighbor while that is nearer: a fast body comes near
@@ -72,13 +68,12 @@ class NearestTets:
         fingers: "FingerCapsules | None" = None,
     ):
         self.self_collision, self.self_collides = self_collision, self_collision is not None
-        self.state, self.samples, self.capsules, self.bounds = state, samples, capsules, bounds
+        self.state, self.samples, self.bounds = state, samples, bounds
+        self.points = QueryPoints(state, samples, capsules, bounds, fingers)
         self.fingers, self.has_fingers = fingers, fingers is not None
-        self.first_finger = samples.capacity + capsules.size
         self.visitors = VISITORS if lane_count() > 1 else 1
-        self.finger_groups = fingers.capsules if self.has_fingers else 0
-        self.hash = PointHash(self.first_finger + (fingers.count if self.has_fingers else 0))
-        group, N, G = FieldGroup(), self.hash.points, STATIC_GROUPS + self.finger_groups
+        self.hash = PointHash(self.points.size)
+        group, N, G = FieldGroup(), self.hash.points, self.points.groups
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
         self.max_approach, self.wanted = group.scalar(MAX_BODIES, G), group.scalar(G, dtype=ti.i32)
         self.neighbor = group.vector(state.T, n=4, dtype=ti.i32)
@@ -104,50 +99,6 @@ class NearestTets:
         self._upload([near, rest, CELL_SIZE * edge or self.samples.spacing])
 
     @ti.func
-    def is_finger(self, p):
-        """True if point p is a sample of a finger."""
-        result = False
-        if ti.static(self.has_fingers):
-            result = p >= self.first_finger
-        return result
-
-    @ti.func
-    def group(self, p):
-        """Body of point p, or MAX_BODIES + its static capsule, or STATIC_GROUPS + that of a finger."""
-        n, g = self.samples.count[None], 0
-        if self.is_finger(p):
-            if ti.static(self.has_fingers):
-                g = STATIC_GROUPS + self.fingers.capsule_of(p - self.first_finger)
-        elif p < n:
-            g = self.samples.body[p]
-        else:
-            g = self.capsules.group[p - n]
-        return g
-
-    @ti.func
-    def group_at(self, k):
-        """The k-th group that there is."""
-        n, m, g = self.state.body_count[None], self.capsules.capsule_count[None], k
-        if k >= n + m:
-            g = STATIC_GROUPS + k - n - m
-        elif k >= n:
-            g = MAX_BODIES + k - n
-        return g
-
-    @ti.func
-    def position(self, p, searching: ti.template()):
-        """Position of point p [m], when the substep in progress begins; or when the next one does, in a search."""
-        n, x = self.samples.count[None], vec3(0.0)
-        if self.is_finger(p):
-            if ti.static(self.has_fingers):
-                x = self.fingers.position(p - self.first_finger, searching)
-        elif p < n:
-            x = self.samples.blend(p, self.state.x)
-        else:
-            x = self.capsules.position[p - n]
-        return x
-
-    @ti.func
     def next_host(self, t, b):
         """Return the tet of the next substep for a point of weights b in tet t: across the worst face that leads on."""
         result, worst = t, MIN_WEIGHT
@@ -162,20 +113,8 @@ class NearestTets:
 
         Returns the part of g's box in which they can meet, whether there is any, and how far [m] they may approach.
         """
-        t = self.state.detect_dt[None]
-        other_low, other_high = vec3(0.0), vec3(0.0)
-        other_min, other_max, margin = other_low, other_low, CONTACT_MARGIN
-        if g < MAX_BODIES:
-            other_low, other_high = self.bounds.low[g], self.bounds.high[g]
-            other_min, other_max = self.bounds.v_min[g], self.bounds.v_max[g]
-        elif g >= STATIC_GROUPS:
-            if ti.static(self.has_fingers):
-                c = g - STATIC_GROUPS  # its box is that of all it can touch until the next search
-                other_low, other_high = self.fingers.low[c], self.fingers.high[c]
-                margin += self.fingers.reach[c]
-        else:
-            other_low, other_high = self.capsules.low[g - MAX_BODIES], self.capsules.high[g - MAX_BODIES]
-            margin += self.capsules.capsule_radius[g - MAX_BODIES]
+        t, margin = self.state.detect_dt[None], CONTACT_MARGIN + self.points.reach(g)
+        other_low, other_high, other_min, other_max = self.points.box(g)
         back, forth = ti.min((v_min - other_max) * t, 0.0), ti.max((v_max - other_min) * t, 0.0)
         a, b = ti.max(low + back - margin, other_low), ti.min(high + forth + margin, other_high)
         return a, b, (a - b).max() <= 0.0, margin + ti.max(-back, forth).norm()
@@ -185,7 +124,6 @@ class NearestTets:
         """Find the host of each point; that of point p makes constraint begin + p a candidate."""
         s = self.state
         h = self.hash
-        capsules = MAX_BODIES + self.capsules.capsule_count[None]
         self.any_near[None], h.total[None] = 0, 0
         for g in self.wanted:
             self.wanted[g] = 0
@@ -197,7 +135,7 @@ class NearestTets:
                 alone = b == g and self.self_collision.self_colliding[b] == 0
             else:
                 alone = b == g
-            if b < n and not alone and (g < n or MAX_BODIES <= g < capsules or g >= STATIC_GROUPS):
+            if b < n and not alone and self.points.is_group(g):
                 box = self.bounds
                 _low, _high, meets, approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
             self.max_approach[b, g] = approach if meets else 0.0
@@ -209,13 +147,13 @@ class NearestTets:
         for p in range(h.points):
             self.key[p] = ti.i64(NO_TET)
             if self._searches(p):
-                h.count(p, self.position(p, True))
+                h.count(p, self.points.position(p, True))
         for bucket in range(h.buckets):
             h.allocate(bucket)
         for p in range(h.points):
             if self._searches(p):
-                e = h.insert(p, self.position(p, True))
-                self.entry_group[e] = self.group(p)
+                e = h.insert(p, self.points.position(p, True))
+                self.entry_group[e] = self.points.group(p)
                 if p < self.samples.count[None]:
                     self.entry_rest[e], self.entry_velocity[e] = self.rest[p], self.samples.blend(p, s.v)
         # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
@@ -239,15 +177,9 @@ class NearestTets:
     @ti.func
     def _searches(self, p):
         """True if some body comes near point p's group."""
-        exists = p < self.samples.count[None] + self.capsules.count[None]
-        if ti.static(self.has_fingers):  # noqa: SIM102
-            if self.is_finger(p):
-                exists = False
-                if p - self.first_finger < self.fingers.count:  # the hash has room for a few more points
-                    exists = self.fingers.radius[p - self.first_finger] > 0.0
         result = False
-        if exists and self.any_near[None]:
-            result = self.wanted[self.group(p)] != 0
+        if self.points.exists(p) and self.any_near[None]:
+            result = self.wanted[self.points.group(p)] != 0
         return result
 
     @ti.func
@@ -257,9 +189,8 @@ class NearestTets:
         body = s.body_of_tet[t]
         low, high, v_min, v_max = self._box(t)
         box_low, box_high, max_distance = vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0
-        n = s.body_count[None]
-        for k in range(n + self.capsules.capsule_count[None] + self.finger_groups):
-            g = self.group_at(k)
+        for k in range(self.points.group_count()):
+            g = self.points.group_at(k)
             if self.max_approach[body, g] > 0.0:
                 part_low, part_high, meets, approach = self.sweep(low, high, v_min, v_max, g)
                 near = self._near(g)
@@ -347,22 +278,16 @@ class NearestTets:
     @ti.func
     def _near(self, g):
         """Distance [m] from a point of group g within which all tets are searched."""
-        near = self.hash.cell[None]
-        if g >= STATIC_GROUPS:
-            if ti.static(self.has_fingers):
-                near += self.fingers.reach[g - STATIC_GROUPS]
-        elif g >= MAX_BODIES:
-            near += self.capsules.capsule_radius[g - MAX_BODIES]
-        return near
+        return self.hash.cell[None] + self.points.reach(g)
 
     @ti.func
     def _approaching(self, p):
         """Tet that may come to point p, which has none near: by descent from a seed to nearer neighbors; or -1."""
-        s, x, g = self.state, self.position(p, True), self.group(p)
+        s, x, g = self.state, self.points.position(p, True), self.points.group(p)
         box = self.bounds
         best, now = UNKNOWN_DISTANCE, -1
         for b in range(s.body_count[None]):
-            if b != g and not self._spared(p, b) and self.max_approach[b, g] > self._near(g):
+            if b != g and not self.points.spares(p, b) and self.max_approach[b, g] > self._near(g):
                 low, high, _meets, _approach = self.sweep(box.low[b], box.high[b], box.v_min[b], box.v_max[b], g)
                 if outside_box(low, high, x) <= 0.0:
                     first, n = s.tet_begin[b], s.tet_begin[b + 1] - s.tet_begin[b]
@@ -412,15 +337,6 @@ class NearestTets:
         return result
 
     @ti.func
-    def _spared(self, p, body):
-        """True if point p is of a hand that passes through a body."""
-        result = False
-        if ti.static(self.has_fingers):  # noqa: SIM102
-            if self.is_finger(p):
-                result = self.fingers.spares(p - self.first_finger, body)
-        return result
-
-    @ti.func
     def _may_meet(self, e, t, body, outside, face):
         """True if tet t of a body may meet the point of entry e until the next search.
 
@@ -429,9 +345,9 @@ class NearestTets:
         p, x = self.hash.entry[e], self.hash.position[e]
         result = self.max_approach[body, self.entry_group[e]] > 0.0
         if ti.static(self.has_fingers):  # noqa: SIM102
-            if self._spared(p, body):
+            if self.points.spares(p, body):
                 result = False
-                self.fingers.note_overlap(p - self.first_finger, outside)
+                self.fingers.note_overlap(p - self.points.first_finger, outside)
         if ti.static(self.self_collides):  # noqa: SIM102
             if self.entry_group[e] == body:
                 s = self.state

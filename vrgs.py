@@ -6,6 +6,8 @@ from __future__ import annotations
 import os
 import sys
 
+START = "`make play` installs all; then start the program with .venv/bin/python, or activate .venv (README.md)"
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
@@ -19,10 +21,14 @@ def main(argv: list[str] | None = None) -> int:
 def run(argv: list[str]) -> int:
     """Run one command. What it imports is imported here, where an interrupt is told in a line."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # before anything imports Taichi
-    from commands.parser import parse
-    from core.errors import BadInput, Cancelled
-    from core.program import as_called
-    from core.runtime import is_out_of_memory
+    try:
+        from commands.parser import parse
+        from core.errors import BadInput, Cancelled
+        from core.program import as_called
+        from core.runtime import is_out_of_memory
+    except ModuleNotFoundError as e:
+        print(f"vrgs: {sys.executable} has no package {e.name}: {START}", file=sys.stderr)
+        return 2
 
     for i in range(len(argv) - 2, -1, -1):  # argparse would take the -y of `--up -y` for an option
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):

@@ -53,6 +53,13 @@ def test_version_and_errors(monkeypatch, capsys):
     assert "open3d, which this executable leaves out" in capsys.readouterr().err
 
 
+def test_a_python_without_the_packages_is_told_in_a_line():
+    """Without site, Python has none of them."""
+    run = subprocess.run([sys.executable, "-S", ROOT / "vrgs.py", "scenes"], capture_output=True, text=True)
+    assert run.returncode == 2 and run.stderr.count("\n") == 1
+    assert "has no package" in run.stderr and ".venv/bin/python" in run.stderr
+
+
 def test_an_interrupt_while_it_imports_is_told_in_a_line():
     """Every import is preceded by an interrupt; the first is met where the program imports its own modules."""
     code = (

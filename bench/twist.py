@@ -90,7 +90,7 @@ class TwistedBar:
         ramp, hold, swing = (max(round(s / FRAME), 1) for s in seconds)
         for k in range(ramp + hold):
             u = min((k + 1) / ramp, 1.0)
-            solver.drive_vertices(0, self.top, turned(self.rest[self.top], turn * u * u * (3 - 2 * u)))
+            solver.kinematic.drive_vertices(0, self.top, turned(self.rest[self.top], turn * u * u * (3 - 2 * u)))
             solver.step(FRAME)
         x = solver.snapshot()["x"].astype(np.float64)
         angles = [self.angle(x, h) / turn for h in HEIGHTS]

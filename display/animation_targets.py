@@ -45,11 +45,11 @@ class AnimationTargets:
             return
         self.time += min(dt, MAX_FRAME_DT)
         self._pose(solver)
-        solver.drive_surface(self.body)
+        solver.kinematic.drive_surface(self.body)
 
     def _pose(self, solver: Solver) -> None:
         matrices = self.world_from_body @ self.animation.matrices(self.time)
-        self.skinning.pose(matrices, solver.targets, solver.vertex_offset[self.body])
+        self.skinning.pose(matrices, solver.kinematic.target, solver.vertex_offset[self.body])
 
     def at(self, time: float) -> AnimationTargets:
         """A copy at another time [s]."""
@@ -74,7 +74,7 @@ class AnimationTargets:
         """The animation relocated to where a hand has put the body while time stood still."""
         self._pose(solver)
         index = self.animation.vertices[self.animation.driven] + solver.vertex_offset[self.body]
-        there, here = (f.to_numpy()[index].astype(np.float64) for f in (solver.targets, solver.x))
+        there, here = (f.to_numpy()[index].astype(np.float64) for f in (solver.kinematic.target, solver.x))
         if np.abs(here - there).max() < ROUNDING:
             return self
         by = np.eye(4)

@@ -1,4 +1,4 @@
-"""Kinematic targets: prescribed vertices and kinematic rigid bodies are moved to given places at the end of a frame.
+"""Kinematic targets: prescribed vertices and kinematic rigid bodies are moved to given places by the end of a frame.
 
 In between, positions are interpolated evenly over the substeps, with the velocity that friction feels; after the frame
 they stand still, unless they are driven again. Vertices of inverse mass 0 move on at their v (sim/state.py), so it is

@@ -11,7 +11,7 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import destroy_fields
 from core.material import Material
-from scenes.scene import IDENTITY, BodyState, Hand
+from scenes.scene import BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
 from sim.body_model import BodyModel, models_of
@@ -52,6 +52,7 @@ class Solver:
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
     a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies. With `sleep`,
     bodies that rest are not simulated until something reaches them (sim/sleeping.py); without contacts none sleeps.
+    `kinematic` moves kinematic bodies and pinned vertices (sim/kinematic_targets.py).
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Solver:
         self._sleeping = Sleeping(s, self._reductions, self.contacts if sleep else None, self.rigid_bodies)
         self.elasticity, self.damping = Elasticity(s), Damping(s, blocks, self.contacts)
         self.untangling = Untangling(s, self._reductions, self.damping)
-        self._targets = KinematicTargets(s, self.rigid_bodies)
+        self.kinematic = KinematicTargets(s, self.rigid_bodies)
         self._recovery = NonFiniteRecovery(s)
         self._rigid_editing = RigidEditing(s)
         self._integrators = Integrators(s, self.elasticity, self._constraints, self.rigid_bodies, blocks)
@@ -131,23 +132,23 @@ class Solver:
                 self.damping.run(launch_dt)
                 self.integrator.run(schedule.substeps)  # each: predict, elasticity, contacts and hands, commit
         self._recovery.recover()
-        self._targets.end_frame()
+        self.kinematic.end_frame()
         self._sleeping.end_frame(dt)
 
     def _all_sleep(self, dt: float, hands: Sequence[Hand], substeps: int) -> bool:
         """Take the hands of this frame, and wake what they or targets move; return whether nothing is awake."""
         if self.contacts is not None:
             self.contacts.begin_frame(hands, dt, substeps)
-        moved = self._grasped_bodies() | self._targets.driven_bodies | self.untangling.occupied
+        moved = self._grasped_bodies() | self.kinematic.driven_bodies | self.untangling.occupied
         return self._sleeping.begin_frame(moved, tuple(self.gravity))
 
     def _begin_frame(self, dt: float, hands: Sequence[Hand], substeps: int) -> None:
         self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, ti.Vector(self.gravity))
         self._last_schedule = (substeps, dt / substeps)
-        self._targets.begin_frame(dt)
+        self.kinematic.begin_frame(dt)
         if self.rigid_bodies is not None:
             self.rigid_bodies.begin_frame(hands, dt, substeps)
-        if self.untangling.begin_frame(self._grasped_bodies(), self._targets.bodies, dt):
+        if self.untangling.begin_frame(self._grasped_bodies(), self.kinematic.bodies, dt):
             self._restart_contacts(self._grasps())
         self._reductions.forget()
 
@@ -178,25 +179,6 @@ class Solver:
         if value not in INTERACTIONS:
             raise BadInput(f"interaction must be one of {', '.join(INTERACTIONS)}, not {value!r}")
         self._interaction = value
-
-    # Kinematic targets
-
-    def drive(self, body: int, position, rotation=IDENTITY) -> None:
-        """Move a kinematic rigid body in the next frame to x = R(rotation) rest + position."""
-        self._targets.drive(body, position, rotation)
-
-    def drive_vertices(self, body: int, vertices, positions) -> None:
-        """Move pinned vertices (n,) of a soft body in the next frame to positions (n, 3) [m]."""
-        self._targets.drive_vertices(body, vertices, positions)
-
-    def drive_surface(self, body: int) -> None:
-        """Move all pinned vertices of a body in the next frame to their `targets`."""
-        self._targets.drive_surface(body)
-
-    @property
-    def targets(self):
-        """Targets of `drive_surface` [m], vec3[V], of a body from vertex_offset[body] on, for a kernel to write."""
-        return self._targets.target
 
     # Observing
 
@@ -398,7 +380,7 @@ class Solver:
             self._recovery.recover()
             self._sleeping.end_frame(WARM_UP_SUBSTEP)
             integrator.reset()
-        self._targets.end_frame()
+        self.kinematic.end_frame()
 
     def _load(self, model: Model) -> None:
         """Take other bodies, whose motion is still to be set; BadInput, and nothing has changed, if that cannot be."""
@@ -409,7 +391,7 @@ class Solver:
         self._model, self._integration = model, integration
         self.integrator = self._integrators.get(integration.integrator, integration.iterations)
         parts = (self.state, self.elasticity, self._blocks, self._reductions, self.integrator, self.untangling)
-        for part in (*parts, self._targets, *self._constraints):
+        for part in (*parts, self.kinematic, *self._constraints):
             part.load(model)
 
     def _set_bodies(
@@ -420,7 +402,7 @@ class Solver:
         self._motion.write(motion)
         self._reductions.forget()
         self._recovery.begin()
-        self._targets.end_frame()
+        self.kinematic.end_frame()
         self._restart_contacts(grasps)
         self._sleeping.restore(None)
 

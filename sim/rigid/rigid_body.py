@@ -30,7 +30,7 @@ class RigidBody:
     rotation, position       x = R(rotation) rest + position
     velocity [m/s]           of the centre of mass;   angular_velocity [rad/s] in the world
     sdf                      signed distance in the body frame [m]; None: it is made from the cage
-    kinematic                moves only as it is driven (Solver.drive), whatever pushes it
+    kinematic                moves only as it is driven (sim/kinematic_targets.py), whatever pushes it
     boxed                    it is exactly the box that its vertices span, about the body frame's origin
     """
 

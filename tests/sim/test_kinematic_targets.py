@@ -139,7 +139,7 @@ def test_a_lifted_basket_keeps_what_is_in_it(place):
     for k in range(90):
         s = np.sin(0.5 * np.pi * min(k + 1, 60) / 60) ** 2
         for b, c in zip(pieces, start, strict=True):
-            solver.drive(b, c + np.array([0.4, 0.5, 0.2]) * s)
+            solver.kinematic.drive(b, c + np.array([0.4, 0.5, 0.2]) * s)
         solver.step(FRAME)
     bottom = solver.bodies()[pieces[0]].centroid
     assert_allclose(bottom, start[0] + [0.4, 0.5, 0.2], atol=1e-5)
@@ -155,7 +155,7 @@ def test_a_plate_carries_a_soft_cube_by_friction(place):
     start, x = solver.bodies()[plate + 1].centroid[0], 0.0
     for k in range(60):
         x += min(k / 30, 1.0) * 0.4 * FRAME
-        solver.drive(plate, (16 + x, 0.5, 0))
+        solver.kinematic.drive(plate, (16 + x, 0.5, 0))
         solver.step(FRAME)
     rider = solver.bodies()[plate + 1]
     assert_allclose(rider.velocity[0], 0.4, atol=0.04)
@@ -176,7 +176,7 @@ def test_rigid_bodies_sleep_to_the_bit_and_wake_for_a_drive_and_for_a_hit(place)
         for name in ("x", "x_lo", "v", "v_lo"):
             assert_array_equal(before[name][mine], after[name][mine])
 
-    solver.drive(plate, (16.001, 0.5, 0))
+    solver.kinematic.drive(plate, (16.001, 0.5, 0))
     solver.step(FRAME)
     asleep = solver.snapshot()["asleep"]
     assert asleep[bricks].all() and not asleep[[plate, plate + 1]].any()
@@ -211,7 +211,7 @@ def test_driven_vertices_move_evenly_and_shake_the_rest(place):
     fastest = 0.0
     for k in range(60):
         y = 0.05 * np.sin(2 * np.pi * 2 * (k + 1) * FRAME)
-        solver.drive_vertices(body, root, rest + [0, y, 0])
+        solver.kinematic.drive_vertices(body, root, rest + [0, y, 0])
         solver.step(FRAME)
         assert_allclose(solver.x.to_numpy()[first + root], rest + [0, y, 0], atol=1e-6)
         v = solver.v.to_numpy()[first : solver.vertex_offset[body + 1]]
@@ -220,8 +220,8 @@ def test_driven_vertices_move_evenly_and_shake_the_rest(place):
     assert 0.3 < fastest < 4.0  # the root moves at up to 0.63 m/s; a jump in one substep would give 30
     rest[0, 1] += 0.001
     for i, x in zip(root, rest, strict=True):
-        solver.targets[first + int(i)] = x.tolist()
-    solver.drive_surface(body)
+        solver.kinematic.target[first + int(i)] = x.tolist()
+    solver.kinematic.drive_surface(body)
     solver.step(FRAME)
     assert_allclose(solver.x.to_numpy()[first + root], rest, atol=1e-6)
 
@@ -230,8 +230,8 @@ def test_what_cannot_be_driven_is_said(place):
     solver, where, root = place
     body = where["cantilever"].start
     with pytest.raises(BadInput, match="only pinned vertices"):
-        solver.drive_vertices(body, [int(root.max()) + 1], np.zeros((1, 3)))
+        solver.kinematic.drive_vertices(body, [int(root.max()) + 1], np.zeros((1, 3)))
     with pytest.raises(BadInput, match="vertices must be finite"):
-        solver.drive_vertices(body, root, np.zeros((1, 3)))
+        solver.kinematic.drive_vertices(body, root, np.zeros((1, 3)))
     with pytest.raises(BadInput, match="only a kinematic"):
-        solver.drive(body, (0, 0, 0))
+        solver.kinematic.drive(body, (0, 0, 0))

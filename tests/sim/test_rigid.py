@@ -114,7 +114,7 @@ def test_a_plate_carries_a_box_by_friction(place):
     start, x = solver.bodies()[load].centroid[0], 0.0
     for k in range(60):
         x += min(k / 20, 1.0) * 0.5 * FRAME  # to 0.5 m/s in a third of a second
-        solver.drive(plate, (x, 0.5, 14))
+        solver.kinematic.drive(plate, (x, 0.5, 14))
         solver.step(FRAME)
     assert_allclose(solver.bodies()[plate].velocity[0], 0.5, rtol=1e-3)
     assert_allclose(solver.bodies()[load].velocity[0], 0.5, rtol=0.02)
@@ -208,7 +208,7 @@ def test_runs_repeat_bit_for_bit(place):
 def test_what_cannot_be_is_said(place):
     solver, where = place
     with pytest.raises(BadInput, match="only a kinematic rigid body"):
-        solver.drive(where["stack"].start, (0, 0, 0))
+        solver.kinematic.drive(where["stack"].start, (0, 0, 0))
     with pytest.raises(BadInput, match="span no convex piece"):
         RigidBody.convex("flat", np.eye(3), density=1000.0)
     with pytest.raises(BadInput, match="restitution"):

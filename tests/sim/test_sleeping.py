@@ -306,7 +306,7 @@ def test_driven_vertices_wake(world):
     lull(world, SoftBody("bar", x, tets, surface, replace(FOAM, young=1e6), position=(0, 0.5, 0), pinned=root))
     start = world.snapshot()["x"][root]
     for k in range(30):
-        world.drive_vertices(0, root, start + [0, 0.005 * k, 0])
+        world.kinematic.drive_vertices(0, root, start + [0, 0.005 * k, 0])
         world.step(FRAME)
         assert asleep(world) == [False]
     assert world.bodies()[0].centroid[1] > 0.6

@@ -1,11 +1,12 @@
 #!/usr/bin/env python
-"""VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown. The command line and the frame loop."""
+"""The command line and the frame loop."""
 
 from __future__ import annotations
 
 import os
 import sys
 
+SUMMARY = "VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown."
 START = "`make play` installs all; then start the program with .venv/bin/python, or activate .venv (README.md)"
 
 
@@ -34,7 +35,7 @@ def run(argv: list[str]) -> int:
         if argv[i] == "--up" and argv[i + 1] in ("-x", "-y", "-z"):
             argv = [*argv[:i], f"--up={argv[i + 1]}", *argv[i + 2 :]]
     try:
-        args = parse(argv, __doc__, play)
+        args = parse(argv, SUMMARY, play)
         return args.run(args) or 0
     except BadInput as e:
         print(f"vrgs: {as_called(' '.join(str(e).split()))}", file=sys.stderr)

@@ -17,7 +17,7 @@ from core.runtime import start_taichi
 if TYPE_CHECKING:
     from scenes.paper_demos import PaperDemo
 
-HELP = "measure speed"
+HELP = "measure speed and quality"
 EXAMPLES = (
     "bench sim --json sim.json",
     "bench demos ring_toss --quick",

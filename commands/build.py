@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help=text)
     text = "paper: each demo's own set, with as many Gaussians and vertices as the paper's; rough: quickly, to look at"
     parser.add_argument("--detail", choices=("shipped", "paper", "rough"), default="shipped", help=text)
-    parser.add_argument("--force", action="store_true", help="--detail paper: also what is there already")
+    parser.add_argument("--force", action="store_true", help="--detail paper: rebuild what is there already")
     text = "photograph toys on a table, modelled and ray-cast, into this new folder, with masks, depths and truth.json"
     parser.add_argument("--capture", type=Path, metavar="FOLDER", help=text)
     parser.add_argument("--views", type=positive(int), default=40, metavar="N", help="photographs (default 40)")

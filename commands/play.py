@@ -103,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snapshot", type=picture_name, metavar="OUT.png", help=text)
     text = "write the state of the scene at the end; --state FILE.h5 goes on from it"
     parser.add_argument("--save-state", type=Path, metavar="FILE.h5", help=text)
-    text = "impacts are heard, and in the film of --record; auto: where there is a device and the package for it"
+    text = "sound of impacts, also in the film of --record; auto: if there is a device and the package for it"
     parser.add_argument("--sound", choices=("auto", "on", "off"), default="auto", help=text)
     parser.add_argument("--stats", type=Path, metavar="OUT.json", help="write timings and counts")
     again = parser.add_mutually_exclusive_group()
@@ -111,9 +111,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     again.add_argument("--record-input", type=Path, metavar="FILE.h5", help=text)
     text = "replay recorded input, and compare the states"
     again.add_argument("--replay", type=Path, metavar="FILE.h5", help=text)
-    text = "add what is done to the file of a study (see: vrgs.py study)"
+    text = "record the play in this file of a user study (see: vrgs.py study)"
     parser.add_argument("--study", type=Path, metavar="OUT.h5", help=text)
-    text = "--study: who plays; a name for each, by which both settings are compared"
+    text = "--study: name of the player, by which both settings are compared"
     parser.add_argument("--participant", metavar="NAME", help=text)
     add_scene_options(parser)
 

@@ -1,4 +1,4 @@
-"""`vrgs.py prepare`: make a splat simulatable, or a room playable."""
+"""`vrgs.py prepare`: make a splat an elastic body, or a room playable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from core.errors import BadInput
 from core.material import MATERIALS
 from core.runtime import start_taichi
 
-HELP = "make a splat simulatable, or a room a stage"
+HELP = "make a splat an elastic body, or a room playable"
 EXAMPLES = ("prepare cat.ply --out cat.h5 --vertices 2000", "prepare room.ply --static --out room.h5")
 CONDITIONS = (
     Condition(("--cell", "--cut"), lambda args: args.static, "belongs to --static"),
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     parser.add_argument("splats", type=Path, metavar="SPLATS", help=f"{SPLATS}, skinned .glb; --static: or .h5")
     where = parser.add_mutually_exclusive_group(required=True)
-    where.add_argument("--out", type=Path, metavar="ASSET.h5")
+    where.add_argument("--out", type=Path, metavar="ASSET.h5", help="file to write")
     text = "keep it where --body and --stage look for it, so that a play begins at once"
     where.add_argument("--cache", action="store_true", help=text)
     parser.add_argument("--rig", type=Path, metavar="RIG.glb", help="animate a standing person by this rig's motion")

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--camera", type=Path, metavar="CAM.json", help="one camera or a list")
     where.add_argument("--turntable", action="store_true", help="film one turn around it")
-    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4")
+    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png|OUT.npz|OUT.mp4", help="file to write")
     parser.add_argument("--up", choices=AXES, help="turntable: the file's up axis (default: guessed)")
     text = "turntable: picture size (default 960x540)"
     parser.add_argument("--size", type=size, default=(960, 540), metavar="WxH", help=text)

@@ -27,7 +27,7 @@ CONDITIONS = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
-    text = f"{SPLATS} or .h5; of several Tab shows the next, from where one looks"
+    text = f"{SPLATS} or .h5; with several, Tab shows the next from the same view"
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help=text)
     parser.add_argument("--up", choices=AXES, help="the files' up axis (default: guessed)")
     text = "picture size (default 960x540, of a window: the last one's)"

@@ -7,6 +7,7 @@ smaller where there is little.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def game_at(spots: Sequence[Spot], size: float) -> BoxMoving:
     return BoxMoving((x, pallet, z), size, max(spot.over for spot in spots), hole=False)
 
 
-def build(capture: str | None = None) -> Scene:
+def build(capture: Annotated[str | None, "folder of a captured room"] = None) -> Scene:
     """The scene in the attic, or in a captured room: `capture` is its folder."""
     scene = Scene(
         bodies=[*furniture(), *boxes()],

@@ -6,7 +6,7 @@ With --capture it is the largest object of a captured room, at its captured plac
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -118,7 +118,9 @@ class Manipulation:
         assert np.abs(np.array([bodies[0].low, bodies[0].high]) - self.rest).max() < BACK, "it is not in its place"
 
 
-def build(animal: Literal["fox", "bear", "horse"] = "fox", capture: str | None = None) -> Scene:
+def build(
+    animal: Literal["fox", "bear", "horse"] = "fox", capture: Annotated[str | None, "folder of a captured room"] = None
+) -> Scene:
     """The scene of one of ANIMALS, or of the largest object in a captured room: `capture` is its folder."""
     if capture is not None:
         return captured_animal(capture)

@@ -17,12 +17,12 @@ from vrgs import main
 
 SOURCE = '''"""Zoo: an animal."""
 from __future__ import annotations
-from typing import Literal
+from typing import Annotated, Literal
 from scenes.scene import Body, Scene
 
 def build(
     animal: Literal["fox", "bear"] = "fox", how_many: int = 2, size: float = 1.0, lit: bool = True,
-    name: str | None = None,
+    name: Annotated[str | None, "what it is called"] = None,
 ) -> Scene:
     scene = Scene([Body("dining_room")], None, (0, 1, 1), (0, 0, 0))
     object.__setattr__(scene, "given", (animal, how_many, size, lit, name))
@@ -55,6 +55,7 @@ def test_parameters_of_build_become_options(zoo, capsys):
     assert main(["scenes"]) == 0
     said = capsys.readouterr().out
     assert "--animal: fox or bear (default fox)" in said and "--lit: yes or no (default yes)" in said
+    assert "--name: what it is called" in said
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "zoo: fox or bear (default fox)" in " ".join(capsys.readouterr().out.split())

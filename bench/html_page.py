@@ -33,13 +33,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A figure: its title, what it shows, pictures (H, W, 3) uint8 by caption, a table, and a note on its numbers."""
+    """A figure: its title, what it shows, pictures (H, W, 3) uint8 by caption, a list, a table, and a note on its
+    numbers."""
 
     title: str
     text: str
     pictures: dict[str, np.ndarray] = field(default_factory=dict)
     table: Table | None = None
     note: str = ""
+    items: tuple[str, ...] = ()
 
 
 def html_page(title: str, text: str, sections: list[Section]) -> str:
@@ -53,6 +55,7 @@ def html_page(title: str, text: str, sections: list[Section]) -> str:
     for section in sections:
         parts.append(f"<section><h2>{escape(section.title)}</h2><p>{escape(section.text)}</p>")
         parts += [_figure(caption, picture) for caption, picture in section.pictures.items()]
+        parts += [f"<ul>{''.join(f'<li>{escape(item)}</li>' for item in section.items)}</ul>"] if section.items else []
         parts += [_table(section.table)] if section.table else []
         parts += [f'<p class="note">{escape(section.note)}</p>'] if section.note else []
         parts.append("</section>")

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.asset import Asset
 from assets.file_access import atomic_write
 from assets.gaussians import Gaussians
-from assets.room_folder import PICTURE
+from assets.room_folder import PICTURE, RoomObject
 from bench.html_page import Section, Table, html_page
 from core.camera import Camera, look_at, perspective
 from prepare.report_pictures import camera_for
@@ -18,53 +19,93 @@ from prepare.room_capture.room_pipeline import PlacedRoom, with_objects
 WIDTH = 360  # [px] of a picture
 MENU = (256, 144)  # [px] of the picture in the menu of scenes
 VIEWS = 3  # photographs compared with the room
+WORK = {
+    "train": "poses, if there were none, and Gaussians",
+    "cameras": "what each photograph needs of them",
+    "objects": "masks from marks; the object of each Gaussian",
+    "cages": "a body for each object",
+    "inpaint": "what the objects hid",
+    "room": "the collider",
+}
 PAPER_SECONDS = 2.5 * 3600  # the paper's time to prepare a scene
 
 
-def write_report(out: Path, room: PlacedRoom, rest: Gaussians, things: list, photographs: list, about: dict) -> None:
+def write_report(out: Path, room: PlacedRoom, rest: Asset, things: list, photographs: list, about: dict) -> None:
     """Write report.html, and the picture for the menu of scenes, to a room's folder. Raises BadInput.
 
-    rest         Gaussians of the background, `things` (asset, place) of each object
+    rest         the background, `things` (asset, place) of each object
     photographs  files of the photographs, in the order of the room's cameras
     about        "seconds" by stage, "training" (its report) and "notes", lines
     """
     import cv2
 
-    whole = with_objects(rest, things)
+    whole = with_objects(rest.gaussians, things)
     eye, target, fov = view_of(room.view)
     menu = perspective(*MENU, fov, look_at(eye, target))
     with atomic_write(out / PICTURE) as beside:
         beside.write_bytes(cv2.imencode(".jpg", drawn(whole, [menu])[0][..., ::-1])[1].tobytes())
-    first = drawn(whole, [perspective(2 * WIDTH, int(1.125 * WIDTH), fov, look_at(eye, target))])[0]
-    sections = [Section("The room", "As the player sees it at the start.", {"at the start": first})]
-    for k in np.unique(np.linspace(0, len(photographs) - 1, VIEWS).round().astype(int)):
+
+    def photograph(k: int) -> np.ndarray:
         camera = narrowed(room.view.cameras[k])
         seen = cv2.imread(str(photographs[k]))[..., ::-1]
-        pictures = {"photograph": cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA)}
-        pictures["room"] = drawn(whole, [camera])[0]
-        pictures |= {"without its objects": drawn(rest, [camera])[0]} if things else {}
-        sections.append(Section(f"Photograph {k + 1}", photographs[k].name, pictures))
+        return cv2.resize(seen, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+
+    k = room.view.photographer()
+    first = drawn(whole, [perspective(round(1.5 * WIDTH), WIDTH, fov, look_at(eye, target))])[0]
+    pictures = {"at the start": first, f"the photograph taken there: {photographs[k].name}": photograph(k)}
+    sections = [Section("The room", "As the player sees it at the start.", pictures, items=tuple(about["notes"]))]
+    for k in np.unique(np.linspace(0, len(photographs) - 1, VIEWS).round().astype(int)):
+        camera = narrowed(room.view.cameras[k])
+        pictures = {"photograph": photograph(k), "room": drawn(whole, [camera])[0]}
+        pictures |= {"without its objects": drawn(rest.gaussians, [camera])[0]} if things else {}
+        sections.append(Section(f"Photograph {k + 1} of {len(photographs)}", photographs[k].name, pictures))
     for asset, thing in things:
         picture = drawn(asset.gaussians, [camera_for(asset.cage.vertices, WIDTH, WIDTH)])[0]
-        holds = (
-            "It stands free." if thing.fixed_below is None else "It hangs, held fast where it touches what is behind."
-        )
-        f = asset.provenance["figures"]
-        text = f"{holds} Cage of {f['vertices']} vertices, smallest angle {f['min_dihedral']} degrees, "
-        text += f"{asset.material.density * f['volume']:.2g} kg at {asset.material.young:.2g} Pa."
-        sections.append(Section(thing.name, text, {"by itself": picture}))
-    seconds = about["seconds"]
-    rows = [(name, f"{s:.1f}") for name, s in seconds.items()] + [("in all", f"{sum(seconds.values()):.1f}")]
-    note = f"The authors of the paper prepared a scene in {PAPER_SECONDS / 60:.0f} minutes."
-    sections.append(Section("Time", "Of each stage.", table=Table(("stage", "seconds"), rows), note=note))
+        sections.append(Section(thing.name, described(asset, thing, eye), {"by itself": picture}))
+    sections += [played(out, rest, eye), spent(about["seconds"])]
     test = about["training"].get("test")
     quality = f" Unseen photographs: PSNR {test['psnr']:.2f} dB, SSIM {test['ssim']:.3f}." if test else ""
-    text = f"{len(rest):,} Gaussians, {len(things)} objects.{quality} " + " ".join(
-        f"{line}." for line in about["notes"]
-    )
-    page = html_page(out.absolute().name, text, sections)
+    count = f"{len(things)} object{'' if len(things) == 1 else 's'}"
+    page = html_page(out.absolute().name, f"{len(rest.gaussians):,} Gaussians, {count}.{quality}", sections)
     with atomic_write(out / "report.html") as beside:
         beside.write_text(page, encoding="utf-8")
+
+
+def described(asset: Asset, thing: RoomObject, eye: tuple) -> str:
+    """An object in words: how it is held, how large and heavy it is, how far away."""
+    holds = "It stands free." if thing.fixed_below is None else "It hangs, held fast where it touches what is behind."
+    size = " × ".join(f"{100 * s:.0f}" for s in np.ptp(asset.cage.vertices, axis=0))
+    f, young = asset.provenance["figures"], asset.material.young
+    away = np.linalg.norm(np.subtract(eye, thing.position))
+    return (
+        f"{holds} {size} cm, {asset.material.density * f['volume']:.2g} kg, {young / 1e3:.3g} kPa, {away:.1f} m from "
+        f"the eye at the start. Cage of {f['vertices']} vertices, smallest angle {f['min_dihedral']} degrees."
+    )
+
+
+def played(out: Path, rest: Asset, eye: tuple) -> Section:
+    """How the room is played, and its free place."""
+    place, on = rest.environment, rest.provenance["drop_on"]
+    away = np.linalg.norm(np.subtract(eye, place.drop_point))
+    free = f"A body of yours falls {away:.1f} m from the eye, "
+    if on == "nothing":
+        free += "where the photographs look: no free, level place was found in view of the start."
+    else:
+        kind = on if on == "floor" else f"{on} at a height of {100 * (place.drop_point[1] - place.floor_height):.0f} cm"
+        free += f"onto the {kind}, with {100 * place.clear_radius:.0f} cm free around it."
+    name = out.absolute().name
+    commands = (f"python vrgs.py --scene {name}/", f"python vrgs.py --scene sandbox --stage {name}/ --body FILE")
+    return Section("To play", free, items=commands)
+
+
+def spent(seconds: dict[str, float]) -> Section:
+    """Seconds of each stage."""
+    rows = [(name, WORK[name], f"{s:.1f}") for name, s in seconds.items()]
+    table = Table(("stage", "", "seconds"), [*rows, ("in all", "", f"{sum(seconds.values()):.1f}")])
+    note = f"The authors of the paper prepared a scene in {PAPER_SECONDS / 60:.0f} minutes."
+    return Section(
+        "Time", "Of each stage; of one that was kept from an earlier run, what it took then.", table=table, note=note
+    )
 
 
 def narrowed(camera: Camera) -> Camera:

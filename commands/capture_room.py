@@ -348,7 +348,7 @@ class RoomMaking:
                 shutil.copyfile(source, beside)
         about = {"seconds": self.stages.seconds, "training": self.training, "notes": self.notes}
         images = [view.image for view in self.capture.views]
-        write_report(out, room, Asset.load(out / "room.h5").gaussians, things, images, about)
+        write_report(out, room, Asset.load(out / "room.h5"), things, images, about)
         write_room(out, manifest(room, [thing for _, thing in things]))
 
 
@@ -358,7 +358,10 @@ def check_can_ask() -> None:
 
     if has_display():
         return
-    raise BadInput("no marked objects: give --marks MARKS.json or --masks FOLDER, or --no-objects for only the room")
+    raise BadInput(
+        "no marked objects, and no display to mark them on: give --marks MARKS.json or --masks FOLDER, or --no-objects "
+        "for only the room"
+    )
 
 
 def capture_files(path: Path) -> list:

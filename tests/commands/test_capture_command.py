@@ -1,11 +1,16 @@
 """`vrgs.py capture`: a modelled capture becomes a room that can be played, and goes on where it was cut."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from assets.asset import Asset
+from assets.environment import Environment
+from bench.html_page import html_page
+from commands.capture_report import played, spent
+from commands.capture_room import STAGES, check_can_ask
 from commands.parser import parse
 from core.errors import BadInput
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
@@ -55,3 +60,23 @@ def test_what_is_wrong_is_said_before_anything_is_made(tmp_path, words, why):
     with pytest.raises(BadInput, match=why):
         run("capture " + words.format(tmp_path))
     assert not (tmp_path / "room").exists()
+
+
+def test_the_report_tells_how_to_play_what_is_free_and_what_each_stage_took(tmp_path):
+    def told(on: str) -> str:
+        place = Environment(-0.1, (0.0, 0.5, 0.0), (0.0, 1.5, 0.0), 0.18)
+        room = SimpleNamespace(environment=place, provenance={"drop_on": on})
+        return played(tmp_path / "attic", room, (0.0, 1.5, 0.0)).text
+
+    assert told("table").startswith(
+        "A body of yours falls 1.0 m from the eye, onto the table at a height of 60 cm, with"
+    )
+    assert "onto the floor, with 18 cm" in told("floor") and "no free, level place" in told("nothing")
+    page = html_page("attic", "", [spent(dict.fromkeys(STAGES, 2.0))])
+    assert all(f"<td>{name}</td>" in page for name in STAGES) and "<td>12.0</td>" in page
+
+
+def test_without_a_display_nobody_can_be_asked_for_marks(monkeypatch):
+    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
+    with pytest.raises(BadInput, match=r"no display to mark them on: give --marks MARKS\.json"):
+        check_can_ask()

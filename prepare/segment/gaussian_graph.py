@@ -30,15 +30,9 @@ def rgb_of(gaussians: Gaussians) -> np.ndarray:
 def neighbour_graph(gaussians: Gaussians) -> csr_matrix:
     """Symmetric matrix (N, N) of the likeness, 0..1, of each Gaussian and its nearest neighbours."""
     n = len(gaussians)
-    k = min(NEIGHBOURS, n - 1)
     points = gaussians.means.astype(np.float64)
-    distance, index = cKDTree(points).query(points, k + 1, workers=-1)
-    spacing = np.maximum(distance[:, -1], 1e-9) / np.sqrt(k / np.pi)  # of a surface with k in a disc of that radius
-    rows, columns = np.repeat(np.arange(n, dtype=np.int32), k + 1), index.astype(np.int32).ravel()
-    low, high = np.minimum(rows, columns), np.maximum(rows, columns)
-    keys = np.unique((low.astype(np.int64) * n + high)[low != high])
-    low, high = (keys // n).astype(np.int32), (keys % n).astype(np.int32)
     width = np.sort(gaussians.log_scales, axis=1)[:, 1:].mean(1)
+    low, high, spacing = neighbours_of(points, width)
     colour, covariances = rgb_of(gaussians), gaussians.covariances
     gap, contrast = np.empty(len(low), np.float32), np.empty(len(low), np.float32)
     for begin in range(0, len(low), CHUNK):
@@ -54,6 +48,31 @@ def neighbour_graph(gaussians: Gaussians) -> csr_matrix:
     return (half + half.T).tocsr()
 
 
+def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs (E,), (E,) of indices, each once, of neighbours, and the spacing (N,) of the points (N, 3) around each.
+
+    width (N,)  logarithms. The neighbours of a Gaussian are the nearest of those that are about as wide or wider: those
+    nearest to a wide one of the floor under a thing are all of the thing, and it would be cut off from the floor.
+    """
+    n = len(points)
+    k = min(NEIGHBOURS, n - 1)
+    if k < 1:
+        return np.zeros(0, np.int32), np.zeros(0, np.int32), np.ones(n)
+    octave = np.floor(width / np.log(2.0))
+    octave = np.minimum(octave, np.partition(octave, n - k - 1)[n - k - 1])  # the widest have enough neighbours, too
+    index, spacing = np.empty((n, k), np.int32), np.empty(n)
+    for least in np.unique(octave):
+        there, own = np.flatnonzero(octave >= least), np.flatnonzero(octave == least)
+        distance, near = cKDTree(points[there]).query(points[own], k + 1, workers=-1)
+        itself = near == np.searchsorted(there, own)[:, None]
+        itself[~itself.any(1), -1] = True  # of more points at one place than are found, one is left out
+        index[own] = there[near[~itself].reshape(-1, k)]
+        spacing[own] = np.maximum(distance[:, -1], 1e-9) / np.sqrt(k / np.pi)  # of a surface: k in a disc so large
+    rows = np.arange(n, dtype=np.int32)[:, None]
+    once = (rows < index) | ~np.stack([(index[index[:, j]] == rows).any(1) for j in range(k)], axis=1)
+    return np.nonzero(once)[0].astype(np.int32), index[once], spacing
+
+
 def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarray:
     """d^T (Sigma + added I)^-1 d for vectors (E, 3) and symmetric matrices (xx, xy, xz, yy, yz, zz), (E, 6)."""
     xx, xy, xz, yy, yz, zz = sigma.T
@@ -65,23 +84,42 @@ def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarr
     return form / np.maximum(xx * a + xy * b + xz * c, 1e-30)
 
 
-def clusters_of(graph: csr_matrix, count: int, kind: np.ndarray) -> np.ndarray:
-    """Cluster (N,) of each node, about `count` in all: the most similar neighbours are merged in pairs, again and
-    again. Nodes of different kinds (N,) are never joined."""
-    own, size = np.arange(graph.shape[0]), np.ones(graph.shape[0])
-    while graph.shape[0] > count:
-        n = graph.shape[0]
-        rows, columns = np.repeat(np.arange(n), np.diff(graph.indptr)), graph.indices
-        pull = graph.data / np.sqrt(size[rows] * size[columns])  # else large clusters take all
-        pull[kind[rows] != kind[columns]] = 0.0
-        best = best_of_rows(pull, graph.indptr, columns)
-        mutual = (best >= 0) & (best[best] == np.arange(n))
-        kept, group = np.unique(np.where(mutual, np.minimum(best, np.arange(n)), np.arange(n)), return_inverse=True)
-        if len(kept) > (1.0 - PAIRED_LEAST) * n:
-            break
-        graph = merged(graph, merge_matrix(group))
-        size, kind, own = np.bincount(group, size), kind[kept], group[own]
-    return own
+class Clusters:
+    """Ever larger clusters of the nodes of a graph: the most similar neighbours are merged in pairs, repeatedly."""
+
+    def __init__(self, graph: csr_matrix, least: int):
+        """Merges until there are at most `least` clusters."""
+        self._levels = [np.arange(graph.shape[0], dtype=np.int32)]
+        size = np.ones(graph.shape[0])
+        while (n := graph.shape[0]) > least:
+            nodes, rows = np.arange(n), np.repeat(np.arange(n), np.diff(graph.indptr))
+            pull = graph.data / np.sqrt(size[rows] * size[graph.indices])  # else large clusters take all
+            best = best_of_rows(pull, graph.indptr, graph.indices)
+            mutual = (best >= 0) & (best[best] == nodes)
+            first = np.where(mutual, np.minimum(best, nodes), nodes)
+            group = (np.cumsum(first == nodes, dtype=np.int32) - 1)[first]
+            if group[-1] + 1 > (1.0 - PAIRED_LEAST) * n:
+                break
+            graph, size = merged(graph, group), np.bincount(group, size)
+            self._levels.append(group[self._levels[-1]])
+
+    def of(self, index: np.ndarray, count: int, kind: np.ndarray) -> np.ndarray:
+        """Number of the cluster of each node of `index` (M,), about `count` or fewer in all, by the finest such level.
+
+        Nodes of different kinds (M,), small whole numbers, are never in one.
+        """
+        for level in self._levels:
+            numbers = numbered(level[index])
+            if numbers.max(initial=-1) < count:
+                break
+        return numbered(numbers * (kind.max(initial=0) + 1) + kind)
+
+
+def numbered(values: np.ndarray) -> np.ndarray:
+    """Whole numbers (N,) from 0 on instead of values >= 0, in their order, without gaps."""
+    there = np.zeros(values.max(initial=-1) + 1, bool)
+    there[values] = True
+    return (np.cumsum(there) - 1)[values]
 
 
 def best_of_rows(values: np.ndarray, indptr: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -102,9 +140,9 @@ def merge_matrix(groups: np.ndarray) -> csr_matrix:
     return csr_matrix((np.ones(n), (groups, np.arange(n))), (int(groups.max(initial=-1)) + 1, n))
 
 
-def merged(graph: csr_matrix, merge: csr_matrix) -> csr_matrix:
-    """Graph of groups: edges between groups are summed, those within dropped."""
-    coarse = (merge @ graph @ merge.T).tocsr()
-    coarse.setdiag(0.0)
-    coarse.eliminate_zeros()
-    return coarse
+def merged(graph: csr_matrix, groups: np.ndarray) -> csr_matrix:
+    """Graph of groups (N,): edges between groups are summed, those within dropped."""
+    one, two = np.repeat(groups, np.diff(graph.indptr)), groups[graph.indices]
+    between = one != two
+    count = int(groups.max(initial=-1)) + 1
+    return csr_matrix((graph.data[between], (one[between], two[between])), (count, count))

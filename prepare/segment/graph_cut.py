@@ -59,7 +59,7 @@ def min_cut(graph: csr_matrix, inside: np.ndarray, outside: np.ndarray) -> np.nd
 def banded_cut(graph: csr_matrix, inside: np.ndarray, outside: np.ndarray, clusters: np.ndarray) -> np.ndarray:
     """As `min_cut`, first among clusters (N,) of nodes, then among the nodes of those at its border.  Lombaert 2005"""
     merge = merge_matrix(clusters)
-    coarse = merged(graph, merge)
+    coarse = merged(graph, clusters)
     rough = min_cut(coarse, merge @ inside, merge @ outside)
     border = rough & (coarse @ ~rough > 0) | ~rough & (coarse @ rough > 0)
     cut, free = rough[clusters], np.flatnonzero(border[clusters])

@@ -12,12 +12,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import connected_components
 
 from assets.gaussians import Gaussians
-from prepare.segment.gaussian_graph import clusters_of, merge_matrix, merged, neighbour_graph, rgb_of
+from prepare.segment.gaussian_graph import Clusters, merge_matrix, merged, neighbour_graph, rgb_of
 from prepare.segment.graph_cut import banded_cut, random_walk
 
 CLUSTERS = 20_000  # nodes of the coarse graph that is cut first, in a tenth of a second
 ROUNDS = 8  # at most; usually two to five until nothing changes
-SETTLED = 0.002  # the rounds end when a smaller fraction of the selection changes
+CLEARER = 0.75  # a round counts if it lowers the share of edges cut to this; else it would creep into the support
 NEARBY = 2.5  # radii of the selection within which it may grow
 COLOUR_BINS = 24  # of the histogram, per channel
 COLOUR_BLUR = 1.2  # [bins]
@@ -36,7 +36,9 @@ class SplatSelection:
     def __init__(self, gaussians: Gaussians):
         self.gaussians = gaussians
         self.graph = neighbour_graph(gaussians)
+        self._clusters = Clusters(self.graph, CLUSTERS)
         widths = np.sort(np.exp(gaussians.log_scales.astype(np.float64)), axis=1)
+        self._width = np.sqrt(widths[:, 1] * widths[:, 2])  # [m]
         self._area = widths[:, 1] * widths[:, 2] * gaussians.opacities  # [m^2]: dense parts do not count for more
         bins = (rgb_of(gaussians) * (COLOUR_BINS - 1e-3)).astype(np.int64)
         self._colour = np.ravel_multi_index(tuple(bins.T), (COLOUR_BINS,) * 3)
@@ -53,11 +55,13 @@ class SplatSelection:
             return inside
         region = self._around(inside, inside | outside, NEARBY if outside.any() else 2 * NEARBY)
         cut, others = inside, outside | ~region
+        leak = np.inf
         for _ in range(ROUNDS):
-            before, cut = cut, self._cut(cut, inside, barred, others, region | inside)
-            if (cut != before).sum() <= SETTLED * cut.sum():
+            more = self._cut(cut, inside, barred, others, region | inside)
+            before, leak = leak, self._conductance(more)
+            if not leak < CLEARER * before:
                 break
-            region = self._around(cut, cut, NEARBY)
+            cut, region = more, self._around(more, more, NEARBY)
             others = region & ~cut
         return self._without_holes(cut, barred)
 
@@ -69,13 +73,13 @@ class SplatSelection:
         cut_here, inside_here, barred_here = cut[index], inside[index], barred[index]
         likely = self._colour_ratio(cut, others)[index]
         likes, dislikes = likely.clip(0.0, None), (-likely).clip(0.0, None)
-        clusters = clusters_of(graph, CLUSTERS, inside_here + 2 * barred_here)
+        clusters = self._clusters.of(index, CLUSTERS, inside_here + 2 * barred_here)
         merge = merge_matrix(clusters)
         whole = np.asarray(merge.sum(1)).ravel()
         barred_clusters = merge @ barred_here > 0
         core = (merge @ (cut_here & (rows @ (~cut).astype(float) <= 0.0)) >= whole) | (merge @ inside_here > 0)
         p = random_walk(
-            merged(graph, merge),
+            merged(graph, clusters),
             core & ~barred_clusters,
             barred_clusters,
             COLOUR_WALK * (merge @ likes),
@@ -86,8 +90,16 @@ class SplatSelection:
         leaving_out = np.where(inside_here, np.inf, np.where(barred_here, 0.0, leaving_out))
         putting_in = np.where(barred_here, np.inf, np.where(inside_here, 0.0, putting_in))
         out = np.zeros(len(cut), bool)
+        # Few wide Gaussians are as long a border as many narrow ones: else cuts would run through wide ones.
+        length = np.sqrt(self._width[index] / np.median(self._width[inside]))
+        graph.data *= np.repeat(length, np.diff(graph.indptr)) * length[graph.indices]
         out[index] = banded_cut(graph, leaving_out, putting_in, clusters)
         return self._joined_to(out, inside)
+
+    def _conductance(self, cut: np.ndarray) -> float:
+        """Share of the weights of the selected Gaussians' edges that leave the selection: of a whole thing, little."""
+        rows = self.graph[cut]
+        return float((rows @ (~cut).astype(float)).sum() / max(rows.sum(), 1e-30))
 
     def _colour_ratio(self, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
         """Logarithm of the ratio of likelihoods (N,) of each Gaussian's colour inside and outside."""
@@ -106,21 +118,29 @@ class SplatSelection:
 
     def _joined_to(self, cut: np.ndarray, seeds: np.ndarray) -> np.ndarray:
         """The connected parts of a selection that hold a seed."""
-        return np.isin(part := self._parts(cut), np.unique(part[seeds & cut])) & cut
+        index = np.flatnonzero(cut)
+        part = self._parts(index)
+        out = np.zeros(len(cut), bool)
+        out[index] = np.isin(part, part[seeds[index]])
+        return out
 
     def _without_holes(self, cut: np.ndarray, barred: np.ndarray) -> np.ndarray:
         """The selection with small parts that it encloses."""
-        part = self._parts(~cut)
-        size = np.bincount(part[~cut], minlength=part.max() + 1)
-        small = (size <= HOLE_MAX * cut.sum()) & (np.bincount(part[barred], minlength=len(size)) == 0)
-        touches = np.bincount(part[~cut & (self.graph @ cut > 0)], minlength=len(size)) > 0
-        return cut | (small & touches)[part]
+        beyond = ~cut
+        index = np.flatnonzero(beyond & self._around(cut, cut, NEARBY))
+        beyond[index] = False
+        part, rows = self._parts(index), self.graph[index]
+        small = np.bincount(part) <= HOLE_MAX * cut.sum()
+        small[part[barred[index] | (rows @ beyond > 0)]] = False
+        touches = np.zeros(len(small), bool)
+        touches[part[rows @ cut > 0]] = True
+        out = cut.copy()
+        out[index] = (small & touches)[part]
+        return out
 
-    def _parts(self, which: np.ndarray) -> np.ndarray:
-        """Number (N,) of the connected part of a set that each of its members belongs to; 0: not in the set."""
-        part = np.zeros(len(which), np.int64)
-        part[which] = 1 + connected_components(self.graph[which][:, which], directed=False)[1]
-        return part
+    def _parts(self, index: np.ndarray) -> np.ndarray:
+        """Number (M,) of the connected part among the Gaussians `index` (M,) that each of them belongs to."""
+        return connected_components(self.graph[index][:, index], directed=False)[1]
 
     def grown(self, cut: np.ndarray, rings: int) -> np.ndarray:
         """The selection grown by so many rings of neighbours, or shrunk if negative."""

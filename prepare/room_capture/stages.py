@@ -1,7 +1,7 @@
 """Stages of a long pipeline: results are kept in a folder, so that an interrupted run resumes; progress on stderr.
 
 A stage is identified by its inputs and by the program's source that makes it. Its folder holds stage.json with the
-digest of these; it is called NAME.part until it is complete.
+digest of these, and sizes of its files: one that is damaged is made again. It is called NAME.part until it is complete.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from assets.file_access import make_folder
+from assets.file_access import make_folder, reason_of
 from core.errors import BadInput
 
 ABOUT = "stage.json"
@@ -49,7 +49,7 @@ class Stages:
         self._now, self._begin, self._told = name, time.perf_counter(), 0.0
         self._step = ("", "")
         kept = about_of(done)
-        if kept.get("digest") == self._digest:
+        if kept.get("digest") == self._digest and kept.get("files") == file_sizes(done):
             self.seconds[name] = float(kept.get("seconds", 0.0))
             self._print(f"kept from an earlier run ({self.seconds[name]:.0f} s)", end=True)
             return done
@@ -60,9 +60,12 @@ class Stages:
         write_about(part, {"digest": self._digest, "seconds": spent})
         try:
             make(part)
+        except OSError as e:  # of what has no error of its own
+            raise BadInput(f"{e.filename or part}: cannot be written ({reason_of(e)})") from e
         finally:  # what was spent counts, also if it was cut
             spent += time.perf_counter() - self._begin
             write_about(part, {"digest": self._digest, "seconds": spent})
+        write_about(part, {"digest": self._digest, "seconds": spent, "files": file_sizes(part)})
         remove(done)
         part.rename(done)
         self.seconds[name] = spent
@@ -112,6 +115,12 @@ def about_of(folder: Path) -> dict:
     except (OSError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) and isinstance(found.get("seconds", 0.0), (int, float)) else {}
+
+
+def file_sizes(folder: Path) -> dict[str, int]:
+    """Size [bytes] of each file of a stage but its stage.json, by path within its folder."""
+    found = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.name != ABOUT)
+    return {p.relative_to(folder).as_posix(): p.stat().st_size for p in found}
 
 
 def write_about(folder: Path, about: dict) -> None:

@@ -227,6 +227,22 @@ def test_a_cut_run_goes_on_and_changed_inputs_are_made_anew(tmp_path):
     (tmp_path / "work/first/stage.json").write_text("[")
     run(2)
     assert made[-1] == "first"
+    for damage in (lambda p: p.write_text("don"), lambda p: p.unlink()):
+        damage(tmp_path / "work/second/result")
+        assert (run(2) / "result").read_text() == "done" and made.pop() == "second.part" and made[-1] == "first"
+
+
+def test_a_full_disk_is_told_in_one_line_and_the_stage_is_not_there(tmp_path):
+    def full(folder):
+        (folder / "result").write_text("do")
+        raise OSError(28, "No space left on device")
+
+    stages = Stages(tmp_path / "work", ("first",))
+    with pytest.raises(BadInput, match=r"first\.part: cannot be written \(No space left on device\)$"):
+        stages.run("first", {}, full)
+    assert not (tmp_path / "work/first").exists()
+    done = Stages(tmp_path / "work", ("first",)).run("first", {}, lambda folder: (folder / "result").write_text("done"))
+    assert (done / "result").read_text() == "done"
 
 
 def test_a_stage_is_made_again_once_the_source_that_makes_it_has_changed(tmp_path):

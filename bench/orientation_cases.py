@@ -24,6 +24,10 @@ from core.spherical_harmonics import C0
 COUNT = 2500, 6000  # Gaussians of a case, least and most
 ROOMS = ("attic", "childrens_room", "dining_room", "garden", "stage", "study")  # of the shipped assets
 NO_UP = ("ball", "rubber_ball", "ring_red", "ring_blue", "ring_yellow")  # of the shipped bodies: as good either way up
+# Shipped bodies that have a front, in their files towards +z.
+FRONTED = ("bear", "dancer", "fox", "horse", "jelly_bear", "rabbit", "sheep", "toy_cat", "toy_dinosaur", "toy_duck")
+FRONTED += ("toy_elephant", "toy_frog", "toy_ladybird", "toy_octopus", "toy_penguin", "toy_rabbit", "toy_teddy")
+FRONTED += ("toy_whale",)
 NEAR_DUPLICATES = ("brick_", "box_")  # of these kinds of shipped bodies one each
 SQUARE = 0.3  # of the files: their axes are those of the walls
 LEAN = np.radians(8.0), np.radians(16.0)  # standard deviation of a frame's lean: most frames', and others'
@@ -68,6 +72,15 @@ def shipped_cases(count: int, seed: int) -> Iterator[OrientationCase]:
             loaded[name] = Asset.load(SHIPPED_FOLDER / f"{name}.h5").gaussians.with_sh_degree(0)
         g = part_of_room(rng, loaded[name]) if name in ROOMS else worn(rng, fewer(rng, loaded[name]))
         yield in_file(rng, name, g)
+
+
+def front_cases(count: int, seed: int) -> Iterator[tuple[str, Gaussians, float]]:
+    """`count` upright bodies with what a capture does to them: name, Gaussians, and the front's angle [rad] from +z."""
+    for k in range(count):
+        rng = np.random.default_rng([seed, k, 2])
+        name, angle = FRONTED[k % len(FRONTED)], float(rng.uniform(0.0, 2.0 * np.pi))
+        g = worn(rng, fewer(rng, Asset.load(SHIPPED_FOLDER / f"{name}.h5").gaussians.with_sh_degree(0)))
+        yield name, g.transformed(about(1, angle)), angle
 
 
 def in_file(rng, family: str, g: Gaussians) -> OrientationCase:

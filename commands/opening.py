@@ -11,7 +11,7 @@ from commands.prepared import is_asset, is_prepared, prepared_body
 from core.errors import BadInput
 from display.user_commands import AddBody, Command, OpenScene, SwapRoom
 
-PREPARATION = {"up": None, "scale": None, "vertices": None, "cells": "adaptive", "pieces": False}
+PREPARATION = {"up": None, "front": None, "scale": None, "vertices": None, "cells": "adaptive", "pieces": False}
 
 
 class Opening:

@@ -75,6 +75,17 @@ def elevation(text: str) -> float:
     return value
 
 
+def degrees(text: str) -> float:
+    """An angle of at most one turn [degrees]."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not -360.0 <= value <= 360.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an angle between -360 and 360 degrees")
+    return value
+
+
 def picture_name(text: str) -> Path:
     """The name of a picture's file."""
     if Path(text).suffix.lower() not in PICTURES:
@@ -99,6 +110,8 @@ def add_preparation(parser: argparse.ArgumentParser, prefix: str = "") -> None:
     parser.add_argument("--up", choices=AXES, help=f"{prefix}the file's up axis (default: guessed)")
     text = f"{prefix}largest extent in metres (default: guessed)"
     parser.add_argument("--scale", type=positive(float), metavar="M", help=text)
+    text = f"{prefix}turn about the vertical that brings the front to the player (default: guessed; 0: as in the file)"
+    parser.add_argument("--front", type=degrees, metavar="DEG", help=text)
     text = f"{prefix}cage vertices (default: as suits the device, 500 on a CPU, 2000 on a GPU)"
     parser.add_argument("--vertices", type=positive(int), metavar="N", help=text)
     text = f"{prefix}cells of the cage: smaller where the body is thin or curved, or all alike (default adaptive)"

@@ -58,7 +58,7 @@ EXAMPLES = """examples:
 FPS = 60  # [1/s] of a headless play
 SIZE = (960, 540)  # [px] of a headless play
 PREPARATION = Condition(
-    ("--up", "--scale", "--vertices", "--cells", "--pieces"),
+    ("--up", "--front", "--scale", "--vertices", "--cells", "--pieces"),
     lambda args: args.replay or not all(map(is_asset, args.body or ())),
     "is for a splat file given by --body; an asset or a room of its own: see vrgs.py prepare",
 )

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from commands.opening import Opening
 from core.errors import BadInput, Cancelled
+from core.measured_length import scale_between
 from core.runtime import end_taichi, is_out_of_memory, start_taichi
 from display.protocol import Display, Frame
-from display.user_commands import OPENING, AddBody, CancelOpening, Command, OpenScene, SwapRoom
+from display.user_commands import OPENING, AddBody, CancelOpening, Command, Measure, OpenScene, Rescale, SwapRoom
 from scenes.registry import label
 
 if TYPE_CHECKING:
@@ -164,9 +167,30 @@ class Session:
         if running is not None:  # its file names one scene, with which it begins
             self.world.tell(f"Nothing else can be opened during {running}.")
             return
+        if isinstance(request, Measure):
+            self._measure(request)
+            return
         if not isinstance(request, AddBody):  # which waits for its turn
             self._end_opening()
         self._requests.append(request)
+
+    def _measure(self, request: Measure) -> None:
+        """Scale the body that has both points, or else the room, in its file, in which the scene begins anew."""
+        from display.edit.editor import body_with
+        from display.keep.kept_frame import room_writer
+
+        try:
+            factor = scale_between(request.start, request.end, request.length)
+            k = body_with([np.array(request.start), np.array(request.end)], self.world.bodies())
+            if k is not None:
+                self.world.apply([Rescale(k, factor)])
+                return
+            path, write = room_writer(self.world, factor)
+            write()
+            print(f"{path}: {factor:.3g} times as large", file=sys.stderr, flush=True)
+            self._planned = Planned(self.args, self._load(self.args))
+        except (BadInput, OSError) as e:
+            self.world.tell(" ".join(str(e).split()))
 
     def _end_opening(self) -> None:
         """Give up what is being opened, and what waits."""

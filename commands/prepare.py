@@ -21,7 +21,7 @@ CONDITIONS = (
         ("--pieces",), lambda args: not args.static, "belongs to bodies; objects are cut out of a scene with --cut"
     ),
     Condition(
-        ("--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
+        ("--front", "--vertices", "--cells", "--material", "--mesher", "--rig", "--landmarks", "--no-report"),
         lambda args: not args.static,
         "belongs to bodies; with --static nothing is simulated",
     ),
@@ -102,6 +102,7 @@ def run(args: argparse.Namespace) -> None:
         args.mesher,
         args.cells == "adaptive",
         args.pieces,
+        front=args.front,
     )
     if vertices:
         print(suited(vertices[0]))

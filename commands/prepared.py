@@ -13,7 +13,7 @@ from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import start_taichi
 
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 5, 6  # of what `cached_body` and `cached_environment` make
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 6, 6  # of what `cached_body` and `cached_environment` make
 
 
 def prepared_bodies(args: argparse.Namespace) -> list[str]:
@@ -107,7 +107,8 @@ def cached_body(splats: Path, args: argparse.Namespace) -> Path:
 
         _begin(splats, out, args)
         adaptive = args.cells == "adaptive"
-        options = Options(args.vertices or chosen[0], args.scale, args.up, adaptive=adaptive, pieces=args.pieces)
+        how = {"adaptive": adaptive, "pieces": args.pieces, "front": args.front}
+        options = Options(args.vertices or chosen[0], args.scale, args.up, **how)
         prepare_file(splats, out, options, vertices=chosen)
     else:
         _ask_up(splats, out)
@@ -130,6 +131,7 @@ def chosen_vertices(splats: Path, args: argparse.Namespace) -> tuple[int, ...]:
 def body_place(splats: Path, args: argparse.Namespace, chosen: tuple[int, ...]) -> Path:
     """Path in the cache of the asset of a splat file, whether or not it exists yet."""
     key = {"vertices": args.vertices or chosen, "scale": args.scale, "up": args.up}
+    key |= {} if args.front is None else {"front": args.front}
     key |= {} if args.cells == "adaptive" else {"cells": args.cells}
     key |= {"pieces": True} if args.pieces else {}
     return cached_asset(splats, key | {"version": BODY_CACHE_VERSION})

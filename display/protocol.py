@@ -167,6 +167,10 @@ class WorldView(Protocol):
         """Distance [m] along a ray to the nearest simulated body, and its index; None if the room hides it."""
         return None
 
+    def surface(self, camera: Camera, u: float, v: float) -> np.ndarray | None:
+        """Point (3,) [m] of what a camera sees at a pixel; None: nothing opaque."""
+        return None
+
     def ground(self, point: np.ndarray) -> float | None:
         """Height [m] of table or floor below a point; None if there is none near."""
         return None

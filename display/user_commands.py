@@ -238,6 +238,16 @@ class SwapRoom:
 
 
 @dataclass(frozen=True)
+class Measure:
+    """Let two points (3,) [m] of what is seen be a length [m] apart: the size of the body that has both is set by that,
+    else that of the user's room, or of the file that is looked at."""
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    length: float
+
+
+@dataclass(frozen=True)
 class AddBody:
     """Put a body made from a file over the play."""
 
@@ -329,6 +339,7 @@ Command = (
     | OpenScene
     | SwapRoom
     | AddBody
+    | Measure
     | CancelOpening
     | ViewFiles
     | NextFile
@@ -339,7 +350,13 @@ Command = (
     | WriteSplats
 )
 SIZED = (TakePicture, Film, WriteCamera)  # about the whole picture, however small it is drawn at the moment
-OPENING = (OpenScene, SwapRoom, AddBody, CancelOpening)  # carried out by the session (commands/play.py), not the world
+OPENING = (
+    OpenScene,
+    SwapRoom,
+    AddBody,
+    Measure,
+    CancelOpening,
+)  # carried out by the session (commands/play.py), not the world
 ORDER = Command.__args__  # in which the commands of one frame are carried out
 C = TypeVar("C", bound=Command)
 

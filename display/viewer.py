@@ -14,16 +14,19 @@ from assets.splat_files import read_gaussians
 from assets.up_axis import alternatives, rotation_to_up
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
+from core.measured_length import scale_between
 from core.morton import morton_order
 from display.edit.editor import rotation_matrix
 from display.edit.notice import Notice
 from display.keep.output_place import output_path
 from display.picture import pixels_of
 from display.protocol import Frame, Line, WorldView
+from display.surface_point import surface_point
 from display.timing import Timings
 from display.user_commands import (
     Command,
     Crop,
+    Measure,
     NextBackground,
     NextFile,
     Rescale,
@@ -222,10 +225,9 @@ class Viewer(WorldView):
             case Rotate(_, rotation):
                 self._change(self.file.changed(rotation_matrix(rotation)))
             case Rescale(_, factor):
-                if not SCALE_RANGE[0] <= factor * self.file.factor <= SCALE_RANGE[1]:
-                    raise BadInput("It cannot be made larger or smaller than that.")
-                self._change(self.file.changed(np.eye(3), factor))
-                self.tell(f"{self.file.size:.3g} m: its largest extent, {self.file.factor:.3g} times that of the file")
+                self._rescale(factor)
+            case Measure(start, end, length):
+                self._measure(np.array(start), np.array(end), length)
             case ShowAxes(on):
                 self.axes = on
             case NextBackground():
@@ -238,6 +240,20 @@ class Viewer(WorldView):
                 self._show_crop()
             case WriteSplats():
                 self._write()
+
+    def _measure(self, start: np.ndarray, end: np.ndarray, length: float) -> None:
+        """Scale the file by the length between two points, and the view with it. Raises BadInput."""
+        factor, middle = scale_between(start, end, length), 0.5 * (self.file.bounds.low + self.file.bounds.high)
+        eye, target = self.cameras[0].position, 0.5 * (start + end)
+        self._rescale(factor)
+        self.wanted_view = tuple(tuple((middle + factor * (p - middle)).tolist()) for p in (eye, target))
+
+    def _rescale(self, factor: float) -> None:
+        """Show the file `factor` times as large. Raises BadInput."""
+        if not SCALE_RANGE[0] <= factor * self.file.factor <= SCALE_RANGE[1]:
+            raise BadInput("It cannot be made larger or smaller than that.")
+        self._change(self.file.changed(np.eye(3), factor))
+        self.tell(f"{self.file.size:.3g} m: its largest extent, {self.file.factor:.3g} times that of the file")
 
     def _change(self, file: ViewedFile) -> None:
         """Show the file that is shown as it is now."""
@@ -302,6 +318,10 @@ class Viewer(WorldView):
             raise BadInput(f"{out}: is the file itself; choose another name")
         self.tell(f"Written: {out}, {self.file.write(out):,} Gaussians")
         print(self._notice.shown, file=sys.stderr, flush=True)
+
+    def surface(self, camera: Camera, u: float, v: float) -> np.ndarray | None:
+        """Point (3,) [m] of what a camera sees at a pixel; None: nothing opaque."""
+        return surface_point(self.splats, camera, u, v)
 
     def lines(self) -> list[Line]:
         """The axes, as long as the file is large, and the box of the crop."""

@@ -19,6 +19,7 @@ from display.edit.body_registry import BodiesSnapshot, BodyRegistry
 from display.edit.editor import Editor
 from display.edit.room_turn import RoomTurn
 from display.protocol import Frame, WorldView
+from display.surface_point import surface_point
 from display.timing import Timings
 from display.user_commands import (
     MIN_TIME_SCALE,
@@ -372,6 +373,10 @@ class World(WorldView):
         """Distance [m] along a ray to the nearest simulated body, and its index; None behind the room."""
         hit = self.device.solver.pick(origin, direction)
         return None if hit is None or self.device.sight.hides(origin, direction, hit[0]) else hit
+
+    def surface(self, camera: Camera, u: float, v: float) -> np.ndarray | None:
+        """Point (3,) [m] of what a camera sees at a pixel; None: nothing opaque."""
+        return surface_point(self.device.splats, camera, u, v)
 
     def ground(self, point) -> float | None:
         """Height [m] of the room below a point; None: there is none near."""

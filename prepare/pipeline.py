@@ -37,10 +37,11 @@ from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, vol
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
 from prepare.cleaning import clean, clean_components
+from prepare.orientation.body_front import FRONT_SURE, front_of, turned_about_up
 from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
 
-VERSION = 7  # of the pipeline's results; raise it when the same splat would give another asset
+VERSION = 8  # of the pipeline's results; raise it when the same splat would give another asset
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -57,6 +58,7 @@ class Options:
     adaptive  smaller tets where the shape is thin or curved, larger ones deep inside; False: all alike
     pieces    a cage for each connected component of the splat, all in one asset; False: the largest alone
     metres    the splat is in metres, so that its size stays whatever it is; then `scale` is None
+    front     turn about the vertical [degrees] once it is upright; None: its front comes to +z if the guess is sure
     """
 
     vertices: int = 2000
@@ -67,6 +69,7 @@ class Options:
     adaptive: bool = True
     pieces: bool = False
     metres: bool = False
+    front: float | None = 0.0
 
     def check(self) -> None:
         """Raise BadInput for a value that cannot be used."""
@@ -85,6 +88,7 @@ class Options:
         found |= {} if self.mesher == "stuffing" else {"mesher": self.mesher}
         found |= {} if self.adaptive else {"cells": "uniform"}
         found |= {"pieces": True} if self.pieces else {}
+        found |= {"front": self.front} if self.front is not None and self.front != 0.0 else {}
         return found | ({"metres": True} if self.metres else {})
 
 
@@ -158,7 +162,7 @@ def prepare(
         "moved": (-factor * foot).tolist(),  # [m], after the rotation to +y and the scaling
         "counts": counts,
         "figures": figures,
-    }
+    } | ({"front": found["front"]} if found["front"] else {})
     if options.material is None:
         material, provenance["material"] = suitable_material(cage.vertices, cage.tets)
     else:
@@ -180,8 +184,16 @@ def clean_and_orient(gaussians: Gaussians, options: Options, progress: Progress)
     progress("orient", 0.0)
     chances = up_probabilities(g, kind="body") if options.up is None else {options.up: 1.0}
     up, sure = most_likely(chances)
-    turned = g.transformed(rotation_to_up(up))
-    return arrays_of(turned, counts=counts, up=up, sure=sure, chances=chances) | {"cluster": cluster}
+    turned, front = g.transformed(rotation_to_up(up)), {}
+    if options.front is None:
+        guess = front_of(turned)
+        turn = turned_about_up(-guess.angle) if guess.sure >= FRONT_SURE else np.eye(3)
+        front = {"angle": round(float(np.degrees(guess.angle)), 1), "sure": round(guess.sure, 2)}
+        front["turned"] = guess.sure >= FRONT_SURE
+    else:
+        turn = turned_about_up(np.radians(options.front))
+    turned = turned.transformed(turn)
+    return arrays_of(turned, counts=counts, up=up, sure=sure, chances=chances, front=front) | {"cluster": cluster}
 
 
 def fill_components(

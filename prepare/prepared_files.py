@@ -73,8 +73,9 @@ def prepare_file(
     source = rig_source(path, rig, landmarks)
     gaussians = read_gaussians(path, report) if source is None or source.gaussians is None else source.gaussians
     if source is None and path.suffix.lower() in Y_UP:
-        options = replace(options, up=options.up or "+y")
+        options = replace(options, up=options.up or "+y", front=options.front or 0.0)  # both are specified
     if source is not None:
+        options = replace(options, front=options.front or 0.0)  # a motion has a front of its own
         options = replace(options, up=options.up or source.up, material=options.material or source.material)
     bar = progress_on(sys.stderr, STEPS if source is None else (*STEPS, "rig"))
     progress, wanted = progress or bar, list(vertices) or [options.vertices]
@@ -174,6 +175,7 @@ def summary(provenance: dict) -> list[str]:
     return lines + [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {_up_axis(provenance)}, largest extent {_size(provenance)}",
+        *_front(provenance.get("front")),
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",
@@ -271,6 +273,17 @@ def environment_summary(asset: Asset) -> list[str]:
 
 def _up_axis(provenance: dict) -> str:
     return provenance["up"] if provenance["options"]["up"] else describe_guess(provenance["up"], provenance["up_sure"])
+
+
+def _front(front: dict | None) -> list[str]:
+    """The line that says what was guessed of the front."""
+    if front is None:
+        return []
+    if front["turned"]:
+        how = f"guessed, {front['sure']:.0%} sure; --front DEG overrides, 0 keeps the file's"
+        return [f"front: turned to the player by {-front['angle']:.0f} degrees ({how})"]
+    how = f"the guess, {front['angle']:.0f} degrees to the side, is {front['sure']:.0%} sure"
+    return [f"front: the file's, as {how}; in play , and . turn it and Ctrl+K keeps that, or --front DEG"]
 
 
 def _size(provenance: dict) -> str:

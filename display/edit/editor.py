@@ -42,6 +42,7 @@ EDITS = (Select, Remove, Duplicate, Rescale, Rotate, Place, TurnRoom, SetMateria
 SELECTING = (Select, Duplicate, Rescale, Rotate, Place, SetMaterial)  # after these the selected body is marked
 SETTINGS = ("light", "gravity", "time_scale")  # of the world: an undo of one leaves the bodies where they are
 FARTHEST = 100.0  # [m] that a body can be moved at once
+BOX_SLACK = 0.05  # of a body's size, about its bounding box: its Gaussians reach over its cage
 COPY_GAP = 0.01  # [m] between a body and its copy
 SCALE_MIN, SCALE_MAX = 0.2, 5.0  # size of a body in multiples of its first one
 SCALE_ROUNDING = 1e-6  # a factor this near to 1 changes nothing
@@ -267,6 +268,16 @@ def rotation_matrix(rotation) -> np.ndarray:
     if q.shape != (4,) or not np.isfinite(q).all() or not q.any():
         raise BadInput(f"A body cannot be turned by {rotation}.")
     return matrices_from_quaternions((q / np.linalg.norm(q))[None])[0]
+
+
+def body_with(points: Sequence[np.ndarray], bodies: list[BodyState]) -> int | None:
+    """Index of the smallest body whose bounding box, a little widened, holds all points (3,) [m]; None: none does."""
+    found = []
+    for k, body in enumerate(bodies):
+        slack = BOX_SLACK * float((body.high - body.low).max())
+        if all((p > body.low - slack).all() and (p < body.high + slack).all() for p in points):
+            found.append((slack, k))
+    return min(found)[1] if found else None
 
 
 def copy_offset(k: int, bodies: list[BodyState]) -> np.ndarray:

@@ -54,15 +54,20 @@ def frame_writer(world: World | Viewer, body: int | None) -> tuple[Path, Callabl
     return path, lambda: changed.save(path, quantised=small)
 
 
-def room_writer(world: World) -> tuple[Path, Callable[[], None]]:
-    """The file of the room that has been turned, and what writes it, which takes some seconds."""
+def room_writer(world: World, factor: float = 1.0) -> tuple[Path, Callable[[], None]]:
+    """The file of the room that has been turned, and what writes it `factor` times as large, which takes some seconds.
+
+    Raises BadInput for a room that is none of the user's.
+    """
     room = world.room
+    if room.own is None:
+        raise BadInput("Only a room of your own can be changed: --stage ROOM.")
     path, pose = find_asset(room.own.asset), room.pose
     start = matrices_from_quaternions(np.asarray(room.own.rotation, np.float64))
     rotation = start.T @ pose[:3, :3] @ room.kept[:3, :3].T @ start
 
     def write() -> None:
-        write_room_turned(path, rotation)
+        write_room_turned(path, rotation, factor)
         room.kept = pose
 
     return path, write

@@ -65,6 +65,7 @@ class Controls:
         self.gizmo: str | None = None
         self.menu = self.asks_file = False
         self.dialog = None  # that asks something
+        self.measured: list[np.ndarray] | None = None  # points (3,) whose distance sets the size; None: none are asked
         self.quit = False
         self._followed: tuple | None = None  # the last view that the world wanted
         self.bookmarks: dict[str, list[list[float]]] = {}  # eye and target [m] by digit
@@ -78,6 +79,9 @@ class Controls:
         """Take a mouse button that goes down over the picture."""
         if self.drag is not None:
             return
+        if self.measured is not None and button == "left":
+            self._measure_at(world.surface(camera, u, v), world)
+            return
         self._button = button
         if button == "left" and not world.paused and self._grab(u, v, camera, world):
             self.drag = "grab"
@@ -87,6 +91,14 @@ class Controls:
             self.drag = "look" if button == "right" else "turn"
             ground = world.ground(self.orbit.target)
             self._lowest = None if ground is None else ground + EYE_CLEARANCE
+
+    def _measure_at(self, point: np.ndarray | None, world: WorldView) -> None:
+        """Take a point of a length to be measured."""
+        if point is None:
+            world.tell("Nothing is there: click on something that is seen.")
+        elif len(self.measured) < 2:
+            self.measured.append(point)
+            world.tell("Now the other point." if len(self.measured) == 1 else "")
 
     def _grab(self, u: float, v: float, camera: Camera, world: WorldView) -> bool:
         hit = world.pick(*camera.ray(u, v))
@@ -182,12 +194,14 @@ class Controls:
     # the actions of key_bindings.py that concern the window alone, or the camera
 
     def escape(self, press: Press) -> list[Command]:
-        """End the first of these that is: the drag, the list of keys, a menu or dialog, what is being opened, the
-        gizmo, the demonstration; else the play."""
+        """End the first of these that is: the drag, the list of keys, a measurement, a menu or dialog, what is being
+        opened, the gizmo, the demonstration; else the play."""
         if self.drag is not None:
             self._drop()
         elif self.help:
             self.help = False
+        elif self.measured is not None:
+            self.measured = None
         elif self.menu or self.dialog is not None:
             self.menu = False
             if self.dialog is not None:
@@ -229,6 +243,12 @@ class Controls:
         if self.gizmo is not None and press.world.room_middle is None:
             self.gizmo = None
             press.world.tell("Only a room of your own can be turned: vrgs.py capture, or --stage ROOM.")
+
+    def measure(self, press: Press) -> None:
+        """Ask for two points whose distance the user knows, or do not."""
+        self.measured = [] if self.measured is None else None
+        if self.measured is not None:
+            press.world.tell("Click two points whose distance you know (Esc: none).")
 
     def tilt_room_away(self, press: Press) -> list[Command]:
         """Turn the room about the camera's horizontal axis."""

@@ -87,6 +87,7 @@ BINDINGS = (
     KeyBinding(("ctrl+period",), "turn your room to the right", EDITS["turn room"], bodies=True),
     KeyBinding(("ctrl+shift+comma",), "tilt your room away", "tilt_room_away", bodies=True),
     KeyBinding(("ctrl+shift+period",), "tilt your room towards you", "tilt_room_towards", bodies=True),
+    KeyBinding(("k",), "set the size: two points and a length", "measure"),
     KeyBinding(("ctrl+k",), "keep its up, front and size in its file", user_commands.KeepFrame()),
     KeyBinding(("l",), "the light follows the cursor", text="L (hold)", bodies=True),
     KeyBinding(DIGITS, "go to a view that was kept", "go_to_bookmark", text="1 ... 9"),

@@ -21,6 +21,7 @@ from display.window.controls import ROOM_GIZMO, Controls
 from display.window.gizmo import Gizmo
 from display.window.gl_window import GLWindow
 from display.window.hover import Hover
+from display.window.length_dialog import LengthDialog, measuring_lines
 from display.window.line_overlay import draw_lines
 from display.window.mouse_hand import MouseHand
 from display.window.open_dialog import OpenDialog
@@ -64,7 +65,7 @@ class Window:
         self._opened = self._restore(asked=width is not None)
         self._texture = PictureTexture(self._surface.gl)
         self._menu, self._open_dialog = SceneMenu(self._surface.gl), OpenDialog(self._preferences)
-        self._up_choice = UpChoice(self._surface.gl)
+        self._up_choice, self._length_dialog = UpChoice(self._surface.gl), LengthDialog()
         self._dialog_shown = False
         self._panel = Panel(title, self._surface.scale)
         self._panel.body.offers_gizmo = True
@@ -158,6 +159,7 @@ class Window:
         self._surface.set_title(title)
         self._panel.title = title
         self._controls.let_go()
+        self._controls.measured = None
         self._controls.orbit = OrbitCamera(scene.eye, scene.target, scene.fov_y)
         self._name, self._controls.bookmarks = name, self._bookmarks_of(name)
         self._commands = []
@@ -199,8 +201,9 @@ class Window:
         with world.timings.stage("present"):
             self._texture.upload(world.picture)
             self._texture.draw(self._surface.frame_size)
-            draw_lines(world.lines(), self._camera, self._from_picture, self._surface.scale)
             controls, panel = self._controls, self._panel
+            lines = [*world.lines(), *measuring_lines(controls.measured, controls.orbit.eye)]
+            draw_lines(lines, self._camera, self._from_picture, self._surface.scale)
             panel.help = controls.help
             self._commands = panel.draw(world, visible=controls.panel) + self._draw_gizmo(world)
             controls.help = panel.help
@@ -232,6 +235,9 @@ class Window:
             controls.menu = False
         menu.shown = controls.menu
         commands = menu.draw(world) + dialog.draw(world) + self._up_choice.draw(world)
+        measured, over = self._length_dialog.draw(controls.measured)
+        commands += measured
+        controls.measured = None if over else controls.measured
         controls.menu = menu.shown
         self._dialog_shown = dialog.shown
         controls.dialog = dialog if dialog.shown else None

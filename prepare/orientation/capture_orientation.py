@@ -9,6 +9,7 @@ import numpy as np
 from assets.gaussians import Gaussians
 from assets.level_planes import LEVEL_COS, find_floor_plane, normals_and_areas, refine_direction
 from core.errors import BadInput
+from core.measured_length import scale_between
 from core.rotation import rotation_between
 from prepare.environment.support_planes import fit_floor
 from prepare.orientation.camera_up import up_of_cameras
@@ -23,7 +24,6 @@ LOWER_SHARE = 0.25  # a level plane under it with this share of its area is the 
 EYE_HEIGHT, EYE_SPREAD = 1.5, 1.35  # [m] of a camera held by a standing person, and a factor for those who stoop
 VIEW_DISTANCE, VIEW_SPREAD = 1.5, 2.5  # [m] to the subject if no floor was seen: a rough guess
 FRONT_MIN = 0.35  # mean resultant length of the viewing directions; below it the cameras go all around
-LENGTH_RANGE = (1e-3, 1e3)  # [m] plausible measured lengths
 
 
 @dataclass(frozen=True)
@@ -126,14 +126,7 @@ def measured_scale(measured, length: float | None) -> float:
     """Metres per unit of two points (3,) that are `length` [m] apart. Raises BadInput."""
     if measured is None or length is None:
         raise BadInput("a scale needs two points and the length between them in metres")
-    a, b = (np.asarray(p, np.float64) for p in measured)
-    low, high = LENGTH_RANGE
-    if not low <= length <= high:
-        raise BadInput(f"a length of {length:g} m is out of range ({low:g} to {high:g})")
-    apart = float(np.linalg.norm(b - a)) if a.shape == b.shape == (3,) else np.nan
-    if not (np.isfinite(apart) and apart > 1e-9 * max(np.abs(a).max(), np.abs(b).max(), 1e-9)):
-        raise BadInput("the two points of a measured length must be different, and finite")
-    return length / apart
+    return scale_between(*measured, length)
 
 
 def near_gaussians(gaussians: Gaussians, places: np.ndarray, target: np.ndarray) -> Gaussians:

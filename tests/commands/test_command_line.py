@@ -38,7 +38,10 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("--host ::1", "--host belongs to --web"),
     ("--sound on --headless", "--sound on: nothing is heard here"),
     ("--sound on --web", "--sound on: nothing is heard here"),
-    *((f"export --out a.ply {o}", "is for a splat") for o in ("--up +y", "--scale 1", "--vertices 9", "--pieces")),
+    *(
+        (f"export --out a.ply {o}", "is for a splat")
+        for o in ("--up +y", "--front 9", "--scale 1", "--vertices 9", "--pieces")
+    ),
     ("export --out a.ply --cells uniform", "is for a splat"),
     ("export --out a.ply --format spz", "--format is for a folder"),
     ("export --out a.ply --replay a.h5 --state b.h5", "--state is not for a replay"),
@@ -52,6 +55,8 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ),
     ("--participant Ida", "--participant belongs to --study"),
     ("--body a.h5 --up=-y", "--up is for a splat file"),
+    ("--body ring_red --front 0", "--front is for a splat file"),
+    ("prepare a --out b.h5 --static --front 90", "--front belongs to bodies"),
     ("--body ring_red --scale 1", "--scale is for a splat file"),
     ("--stage a.ply --vertices 9", "--vertices is for a splat file"),
     ("--cells uniform", "--cells is for a splat file"),

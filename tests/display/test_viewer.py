@@ -11,11 +11,12 @@ import pytest
 
 import vrgs
 from assets.gaussians import Gaussians
-from assets.splat_files import write_gaussians
+from assets.splat_files import read_gaussians, write_gaussians
 from display.viewer import camera_around, middle_and_radius, upright
 from tests.support.xvfb import NEEDS_XVFB, XServer
 
 PROGRAM = Path(__file__).resolve().parents[2] / "vrgs.py"
+CROSS = np.array([255, 199, 64])  # colour of a point that is measured
 RED, WHITE = (0.9, 0.1, 0.1), (0.9, 0.9, 0.9)
 
 
@@ -111,9 +112,11 @@ def test_what_cannot_be_is_told_in_one_line(file, tmp_path, monkeypatch, capsys,
 
 @NEEDS_XVFB[0]
 @NEEDS_XVFB[1]
-def test_the_window_turns_with_the_mouse_and_closes(file):
+def test_the_window_turns_with_the_mouse_measures_and_closes(file, tmp_path):
+    out = tmp_path / "measured.ply"
     with XServer(400, 300) as screen:
         words = [sys.executable, PROGRAM, "view", file, "--arch", "cpu", "--up", "+y", "--size", "400x300"]
+        words += ["--out", out]
         process = subprocess.Popen(list(map(str, words)), env=screen.env, stderr=subprocess.PIPE)
         try:
             screen.wait_for_window("ball.ply", seconds=60)
@@ -126,12 +129,34 @@ def test_the_window_turns_with_the_mouse_and_closes(file):
                     time.sleep(0.1)
                 return False
 
+            def crossed(y, there):
+                end = time.monotonic() + 60
+                while time.monotonic() < end:
+                    near = screen.pixels()[y - 6 : y + 7, 194:207].reshape(-1, 3).astype(int)
+                    if (np.abs(near - CROSS).sum(axis=1) < 150).any() == there:
+                        return True
+                    time.sleep(0.1)
+                return False
+
             assert becomes(310, lambda c: c[0] - c[1] > 80), "its right side is red"
             screen.key("F1")  # the panel is over it
             assert becomes(120, lambda c: c.min() > 180), "its left side is white"
             screen.drag((330, 250), (190, 250))
             assert becomes(120, lambda c: c[0] - c[1] > 80), "its red side did not come round"
+            screen.key("k")
+            for y in (90, 160):
+                screen.click(200, y)
+                assert crossed(y, True), "no cross where it was clicked"
+            screen.key("2")  # the two points are 2 m apart
+            screen.key("Return")
+            assert crossed(90, False), "the question is still there"
+            screen.key("o")
+            end = time.monotonic() + 30
+            while not out.exists() and time.monotonic() < end:
+                time.sleep(0.1)
             screen.key("Escape")
             assert process.wait(30) == 0
         finally:
             process.kill()
+    size = np.ptp(read_gaussians(out).means[:-1], axis=0).max()  # but for the speck
+    assert 5.0 < size < 12.0  # the ball of 0.8 m: the points are a third of the picture apart, on its near side

@@ -5,17 +5,21 @@ import time
 from argparse import Namespace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import commands.background as background
 import commands.play_session as play_session
+from assets.asset import Asset
 from commands.opening import Opening, opened_args
 from core.errors import BadInput, Cancelled
 from display.preferences import Preferences
 from display.protocol import Frame
-from display.user_commands import AddBody, CancelOpening, OpenScene, Pause, SwapRoom
+from display.user_commands import AddBody, CancelOpening, Measure, OpenScene, Pause, SwapRoom
+from scenes.scene import Body
 from sim.capacity import CapacityError
 from tests.support.fake_view import FakeView
+from tests.support.leaning_room import leaning_room
 
 
 class NamedScene(str):
@@ -144,6 +148,37 @@ def test_a_body_joins_and_a_large_one_in_a_larger_world_of_the_same_state(sessio
         and last.added == [("large", "large")]
         and last.adopted == "state of one"
     )
+
+
+def test_a_length_sets_the_size_of_the_body_that_has_both_points(session, monkeypatch):
+    """10 cm of it are 20 cm in truth; a smaller body beside the points, and a larger one around them, stay."""
+    boxes = [((-1, 0, -1), (1, 2, 1)), ((0, 0, 0), (0.2, 0.2, 0.2)), ((0.15, 0, 0), (0.2, 0.05, 0.05))]
+    bodies = [SimpleNamespace(low=np.array(low, float), high=np.array(high, float)) for low, high in boxes]
+    applied = []
+    monkeypatch.setattr(EmptyWorld, "bodies", lambda self: bodies, raising=False)
+    monkeypatch.setattr(EmptyWorld, "apply", lambda self, commands: applied.extend(commands), raising=False)
+    worlds_of(session([Measure((0.05, 0.1, 0.1), (0.15, 0.1, 0.1), 0.2)], []))
+    (rescale,) = applied
+    assert rescale.body == 1 and rescale.factor == pytest.approx(2.0)
+
+
+def test_a_length_in_the_room_is_written_to_its_file_and_the_scene_begins_anew(session, monkeypatch, tmp_path):
+    """Of no room of the user's it is refused in one line."""
+    path, same = tmp_path / "room.h5", np.eye(4)
+    leaning_room(np.eye(3)).save(path)
+    before = Asset.load(path)
+    own = Body(str(path))
+    monkeypatch.setattr(EmptyWorld, "bodies", lambda self: [], raising=False)
+    monkeypatch.setattr(EmptyWorld, "room", SimpleNamespace(own=own, pose=same, kept=same), raising=False)
+    first, *_, last = worlds_of(session([Measure((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 0.6)], [], []))
+    after = Asset.load(path)
+    assert last is not first and last.scene == "one"
+    sizes = [np.ptp(a.gaussians.means, axis=0) for a in (before, after)]
+    np.testing.assert_allclose(sizes[1], 1.2 * sizes[0], rtol=1e-4)
+    assert after.environment.clear_radius == pytest.approx(1.2 * before.environment.clear_radius)
+    monkeypatch.setattr(EmptyWorld, "room", SimpleNamespace(own=None), raising=False)
+    (world, *_) = worlds_of(session([Measure((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 0.6)], []))
+    assert world.told == ["Only a room of your own can be changed: --stage ROOM."]
 
 
 @pytest.mark.parametrize("output", ["recording", "study"])

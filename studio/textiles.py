@@ -1,4 +1,4 @@
-"""Hanging and sewn cloth as meshes."""
+"""Curtains as meshes."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Adam (Kingma and Ba 2015) for all parameters of the Gaussians, fused with the last step of their gradients."""
+"""Constants and learning rates of Adam (Kingma and Ba 2015); prepare/train/population.py takes its steps."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
-SH_DEGREE_INTERVAL = 1000  # steps after which one more degree of the harmonics is learned
 
 
 @dataclass(frozen=True)

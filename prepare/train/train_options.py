@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from prepare.train.optimizer import SH_DEGREE_INTERVAL
-
 CAPS = {"cuda": 2_000_000, "cpu": 100_000}  # most Gaussians, by device
 STEPS = {"cuda": 30_000, "cpu": 3_000}
 FAST_STEPS = {"cuda": 10_000, "cpu": 1_000}
@@ -45,7 +43,7 @@ class TrainOptions:
     coarse: float = 0.0
     sparse: bool = False
     harmonics_every: int = 1
-    degree_interval: int = SH_DEGREE_INTERVAL
+    degree_interval: int = 1000
     budgeted: bool = False
     resets: bool = True
 

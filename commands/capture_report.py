@@ -84,7 +84,7 @@ def described(asset: Asset, thing: RoomObject, eye: tuple) -> str:
 
 
 def played(out: Path, rest: Asset, eye: tuple) -> Section:
-    """How the room is played, and its free place."""
+    """Section on playing the room: its free place."""
     place, on = rest.environment, rest.provenance["drop_on"]
     away = np.linalg.norm(np.subtract(eye, place.drop_point))
     free = f"A body of yours falls {away:.1f} m from the eye, "

@@ -62,7 +62,7 @@ def kind_of(args: argparse.Namespace) -> str:
 
 
 def is_folder(path: Path) -> bool:
-    """Tell whether `--out` names a folder: one that is there, or a name without an ending."""
+    """True if `--out` names a folder: one that is there, or a name without an ending."""
     return path.is_dir() or not path.suffix
 
 

@@ -36,7 +36,7 @@ def prepared_bodies(args: argparse.Namespace) -> list[str]:
 
 
 def is_asset(name: str) -> bool:
-    """Tell whether a body or room is an asset already: a shipped one, or an .h5 file."""
+    """True if a body or room is an asset already: a shipped one, or an .h5 file."""
     from assets.library import SHIPPED_FOLDER
 
     return (SHIPPED_FOLDER / f"{name}.h5").is_file() or Path(name).suffix.lower() == ".h5"

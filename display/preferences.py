@@ -124,7 +124,7 @@ class Preferences:
             self._give_up(str(e))
 
     def _give_up(self, reason: str) -> None:
-        """Tell why, and neither read nor write the file again."""
+        """Neither read nor write the file again; tell the reason."""
         tell(f"settings are not kept: {reason}")
         self.path = None
 

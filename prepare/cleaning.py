@@ -70,7 +70,7 @@ def solid_box(g: Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_flat(points: np.ndarray) -> bool:
-    """Tell whether points (N, 3) lie on a plane or a line."""
+    """True if points (N, 3) lie on a plane or a line."""
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(points.astype(np.float64).T)).clip(0))
     return bool(spread[0] <= MIN_FLATNESS * spread[1] + 1e-6 * spread[2])
 

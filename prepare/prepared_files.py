@@ -127,7 +127,7 @@ def prepare_file(
 
 
 def tell_alternatives(chances: dict, out: Path, strip: np.ndarray | None, report: Callable[[str], None]) -> None:
-    """Tell the user what else may be up; a strip of an earlier preparation, which was written anew, is no longer."""
+    """Name the other axes that may point up, and remove the strip of an earlier preparation if there is none now."""
     if strip is None:
         strip_name(out).unlink(missing_ok=True)
     if line := question(chances, None if strip is None else strip_name(out)):

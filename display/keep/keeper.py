@@ -121,7 +121,7 @@ class Keeper:
         self._write(film.path, film.close)
 
     def _report(self, world) -> None:
-        """Tell of what the thread has done."""
+        """Report the results of the thread."""
         while self._tasks and (self._tasks[0].done() or world is None):
             task: Future = self._tasks.pop(0)
             self._tell(*task.result(), world)

@@ -204,7 +204,7 @@ class PageServer:
             self._call(send, page, json.dumps(hello))
 
     def tell(self, state: dict) -> None:
-        """Tell each page what it does not know of the state yet."""
+        """Send each page the changes of the state that it has not seen yet."""
         with self._changed:
             pages = list(self._pages)
         for page in pages:

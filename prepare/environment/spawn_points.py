@@ -94,7 +94,7 @@ def standing_eyes(
 
 
 def unobstructed(voxels: VoxelGrid, a: np.ndarray, b: np.ndarray) -> bool:
-    """Tell whether no occupied voxel lies between two points (3,) [m]."""
+    """True if no occupied voxel lies between two points (3,) [m]."""
     count = max(2, int(np.linalg.norm(b - a) / (0.5 * voxels.spacing)))
     p = a + np.linspace(0, 1, count)[:, None] * (b - a)
     i = np.floor((p - voxels.origin) / voxels.spacing).astype(int)

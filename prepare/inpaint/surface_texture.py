@@ -156,7 +156,7 @@ class _Seen:
 
 
 def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], tolerance: float) -> _Seen:
-    """What the views show within a tolerance [m] of the surface's points (H, W, 3).
+    """Observations of the surface's points (H, W, 3) by the views, within a tolerance [m].
 
     The colour is that of the view that shows a texel largest and least slanted.
     """

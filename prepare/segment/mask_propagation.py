@@ -108,7 +108,7 @@ class MarkPropagation:
         return self._cut(k, likely, unsure | _disputed(likely), band)
 
     def _pixels(self, part: float) -> int:
-        """That part of a picture's diagonal, [px]."""
+        """A part of a picture's diagonal [px]."""
         return max(2, round(part * float(np.hypot(*self.depths[0].shape))))
 
     def _with_strokes(self, k: int, likely: np.ndarray) -> np.ndarray:

@@ -98,7 +98,9 @@ def test_without_a_number_the_cage_suits_the_device_and_a_line_says_so(prepared,
     assert status == 0 and f"a cage of {least} vertices, as suits a CPU (--vertices N)" in said.out
     found = Asset.load(tmp_path / "out.h5")
     assert abs(len(found.cage.vertices) / least - 1) < 0.15
-    args = argparse.Namespace(vertices=None, scale=None, up=None, front=None, cells="adaptive", pieces=False, arch="cpu", seed=0)
+    args = argparse.Namespace(
+        vertices=None, scale=None, up=None, front=None, cells="adaptive", pieces=False, arch="cpu", seed=0
+    )
     kept = cached_body(tmp_path / "ball.ply", args)
     assert args.vertices == least and len(Asset.load(kept).cage.vertices) == len(found.cage.vertices)
     args.vertices = None

@@ -222,9 +222,14 @@ def fine_boxes(
 
 
 def view_of(view: RoomView) -> tuple[tuple, tuple, float]:
-    """Eye, target [m] and vertical field of view [rad] of the player: those of the photographer."""
+    """Eye, target [m] and vertical field of view [rad] of the player: those of the photographer.
+
+    The picture is as high as the photograph. Of an upright one some is left out above and below: what it shows would be
+    small in a wide picture, with much beside it that it does not show.
+    """
     k = view.photographer()
     camera = view.cameras[k]
-    fov = 2.0 * float(np.arctan(0.5 * min(camera.height / camera.fy, camera.width / camera.fx)))  # beside it: nothing
+    high, wide = camera.height / camera.fy, camera.width / camera.fx
+    fov = 2.0 * float(np.arctan(0.5 * min(high, np.sqrt(high * wide))))
     eye, target = view.places[k], view.targets[k]
     return tuple(map(float, eye)), tuple(map(float, target)), float(np.clip(fov, *FOV_RANGE))

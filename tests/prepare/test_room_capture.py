@@ -114,6 +114,9 @@ def test_the_player_stands_where_a_photographer_stood_on_the_front_side():
     eye, target, fov = view_of(view)
     assert any(np.allclose(eye, c.position) for c in cameras) and eye[2] > 1.2 and fov == pytest.approx(0.8)
     assert np.linalg.norm(np.subtract(target, (0.0, 0.3, 0.0))) < 0.2 and view.floor == 0.0
+    upright = [replace(c, width=c.height, height=c.width, cx=c.cy, cy=c.cx) for c in cameras]
+    wide, high = (np.tan(0.5 * a) for a in (fov, 2 * np.arctan(0.5 * upright[0].height / upright[0].fy)))
+    assert np.tan(0.5 * view_of(replace(view, cameras=upright))[2]) == pytest.approx(np.sqrt(wide * high))
     unseen = replace(view, floor_seen=False)
     assert unseen.floor == pytest.approx(min(0.0, np.median(view.places[:, 1]) - 1.5))
 

@@ -131,16 +131,23 @@ def measure(name: str, variant: str, read: tuple, options: TrainOptions, test_at
         qualities = [trainer.quality(p) for p in kept]
         row = {"bench": "train", "program": "vrgs", "capture": name, "variant": variant, "step": trainer.done}
         row |= {"psnr": np.mean([q.psnr for q in qualities]), "ssim": np.mean([q.ssim for q in qualities])}
+        row["psnr_of_each"] = [round(float(q.psnr), 2) for q in qualities]
         row |= {"gaussians": trainer.population.count, "seconds": seconds, "first_step_seconds": first}
         row |= {"steps_per_second": (trainer.done - 1) / seconds, "refining_seconds": refining["seconds"]}
         row |= {"device_mb": device_memory(), "process_mb": peak_memory_mb(), "views": len(learned)}
         row |= {"test_views": len(kept), "sort": options.sort, "arch": str(ti.cfg.arch).removeprefix("Arch.")}
         rows.append(row)
         text = f"{name}, {variant}, {trainer.done} steps: {row['psnr']:.2f} dB, SSIM {row['ssim']:.3f}"
-        print(f"{text}, {row['gaussians']} Gaussians, {seconds:.1f} s", file=sys.stderr, flush=True)
+        print(f"{text}, {row['gaussians']} Gaussians, {seconds:.1f} s", file=sys.stderr)
+        print(f"  each held-out photograph: {listed(row['psnr_of_each'])} dB", file=sys.stderr, flush=True)
     rows[-1]["stages_ms"] = stages(trainer, min(STAGE_STEPS, options.steps))
     trainer.destroy()
     return rows
+
+
+def listed(values: list[float]) -> str:
+    """PSNR of each photograph in a line: a mean may hide one or two that the others do not determine."""
+    return " ".join(f"{value:.1f}" for value in values)
 
 
 def _time_refinement(trainer) -> dict[str, float]:

@@ -29,7 +29,7 @@ from gsplat.strategy.ops import reset_opa
 
 from assets.gaussians import Gaussians
 from bench.device_memory import device_memory
-from bench.training_speed import STAGE_STEPS, print_rows, read_training_capture
+from bench.training_speed import STAGE_STEPS, listed, print_rows, read_training_capture
 from core.errors import BadInput
 from prepare.train.seeds import first_count, seeds
 
@@ -244,13 +244,15 @@ def train(path: Path, args, device) -> list[dict]:
         psnr, ssim = np.mean(qualities, axis=0) if qualities else (float("nan"),) * 2
         row = {"bench": "train", "program": "gsplat 1.5.3", "capture": path.name, "step": training.done}
         row |= {"psnr": psnr, "ssim": ssim, "gaussians": len(training.params["means"]), "seconds": seconds}
+        row["psnr_of_each"] = [round(quality[0], 2) for quality in qualities]
         row |= {"steps_per_second": training.done / seconds, "refining_seconds": training.refining}
         row |= {"device_mb": device_memory(), "views": len(learned), "test_views": len(kept), "reset": args.reset}
         if device.type == "cuda":
             row |= {"tensors_mb": torch.cuda.max_memory_allocated() / 2**20, "device": torch.cuda.get_device_name()}
         rows.append(row)
         text = f"{path.name}: {psnr:.2f} dB, SSIM {ssim:.3f}, {row['gaussians']} Gaussians, {seconds:.1f} s"
-        print(f"{text}, of which refining {training.refining:.1f} s", file=sys.stderr, flush=True)
+        print(f"{text}, of which refining {training.refining:.1f} s", file=sys.stderr)
+        print(f"  each held-out photograph: {listed(row['psnr_of_each'])} dB", file=sys.stderr, flush=True)
     if args.out:
         from assets.splat_files import write_gaussians
 

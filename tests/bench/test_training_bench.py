@@ -32,6 +32,8 @@ def test_a_training_is_measured_and_its_stages_are_timed(ti_cpu, folder, tmp_pat
     rows = json.loads((tmp_path / "rows.json").read_text())
     assert [row["step"] for row in rows] == [12, 24] and rows[1]["psnr"] > rows[0]["psnr"] > 12.0
     assert all(row["steps_per_second"] > 0 and 0 < row["gaussians"] <= 300 for row in rows)
+    assert all(len(row["psnr_of_each"]) == row["test_views"] for row in rows)
+    assert sum(rows[1]["psnr_of_each"]) / rows[1]["test_views"] == pytest.approx(rows[1]["psnr"], abs=0.01)
     stages = rows[1]["stages_ms"]
     assert len(stages) == 7 and min(stages.values()) > 0.0 and "backward of blend" in said and variants[0] in said
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
+from core.errors import BadInput
 from prepare.blending_weights import BlendingWeights
 from prepare.environment.clear_view import FOG_WIDTH
 from prepare.progress import Progress, no_progress
@@ -27,6 +28,10 @@ ELEVATIONS = (-20.0, 5.0, 30.0, 55.0)  # [degrees]
 FINER = 0.5  # of the step between views, for those around the best one
 LIKELY = 0.4  # of the best view's score; below, no camera stood there
 MIDDLE_STEPS = 50  # of the iteration for the geometric median
+
+
+class NothingSeen(BadInput):
+    """A splat of which nothing is seen sharply from anywhere."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class Outlook:
 def likely_cameras(gaussians: Gaussians, *, progress: Progress = no_progress) -> Outlook:
     """Cameras that may have photographed a splat, +y up, of which the best is where a player sees most.
 
-    Taichi must be running.
+    Taichi must be running. Raises NothingSeen.
     """
     views = ScoredViews(gaussians)
     target = geometric_median(gaussians)
@@ -62,6 +67,9 @@ def likely_cameras(gaussians: Gaussians, *, progress: Progress = no_progress) ->
 
     for view in tried:
         scores.append(score(*view))
+    if not max(scores) > 0.0:
+        views.destroy()
+        raise NothingSeen("nothing of it is seen sharply from anywhere")
     d, a, e = tried[int(np.argmax(scores))]
     step = FINER * np.array([azimuths[1], ELEVATIONS[1] - ELEVATIONS[0]])
     for u, v in [(u, v) for u in (-1, 0, 1) for v in (-1, 0, 1) if u or v]:

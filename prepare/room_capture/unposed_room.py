@@ -19,6 +19,7 @@ from assets.level_planes import AXES
 from assets.reoriented import turned_environment, turned_grid
 from assets.up_axis import most_likely, robust_bounds, rotation_to_up, up_probabilities
 from core.camera import look_at, perspective
+from core.errors import BadInput
 from core.rotation import rotation_between
 from prepare.cleaning import cut_out
 from prepare.environment.clear_view import CLEAR, clearest
@@ -33,7 +34,7 @@ from prepare.orientation.capture_orientation import VIEW_DISTANCE, VIEW_SPREAD, 
 from prepare.progress import Progress, no_progress
 from prepare.room_capture.captured_background import RoomView, captured_environment, room_extent
 from prepare.room_capture.contributions import SIDE, contributions, needed
-from prepare.room_capture.likely_cameras import Outlook, ScoredViews, likely_cameras
+from prepare.room_capture.likely_cameras import NothingSeen, Outlook, ScoredViews, likely_cameras
 
 SHARP = 0.8  # of the picture at the start; a backdrop that no photograph was about is blurred
 SEARCHING = "searching for where cameras may have been"
@@ -78,7 +79,7 @@ def playable_environment(
     report           told why the second way is tried
     Raises BadInput.
     """
-    options, share, made = options or EnvironmentOptions(), 0.0, None
+    options, made, why = options or EnvironmentOptions(), None, None
     try:
         made = prepare_environment(gaussians, options, progress=progress)
         share = made[0].provenance["clear_view"]
@@ -87,8 +88,14 @@ def playable_environment(
             return made
         report(f"of the view from its floor {min(share, sharp):.0%} is clear and sharp: {SEARCHING}")
     except NoFloor as e:
+        why = e
         report(f"{e}: {SEARCHING}")
-    found = unposed_environment(gaussians, options, progress=again)
+    try:
+        found = unposed_environment(gaussians, options, progress=again)
+    except BadInput as e:
+        if made is not None:
+            return made
+        raise why if isinstance(e, NothingSeen) else e from why
     worse = made is not None and np.prod(start_of(found[0])) <= np.prod(start_of(made[0]))
     return made if worse else found
 

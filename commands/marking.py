@@ -11,8 +11,8 @@ import numpy as np
 
 from assets.gaussians import Gaussians
 from assets.up_axis import guess_up_axis, rotation_to_up
-from core.camera import Camera, look_at
 from core.errors import BadInput
+from display.mark.free_view import FreeView
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
 from display.window.orbit_camera import OrbitCamera
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
@@ -70,13 +70,13 @@ class SplatSubject:
         from prepare.segment.splat_selection import SplatSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
-        self._upright = np.eye(4)
-        self._upright[:3, :3] = rotation_to_up(up or guess_up_axis(some)[0])
-        turned = replace(some, means=(some.means @ self._upright[:3, :3].T).astype(np.float32))
+        upright = np.eye(4)
+        upright[:3, :3] = rotation_to_up(up or guess_up_axis(some)[0])
+        turned = replace(some, means=(some.means @ upright[:3, :3].T).astype(np.float32))
         middle, radius = middle_and_radius(turned)
         eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
-        self.orbit = OrbitCamera(eye, middle, FOV_Y)
-        self.gaussians, self.cameras = gaussians, dict(marks.cameras)
+        self.free = FreeView(OrbitCamera(eye, middle, FOV_Y), PICTURE_SIZE, upright, marks.cameras)
+        self.gaussians = gaussians
         self._selection, self._weights = SplatSelection(gaussians), BlendingWeights(gaussians)
         self._drawn = BlendingWeights(painted(replace(gaussians, object_id=np.zeros(len(gaussians), np.uint16)), 1))
         self._seeds: dict[tuple, object] = {}
@@ -84,45 +84,24 @@ class SplatSubject:
     @property
     def views(self) -> list[str]:
         """Names of the views that have been marked."""
-        return list(self.cameras)
+        return list(self.free.cameras)
 
     def colour(self, index: int) -> tuple[float, float, float]:
         """Colour of an object, 0..1."""
         return tuple(object_colors(index + 1)[index] / 255.0)
 
-    def _camera(self) -> Camera:
-        """The free camera in the frame of the file."""
-        camera = self.orbit.camera(*PICTURE_SIZE)
-        return replace(camera, world_to_camera=camera.world_to_camera @ self._upright)
-
     def picture(self) -> np.ndarray:
         """As Subject.picture."""
-        rgb = self._drawn.picture(self._camera())[0]
+        rgb = self._drawn.picture(self.free.camera)[0]
         return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
 
     def view_shown(self) -> str | None:
-        """The view that was marked from here, if there is one."""
-        here = self._camera()
-        return next((name for name, camera in self.cameras.items() if same_camera(camera, here)), None)
-
-    def view_here(self) -> str:
-        """As Subject.view_here."""
-        name = self.view_shown()
-        if name is None:
-            number = len(self.cameras) + 1
-            while f"view_{number}" in self.cameras:
-                number += 1
-            name = f"view_{number}"
-            self.cameras[name] = self._camera()
-        return name
+        """As Subject.view_shown."""
+        return self.free.shown()
 
     def go_to(self, view: str) -> None:
-        """As Subject.go_to; the camera's roll is ignored."""
-        pose = self.cameras[view].world_to_camera @ self._upright.T
-        eye = -pose[:3, :3].T @ pose[:3, 3]
-        self.orbit.eye, self.orbit.target = eye, eye + self.orbit.distance * pose[2, :3]
-        if np.allclose(look_at(self.orbit.eye, self.orbit.target), pose, atol=1e-6):
-            self.cameras[view] = replace(self.cameras[view], world_to_camera=self._camera().world_to_camera)
+        """As Subject.go_to."""
+        self.free.go_to(view)
 
     def select(self, state: MarkState) -> str:
         """As Subject.select."""
@@ -134,7 +113,7 @@ class SplatSubject:
         for name in names:
             key = tuple(m for m in state.marks if m.object == name)
             if key not in self._seeds:
-                self._seeds[key] = Seeds(self.gaussians, self._weights, self.cameras, marks.objects[name])
+                self._seeds[key] = Seeds(self.gaussians, self._weights, self.free.cameras, marks.objects[name])
             seeds.append(self._seeds[key])
         ids = np.zeros(len(self.gaussians), np.uint16)
         for name, own in zip(names, seeds, strict=True):
@@ -147,7 +126,7 @@ class SplatSubject:
     def marks(self, state: MarkState) -> SplatMarks:
         """The marks with the cameras of their views."""
         marks = marks_of_state(state)
-        cameras = {name: self.cameras[name] for name in marks.views}
+        cameras = {name: self.free.cameras[name] for name in marks.views}
         return SplatMarks(cameras, marks, {n: r for n, r in state.grow if n in marks.objects})
 
     def close(self) -> None:
@@ -156,17 +135,11 @@ class SplatSubject:
         self._weights.destroy()
 
 
-def same_camera(a: Camera, b: Camera) -> bool:
-    """True if two cameras take the same picture."""
-    lenses = ([c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in (a, b))
-    return np.allclose(*lenses) and np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-6)
-
-
 class PhotographSubject:
     """Photographs that are marked; a Subject of MarkWindow. What is selected is a first idea: each photograph is cut
     by its own marks alone, at a small size."""
 
-    orbit = None
+    free = None
 
     def __init__(self, views: Sequence):
         self._views = {view.name: view for view in views}
@@ -193,10 +166,6 @@ class PhotographSubject:
 
     def view_shown(self) -> str:
         """As Subject.view_shown."""
-        return self._shown
-
-    def view_here(self) -> str:
-        """As Subject.view_here."""
         return self._shown
 
     def go_to(self, view: str) -> None:

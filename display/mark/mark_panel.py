@@ -42,7 +42,7 @@ class MarkPanel:
         imgui.separator()
         imgui.text_wrapped(self._window.line or "Draw a stroke inside of what shall be an object.")
         done = imgui.get_frame_height_with_spacing()
-        hints = HINTS + (PHOTOGRAPH_HINTS if self._window.subject.orbit is None else ORBIT_HINTS)
+        hints = HINTS + (PHOTOGRAPH_HINTS if self._window.subject.free is None else ORBIT_HINTS)
         wide = imgui.get_content_region_avail().x
         high = imgui.calc_text_size(hints, False, wide).y
         imgui.set_cursor_pos_y(
@@ -100,7 +100,7 @@ class MarkPanel:
                 self._window.tool = kind
             if kind != "boxes":
                 imgui.same_line()
-        if self._window.subject.orbit is not None:
+        if self._window.subject.free is not None:
             edit = self._window.edit
             self._buttons({"Grow": lambda: edit.grow(1), "Shrink": lambda: edit.grow(-1)})
 
@@ -109,7 +109,7 @@ class MarkPanel:
 
         window, subject = self._window, self._window.subject
         views, shown = subject.views, subject.view_shown()
-        if subject.orbit is None:
+        if subject.free is None:
             at = views.index(shown)
             imgui.text(f"Photograph {at + 1} of {len(views)}")
             self._buttons({"Previous": lambda: window.turn_page(-1), "Next": lambda: window.turn_page(1)})

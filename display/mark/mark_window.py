@@ -9,12 +9,12 @@ from typing import Protocol
 import numpy as np
 
 from core.errors import BadInput, Cancelled
+from display.mark.free_view import FreeView
 from display.mark.mark_edit import MarkEdit, MarkState
 from display.mark.mark_panel import WIDTH, MarkPanel
 from display.mark.placed_picture import PlacedPicture
 from display.picture import PictureTexture
 from display.window.gl_window import GLWindow, has_display
-from display.window.orbit_camera import OrbitCamera
 from display.window.panel.theme import apply_theme
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of rotation for a drag over the picture's height
@@ -28,13 +28,13 @@ class Subject(Protocol):
     """Interface of the content to be marked. One view of it is shown.
 
     views   names of the pictures that have been marked or can be
-    orbit   an OrbitCamera for a free view, None for photographs
+    free    the free camera on a splat, None for photographs
     size    (width, height) [px] of the shown view, in which marks are counted
     version changes when a picture has become another one by itself
     """
 
     views: list[str]
-    orbit: OrbitCamera | None
+    free: FreeView | None
     size: tuple[int, int]
     version: int
 
@@ -43,9 +43,6 @@ class Subject(Protocol):
 
     def view_shown(self) -> str | None:
         """Name of the shown view, None for one that has no name yet."""
-
-    def view_here(self) -> str:
-        """Name of the shown view; it is given one if need be."""
 
     def go_to(self, view: str) -> None:
         """Show a view."""
@@ -110,8 +107,12 @@ class MarkWindow:
 
     def _show(self) -> None:
         """Draw picture, strokes and panel."""
-        orbit, surface = self.subject.orbit, self._surface
-        key = (self.subject.version, self.subject.view_shown(), None if orbit is None else (*orbit.eye, *orbit.target))
+        free, surface = self.subject.free, self._surface
+        key = (
+            self.subject.version,
+            self.subject.view_shown(),
+            None if free is None else (*free.orbit.eye, *free.orbit.target),
+        )
         if key != self._seen:
             self._texture.upload_pixels(self.subject.picture())
             self._seen, self._placed.size = key, self.subject.size
@@ -158,8 +159,8 @@ class MarkWindow:
             elif not down:
                 self._release()
         elif kind == "wheel" and not io.want_capture_mouse:
-            if self.subject.orbit is not None:
-                self.subject.orbit.zoom(what[0])
+            if self.subject.free is not None:
+                self.subject.free.orbit.zoom(what[0])
             else:
                 self._placed.zoom(what[0], *self._cursor)
         elif kind == "key" and not (what[1] and io.want_text_input):
@@ -180,11 +181,11 @@ class MarkWindow:
 
     def _move(self, x: float, y: float) -> None:
         du, dv, self._cursor = x - self._cursor[0], y - self._cursor[1], (x, y)
-        if self._drag == "turn" and self.subject.orbit is None:
+        if self._drag == "turn" and self.subject.free is None:
             self._placed.move(du, dv)
         elif self._drag == "turn":
             gain = ORBIT_PER_HEIGHT / max(self._surface.window_size[1], 1)
-            self.subject.orbit.turn(-gain * du, gain * dv)
+            self.subject.free.orbit.turn(-gain * du, gain * dv)
         elif self._drag == "boxes":
             self._points = [self._points[0], self._placed.to_picture(x, y)]
         elif self._drag is not None:
@@ -201,7 +202,8 @@ class MarkWindow:
             if max(x) - min(x) < 1 or max(y) - min(y) < 1:
                 return
             self._points, self.tool = [(min(x), min(y)), (max(x), max(y))], "inside"
-        self.edit.add(self.subject.view_here(), drag, self._points)
+        free = self.subject.free
+        self.edit.add(self.subject.view_shown() if free is None else free.named(), drag, self._points)
 
     def _key(self, name: str, down: bool) -> None:
         if name in ("shift", "space"):
@@ -227,10 +229,10 @@ class MarkWindow:
             self.tool = "inside" if self.tool == "boxes" else "boxes"
         elif name.isdigit():
             self.edit.choose(int(name) - 1)
-        elif self.subject.orbit is not None and name in WALK:
-            orbit = self.subject.orbit
+        elif self.subject.free is not None and name in WALK:
+            orbit = self.subject.free.orbit
             orbit.move(*(STEP * orbit.distance * np.array(WALK[name])))
-        elif self.subject.orbit is not None and name in ("plus", "minus"):
+        elif self.subject.free is not None and name in ("plus", "minus"):
             self.edit.grow(1 if name == "plus" else -1)
 
     def turn_page(self, step: int) -> None:
@@ -258,7 +260,7 @@ class MarkWindow:
         before = set(self.edit.state.marks)
         act()
         changed = {m.view for m in before ^ set(self.edit.state.marks)}
-        if self.subject.orbit is None and changed and self.subject.view_shown() not in changed:
+        if self.subject.free is None and changed and self.subject.view_shown() not in changed:
             self.go_to(min(changed))
 
     def finish(self) -> None:

@@ -84,6 +84,16 @@ def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarr
     return form / np.maximum(xx * a + xy * b + xz * c, 1e-30)
 
 
+def border_graph(graph: csr_matrix, width: np.ndarray) -> csr_matrix:
+    """Graph in which a border costs as much per length among wide Gaussians as among narrow ones, of widths (N,).
+
+    Fewer edges cross it among wide ones: without this, least cuts run through the support, not around the thing.
+    """
+    root = np.sqrt(width)
+    data = graph.data * np.repeat(root, np.diff(graph.indptr)) * root[graph.indices]
+    return csr_matrix((data, graph.indices, graph.indptr), graph.shape)
+
+
 class Clusters:
     """Ever larger clusters of the nodes of a graph: the most similar neighbours are merged in pairs, repeatedly."""
 

@@ -13,12 +13,11 @@ from scipy.sparse.csgraph import connected_components
 
 from assets.gaussians import Gaussians
 from core.morton import morton_order
-from prepare.segment.gaussian_graph import Clusters, merge_matrix, merged, neighbour_graph, rgb_of
+from prepare.segment.gaussian_graph import Clusters, border_graph, merge_matrix, merged, neighbour_graph, rgb_of
 from prepare.segment.graph_cut import banded_cut, random_walk
 
 ORDER_BITS = 20  # an axis: of a far floater's extent, a cell is still smaller than a Gaussian
 CLUSTERS = 20_000  # nodes of the coarse graph that is cut first, in a tenth of a second
-ROUNDS = 8  # at most; usually two to five until nothing changes
 CLEARER = 0.75  # a round counts if it lowers the share of edges cut to this; else it would creep into the support
 NEARBY = 2.5  # radii of the selection within which it may grow
 COLOUR_BINS = 24  # of the histogram, per channel
@@ -42,6 +41,7 @@ class SplatSelection:
         gaussians = gaussians.with_sh_degree(0).select(self.order)
         self._points, self.graph = gaussians.means, neighbour_graph(gaussians)
         self._clusters = Clusters(self.graph, CLUSTERS)
+        self._kept: dict[tuple, np.ndarray] = {}  # what was selected, packed in bits: undo, grow and shrink are fast
         widths = np.sort(np.exp(gaussians.log_scales.astype(np.float64)), axis=1)
         self._width = np.sqrt(widths[:, 1] * widths[:, 2])  # [m]
         self._area = widths[:, 1] * widths[:, 2] * gaussians.opacities  # [m^2]: dense parts do not count for more
@@ -58,18 +58,25 @@ class SplatSelection:
         inside = inside & ~barred
         if not inside.any():
             return inside
-        inside, outside, barred = inside[self.order], outside[self.order], barred[self.order]
+        seeds = inside, outside, barred = inside[self.order], outside[self.order], barred[self.order]
+        key = tuple(np.packbits(each).tobytes() for each in seeds)
+        if key not in self._kept:
+            self._kept[key] = np.packbits(self._selected(inside, outside, barred))
+        return self._in_file(np.unpackbits(self._kept[key], count=len(inside)) > 0)
+
+    def _selected(self, inside: np.ndarray, outside: np.ndarray, barred: np.ndarray) -> np.ndarray:
+        """As `select`, in the order of the graph."""
         region = self._around(inside, inside | outside, NEARBY if outside.any() else 2 * NEARBY)
         cut, others = inside, outside | ~region
-        leak = np.inf
-        for _ in range(ROUNDS):
+        before = np.inf
+        while True:
             more = self._cut(cut, inside, barred, others, region | inside)
-            before, leak = leak, self._conductance(more)
+            leak = self._conductance(more)
             if not leak < CLEARER * before:
                 break
-            cut, region = more, self._around(more, more, NEARBY)
+            cut, before, region = more, leak, self._around(more, more, NEARBY)
             others = region & ~cut
-        return self._in_file(self._without_holes(cut, barred))
+        return self._without_holes(cut, barred)
 
     def _cut(self, cut, inside, barred, others, region) -> np.ndarray:
         """The next selection, of the Gaussians in a region; what is beyond it is outside."""
@@ -96,10 +103,8 @@ class SplatSelection:
         leaving_out = np.where(inside_here, np.inf, np.where(barred_here, 0.0, leaving_out))
         putting_in = np.where(barred_here, np.inf, np.where(inside_here, 0.0, putting_in))
         out = np.zeros(len(cut), bool)
-        # Few wide Gaussians are as long a border as many narrow ones: else cuts would run through wide ones.
-        length = np.sqrt(self._width[index] / np.median(self._width[inside]))
-        graph.data *= np.repeat(length, np.diff(graph.indptr)) * length[graph.indices]
-        out[index] = banded_cut(graph, leaving_out, putting_in, clusters)
+        priced = border_graph(graph, self._width[index] / np.median(self._width[inside]))
+        out[index] = banded_cut(priced, leaving_out, putting_in, clusters)
         return self._joined_to(out, inside)
 
     def _conductance(self, cut: np.ndarray) -> float:

@@ -23,7 +23,6 @@ from prepare.segment.gaussian_graph import mahalanobis
 REACH = 2.0  # standard deviations: a Gaussian covers neighbours within this distance
 COVERED_MAX = 48  # covered neighbours that are used to locate the border
 OTHERS_MIN = 0.3  # share of covered neighbours on the other side; with fewer it only touches the border
-SLIVER_MIN = 0.05  # share of a Gaussian beyond the border below which it is not cut
 FLATNESS = 0.1  # relative thickness at least assumed, so that a flat Gaussian covers its neighbours in the surface
 OPACITY_MAX = 0.999  # as in the renderer
 
@@ -77,8 +76,7 @@ def straddlers(gaussians: Gaussians, selected: np.ndarray) -> tuple[np.ndarray, 
     full = full_matrices(sigma)
     across = np.sqrt(np.einsum("ki,kij,kj->k", normal, full, normal).clip(1e-30))
     distance = (shift / across).clip(0.0, None)
-    beyond = np.exp(log_ndtr(-distance))
-    keep = (others > OTHERS_MIN * total) & (total > 0) & (beyond > SLIVER_MIN)
+    keep = (others > OTHERS_MIN * total) & (total > 0)
     return which[keep], normal[keep], distance[keep]
 
 

@@ -11,6 +11,7 @@ from assets.splat_files import read_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
+from prepare.segment.gaussian_graph import Clusters, border_graph, neighbour_graph
 from prepare.segment.graph_cut import banded_cut, min_cut, random_walk
 from prepare.segment.marks import Marks, ViewMarks
 from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
@@ -48,6 +49,13 @@ def balls_on_a_floor() -> tuple[Gaussians, np.ndarray]:
     for middle in (-0.17, 0.17):
         parts.append(surfels([middle, 0.15, 0.0] + 0.15 * way, way, 0.008, (0.6, 0.45, 0.25)))
     return concatenate(parts), np.repeat([0, 1, 2], [len(floor), 1500, 1500])
+
+
+def plane(across: int, half: float, size: float, colour) -> Gaussians:
+    """A level square of `across`^2 Gaussians."""
+    x, z = np.meshgrid(*[np.linspace(-half, half, across)] * 2)
+    points = np.stack([x.ravel(), 0 * x.ravel(), z.ravel()], axis=1)
+    return surfels(points, np.tile([0.0, 1.0, 0.0], (len(points), 1)), size, colour)
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -106,6 +114,73 @@ def test_what_another_object_has_is_not_taken(scene):
     one = selection.select(top & (true == 1), top & (true == 2))
     assert iou(one, true == 1) > 0.95
     assert not selection.select(top & (true == 2), np.zeros(len(g), bool), one)[one].any()
+
+
+def test_wide_gaussians_under_a_thing_stay_with_the_floor(scene):
+    """All that are nearest to the one below the ball are of the ball, and colours differ by too little to help."""
+    from assets.gaussians import concatenate
+
+    ball = scene[0].select(scene[1] == 1)
+    ball = ball.transformed(np.eye(3), np.array([0.17, 0.0, 0.0]))
+    g = concatenate([plane(11, 0.8, 0.15, (0.57, 0.45, 0.26)), ball])
+    own, r = np.arange(len(g)) >= 121, np.hypot(g.means[:, 0], g.means[:, 2])
+    found = SplatSelection(g).select(own & (g.means[:, 1] > 0.28), ~own & (r > 0.4) & (r < 0.6))
+    np.testing.assert_array_equal(found, own)
+
+
+def test_rounds_end_when_the_border_becomes_little_clearer(monkeypatch):
+    """The share of edges that leave a disc falls with its radius: twice it is a find, a tenth more a creep."""
+    g = plane(60, 1.0, 0.02, (0.5, 0.5, 0.5))
+    selection, nothing = SplatSelection(g), np.zeros(len(g), bool)
+    r = np.linalg.norm(g.means, axis=1)
+    rounds = iter((0.2, 0.4, 0.44, 0.48, 0.5, 0.5, 0.5))
+    monkeypatch.setattr(SplatSelection, "_cut", lambda self, *_: (r < next(rounds))[self.order])
+    np.testing.assert_array_equal(selection.select(r < 0.05, nothing), r < 0.4)
+
+
+def test_what_was_selected_once_is_kept(scene, monkeypatch):
+    g, true = scene
+    selection, top = SplatSelection(g), g.means[:, 1] > 0.28
+    seeds = top & (true == 1), top & (true == 2)
+    one = selection.select(*seeds)
+    monkeypatch.delattr(SplatSelection, "_cut")
+    np.testing.assert_array_equal(selection.select(*seeds), one)
+
+
+def test_a_border_costs_by_its_length_however_dense_the_gaussians():
+    costs = []
+    for across, size in ((31, 0.05), (61, 0.025)):
+        g = plane(across, 1.0, size, (0.5, 0.5, 0.5))
+        graph = border_graph(neighbour_graph(g), np.full(len(g), size))
+        left = g.means[:, 0] < 0.01
+        costs.append((graph[left] @ (~left).astype(float)).sum())
+    assert costs[0] == pytest.approx(costs[1], rel=0.1)
+
+
+def test_rare_colours_say_little_and_frequent_ones_much():
+    """Of 1000 Gaussians inside, 10 have a colour of their own; so have all of the others, and nobody a fourth one."""
+    colours = np.array([[0.8, 0.1, 0.1], [0.1, 0.1, 0.8], [0.1, 0.8, 0.1], [0.8, 0.8, 0.1]])
+    kind = np.repeat(range(4), [990, 10, 1000, 1])
+    g = plane(45, 1.0, 0.02, (0.5, 0.5, 0.5)).select(np.arange(len(kind)))
+    g = Gaussians.of(g.means, g.quats, g.log_scales, g.logit_opacities, ((colours[kind] - 0.5) / C0)[:, None])
+    selection = SplatSelection(g)
+    kind = kind[selection.order]
+    ratio = selection._colour_ratio(kind < 2, kind == 2)
+    own, rare, other, unknown = (ratio[kind == k].mean() for k in range(4))
+    assert own > 2.0 and 0.0 < rare < 0.4 and unknown == pytest.approx(0.0, abs=0.05)
+    assert -2.0 < other < -0.5, "unlike colours may be of the side that nobody marked"
+
+
+def test_clusters_are_of_one_kind_and_no_more_than_asked_for(scene):
+    g, true = scene
+    graph = neighbour_graph(g)
+    clusters = Clusters(graph, 300)
+    index = np.flatnonzero(g.means[:, 0] < 0.3)
+    for count in (300, 1000):
+        found = clusters.of(index, count, true[index])
+        assert count / 4 < found.max() + 1 < count + 300
+        np.testing.assert_array_equal(np.unique(found), np.arange(found.max() + 1))
+        assert len(np.unique(np.stack([found, true[index]]), axis=1).T) == found.max() + 1
 
 
 def test_growing_and_shrinking_are_by_rings_of_neighbours(scene):

@@ -6,7 +6,7 @@ Functions on rigid bodies take a `playground()` or create one. Taichi must be in
 import numpy as np
 
 from bench.physics import at_most, row
-from bench.setups import DROP, FRAME, RESTITUTIONS, SIDE, G, linked_throws, playground, resting_pile
+from bench.setups import DROP, FRAME, RESTITUTIONS, SIDE, G, linked_throws, playground, resting_pile, run
 
 TIP_HEIGHT = 0.07  # [m] of an octahedron's centre over its lowest vertex
 MOST_GAINED = 1e-5  # [J]; it lifts a cube of the pile by 2 um
@@ -30,12 +30,6 @@ def ring_throws(count: int = 120, **options) -> list[dict]:
 def pile_at_rest(seconds: float = 60.0) -> list[dict]:
     """A pile at rest gains no energy."""
     return [at_most(f"pile at rest, energy gained in {seconds:g} s [J]", MOST_GAINED, resting_pile(seconds)["gained"])]
-
-
-def run(solver, seconds: float) -> None:
-    """Step a solver for some seconds without hands."""
-    for _ in range(round(seconds / FRAME)):
-        solver.step(FRAME)
 
 
 def started(place):

@@ -3,6 +3,7 @@
 Taichi must be initialised.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.sample_meshes import box, torus
 from core.material import Material
-from scenes.scene import Capsule, Plane
+from scenes.scene import Capsule, Hand, Plane
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
@@ -18,6 +19,13 @@ from sim.solver import Solver
 
 FRAME, G = 1 / 60, 9.81
 FLOOR = Plane((0, 0, 0), (0, 1, 0), 0.6)
+
+
+def run(solver: Solver, seconds: float, hands: Sequence[Hand] = ()) -> None:
+    """Step a solver for some seconds with hands that stay where they are."""
+    for _ in range(round(seconds / FRAME)):
+        solver.step(FRAME, hands)
+
 
 # ---- rigid bodies, in groups far apart in one solver, so that kernels are compiled once
 

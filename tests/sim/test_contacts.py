@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box, torus
-from bench.setups import resting_pile, winding_number
+from bench.setups import resting_pile, run, winding_number
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import tet_volumes
@@ -75,11 +75,6 @@ def begin(request):
 
 def turned_about_x(angle):
     return (np.cos(angle / 2), np.sin(angle / 2), 0.0, 0.0)
-
-
-def run(solver, seconds):
-    for _ in range(round(seconds / DT)):
-        solver.step(DT, [])
 
 
 def lean(solver, angle):

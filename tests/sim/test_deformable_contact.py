@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box, torus
+from bench.setups import run
 from core.material import Material
 from scenes.scene import Capsule
 from sim.contact.tet_geometry import tet_neighbors
@@ -33,11 +34,6 @@ def gravity_down(request):
     if "cubes" in request.fixturenames:
         request.getfixturevalue("cubes").reset()
         request.getfixturevalue("cubes").gravity = (0.0, -9.81, 0.0)
-
-
-def run(solver, seconds):
-    for _ in range(round(seconds / DT)):
-        solver.step(DT, [])
 
 
 def positions(solver):

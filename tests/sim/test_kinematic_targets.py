@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.sample_meshes import box, torus
+from bench.setups import run
 from core.errors import BadInput
 from core.material import Material
 from scenes.scene import Hand, Plane
@@ -72,11 +73,6 @@ def started(place, gravity=(0.0, -9.81, 0.0)):
     solver.gravity = gravity
     solver.reset()
     return solver, where
-
-
-def run(solver, seconds, hands=()):
-    for _ in range(round(seconds / FRAME)):
-        solver.step(FRAME, list(hands))
 
 
 def momentum(solver, bodies):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from bench.sample_meshes import box, torus
-from bench.setups import energies
+from bench.setups import energies, run
 from core.material import Material
 from core.tetmesh import boundary_surface
 from scenes.scene import Plane
@@ -61,11 +61,6 @@ def world(ti_cpu) -> Solver:
 def put(solver: Solver, *bodies: SoftBody) -> Solver:
     solver.reset(models_of(bodies))
     return solver
-
-
-def run(solver: Solver, seconds: float) -> None:
-    for _ in range(round(seconds / FRAME)):
-        solver.step(FRAME)
 
 
 def seconds_until_asleep(solver: Solver, most: float) -> list[float]:

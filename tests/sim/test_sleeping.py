@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.sample_meshes import box
-from bench.setups import pile
+from bench.setups import pile, run
 from core.material import Material
 from scenes.scene import Hand, Plane, Touch
 from sim.body_model import models_of
@@ -42,11 +42,6 @@ def put(solver: Solver, *bodies: SoftBody, gravity=(0.0, -G, 0.0)) -> Solver:
     solver.interaction, solver.gravity = "physics", gravity
     solver.reset(models_of(bodies))
     return solver
-
-
-def run(solver: Solver, seconds: float, hands=()) -> None:
-    for _ in range(round(seconds / FRAME)):
-        solver.step(FRAME, list(hands))
 
 
 def asleep(solver: Solver) -> list[bool]:

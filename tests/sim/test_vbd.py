@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_stiffness, positions
 from bench.sample_meshes import box, torus
-from bench.setups import strain_energy
+from bench.setups import run, strain_energy
 from core.material import Material
 from core.tetmesh import tet_volumes
 from scenes.scene import Hand, Plane
@@ -20,11 +20,6 @@ from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60
-
-
-def run(solver, seconds):
-    for _ in range(round(seconds / DT)):
-        solver.step(DT)
 
 
 def test_no_tet_has_two_vertices_of_one_colour():

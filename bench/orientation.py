@@ -1,4 +1,4 @@
-"""`vrgs.py bench orientation`: how often the guessed up axis is right, and how often it says it is.
+"""`vrgs.py bench orientation`: how often the guessed up axis, and front, is right, and how often it says it is.
 
 Procedural objects and scenes of other seeds than those the model was fitted to, and cuts of the shipped assets, none of
 which it has seen. `--fit` fits the model anew and prints its coefficients for assets/up_axis.py.
@@ -15,10 +15,12 @@ from assets.level_planes import AXES
 from assets.splat_files import read_gaussians
 from assets.up_axis import FILE_PRIOR, UNSURE, WEIGHTS, alternatives, up_probabilities
 from assets.up_cues import up_cues
-from bench.orientation_cases import OrientationCase, procedural_cases, shipped_cases
+from bench.orientation_cases import OrientationCase, front_cases, procedural_cases, shipped_cases
 from display.run_stats import write_stats
+from prepare.orientation.body_front import front_of
 
 FIT_CASES, FIT_SEED, TEST_SEED = 1200, 1, 2
+FRONT_TOLERANCE = np.radians(25.0)
 RIDGE = 1e-3  # penalty on squared weights of cues of unit variance
 BINS = np.linspace(0.0, 1.0, 11)  # of confidence, in the reliability table
 EVEN = dict.fromkeys(AXES, 1 / len(AXES))  # the cases are turned evenly, unlike files
@@ -40,6 +42,10 @@ def run(args) -> None:
         row = {"bench": "orientation", "what": what, "cases": len(said), **figures(said, right)}
         rows.append(row | {"reliability": reliability(said, right), "families": of_families(said, right, families)})
         print_table(rows[-1])
+    said, right, families = measured_fronts(front_cases(max(1, count // 3), TEST_SEED))
+    row = {"bench": "orientation", "what": "fronts", "cases": len(said), **figures(said, right)}
+    rows.append(row | {"reliability": reliability(said, right), "families": of_families(said, right, families)})
+    print_table(rows[-1])
     for path in args.names:
         p = up_probabilities(read_gaussians(path), FILE_PRIOR)
         ranked = ", ".join(f"{up} {p[up]:.0%}" for up in alternatives(p))
@@ -58,6 +64,17 @@ def measured(cases) -> tuple[np.ndarray, np.ndarray, list[str]]:
         said.append(p[up])
         right.append(up == case.up)
         families.append(case.family)
+    return np.array(said), np.array(right), families
+
+
+def measured_fronts(cases) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """As `measured`, of the front of shipped bodies that stand upright; right is within FRONT_TOLERANCE."""
+    said, right, families = [], [], []
+    for family, gaussians, angle in cases:
+        found = front_of(gaussians)
+        said.append(found.sure)
+        right.append(np.cos(found.angle - angle) > np.cos(FRONT_TOLERANCE))
+        families.append(family)
     return np.array(said), np.array(right), families
 
 

@@ -35,11 +35,13 @@ BLEND_THREADS = 32 * ACROSS * DOWN  # of a block
 class Blend:
     """Draws binned splats. `with_color` and `with_depth` select the sums to compute; the others stay 0.
 
-    color  three numbers a Gaussian, vec3 (capacity,), to be blended in place of its colour
+    color     three numbers a Gaussian, vec3 (capacity,), to be blended in place of its colour
+    segments  equal parts of each tile's splats that are drawn side by side, as pictures of their own: where a few tiles
+              have most of the splats, all others would wait for them
     """
 
-    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None):
-        self.bins, self.projection = bins, bins.projection
+    def __init__(self, bins: TileBins, *, with_color: bool, with_depth: bool, color=None, segments: int = 1):
+        self.bins, self.projection, self.segments = bins, bins.projection, segments
         self.color, self.other_color = color, color is not None
         self.with_color, self.with_depth = with_color, with_depth
         self.on_gpu = ti.cfg.arch == ti.cuda
@@ -48,13 +50,20 @@ class Blend:
     def draw(self, sink: ti.template(), out: ti.template()):
         """Blend all tiles; outermost level of a kernel that has no other shared arrays (SHARED_WORDS).
 
-        Out: `sink.write(out, v, y, x, rgb, depth, alpha)` is called once per pixel of view v:
-        rgb = sum w c, depth = sum w z, alpha = sum w, with w = alpha_i T_i.
+        Out: `sink.write(out, v * segments + s, y, x, rgb, depth, alpha)` is called once per pixel of segment s, counted
+        from the front, of view v: rgb = sum w c, depth = sum w z, alpha = sum w, with w = alpha_i T_i.
         """
         if ti.static(self.on_gpu):
             self._draw_gpu(sink, out)
         else:
             self._draw_cpu(sink, out)
+
+    @ti.func
+    def _segment(self, tile, s):
+        """Range of the members of segment s of a tile."""
+        begin, count = self.bins.begin[tile], self.bins.end[tile] - self.bins.begin[tile]
+        length = (count + self.segments - 1) // self.segments
+        return begin + ti.min(s * length, count), begin + ti.min((s + 1) * length, count)
 
     @ti.func
     def _draw_cpu(self, sink: ti.template(), out: ti.template()):
@@ -64,7 +73,8 @@ class Blend:
         MIN_TRANSMITTANCE again, and the loop over a row needs no branch.
         """
         ti.loop_config(block_dim=4)
-        for tile in range(self.projection.views * self.bins.tiles_per_view()):
+        for block in range(self.projection.views * self.bins.tiles_per_view() * self.segments):
+            tile, s = block // self.segments, block % self.segments
             width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             if ti.static(self.projection.compares):  # noqa: SIM102
                 if not self.projection.changed.has(tile):
@@ -73,7 +83,8 @@ class Blend:
             x0, y0 = tile_origin(self.projection, in_view, (CPU_TILE, CPU_TILE))
             T, red, green, blue, depth = filled(1.0), filled(0.0), filled(0.0), filled(0.0), filled(0.0)
             top, bottom = 0, CPU_TILE - 1  # rows that are not finished
-            for i in range(self.bins.begin[tile], self.bins.end[tile]):
+            begin, end = self._segment(tile, s)
+            for i in range(begin, end):
                 g = value_of(self.bins.members[i])
                 mean2d, conic = self.projection.mean2d[v, g], self.projection.conic[v, g]
                 color = splat_color(self, v, g)
@@ -103,7 +114,7 @@ class Blend:
                             blue[q] += weight * color.b
                         if ti.static(self.with_depth):
                             depth[q] += weight * mean2d.w
-                if (i - self.bins.begin[tile]) % CHECK_INTERVAL == CHECK_INTERVAL - 1:
+                if (i - begin) % CHECK_INTERVAL == CHECK_INTERVAL - 1:
                     top, bottom = CPU_TILE, -1
                     for row in range(CPU_TILE):
                         alive = 0
@@ -117,14 +128,15 @@ class Blend:
                 x, y = x0 + q % CPU_TILE, y0 + q // CPU_TILE
                 if x < width and y < height:
                     rgb = ti.math.vec3(red[q], green[q], blue[q])
-                    sink.write(out, v, y, x, rgb, depth[q], 1.0 - ti.abs(T[q]))
+                    sink.write(out, v * self.segments + s, y, x, rgb, depth[q], 1.0 - ti.abs(T[q]))
 
     @ti.func
     def _draw_gpu(self, sink: ti.template(), out: ti.template()):
         """One tile per block of threads, one cell per warp, PIXELS of a column per thread."""
         ti.loop_config(block_dim=BLEND_THREADS)
-        for thread in range(self.projection.views * self.bins.tiles_per_view() * BLEND_THREADS):
-            tile, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
+        for thread in range(self.projection.views * self.bins.tiles_per_view() * self.segments * BLEND_THREADS):
+            block, lane = thread // BLEND_THREADS, thread % BLEND_THREADS
+            tile, s = block // self.segments, block % self.segments
             width, height = self.projection.grid[None][0], self.projection.grid[None][1]
             v, in_view = tile // self.bins.tiles_per_view(), tile % self.bins.tiles_per_view()
             x0, y0 = tile_origin(self.projection, in_view, GPU_TILE)
@@ -137,7 +149,7 @@ class Blend:
             for p in ti.static(range(PIXELS)):
                 if x >= width or y + p * ROW_STEP >= height:
                     limit[p] = 1.0
-            begin, end = self.bins.begin[tile], self.bins.end[tile]
+            begin, end = self._segment(tile, s)
             for batch in range((end - begin + BATCH - 1) // BATCH):
                 # the barrier also keeps the last batch in place until every thread has read it
                 if ti.simt.block.sync_all_nonzero(ti.cast(limit.min() == 1.0, ti.i32)) != 0:
@@ -177,7 +189,7 @@ class Blend:
             for p in ti.static(range(PIXELS)):
                 if x < width and y + p * ROW_STEP < height:
                     rgb = ti.math.vec3(red[p], green[p], blue[p])
-                    sink.write(out, v, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p])
+                    sink.write(out, v * self.segments + s, y + p * ROW_STEP, x, rgb, depth[p], 1.0 - T[p])
 
     @ti.func
     def words(self, v, g, mean2d, conic):

@@ -28,6 +28,7 @@ class Rasterizer:
 
     still  number of Gaussians at the beginning of which only the visibility changes: they are projected again only if
            the cameras or the size have changed, and all draws must begin with them
+    segments  see Blend; not with sort "pixel"
     keeps  tiles of which nothing has changed since the last draw keep their pixels, if `out` is the same: on a CPU,
            where blending takes most of the time
     """
@@ -45,6 +46,7 @@ class Rasterizer:
         depth=True,
         sort: str = "z",
         buffer_size: int = BUFFER_SIZE,
+        segments: int = 1,
         still: int = 0,
         keeps: bool = False,
     ):
@@ -57,6 +59,7 @@ class Rasterizer:
         self._kept = 0  # Gaussians that are projected for the cameras and the size of now
         self.order = DepthOrder(self.projection)
         self._sums = {"with_color": color, "with_depth": depth}
+        self._segments = segments
         self._buffer_size = buffer_size if sort == "pixel" else None
         self._cameras: dict[int, list[float]] = {}  # on the device, by view
         self.tile_pass = self._tile_pass(min(PAIRS_PER_GAUSSIAN * views * splats.capacity, MAX_INITIAL_PAIRS))
@@ -110,7 +113,7 @@ class Rasterizer:
         capacity = min(MAX_PAIRS, 1 << (pairs + pairs // 4 - 1).bit_length())
         bins = TileBins(self.order, capacity)
         if self._buffer_size is None:
-            return TilePass(Blend(bins, **self._sums), self.sink)
+            return TilePass(Blend(bins, **self._sums, segments=self._segments), self.sink)
         return TilePass(PerPixelSort(bins, **self._sums, buffer_size=self._buffer_size), self.sink)
 
     def resize(self, width: int, height: int) -> None:

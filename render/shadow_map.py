@@ -22,22 +22,37 @@ MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
 OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves
 CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
 STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is surely in their shadow
+# Parts of a tile's splats that are drawn side by side: seen from the light, most bodies are in a few tiles of the map.
+SEGMENTS = {"cpu": 1, "cuda": 8}
 RESOLUTION = {"cpu": 256, "cuda": 512}  # [texels] of a side; the filter hides all but 57 dB of the difference
 BOX_CHUNKS = {"cpu": 64, "cuda": 4096}  # in which the box of the dynamic Gaussians is reduced
 
 
 @ti.data_oriented
 class DepthMap:
-    """Sink of (depth [m], coverage) per texel, one layer per kind of caster."""
+    """(depth [m], coverage) per texel, one layer per kind of caster; the sink of the segments that it is made of."""
 
-    def __init__(self, resolution: int):
+    def __init__(self, resolution: int, segments: int):
+        self.segments = segments
         self.fields = f = FieldGroup()
         self.texel = f.vector(2, resolution, resolution, n=2)
+        self.segment = f.vector(segments, resolution, resolution, n=2)  # sum w z [m], coverage
         f.build()
 
     @ti.func
     def write(self, out: ti.template(), v, y, x, rgb, depth, alpha):
-        self.texel[out, y, x] = ti.math.vec2(depth / ti.max(alpha, 1e-10), alpha)
+        self.segment[v, y, x] = ti.math.vec2(depth, alpha)
+
+    @ti.kernel
+    def join(self, layer: ti.i32):
+        """Blend the segments, which are ordered from the light on, into a layer."""
+        for y, x in ti.ndrange(*self.texel.shape[1:]):
+            depth, T = 0.0, 1.0
+            for s in ti.static(range(self.segments)):
+                part = self.segment[s, y, x]
+                depth += T * part[0]
+                T *= 1.0 - part[1]
+            self.texel[layer, y, x] = ti.math.vec2(depth / ti.max(1.0 - T, 1e-10), 1.0 - T)
 
 
 @ti.data_oriented
@@ -52,7 +67,15 @@ class ShadowMap:
     light, the ceiling, cast nothing.
     """
 
-    def __init__(self, splats: Splats, light: Light, dynamic: tuple[int, int], *, resolution: int | None = None):
+    def __init__(
+        self,
+        splats: Splats,
+        light: Light,
+        dynamic: tuple[int, int],
+        *,
+        resolution: int | None = None,
+        segments: int | None = None,
+    ):
         self.on_gpu = ti.cfg.arch == ti.cuda
         device = "cuda" if self.on_gpu else "cpu"
         resolution = resolution or RESOLUTION[device]
@@ -60,8 +83,9 @@ class ShadowMap:
         self.begin, self.end = dynamic
         if self.end != splats.count:
             raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
-        self.map = DepthMap(resolution)
-        self.rasterizer = Rasterizer(splats, resolution, resolution, views=1, sink=self.map, color=False)
+        self.map = DepthMap(resolution, segments or SEGMENTS[device])
+        options = {"sink": self.map, "color": False, "segments": self.map.segments}
+        self.rasterizer = Rasterizer(splats, resolution, resolution, views=1, **options)
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera
         self.low, self.high = f.vector(), f.vector()  # box of the dynamic Gaussians [m]
@@ -108,12 +132,14 @@ class ShadowMap:
             self.rasterizer.projection.set_camera(0, camera_values(camera))
             self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
             self.rasterizer.draw(STATIC, 0, self.begin)
+            self.map.join(STATIC)
             self._expose(light.softness)
             self._static_is_drawn = True
         if self.begin < self.end:
             self._aim_dynamic(*self._eye.tolist(), light.softness, self.end)
             self.rasterizer.draw(DYNAMIC, self.begin, self.end, wait=False)
             self._unfinished = True
+            self.map.join(DYNAMIC)
             self._receive(light.strength, light.softness, self.end)
         else:
             self.splats.visibility.fill(1.0)
@@ -126,6 +152,7 @@ class ShadowMap:
         again = self._unfinished and self.rasterizer.finish(DYNAMIC)
         self._unfinished = False
         if again:
+            self.map.join(DYNAMIC)
             self._receive(self.light.strength, self.light.softness, self.end)
         return again
 

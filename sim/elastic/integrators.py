@@ -37,7 +37,7 @@ def choose_for(model: Model, wanted: dict, *, rigid: bool) -> Integration:
 
 
 class Integrators:
-    """The integrators "xpbd" and "vbd" of one solver; on CUDA without rigid bodies, as persistent kernels."""
+    """The integrators "xpbd" and "vbd" of one solver; on CUDA as persistent kernels."""
 
     def __init__(
         self,
@@ -58,16 +58,16 @@ class Integrators:
         return self.made[name]
 
     def _make(self, name: str, iterations: int):
-        parts = self.state, self.elasticity, self.constraints
-        on_cuda = ti.cfg.arch == ti.cuda and self.rigid_bodies is None
+        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies
+        on_cuda = ti.cfg.arch == ti.cuda
         if name == "vbd" and on_cuda:
             from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
 
             return PersistentVBD(*parts, self.blocks, iterations=iterations)
         if name == "vbd":
-            return VBDSubsteps(*parts, self.rigid_bodies, self.blocks, iterations=iterations)
+            return VBDSubsteps(*parts, self.blocks, iterations=iterations)
         if on_cuda and iterations == 1:
             from sim.elastic.xpbd_persistent import PersistentXPBD
 
-            return PersistentXPBD(self.state, self.constraints)
-        return XPBDSubsteps(*parts, self.rigid_bodies, iterations=iterations)
+            return PersistentXPBD(self.state, self.constraints, self.rigid_bodies)
+        return XPBDSubsteps(*parts, iterations=iterations)

@@ -10,17 +10,18 @@ from sim.state import State
 def commit(integrator: ti.template(), i, d):
     """Commit the increment d of vertex i; a vertex of a rigid body follows its pose instead.
 
-    Returns the prediction of its next increment.
+    Returns the position [m], the velocity [m/s] and the prediction of the next increment [m].
     """
     s = integrator.state
-    follows, predicted = False, d
+    follows, x, v, predicted = False, d, d, d
     if ti.static(integrator.has_rigid):
         follows = integrator.rigid.kind[s.body_of_vertex[i]] != 0
         if follows:
             integrator.rigid.place_vertex(i)
+            x, v, predicted = s.x[i], s.v[i], s.dx[i]
     if not follows:
-        _, _, predicted = s.commit(i, d)
-    return predicted
+        x, v, predicted = s.commit(i, d)
+    return x, v, predicted
 
 
 @ti.func
@@ -69,7 +70,7 @@ def own_vertices(integrator: ti.template(), thread):
 def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate: bool) -> list:
     """The phases of constraint c as kernels of their own, after that of `evaluate` if it is wanted.
 
-    With rigid bodies a single kernel would take minutes to compile.
+    With rigid bodies a single kernel for a CPU would take minutes to compile.
     """
 
     @ti.kernel

@@ -173,7 +173,8 @@ class VertexDescent:
         dt, g = s.dt[None], s.gravity[None]
         a = g + (d - s.dx_predicted[i]) / dt**2
         self.fall[i] = ti.math.clamp(a.dot(g) / ti.max(g.norm_sqr(), 1e-12), 0.0, 1.0)
-        return commit(self, i, d)
+        _x, _v, predicted = commit(self, i, d)
+        return predicted
 
     def destroy(self) -> None:
         self._group.destroy()

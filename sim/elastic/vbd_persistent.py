@@ -36,6 +36,7 @@ class PersistentVBD:
         state: State,
         elasticity: Elasticity,
         constraints: list[Constraint],
+        rigid,
         blocks: ReductionBlocks,
         *,
         iterations: int,
@@ -44,7 +45,7 @@ class PersistentVBD:
         self.lanes = min(LANES if state.V < LARGE else FEWER_LANES, self.grid.block)
         self.residual_lanes = max(self.lanes // 2, 1)  # of all vertices at once, which keep more threads busy
         self.patches = ColorPatches(state, self.grid.blocks)
-        self.descent = d = VertexDescent(state, constraints, None)
+        self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
         self.modal = ModalCorrection(state, elasticity, blocks, d.target, d.reaction, d.contact_stiffness)
         self.warps = ModalWarps(self.modal, self.descent, self.grid)

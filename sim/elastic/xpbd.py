@@ -51,7 +51,7 @@ class XPBDSubsteps:
     def _sweep(self, *, first: bool, single: bool) -> list:
         """Kernels of a sweep, the `first` of its substep or its only one, which commits.
 
-        A single kernel, or with rigid bodies several, because that one would take minutes to compile.
+        A single kernel, or with rigid bodies several, because on a CPU that one would take minutes to compile.
         """
         s, on_vertex, in_pairs = self.state, self.on_vertex, self.in_pairs
         tet_block, vertex_block = block_size(s, s.T), block_size(s, s.V)

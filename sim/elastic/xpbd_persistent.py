@@ -9,7 +9,7 @@ import taichi as ti
 from sim.constraint import Constraint
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import any_active, evaluate_candidates, own_vertices, solve_phases
+from sim.elastic.substep import any_active, commit, evaluate_candidates, own_vertices, solve_phases
 from sim.model import Model
 from sim.state import State
 
@@ -23,8 +23,9 @@ class PersistentXPBD:
     max_substeps = 128  # behind one call: damping acts between calls
     warm_started, iterations = False, 1
 
-    def __init__(self, state: State, constraints: list[Constraint]):
+    def __init__(self, state: State, constraints: list[Constraint], rigid):
         self.state, self.grid = state, PersistentGrid(BLOCK, SHARED_WORDS)
+        self.rigid, self.has_rigid = rigid, rigid is not None
         self.patches = Patches(state, self.grid.blocks)
         self.on_vertex = [c for c in constraints if c.has_vertex]
         self.in_pairs = [c for c in constraints if c.has_pairs]
@@ -99,7 +100,7 @@ class PersistentXPBD:
                 d += s.inv_mass[i] * p.gather(k, shared)
                 for c in ti.static(self.on_vertex):
                     d = c.project_vertex(i, d, True)
-            if paired:
+            if ti.static(self.has_rigid) or paired:  # rigid bodies are always a pair of their own
                 s.dx[i] = d
             else:
                 for c in ti.static(self.in_pairs):
@@ -119,7 +120,7 @@ class PersistentXPBD:
                 if s.inv_mass[i] > 0.0:
                     for c in ti.static(self.in_pairs):
                         d = c.apply_impulses(i, d)
-                x, v, dx = s.commit(i, d)
+                x, v, dx = commit(self, i, d)
                 self.patches.publish(i, x, v, dx, 1 - parity)
             i += self.grid.block
         return passed

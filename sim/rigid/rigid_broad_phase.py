@@ -3,11 +3,15 @@
 Each sample keeps a few slots for the shapes that it is near; each slot is a contact constraint
 (sim/contact/constraints.py), so that a contact keeps its impulse from search to search. Constraints between rigid
 bodies alone form groups, one for each two bodies that touch; all static shapes count as one body.
+
+Of contacts in a plane, those at the corners of their convex hull suffice: what they hold, they hold for all points
+between them. The others are left out of a group until the next search.
 """
 
 from typing import TYPE_CHECKING
 
 import taichi as ti
+from taichi.math import vec3
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
 GROUPS = MAX_BODIES * (MAX_BODIES + 1)
+STRAIGHT = 1e-3  # [rad] by which normals of one plane may differ, and a corner of the hull from a straight line
 
 
 def slot_count(samples: "ContactSamples") -> int:
@@ -42,7 +47,9 @@ class RigidBroadPhase:
 
     shape i32[4P]: a static shape, or MAX_SHAPES + a body; -1 none;   distance f32[4P] [m], at the last search
     bounce_speed f32[4P] [m/s]: speed that an impact still asks for
-    size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P]
+    gap f32 [m], normal vec3 from the group's second body to its first, position vec3 [m], all [4P]: at the last search
+    size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P], in the order of their slots
+    listed, spare i32[4P]: the entries before they are sorted; whether one is left out
     active i32[G]: whether any of a group carries a load
     """
 
@@ -63,6 +70,9 @@ class RigidBroadPhase:
         with group.interleaved(slots):
             self.shape, self.entry = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
             self.distance, self.bounce_speed = group.scalar(), group.scalar()
+            self.listed, self.spare = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
+        with group.interleaved(slots):
+            self.gap, self.normal, self.position = group.scalar(), group.vector(), group.vector()
         with group.interleaved(GROUPS):
             self.size, self.group_begin, self.filled, self.active = (group.scalar(dtype=ti.i32) for _ in range(4))
         self.total = group.scalar(dtype=ti.i32)
@@ -89,38 +99,26 @@ class RigidBroadPhase:
         """Distance [m] of sample p from shape k, unknown if they cannot meet until the next search."""
         s = self.state
         b = self.samples.body[p]
-        facing = self.shapes.normal(p)
-        margin = self.bounds.max_speed[b] * s.detect_dt[None]
-        if k >= MAX_SHAPES:
-            margin += self.bounds.max_speed[k - MAX_SHAPES] * s.detect_dt[None]
-        d, points = UNKNOWN_DISTANCE, 1
-        if self.rigid_bodies.kind[b] != SOFT and not self.samples.on_vertex[p]:
-            points = 4  # first the sample, then the corners of its triangle
-        redundant = points > 1
-        for c in range(points):
-            if c == 0 or (redundant and self.samples.weight[p][c - 1] > 0.0):
-                x = self.samples.blend(p, s.x)
-                if c > 0:
-                    x = s.x[self.samples.ids[p][c - 1]]
-                distance = self._distance_to(k, x, facing, margin)
-                if c == 0:
-                    d = distance
-                    redundant = redundant and known(d)
-                elif distance > d + CONTACT_SLOP:
-                    redundant = False
-        return UNKNOWN_DISTANCE if redundant else d
-
-    @ti.func
-    def _distance_to(self, k, x, facing, margin):
-        """Distance [m] of x from shape k, unknown if it is more than margin [m]."""
-        d = UNKNOWN_DISTANCE
+        margin, x, d = self.bounds.max_speed[b] * s.detect_dt[None], self.samples.blend(p, s.x), UNKNOWN_DISTANCE
         if k < MAX_SHAPES:
             d = self.static_shapes.distance_within(k, x, margin)
         else:
             m = k - MAX_SHAPES
+            margin += self.bounds.max_speed[m] * s.detect_dt[None]
             if outside_box(self.bounds.low[m], self.bounds.high[m], x) < margin:
-                d, _ = self.shapes.distance(m, x, facing)
+                d, _ = self.shapes.distance(m, x, self.shapes.normal(p))
         return d if d < margin else UNKNOWN_DISTANCE
+
+    @ti.func
+    def surface_at(self, q, x):
+        """Distance [m] of the sample of slot q, at x, from its shape, and the shape's normal there."""
+        p, k = q % self.samples.capacity, self.shape[q]
+        phi, n = UNKNOWN_DISTANCE, vec3(0.0)
+        if k < MAX_SHAPES:
+            phi, n = self.static_shapes.distance(k, x)
+        else:
+            phi, n = self.shapes.distance(k - MAX_SHAPES, x, self.shapes.normal(p))
+        return phi, n
 
     @ti.func
     def _may_touch(self, p, k):
@@ -177,32 +175,107 @@ class RigidBroadPhase:
                 for k in range(n + self.state.body_count[None]):
                     self._offer(p, k if k < n else MAX_SHAPES + k - n)
         for q in range(SLOTS * P):
-            p = q % P
-            if p < self.samples.count[None] and self.shape[q] >= 0:
-                r = self.begin + q
-                self.constraints.add_candidate(r)
+            if self._in_use(q):
                 g = self.group_of(q)
-                self.constraints.set_vertex_count(r, 0)
-                self.constraints.body_count[r] = 1
                 if g < 0:
-                    self.samples.set_vertices(p, r, self.constraints)
+                    r = self.begin + q
+                    self.samples.set_vertices(q % P, r, self.constraints)
                     self.constraints.set_vertex_count(r, 3)
+                    self.constraints.body_count[r] = 1
+                    self.constraints.add_candidate(r)
                 else:
-                    self.constraints.body_count[r] = 1 if self.shape[q] < MAX_SHAPES else 2
+                    self._locate(q, g)
                     ti.atomic_add(self.size[g], 1)
         for g in range(GROUPS):
             if self.size[g] > 0:
                 self.group_begin[g] = ti.atomic_add(self.total[None], self.size[g])
         for q in range(SLOTS * P):
-            p = q % P
-            if p < self.samples.count[None] and self.shape[q] >= 0:
+            if self._in_use(q):
                 g = self.group_of(q)
                 if g >= 0:
-                    self.entry[self.group_begin[g] + ti.atomic_add(self.filled[g], 1)] = q
-        for g in range(GROUPS):  # in a fixed order, whichever came first
-            for e in range(self.group_begin[g] + 1, self.group_begin[g] + self.size[g]):
-                q, at = self.entry[e], e
-                while at > self.group_begin[g] and self.entry[at - 1] > q:
-                    self.entry[at] = self.entry[at - 1]
-                    at -= 1
-                self.entry[at] = q
+                    self.listed[self.group_begin[g] + ti.atomic_add(self.filled[g], 1)] = q
+        for e in range(SLOTS * P):
+            if e < self.total[None]:
+                self._sort(self.listed[e])
+        for e in range(SLOTS * P):
+            if e < self.total[None]:
+                self.spare[e] = self._surrounded(e)
+        for g in range(GROUPS):
+            self._thin_out(g)
+
+    @ti.func
+    def _in_use(self, q):
+        return q % self.samples.capacity < self.samples.count[None] and self.shape[q] >= 0
+
+    @ti.func
+    def _locate(self, q, g):
+        """Note where the contact of slot q in group g is."""
+        p = q % self.samples.capacity
+        x = self.samples.blend(p, self.state.x)
+        phi, n = self.surface_at(q, x)
+        self.gap[q], self.position[q] = phi + self.samples.skin[p], x
+        self.normal[q] = n if self.samples.body[p] == g // (MAX_BODIES + 1) else -n
+
+    @ti.func
+    def _sort(self, q):
+        """Put slot q into its place in its group: they came in any order."""
+        g, rank = self.group_of(q), 0
+        for e in range(self.group_begin[g], self.group_begin[g] + self.size[g]):
+            rank += ti.cast(self.listed[e] < q, ti.i32)
+        self.entry[self.group_begin[g] + rank] = q
+
+    @ti.func
+    def _surrounded(self, e):
+        """Test if entry e lies between others of its face, over the same plane.
+
+        Seen from it, the others lie in a wedge, which grows from `left` to `right`, or they surround it. Those over the
+        same plane are as much farther away as they lie higher.
+        """
+        q = self.entry[e]
+        g = self.group_of(q)
+        x, n, facing = self.position[q], self.normal[q], self.shapes.normal(q % self.samples.capacity)
+        left, right, any_seen = vec3(0.0), vec3(0.0), False
+        surrounded, f = False, self.group_begin[g]
+        while f < self.group_begin[g] + self.size[g] and not surrounded:
+            v = self.position[self.entry[f]] - x
+            height = n.dot(v)
+            length = (v - height * n).norm()
+            if (
+                length > CONTACT_SLOP
+                and abs(facing.dot(v)) < CONTACT_SLOP
+                and abs(self.gap[self.entry[f]] - self.gap[q] - height) < CONTACT_SLOP
+                and n.cross(self.normal[self.entry[f]]).norm() < STRAIGHT
+                and (g % (MAX_BODIES + 1) != WORLD or self.shape[self.entry[f]] == self.shape[q])
+            ):
+                u = (v - height * n) / length
+                if not any_seen:
+                    left, right, any_seen = u, u, True
+                from_left, from_right = n.dot(left.cross(u)), n.dot(right.cross(u))
+                beyond_left, beyond_right = u.dot(left) < 0.0, u.dot(right) < 0.0
+                if (beyond_left and abs(from_left) < STRAIGHT) or (beyond_right and abs(from_right) < STRAIGHT):
+                    surrounded = True
+                elif from_left < 0.0:
+                    surrounded = from_right >= 0.0 and (beyond_left or beyond_right)
+                    left = u
+                elif from_right > 0.0:
+                    right = u
+            f += 1
+        return ti.cast(surrounded and self.bounce_speed[q] == 0.0, ti.i32)  # what bounces is not to be forgotten
+
+    @ti.func
+    def _thin_out(self, g):
+        """Keep the entries of group g that are not to spare, and make them candidates."""
+        count, begin = 0, self.group_begin[g]
+        for e in range(begin, begin + self.size[g]):
+            q = self.entry[e]
+            r = self.begin + q
+            if self.spare[e]:
+                self.constraints.clear_impulse(r)
+                self.bounce_speed[q] = 0.0
+            else:
+                self.entry[begin + count] = q
+                count += 1
+                self.constraints.set_vertex_count(r, 0)
+                self.constraints.body_count[r] = 1 if self.shape[q] < MAX_SHAPES else 2
+                self.constraints.add_candidate(r)
+        self.size[g] = count

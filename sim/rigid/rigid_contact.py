@@ -19,7 +19,7 @@ from sim.contact.response import (
     holding_impulse,
     min_normal_motion,
 )
-from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
+from sim.contact.signed_distance import known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_broad_phase import WORLD
 from sim.rigid.rigid_motion import SOFT
@@ -56,16 +56,15 @@ class RigidContacts:
         p, k = q % self.samples.capacity, f.shape[q]
         b = self.samples.body[p]
         x = self.samples.blend(p, s.x)
-        phi, n, friction, closing_speed = UNKNOWN_DISTANCE, vec3(0.0), s.frictions(b), f.bounds.max_speed[b]
+        friction, closing_speed = s.frictions(b), f.bounds.max_speed[b]
         rigid = self.rigid_bodies.kind[b] != SOFT
         if rigid:
             table.set_body(r, 0, b, x, 1.0)
+        phi, n = f.surface_at(q, x)
         if k < MAX_SHAPES:
-            phi, n = f.static_shapes.distance(k, x)
             friction *= f.static_shapes.friction[k]
         else:
             m = k - MAX_SHAPES
-            phi, n = f.shapes.distance(m, x, f.shapes.normal(p))
             friction *= s.frictions(m)
             closing_speed += f.bounds.max_speed[m]
             table.set_body(r, 1 if rigid else 0, m, x, -1.0)

@@ -38,7 +38,7 @@ def stage(ti_cpu):
 
     floor, roof, blob = sheet(2.0, 0.0, 0.02), sheet(0.6, -50.0, 0.02), ball(BLOB_CENTER, BLOB_RADIUS, 1500)
     splats = Splats(concatenate([floor, roof, blob]))
-    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor) + len(roof), splats.count))
+    return floor, blob, splats, ShadowMap(splats, LIGHT, (len(floor) + len(roof), splats.count), segments=3)
 
 
 def cast(stage, light: Light):
@@ -125,6 +125,26 @@ def test_static_things_shadow_what_moves_unless_they_are_the_lamp(stage):
         else:
             assert on_ball.max() == 1 and on_floor.min() < 0.5
     splats.mean.from_numpy(means)
+
+
+@pytest.mark.long
+def test_segments_make_the_map_that_all_splats_at_once_make(stage):
+    """But for what lies behind a finished texel: the splat that finishes it does not count (MIN_TRANSMITTANCE)."""
+    from render.shadow_map import ShadowMap
+
+    splats, shadow = stage[2], stage[3]
+    cast(stage, LIGHT)
+    got = shadow.map.texel.to_numpy()
+    assert (shadow.map.segment.to_numpy()[1:, ..., 1].max((1, 2)) > 0.9).all()  # none of them is idle
+    whole = ShadowMap(splats, LIGHT, (shadow.begin, shadow.end), segments=1)
+    whole.cast()
+    expected = whole.map.texel.to_numpy()
+    whole.destroy()
+    assert (got[..., 1] > expected[..., 1] - 1e-5).all()
+    np.testing.assert_allclose(got[..., 1], expected[..., 1], rtol=0, atol=0.02)
+    covered = expected[..., 1] > 0.5
+    assert covered[0].mean() > 0.1 and covered[1].mean() > 0.1
+    np.testing.assert_allclose(got[covered, 0], expected[covered, 0], rtol=0, atol=4e-3)
 
 
 def test_nothing_that_moves_means_no_shadow(stage):

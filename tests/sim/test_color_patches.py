@@ -118,12 +118,25 @@ def test_the_persistent_kernel_agrees_with_the_loops():
     """Rounding differs, and contact makes more of that in time. On the CPU the kernel is one thread."""
 
     def persistent(solver):
-        return PersistentVBD(solver.state, solver.elasticity, [solver.contacts], solver._blocks, iterations=2)
+        return PersistentVBD(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks, iterations=2)
 
     def plain(solver):
         return VBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, solver._blocks, iterations=2)
 
     assert_blocks_slide_alike([persistent, plain], 5e6, (4, 2, 2), (1e-5, 1e-4), integrator="vbd")
+
+
+@pytest.mark.long
+def test_the_persistent_kernel_agrees_with_the_loops_on_a_rigid_body():
+    def form(kind):
+        def make(solver):
+            pairs, rigid = [solver.contacts, solver.rigid_bodies], solver.rigid_bodies
+            return kind(solver.state, solver.elasticity, pairs, rigid, solver._blocks, iterations=2)
+
+        return make
+
+    forms = [form(PersistentVBD), form(VBDSubsteps)]
+    assert_blocks_slide_alike(forms, 5e6, (4, 2, 2), (1e-5, 1e-4), rigid=True, integrator="vbd")
 
 
 def test_several_patches_a_block_move_as_one(ti_cpu):
@@ -132,7 +145,7 @@ def test_several_patches_a_block_move_as_one(ti_cpu):
     body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
     start = x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)
     solver, moved = Solver([body], contacts=False, integrator="vbd"), []
-    persistent = PersistentVBD(solver.state, solver.elasticity, [], solver._blocks, iterations=2)
+    persistent = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
     persistent.load(Model([BodyModel.of(body, [])]))
     assert len(x) > MAX_LOCAL and (persistent.patches.count[None] > 1 or persistent.grid.on_cuda)
     for form in (persistent, solver.integrator):

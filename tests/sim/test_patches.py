@@ -117,9 +117,22 @@ def test_the_persistent_kernel_agrees_with_the_loops():
     """Rounding differs, and contact makes more of that in time. On the CPU the kernel is one thread."""
 
     def persistent(solver):
-        return PersistentXPBD(solver.state, [solver.contacts])
+        return PersistentXPBD(solver.state, [solver.contacts], None)
 
     def plain(solver):
         return XPBDSubsteps(solver.state, solver.elasticity, [solver.contacts], None, iterations=1)
 
     assert_blocks_slide_alike([persistent, plain], 5e4, (6, 3, 3), (2e-6, 5e-5), substep=1e-4)
+
+
+@pytest.mark.long
+def test_the_persistent_kernel_agrees_with_the_loops_on_a_rigid_body():
+    def persistent(solver):
+        pairs = [solver.contacts, solver.rigid_bodies]
+        return PersistentXPBD(solver.state, pairs, solver.rigid_bodies)
+
+    def plain(solver):
+        pairs = [solver.contacts, solver.rigid_bodies]
+        return XPBDSubsteps(solver.state, solver.elasticity, pairs, solver.rigid_bodies, iterations=1)
+
+    assert_blocks_slide_alike([persistent, plain], 5e4, (6, 3, 3), (5e-6, 3e-4), rigid=True, substep=1e-4)

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial import ConvexHull
 
 from bench import physics_contact
 from bench.setups import SIDE, playground
 from core.errors import BadInput
 from scenes.scene import Hand
 from sim.capacity import MAX_BODIES
+from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_body import RigidBody
-from sim.rigid.rigid_broad_phase import WORLD
+from sim.rigid.rigid_broad_phase import SLOTS, WORLD
 from sim.solver import Solver
 
 FRAME = 1 / 60
@@ -178,6 +180,24 @@ def test_contact_forces_carry_the_weights(place):
         assert_allclose(box.centroid, (0, (k + 0.5) * SIDE, 22), atol=1e-4)
     group = where["sliding"].start * (MAX_BODIES + 1) + WORLD
     assert 4 <= solver.contacts.rigid_search.size[group] <= 8  # between its corners a box needs no contacts
+
+
+def test_the_contacts_between_two_boxes_are_at_the_corners_of_what_touches(place):
+    """Those left out lie within the hull of the others."""
+    solver, where = physics_contact.started(place)
+    physics_contact.run(solver, 0.5)
+    f, samples = solver.contacts.rigid_search, solver.contacts.samples
+    shape, entry = f.shape.to_numpy(), f.entry.to_numpy()
+    at = f.position.to_numpy()[:, [0, 2]]
+    body = np.tile(samples.body.to_numpy(), SLOTS)
+    for lower in range(where["stack"].start, where["stack"].stop - 1):
+        group = lower * (MAX_BODIES + 1) + lower + 1
+        kept = entry[f.group_begin[group] : f.group_begin[group] + f.size[group]]
+        pairs = np.stack([body, shape - MAX_SHAPES], 1)
+        found = np.flatnonzero((np.sort(pairs, axis=1) == (lower, lower + 1)).all(1))
+        assert set(kept) < set(found) and len(kept) < len(found) / 3
+        sides = ConvexHull(at[kept]).equations
+        assert (at[found] @ sides[:, :2].T + sides[:, 2]).max() < 2e-5
 
 
 def test_a_snapshot_is_gone_on_from(place):

@@ -10,21 +10,32 @@ from core.material import Material
 from scenes.scene import Plane
 from sim.body_model import BodyModel
 from sim.model import Model
+from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 
 def assert_blocks_slide_alike(
-    forms: list[Callable[[Solver], object]], young: float, cells: tuple[int, int, int], tolerances, **options
+    forms: list[Callable[[Solver], object]],
+    young: float,
+    cells: tuple[int, int, int],
+    tolerances,
+    rigid: bool = False,
+    **options,
 ) -> None:
     """Compare two integrators, made by `forms` for a solver with these options, on blocks of so many cells.
 
+    rigid: the lower block does not deform.
     tolerances [m]: after a 180th of a second, and at the end. At last the upper block sleeps, and stays to the bit.
     """
     moved = []
     x, tets, surface = box((0.2, 0.1, 0.1), cells)
     material, n = Material(young, 0.3, 1000.0, friction=0.3), len(x)
     lower = SoftBody("lower", x, tets, surface, material, velocity=(0.5, 0.0, 0.0))
+    if rigid:
+        at = {"position": x.mean(0), "velocity": lower.velocity}
+        lower = RigidBody.box("lower", np.ptp(x, axis=0), density=1000.0, friction=0.3, **at)
+        n = len(lower.vertices)
     upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
     solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], **options)
     for make in forms:

@@ -127,7 +127,7 @@ class BakedLight:
             t, geometry, normal = self._cast_rays(o, d)
             hit = np.isfinite(t)
             incident = np.zeros((len(o), 3))
-            incident[~hit] = self._sources.sky(d[~hit])
+            incident[~hit] = self._sources.sky_beyond(o[~hit], d[~hit])
             incident[hit] = self._emission[geometry[hit]]
             valid = hit & ((normal * d).sum(1) < 0)
             near = self._tree.query((o + t[:, None] * d + LOOKUP_OFFSET * normal)[valid])[1]

@@ -20,6 +20,16 @@ class Opening:
     a: np.ndarray
     b: np.ndarray
 
+    def lets_through(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Mask (N,) of rays from `origins` (N, 3) along `directions` (N, 3) that pass the opening."""
+        face = np.cross(self.a, self.b)
+        slope = directions @ face
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (self.corner - origins) @ face / slope
+            at = origins + t[:, None] * directions - self.corner
+            u, v = (np.cross(at, self.b) @ face) / (face @ face), (np.cross(self.a, at) @ face) / (face @ face)
+        return (t > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+
 
 @dataclass(frozen=True)
 class Lamp:
@@ -78,3 +88,15 @@ class LightSources:
     lamps: list[Lamp] | tuple = ()
     sun: Sun | None = None
     sky: Callable[[np.ndarray], np.ndarray] = sky_over_garden
+
+    def sky_beyond(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Radiance (N, 3) met by rays that hit nothing: the sky's, in a room only through its openings.
+
+        Elsewhere they left at a joint, e.g. behind a skirting board, which must be dark.
+        """
+        if self.openings is None:
+            return self.sky(directions)
+        through = np.zeros(len(origins), bool)
+        for opening in self.openings:
+            through |= opening.lets_through(origins, directions)
+        return np.where(through[:, None], self.sky(directions), 0.0)

@@ -157,7 +157,7 @@ def head(centre: np.ndarray) -> list[Surface]:
     line(
         "brow",
         0.0115 + 0.026 * u,
-        0.0315 + 0.0055 * np.sin(np.pi * u**0.85) - 0.002 * u,
+        0.0345 + 0.0040 * arch - 0.004 * u,  # higher towards the nose: lower there looks angry
         0.0005 + 0.0011 * np.sin(np.pi * u**0.7),
         "5a3018",
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from studio.doors import casing, panelled_leaf
@@ -249,6 +247,13 @@ def pictures() -> list[Surface]:
         head = np.hypot((u - 0.5) / 0.145, (v - 0.60) / 0.175)
         skin = mix(srgb("d8a780"), srgb("8f5c40"), smoothstep(-0.1, 0.15, u - 0.5))
         c = np.where((head < 1)[:, None], skin, c)
+        across = np.abs(u - 0.5)
+        eyes = np.hypot((across - 0.058) / 0.024, (v - 0.615) / 0.014) < 1
+        brows = np.hypot((across - 0.060) / 0.036, (v - 0.648) / 0.009) < 1
+        nose = np.hypot((u - 0.515) / 0.018, (v - 0.572) / 0.034) < 1
+        mouth = np.hypot((u - 0.5) / 0.046, (v - 0.508) / 0.010) < 1
+        for part, tone in ((eyes, "2a1c16"), (brows, "5a4636"), (nose, "a06a4a"), (mouth, "8a4038")):
+            c = np.where(part[:, None], srgb(tone), c)
         hair = (np.hypot((u - 0.5) / 0.165, (v - 0.66) / 0.165) < 1) & (v > 0.67 - 0.8 * np.abs(u - 0.5) ** 1.2)
         return np.where(hair[:, None], srgb("6a5a4a"), c)
 
@@ -301,7 +306,7 @@ def door() -> list[Surface]:
     meshes = [*panelled_leaf(leaf, panels, face, 0.014), *casing(DOOR, CASING, Z1 - 0.04, Z1)]
     knob = superellipsoid((0.055,) * 3, 1.0, 14).moved(translation=(x0 + 0.045, 1.0, face - 0.03))
     return [
-        replace(boards(meshes, "door", 341, 0.020, axis=1), gloss=0.0),  # its joints would gleam
+        boards(meshes, "door", 341, 0.020, axis=1),
         Surface("door knob", knob, plain("a5834a"), 0.010, gloss=0.25),
     ]
 

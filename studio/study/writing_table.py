@@ -172,10 +172,10 @@ def desk_lamp() -> list[Surface]:
     """Brass desk lamp with a green glass shade."""
     foot = smooth_curve([(0.0, 0.0), (0.083, 0.001), (0.085, 0.012), (0.040, 0.022), (0.013, 0.034), (0.010, 0.06)], 30)
     stem = tube([(0, 0.055, 0), (0, 0.25, 0), (0, 0.335, 0.0), (0, 0.375, 0.01)], 0.009, 12)
-    u, v = np.linspace(-1, 1, 30)[:, None], np.radians(np.linspace(-15, 195, 20))[None]
-    shape = np.broadcast_arrays(
-        0.145 * u, 0.325 + 0.062 * np.sin(v) * (1 - 0.25 * u**2), 0.02 + 0.068 * np.cos(v) * (1 - 0.2 * u**2)
-    )
+    u = np.sin(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 40))[:, None]
+    v = np.radians(np.linspace(-15, 195, 20))[None]
+    dome = np.sqrt(1 - u**4)  # the ends are closed
+    shape = np.broadcast_arrays(0.145 * u, 0.325 + 0.062 * np.sin(v) * dome, 0.02 + 0.068 * np.cos(v) * dome)
     shell = grid_mesh(np.stack(shape, -1))
     bulb = superellipsoid((0.16, 0.026, 0.026), 0.8, 12).moved(translation=(0, 0.345, 0.02))
     chain = tube([(0.10, 0.33, 0.06), (0.10, 0.25, 0.06)], 0.0018, 8)

@@ -4,6 +4,7 @@ import numpy as np
 
 from studio.detail import Detail
 from studio.finish import smoothed
+from studio.light_sources import LightSources, Opening
 from studio.lit_room import ROUNDS, more_rounds
 from studio.shapes import Surface, quad
 from studio.surface_sampling import sample_surface
@@ -22,3 +23,14 @@ def test_gathered_light_is_smoothed_over_as_many_metres_at_any_detail():
         inner = np.abs(surfels.points[:, 2]) < 0.1
         widths.append(np.abs(blurred - bright)[inner & (np.abs(surfels.points[:, 0]) < 0.8)].mean())
     assert 0.8 < widths[1] / widths[0] < 1.25
+
+
+def test_the_sky_shines_into_a_room_through_its_openings_alone():
+    """Rays that left behind a skirting board met the sky, and a bright line stood at the foot of the wall."""
+    window = Opening(np.array([-1.0, 1.0, -0.5]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]))
+    origins = np.array([[0.0, 1.5, 0.0], [0.0, 1.5, 0.0], [0.0, 0.2, 0.0], [0.0, 1.5, 0.0]])
+    out = np.array([[-1.0, 0.0, 0.1], [1.0, 0.0, 0.1], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    seen = LightSources([window]).sky_beyond(origins, out).max(1) > 0
+    assert seen.tolist() == [True, False, False, False]  # towards the window, away from it, below it, along its wall
+    assert not LightSources().sky_beyond(origins, out).any()
+    assert (LightSources(None).sky_beyond(origins, out) > 0).all()

@@ -142,6 +142,19 @@ def parsed_point(text: str) -> tuple[str, list[float]]:
     return name, values
 
 
+def check_points(scale_points: list[str] | None, sizes: dict[str, tuple[int, int]]) -> None:
+    """Check that points of --scale-points lie in their photographs, by name (width, height) [px]. Raises BadInput."""
+    for text in (scale_points or [])[:2]:
+        name, (x, y, *_) = parsed_point(text)
+        if name and name not in sizes:
+            raise BadInput(
+                f"--scale-points: there is no photograph {name}; there are: {', '.join(list(sizes)[:5])} ..."
+            )
+        if name and not (0 <= x < sizes[name][0] and 0 <= y < sizes[name][1]):
+            width, height = sizes[name]
+            raise BadInput(f"--scale-points: {name} has {width}x{height} pixels: {x:g},{y:g} is none of them")
+
+
 class RoomMaking:
     """The stages of a room, each with what it needs of those before it."""
 
@@ -185,7 +198,9 @@ class RoomMaking:
         steps = a.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
         options = {"steps": steps, "reduce": a.reduce, "cap": a.cap, "seed": a.seed}
         if train.is_posed(a.capture):  # else their files can be checked only once there are poses
-            self.find_objects(read_capture(a.capture))
+            capture = read_capture(a.capture)
+            check_points(a.scale_points, {view.name: photograph_size(view)[::-1] for view in capture.views})
+            self.find_objects(capture)
 
         def arguments(folder: Path) -> argparse.Namespace:
             parser = argparse.ArgumentParser()

@@ -94,11 +94,12 @@ def read_training_capture(path: Path, reduce: int, test_every: int) -> tuple:
 
 def new_trainer(capture, photographs: list, options: TrainOptions):
     """A trainer at its start, from the capture's points as `train` begins."""
-    from prepare.train.seeds import first_count, seeds
+    from prepare.train.seeds import first_count, seeds, with_background
     from prepare.train.trainer import Trainer
 
     count = first_count(capture, options.cap)
-    start = seeds(capture, degree=options.degree, count=count, rng=np.random.default_rng(options.seed))
+    rng = np.random.default_rng(options.seed)
+    start = seeds(with_background(capture, photographs, rng), degree=options.degree, count=count, rng=rng)
     return Trainer(photographs, start, capture.extent, options)
 
 

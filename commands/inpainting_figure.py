@@ -119,14 +119,15 @@ def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
     from prepare.segment.object_ids import identified, masks_of
     from prepare.train.capture import read_capture
     from prepare.train.photographs import load_photographs
-    from prepare.train.seeds import seeds
+    from prepare.train.seeds import seeds, with_background
     from prepare.train.train_options import CAPS, TrainOptions
     from prepare.train.trainer import Trainer
 
     capture, masks = masks_of(read_capture(folder).upright(), folder / "masks", report)
     photographs = load_photographs(capture.views, 1, masks.ids)
     options = TrainOptions(steps=steps, cap=CAPS["cpu"], degree=1)
-    start = seeds(capture, degree=options.degree, count=options.cap, rng=np.random.default_rng(options.seed))
+    rng = np.random.default_rng(options.seed)
+    start = seeds(with_background(capture, photographs, rng), degree=options.degree, count=options.cap, rng=rng)
     trainer = Trainer(photographs, start, capture.extent, options, masks.names)
     while trainer.done < steps:
         trainer.step()

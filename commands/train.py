@@ -233,7 +233,7 @@ def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str])
     import taichi as ti
 
     from prepare.segment.object_ids import check_learned
-    from prepare.train.seeds import first_count, seeds
+    from prepare.train.seeds import first_count, seeds, with_background
     from prepare.train.trainer import Trainer
 
     arch = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
@@ -246,7 +246,8 @@ def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str])
         check_learned(objects, train)
         about |= {"masks": str(args.masks), "objects": objects}
     count = first_count(capture, cap)
-    start = seeds(capture, degree=args.degree, count=count, rng=np.random.default_rng(args.seed))
+    rng = np.random.default_rng(args.seed)
+    start = seeds(with_background(capture, train, rng), degree=args.degree, count=count, rng=rng)
     if len(capture.points) == 0:
         print(f"the capture has no points: starting with {len(start)} random Gaussians", file=sys.stderr)
     return Trainer(train, start, capture.extent, options, objects), about

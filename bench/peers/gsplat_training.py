@@ -31,7 +31,7 @@ from assets.gaussians import Gaussians
 from bench.device_memory import device_memory
 from bench.training_speed import STAGE_STEPS, listed, print_rows, read_training_capture
 from core.errors import BadInput
-from prepare.train.seeds import first_count, seeds
+from prepare.train.seeds import first_count, seeds, with_background
 
 DEGREE, DEGREE_INTERVAL = 3, 1000
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh0": 2.5e-3, "shN": 2.5e-3 / 20}
@@ -227,7 +227,8 @@ class Training:
 def train(path: Path, args, device) -> list[dict]:
     """A row for each of `args.at` steps. Raises BadInput."""
     capture, learned, kept = read_training_capture(path, args.reduce, args.test_every)
-    start = seeds(capture, degree=DEGREE, count=first_count(capture, args.cap), rng=np.random.default_rng(args.seed))
+    rng, count = np.random.default_rng(args.seed), first_count(capture, args.cap)
+    start = seeds(with_background(capture, learned, rng), degree=DEGREE, count=count, rng=rng)
     targets, tests = [Target(p, device) for p in learned], [Target(p, device) for p in kept]
     about = {"reset": args.reset, "seed": args.seed, "device": device}
     training = Training(targets, start, capture.extent, args.steps, **about)

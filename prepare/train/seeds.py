@@ -1,6 +1,9 @@
-"""The first Gaussians of a training: one at each sparse point of the capture, or at random places."""
+"""The first Gaussians of a training: at the sparse points of the capture, behind what shows none, or at random."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -9,11 +12,16 @@ from assets.gaussians import SH_COUNTS, Gaussians
 from core.spherical_harmonics import C0
 from prepare.train.capture import Capture
 from prepare.train.densification import logit
+from prepare.train.photographs import Photograph
 
 OPACITY = 0.1
 NEIGHBOURS = 3
 RANDOM_COUNT = 100_000  # at most without sparse points, as in gsplat
 RANDOM_REACH = 3.0  # extents around the cameras' mean position, without sparse points
+CELLS = 8  # across and down a photograph: points are added in those without sparse points
+ADDED = 4  # points in a cell
+FARTHEST = 20.0  # extents to the farthest of them
+BLACK = 8  # of 255; pixels up to it look like that without a Gaussian
 
 
 def first_count(capture: Capture, cap: int) -> int:
@@ -23,6 +31,49 @@ def first_count(capture: Capture, cap: int) -> int:
 
 def _has_points(capture: Capture) -> bool:
     return len(capture.points) >= 2 * NEIGHBOURS
+
+
+def with_background(capture: Capture, photographs: Sequence[Photograph], rng: np.random.Generator) -> Capture:
+    """The capture with points behind each cell of a photograph in which none of its own points lies.
+
+    Sparse points may lie on an object alone, when its masks chose what was matched. Then a training makes the
+    background of Gaussians that split off the object and hang before it in other views. The new points lie where rays
+    through pixels that count leave spheres around all cameras, whose inverse radii are uniform between those of the
+    extent and of FARTHEST extents: the background of NeRF++ (Zhang 2020). Black pixels need none, and a capture without
+    points stays without.
+    """
+    if not _has_points(capture):
+        return capture
+    points, colors = [capture.points], [capture.colors]
+    for p in photographs:
+        rows, columns = _pixels_without_points(capture.points, p, rng)
+        c, turn = p.camera, p.camera.world_to_camera[:3, :3]
+        rays = np.stack([(columns + 0.5 - c.cx) / c.fx, (rows + 0.5 - c.cy) / c.fy, np.ones(len(rows))], axis=1) @ turn
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        eye = c.position - capture.middle
+        radius = capture.extent / rng.uniform(1.0 / FARTHEST, 1.0, len(rows))
+        ahead = rays @ eye
+        way = -ahead + np.sqrt(ahead**2 - eye @ eye + radius**2)
+        points.append(c.position + way[:, None] * rays)
+        colors.append(p.pixels[rows, columns])
+    return replace(capture, points=np.concatenate(points), colors=np.concatenate(colors))
+
+
+def _pixels_without_points(points: np.ndarray, p: Photograph, rng: np.random.Generator) -> tuple:
+    """Rows and columns of random pixels of the cells in which no point lies, of those that count and are not black."""
+    height, width = p.mask.shape
+    view = p.camera.world_to_camera
+    x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y = (x / z * p.camera.fx + p.camera.cx) / width, (y / z * p.camera.fy + p.camera.cy) / height
+    inside = (z > 0.0) & (x >= 0.0) & (x < 1.0) & (y >= 0.0) & (y < 1.0)
+    empty = np.ones((CELLS, CELLS), bool)
+    empty[(CELLS * y[inside]).astype(int), (CELLS * x[inside]).astype(int)] = False
+    i, j = np.repeat(np.nonzero(empty), ADDED, axis=1)
+    rows = ((i + rng.uniform(size=len(i))) / CELLS * height).astype(int)
+    columns = ((j + rng.uniform(size=len(j))) / CELLS * width).astype(int)
+    counts = p.mask[rows, columns] & (p.pixels[rows, columns].max(axis=1) > BLACK)
+    return rows[counts], columns[counts]
 
 
 def seeds(capture: Capture, *, degree: int, count: int, rng: np.random.Generator) -> Gaussians:

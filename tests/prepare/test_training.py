@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from assets.splat_files import read_gaussians
-from core.camera import Camera
+from core.camera import Camera, project
 from core.errors import BadInput
 from core.rotation import rotation_between
 from prepare.train.capture import Capture, View
@@ -20,9 +20,9 @@ from prepare.train.densification import AdaptiveDensity, MonteCarlo, logit, shar
 from prepare.train.lens import Lens
 from prepare.train.perceptual import SIDE_MIN, lpips_distance
 from prepare.train.photographs import Photograph
-from prepare.train.seeds import seeds
+from prepare.train.seeds import CELLS, seeds, with_background
 from prepare.train.trainer import Trainer, TrainOptions
-from tests.support.painted_capture import cameras, painted_gaussians, photographs, sparse_points, write_capture
+from tests.support.painted_capture import SIDE, cameras, painted_gaussians, photographs, sparse_points, write_capture
 from vrgs import main
 
 CAP = 500
@@ -177,6 +177,28 @@ def test_the_first_gaussians_are_as_wide_as_their_neighbours_are_far(tmp_path):
     assert_allclose(g.opacities, 0.1, atol=1e-6)
     lost = Capture(tmp_path, given.views)
     assert len(seeds(lost, degree=0, count=40, rng=rng)) == 40  # without points: at random
+
+
+def test_parts_of_photographs_without_sparse_points_get_points_behind_all_cameras(tmp_path):
+    given, rng = capture(tmp_path), np.random.default_rng(0)
+    lone = replace(given, points=0.1 * given.points, colors=0 * given.colors)  # all on something small in the middle
+    pictures = photographs()
+    for k, p in enumerate(pictures):
+        p.pixels[:] = np.stack(np.broadcast_arrays(np.arange(SIDE), np.arange(SIDE)[:, None], k), axis=2)
+        p.mask[:, : SIDE // 2] = False
+    covered, own = with_background(lone, pictures, rng), len(lone.points)
+    assert_array_equal(covered.points[:own], lone.points)
+    added, colors = covered.points[own:], covered.colors[own:]
+    radii = np.linalg.norm(added - lone.middle, axis=1) / lone.extent
+    assert radii.min() >= 0.999 and 1.5 < np.median(radii) < 2.5 and 10.0 < radii.max() < 20.001
+    for k, p in enumerate(pictures):
+        of_own = np.array([project(p.camera, x) for x in lone.points])
+        of_added = np.array([project(p.camera, x) for x in added[colors[:, 2] == k]])
+        assert_allclose(of_added, colors[colors[:, 2] == k, :2] + 0.5, atol=1e-6)  # on the ray of its pixel
+        assert of_added[:, 0].min() > SIDE // 2  # where pixels count
+        cells = [set(map(tuple, (x * CELLS // SIDE).astype(int))) for x in (of_own, of_added)]
+        assert not cells[0] & cells[1] and len(cells[0] | cells[1]) >= CELLS**2 // 2  # one or the other
+    assert len(with_background(replace(given, points=np.zeros((0, 3))), pictures, rng).points) == 0
 
 
 def test_the_smallest_rotation_between_two_directions():

@@ -7,6 +7,8 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from scenes.scene import Hand
+from sim.body_model import RestShape
+from sim.contact.self_collision import can_fold
 from sim.soft_body import SoftBody
 from tests.support.soft_world import soft_solver
 
@@ -63,6 +65,13 @@ def listed(solver):
 def apart(x):
     """Height of the upper half above the lower one [m]."""
     return x[UPPER, 1].mean() - x[LOWER, 1].mean()
+
+
+@pytest.mark.parametrize(("cells", "folds"), [((8, 2, 2), True), ((4, 4, 4), False)])
+def test_a_bar_can_meet_itself_and_a_block_cannot(cells, folds):
+    """Bodies of a few cells a side are not searched: their neighbours would count as contacts."""
+    x, tets, surface = box(EDGE * np.array(cells), cells)
+    assert can_fold(RestShape(x, tets, surface, None)) == folds
 
 
 @pytest.mark.long

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from assets.file_access import make_folder
 from assets.splat_files import read_gaussians
-from core.errors import BadInput
+from core.errors import BadInput, Cancelled
 from core.runtime import start_taichi
 
 if TYPE_CHECKING:
@@ -60,11 +60,17 @@ def marked_splats(args: argparse.Namespace) -> SplatMarks:
     path = args.out / MARKS_FILE
     before = read_splat_marks(path) if path.is_file() else SplatMarks()
     gaussians = read_gaussians(args.capture, progress)
+    new = not args.out.exists()
     make_folder(args.out)
     start_taichi(args.arch)
     progress(f"looking for the neighbours of {len(gaussians):,} Gaussians")
     subject = SplatSubject(gaussians, before, None)
-    state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)
+    try:
+        state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)
+    except Cancelled:
+        if new:
+            args.out.rmdir()
+        raise
     marks = subject.marks(state)
     subject.close()
     write_splat_marks(path, marks)

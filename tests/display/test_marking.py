@@ -110,6 +110,28 @@ def test_without_a_display_marks_come_from_a_file(tmp_path, monkeypatch):
         check_window()
 
 
+def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
+    from types import SimpleNamespace
+
+    from commands import splat_objects
+    from core.errors import Cancelled
+
+    def left(*_):
+        raise Cancelled(quits=True)
+
+    monkeypatch.setattr("commands.marking.check_window", lambda: None)
+    monkeypatch.setattr("commands.marking.SplatSubject", lambda *_: None)
+    monkeypatch.setattr("display.mark.mark_window.marked_in_window", left)
+    for name in ("read_gaussians", "start_taichi"):
+        monkeypatch.setattr(splat_objects, name, lambda *_: [])
+    (tmp_path / "kept").mkdir()
+    for out in ("new", "kept"):
+        with pytest.raises(Cancelled):
+            args = SimpleNamespace(out=tmp_path / out, capture=tmp_path / "a.ply", arch="cpu")
+            splat_objects.marked_splats(args)
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
 def until(holds, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not holds():

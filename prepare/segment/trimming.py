@@ -76,7 +76,8 @@ def straddlers(gaussians: Gaussians, selected: np.ndarray) -> tuple[np.ndarray, 
     full = full_matrices(sigma)
     across = np.sqrt(np.einsum("ki,kij,kj->k", normal, full, normal).clip(1e-30))
     distance = (shift / across).clip(0.0, None)
-    keep = (others > OTHERS_MIN * total) & (total > 0)
+    # One whose covered neighbours are all on the other side lies under the thing, or is wider than they reach.
+    keep = (others > OTHERS_MIN * total) & (others < (1.0 - OTHERS_MIN) * total)
     return which[keep], normal[keep], distance[keep]
 
 

@@ -126,6 +126,7 @@ def test_wide_gaussians_under_a_thing_stay_with_the_floor(scene):
     own, r = np.arange(len(g)) >= 121, np.hypot(g.means[:, 0], g.means[:, 2])
     found = SplatSelection(g).select(own & (g.means[:, 1] > 0.28), ~own & (r > 0.4) & (r < 0.6))
     np.testing.assert_array_equal(found, own)
+    assert own[straddlers(g, own)[0]].all(), "the one below it lies beside the border, not over it"
 
 
 def test_rounds_end_when_the_border_becomes_little_clearer(monkeypatch):

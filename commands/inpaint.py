@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> None:
             more = concatenate(others) if others else None
             hole = find_hole(background, removed, cameras, name=name, others=more, **told)
             if not args.keep_shadow:
-                hole = take_shadow(hole, removed, concatenate(standing) if standing else None, **told)
+                hole = take_shadow(hole, concatenate(standing) if standing else None, **told)
             textures = paint_hole(hole, painter, progress)
             after = close_hole(hole, textures, steps=args.steps or STEPS, **told)
         finally:

@@ -91,9 +91,7 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
         cameras = [p.camera for p in photographs]
         told = options | {"progress": no_progress}
         try:
-            hole = take_shadow(
-                find_hole(before, gaussians.select(own), cameras, name=name, **told), gaussians.select(own), **told
-            )
+            hole = take_shadow(find_hole(before, gaussians.select(own), cameras, name=name, **told), **told)
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}

@@ -84,11 +84,17 @@ def draw_views(
     cuts = [(k, cut) for k, c in enumerate(cameras) if (cut := cut_out_camera(c, ball)) is not None]
     if not cuts:
         return []
-    drawings = [Drawing(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in (background, removed)]
+    within = 1.2 * REACH * ball.radius  # all that is processed, without its rim
+    near = background.select(np.linalg.norm(background.means - ball.centre, axis=1) < within)
+    things = [g for g in (background, removed, near) if len(g)]
+    drawings = [Drawing(g, [cut for _, cut in cuts], antialias=antialias, sort=sort) for g in things]
     found = []
     for done, (k, cut) in enumerate(cuts):
         color, alpha, depth = drawings[0](cut)
         _, object_alpha, object_depth = drawings[1](cut)
+        if len(near):  # where it is what shows: a few per cent of a far background behind it are metres of depth
+            _, near_alpha, near_depth = drawings[2](cut)
+            depth = np.where(near_alpha > SOLID, near_depth, depth)
         found.append(HoleView(k, cut, color, alpha, depth, object_alpha, object_depth))
         progress("views", (done + 1) / len(cuts))
     for drawing in drawings:

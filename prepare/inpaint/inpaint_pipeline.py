@@ -14,7 +14,7 @@ from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, targe
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
-from prepare.inpaint.support_surface import support_surfaces
+from prepare.inpaint.support_surface import part_of_surface, support_surfaces
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import Progress, no_progress
 from prepare.train.photographs import Photograph
@@ -33,6 +33,7 @@ class Hole:
 
     background  what stays, without Gaussians that no camera saw behind the object
     dropped     number of those
+    removed     the object, without parts of the surface that its masks took along: these are in the background
     views       of the scene without the object, and of the object alone
     support     texture of the surface that the object stands on
     textures    of the support surfaces that have a hole, not painted yet; empty: cameras saw everything behind it
@@ -40,6 +41,7 @@ class Hole:
 
     background: Gaussians
     dropped: int
+    removed: Gaussians
     ball: Surroundings
     views: list[HoleView]
     support: SurfaceTexture
@@ -68,7 +70,8 @@ def inpaint(
     """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
 
     The background's Gaussians stay as they are, bit for bit, except for their colours in the object's shadow, and that
-    those inside the object, which no camera saw, are left out.
+    those inside the object, which no camera saw, are left out. Parts of the surface that it stands on, which its masks
+    took along, are put back after them.
 
     others    Gaussians of other objects that are removed as well: what they hid was not seen either
     standing  objects that cast shadows on the background, too, in addition to those in it that have an id
@@ -83,7 +86,7 @@ def inpaint(
     options = {"antialias": antialias, "sort": order_of(background), "progress": progress}
     hole = find_hole(background, removed, cameras, name=name, others=others, **options)
     if not keep_shadow:
-        hole = take_shadow(hole, removed, standing, **options)
+        hole = take_shadow(hole, standing, **options)
     textures = paint_hole(hole, painter, progress)
     return close_hole(hole, textures, steps=steps, **options)
 
@@ -114,32 +117,37 @@ def find_hole(
     photographed = cameras is not None
     if not photographed:
         cameras = cameras_around(background, removed, ball, **options)
-    hiding = removed if others is None else concatenate([removed, others])
-    views = draw_views(background, hiding, cameras, ball, progress, **options)
+    hiding = [removed] if others is None else [removed, others]
+    views = draw_views(background, concatenate(hiding), cameras, ball, progress, **options)
     if sum(int(v.in_front().sum()) for v in views) < SEEN_MIN:
         raise BadInput(f"{name}: no camera sees it")
     progress("hole", 0.0)
-    kept = background
+    kept, dropped = background, 0
     if photographed and (unseen := within_object(background, views, ball, progress, sort=sort)).any():
-        kept = background.select(~unseen)
-        hiding = concatenate([hiding, background.select(unseen)])
-        views = draw_views(kept, hiding, cameras, ball, no_progress, **options)
+        kept, dropped = background.select(~unseen), int(unseen.sum())
+        hiding.append(background.select(unseen))
+        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
     surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
+    if surfaces and (part := part_of_surface(removed.means, surfaces[0], ball)).any():
+        own = removed.select(part)
+        kept = concatenate([kept, replace(own, object_id=np.zeros_like(own.object_id))])
+        removed = hiding[0] = removed.select(~part)
+        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
+        surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
     if not surfaces:
         raise BadInput(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
     textures = []
     for k, surface in enumerate(surfaces):
-        others = [s for s in surfaces if s is not surface]
-        textures.append(texture_of(surface, others, views, ball, photographed=photographed))
+        bounds = [s for s in surfaces if s is not surface]
+        textures.append(texture_of(surface, bounds, views, ball, photographed=photographed))
         progress("hole", 0.5 + 0.5 * (k + 1) / len(surfaces))
     holes = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
-    return Hole(kept, len(background) - len(kept), ball, views, textures[0], holes)
+    return Hole(kept, dropped, removed, ball, views, textures[0], holes)
 
 
 def take_shadow(
     hole: Hole,
-    removed: Gaussians,
     standing: Gaussians | None = None,
     *,
     antialias: bool,
@@ -150,7 +158,7 @@ def take_shadow(
     options = {"antialias": antialias, "sort": sort}
     progress("shadow", 0.0)
     others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
-    shadow = find_shadow(removed, concatenate(others), hole.support, hole.ball, **options)
+    shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball, **options)
     if shadow is None:
         return hole
     background = without_shadow(hole.background, shadow, hole.ball, hole.views)

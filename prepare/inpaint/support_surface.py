@@ -18,7 +18,7 @@ OBJECT_POINTS = 2000  # sampled on the object
 TRIALS = 400  # RANSAC planes through three points
 REFITS = 8  # of the best plane
 NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
-CONTACT = 0.08  # radii from the object at which a point's weight is half
+CONTACT = 0.08  # radii from the object at which a point's weight is a quarter
 FLAT = 0.06  # radii: largest distance of a plane's points from it
 UNTOUCHED = 0.03  # share of the object that counts as touching a plane where its underside was not seen
 SHARE = 0.04, 0.08  # of all points' weight that the first plane needs, and further planes
@@ -26,6 +26,7 @@ PARALLEL = 0.85  # cosine between a point's normal and its plane's
 NEIGHBOURS = 32  # points from which a normal is estimated
 GAP = 0.5  # radii between the object and its support, at most: its underside may be unseen
 BENEATH = 0.12  # radii that the object may reach behind its support
+PART_SHARE = 0.06, 0.5  # least and most of an object that may be a part of its support
 HALO = 2  # [px] around the object in which its colour leaks into the background
 RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
 SMOOTHING = 0.1  # of the thin-plate spline, with the hole's size as the unit
@@ -73,9 +74,7 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
     if len(points) < NEIGHBOURS:
         return points, np.zeros_like(points)
     # Of neighbours from all views: between a picture's pixels, the noise of its depth is larger than the slope.
-    own = points[cKDTree(points).query(points, k=NEIGHBOURS)[1]]
-    own -= own.mean(axis=1, keepdims=True)
-    return points, np.linalg.eigh(np.einsum("nki,nkj->nij", own, own))[1][:, :, 0]
+    return points, normals_of(points)
 
 
 def unproject(view: HoleView, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -93,7 +92,7 @@ def support_surfaces(
     Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
     """
     points, normals = rim_points(views, ball, rng)
-    near = 1.0 / (1.0 + (cKDTree(removed_means).query(points)[0] / (CONTACT * ball.radius)) ** 2)
+    near = _nearness(points, removed_means, ball)
     eyes = np.array([v.camera.position for v in views])
     found, total = [], near.sum()
     while len(found) < PLANES_MAX and len(points) >= POINTS_MIN:
@@ -110,39 +109,66 @@ def support_surfaces(
     return found
 
 
+def _nearness(points: np.ndarray, others: np.ndarray, ball: Surroundings) -> np.ndarray:
+    """Weights (N,) of points by how near they are to others; a quarter at CONTACT, and soon nothing beyond."""
+    return (1.0 + (cKDTree(others).query(points)[0] / (CONTACT * ball.radius)) ** 2) ** -2.0
+
+
+def part_of_surface(means: np.ndarray, surface: SupportSurface, ball: Surroundings) -> np.ndarray:
+    """Mask (N,) of an object's Gaussians that lie in the surface that it stands on: its masks took them along.
+
+    None if most of it does, as it is flat itself, or little, as that is its own underside.
+    """
+    points = means.astype(np.float64)
+    part = np.abs(surface.local(points)[:, 2]) < FLAT * ball.radius
+    part &= np.abs(normals_of(points) @ surface.axes[2]) > PARALLEL
+    return part & (PART_SHARE[0] < part.mean() < PART_SHARE[1])
+
+
+def normals_of(points: np.ndarray) -> np.ndarray:
+    """Unit normals (N, 3), of either sign, of the neighbourhoods of points (N, 3)."""
+    own = points[cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1]]
+    own -= own.mean(axis=1, keepdims=True)
+    return np.linalg.eigh(np.einsum("nki,nkj->nij", own, own))[1][:, :, 0]
+
+
 def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surroundings, rng):
     """Origin, normal towards the object, and spread of the plane that explains most; None if no plane carries it.
 
     Sample consensus with a truncated square (MSAC), of planes through three points and planes like these that the
-    object touches; a plane counts by the share of the object at it, too. Then weighted least squares.
+    object touches; a plane counts by the share of the object's contact at it, too. Then weighted least squares,
+    to the object's points as well: its masks may have taken along most of the surface that it stands on.
     """
     flat = FLAT * ball.radius
+    some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
+    beside = _nearness(some, points, ball)
     corners = points[rng.choice(len(points), (TRIALS, 3), p=near / near.sum())]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
     wide = length > 1e-3 * ball.radius**2
     normals, origins = normals[wide] / length[wide, None], corners[wide, 0]
     normals *= np.sign(((ball.centre - origins) * normals).sum(axis=1))[:, None]
-    some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
     lowest = np.percentile(some @ normals.T, 3, axis=0)
     offsets = np.concatenate([(origins * normals).sum(axis=1), lowest])
     normals, lowest = np.concatenate([normals, normals]), np.concatenate([lowest, lowest]) - offsets
     facing = (eyes @ normals.T > offsets).mean(axis=0)
     carries = (lowest > -BENEATH * ball.radius) & (lowest < GAP * ball.radius) & (facing > SOLID)
     own = (1.0 - ((points @ normals.T - offsets) / flat) ** 2).clip(0.0) * (np.abs(own_normals @ normals.T) > PARALLEL)
-    touching = (1.0 - ((some @ normals.T - offsets) / flat) ** 2).clip(0.0).mean(axis=0)
+    touching = beside @ (1.0 - ((some @ normals.T - offsets) / flat) ** 2).clip(0.0) / beside.sum()
     score = np.where(carries, (near @ own) * (UNTOUCHED + touching), 0.0)
     if not score.size or not score.max():
         return None
     best = int(score.argmax())
     normal, origin = normals[best], normals[best] * offsets[best]
+    both, both_normals = np.concatenate([points, some]), np.concatenate([own_normals, normals_of(some)])
+    nearness = np.sqrt(np.concatenate([near, beside]))  # of a wider base
     for _ in range(REFITS):
-        along = np.abs(own_normals @ normal) > PARALLEL
-        weights = near * along * (1.0 - ((points - origin) @ normal / flat) ** 2).clip(0.0)
-        if (weights > 0).sum() < 10:
+        along = np.abs(both_normals @ normal) > PARALLEL
+        weights = nearness * along * (1.0 - ((both - origin) @ normal / flat) ** 2).clip(0.0)
+        if (weights[: len(points)] > 0).sum() < 10:
             return None
-        origin = np.average(points, axis=0, weights=weights)
-        found = np.linalg.eigh(np.cov((points - origin).T, aweights=weights))[1][:, 0]
+        origin = np.average(both, axis=0, weights=weights)
+        found = np.linalg.eigh(np.cov((both - origin).T, aweights=weights))[1][:, 0]
         normal = found * np.sign(found @ normal)
     off = np.abs((points - origin) @ normal)[np.abs(own_normals @ normal) > PARALLEL]
     return origin, normal, 1.48 * float(np.median(off[off < flat]))

@@ -18,7 +18,7 @@ from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
-from prepare.inpaint.support_surface import support_surfaces
+from prepare.inpaint.support_surface import part_of_surface, support_surfaces
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import no_progress
 from prepare.train.photographs import Photograph
@@ -74,7 +74,7 @@ def closed(shadowed):
     """The hole without the shadow, its painted textures, and the table with the patch."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("prepare.inpaint.object_shadow.DIRECTIONS", 24)
-        hole = take_shadow(shadowed, ball(), **OPTIONS)
+        hole = take_shadow(shadowed, **OPTIONS)
     textures = paint_hole(hole, paint_from_patches)
     return hole, textures, close_hole(hole, textures, steps=20, **OPTIONS)
 
@@ -189,9 +189,11 @@ def test_an_unseen_object_is_refused(ti_cpu):
         find_hole(table(), ball().select(slice(5)), cameras(), name="ball", **OPTIONS)
 
 
-def noisy_view(index: int, camera, noise: float, dent: float = 0.0, plinth: tuple | None = None) -> HoleView:
+def noisy_view(
+    index: int, camera, noise: float, dent: float = 0.0, plinth: tuple | None = None, torn: float = 0.0
+) -> HoleView:
     """A table without end, its depth off by `noise` [m], with a dent around the foot of a ball; or with a round
-    `plinth`, radius and height [m], under it, whose top is at y = 0."""
+    `plinth`, radius and height [m], under it, whose top is at y = 0 and lacks the part within `torn` [m]."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
     rays = rays @ camera.world_to_camera[:3, :3]
@@ -199,6 +201,7 @@ def noisy_view(index: int, camera, noise: float, dent: float = 0.0, plinth: tupl
     depth = np.where(down, -eye[1] / np.minimum(rays[..., 1], -1e-3), 9.0)
     if plinth is not None:
         beside = np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1) > plinth[0]
+        beside |= np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1) < torn
         depth = np.where(beside & down, depth * (1.0 + plinth[1] / eye[1]), depth)
     away = np.linalg.norm((eye + depth[..., None] * rays)[..., [0, 2]], axis=-1)
     rough = gaussian_filter(np.random.default_rng(index).normal(size=depth.shape), 4)
@@ -230,6 +233,23 @@ def test_an_object_stands_on_the_plinth_that_it_touches():
     views = [noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS)) for k, c in enumerate(cameras())]
     top, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
     assert top.axes[2][1] > 0.99 and abs(top.local(np.zeros(3))[2]) < 0.06 * RADIUS
+
+
+def test_a_part_of_the_surface_that_went_with_the_object_is_told_from_it():
+    """A ball whose masks took along the middle of the plinth's top: its rim alone is less than the ground beside it."""
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = [
+        noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS), torn=0.8 * RADIUS) for k, c in enumerate(cameras())
+    ]
+    x, z = (a.ravel() for a in np.mgrid[-1:1:25j, -1:1:25j] * 0.8 * RADIUS)
+    slab = np.stack([x, 0.0 * x, z], axis=1)[np.hypot(x, z) < 0.8 * RADIUS]
+    means = np.concatenate([ball().means[ball().means[:, 1] > 0.1 * RADIUS], slab])
+    top, *_ = support_surfaces(views, means, sphere, np.random.default_rng(0))
+    assert top.axes[2][1] > 0.999 and abs(top.local(np.zeros(3))[2]) < 0.02 * RADIUS
+    part = part_of_surface(means, top, sphere)
+    assert part[-len(slab) :].mean() > 0.9 and part[: -len(slab)].mean() < 0.05
+    assert not part_of_surface(ball().means, top, sphere).any()  # nor is a round underside
+    assert not part_of_surface(slab, top, sphere).any()  # a flat object is no part of what it lies on
 
 
 def test_an_object_whose_underside_no_camera_saw_stands_level():

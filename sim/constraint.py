@@ -84,8 +84,8 @@ class Constraint:
         """Evaluate what element k of phase 0 needs of the committed state; before that phase, in the first sweep."""
 
     @ti.func
-    def solve_phase(self, integrator: ti.template(), phase: ti.template(), k, first: ti.template()):
-        """Solve element k < phase_sizes[phase]."""
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
+        """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
 
     @ti.func
     def phase_count(self, phase: ti.template()):

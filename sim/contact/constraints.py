@@ -148,7 +148,7 @@ class ContactConstraints:
                 self.postpone(r, self.phi[r], self.closing_speed[r])
 
     @ti.func
-    def solve(self, r, j: ti.template(), integrator: ti.template()):
+    def solve(self, r, j, integrator: ti.template()):
         """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (`contact_impulse`)."""
         if self.active[r]:
             inv_mass = 0.0
@@ -194,7 +194,7 @@ class ContactConstraints:
         return d
 
     @ti.func
-    def relative_motion(self, r, passed: ti.template(), integrator: ti.template()):
+    def relative_motion(self, r, passed, integrator: ti.template()):
         """Relative motion y [m] in this substep so far, with the corrections of the first `passed` passes."""
         y = ti.Vector([0.0, 0.0, 0.0])
         if ti.static(self.unrolled):
@@ -213,19 +213,20 @@ class ContactConstraints:
         return y
 
     @ti.func
-    def _vertex_motion(self, r, e, passed: ti.template(), integrator: ti.template()):
+    def _vertex_motion(self, r, e, passed, integrator: ti.template()):
         """The part of vertex e in y [m]."""
         i = self.vertex[r, e]
         y = self.state.dx[i] - self.state.x_lo[i]
-        for j in ti.static(range(1 if integrator.warm_started else 0, passed)):  # dx has the first sums already
-            moved = ti.cast(self.corrections[i, j], ti.f32) * (1.0 / STEPS_PER_METER)
-            if ti.static(integrator.warm_started):
-                moved *= integrator.effective_inv_mass[i] / ti.max(self.state.inv_mass[i], 1e-20)
-            y += moved
+        for j in ti.static(range(1 if integrator.warm_started else 0, self.passes)):  # dx has the first sums already
+            if j < passed:
+                moved = ti.cast(self.corrections[i, j], ti.f32) * (1.0 / STEPS_PER_METER)
+                if ti.static(integrator.warm_started):
+                    moved *= integrator.effective_inv_mass[i] / ti.max(self.state.inv_mass[i], 1e-20)
+                y += moved
         return self.coefficient[r, e] * y
 
     @ti.func
-    def add_impulse(self, r, impulse, j: ti.template()):
+    def add_impulse(self, r, impulse, j):
         """Add what an impulse [kg m] of row r moves to the corrections of pass j."""
         if ti.static(self.unrolled):
             for e in ti.static(range(MAX_VERTICES)):
@@ -239,7 +240,7 @@ class ContactConstraints:
                 self.rigid_bodies.add_impulse(self.body[r, e], p, self.lever_arm[r, e].cross(p), j)
 
     @ti.func
-    def _correct_vertex(self, r, e, impulse, j: ti.template()):
+    def _correct_vertex(self, r, e, impulse, j):
         i = self.vertex[r, e]
         correction = self.state.inv_mass[i] * self.coefficient[r, e] * STEPS_PER_METER * impulse
         if correction.norm_sqr() > 0.0:

@@ -87,14 +87,17 @@ def triangle_lattice(triangles: np.ndarray, n: int) -> tuple[np.ndarray, np.ndar
 
 def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
     """Indices of the first `keep` points and of each later one that is `distance` or more from all taken before."""
-    neighbours = cKDTree(points).query_ball_point(points, distance * (1 - 1e-9))
-    free = np.ones(len(points), bool)
-    taken = []
-    for p, near in enumerate(neighbours):
-        if p < keep or free[p]:
-            taken.append(p)
-            free[near] = False
-    return np.array(taken)
+    limit = distance * (1 - 1e-9)
+    to_kept, _ = cKDTree(points[:keep]).query(points[keep:], distance_upper_bound=limit)
+    left = keep + np.flatnonzero(np.isinf(to_kept))
+    first, second = cKDTree(points[left]).query_pairs(limit, output_type="ndarray").T  # first < second
+    earlier: list[list[int]] = [[] for _ in left]
+    for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        earlier[b].append(a)
+    taken: list[bool] = []
+    for others in earlier:
+        taken.append(not any(taken[k] for k in others))
+    return np.r_[np.arange(keep), left[np.array(taken, bool)]]
 
 
 def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:

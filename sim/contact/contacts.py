@@ -237,18 +237,18 @@ class Contacts(Constraint):
         return self.static.project_vertex_metric(i, dx, H, A, prior)
 
     @ti.func
-    def solve_phase(self, integrator: ti.template(), phase: ti.template(), k, first: ti.template()):
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
         """Phase 0 activates the candidates that touch; then, pass by pass, all of these take steps.
 
         In later passes those of rigid bodies alone: what soft bodies do to one another waits for the next substep.
         """
-        groups = ti.static(GROUPS if self.coupled and phase > 0 else 0)
+        groups = ti.static(GROUPS if self.coupled and later else 0)
         if k < groups:
             if ti.static(groups > 0):
                 self.rigid.solve(k, phase)
         elif k - groups < self.constraints.candidate_count[None]:
             r = self.constraints.candidate[k - groups]
-            if ti.static(phase == 0):
+            if ti.static(not later):
                 if self.constraints.status[r] != NOT_CHECKED:
                     self._activate(r, self.constraints.status[r] == VALID, first, integrator)
             elif ti.static(self.soft or self.has_fingers):

@@ -93,7 +93,8 @@ class NearestTets:
         shapes, begin = model.shapes, model.tet_begin
         near = [s.root.once(neighbors_of) for s in shapes]
         near = stacked([np.where(n < 0, n, n + o) for n, o in zip(near, begin, strict=False)], 4)
-        edge = float(np.median([s.edge for s in shapes])) if shapes else 0.0
+        edges = [s.edge for s in shapes if len(s.tets)]  # a rigid body's would make cells that hold all points
+        edge = float(np.median(edges)) if edges else 0.0
         ids, weights = self.samples.host_ids, self.samples.host_weights
         rest = (stacked([s.vertices for s in shapes], 3)[ids] * weights[..., None]).sum(1)
         self._upload([near, rest, CELL_SIZE * edge or self.samples.spacing])

@@ -10,7 +10,7 @@ import taichi as ti
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload
 from sim.capacity import stacked
-from sim.elastic.patches import compact_order
+from sim.elastic.patches import TablesOf, compact_order
 from sim.elastic.vbd import MAX_COLORS, colors_of, tet_terms
 from sim.model import Model
 from sim.state import State
@@ -37,7 +37,7 @@ class ColorPatches:
     """
 
     def __init__(self, state: State, blocks: int):
-        self.state, self.blocks = state, blocks
+        self.state, self.blocks, self._last = state, blocks, TablesOf()
         N = 4 * state.T
         self.max_count = blocks * (1 + 4 * state.V // (blocks * MAX_LOCAL))
         L = self.max_count * MAX_LOCAL
@@ -67,13 +67,14 @@ class ColorPatches:
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
-        order = [s.root.once(compact_order) for s in model.shapes]
-        order = stacked([o + b for o, b in zip(order, model.vertex_begin, strict=False)])
-        color = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
-        color = stacked(color)
+        orders = [s.root.once(compact_order) for s in model.shapes]
+        order = stacked([o + b for o, b in zip(orders, model.vertex_begin, strict=False)])
+        colors = [p.shape.root.once(colors_of, tuple((p.inv_mass == 0.0).tolist())) for p in model.bodies]
+        color = stacked(colors)
         if color.max(initial=-1) >= MAX_COLORS:
             raise BadInput(f"a vertex has too many neighbours: {color.max() + 1} colours, the limit is {MAX_COLORS}")
-        t = divide_by_color(model.tets, order, color, self.blocks, self.max_count)
+        most = self.max_count
+        t = self._last.get(orders + colors, lambda: divide_by_color(model.tets, order, color, self.blocks, most))
         gradients = stacked([s.inverse.reshape(-1, 9) for s in model.shapes], 9)[t["tet"]]
         c = t["corners"]
         words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS

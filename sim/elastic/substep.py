@@ -49,12 +49,13 @@ def solve_phases(integrator: ti.template(), thread, rounds):
     """Solve all phases of a persistent kernel's constraints, each followed by a barrier; `rounds` and those passed."""
     s, passed = integrator.state, rounds
     for c in ti.static(integrator.in_pairs):
-        for phase in ti.static(range(len(c.phase_sizes))):
-            k, end = integrator.grid.scattered(thread), c.phase_count(phase)
-            while k < end:
-                c.solve_phase(integrator, phase, k, True)
-                k += integrator.grid.threads
-            passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
+        for later in ti.static(range(min(len(c.phase_sizes), 2))):
+            for turn in range(ti.static(len(c.phase_sizes) - 1 if later else 1)):
+                k, end = integrator.grid.scattered(thread), c.phase_count(later)
+                while k < end:
+                    c.solve_phase(integrator, later, later + turn, k, True)
+                    k += integrator.grid.threads
+                passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
     return passed
 
 
@@ -84,7 +85,7 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate:
         def run():
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
-                c.solve_phase(integrator, phase, k, first)
+                c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)
 
         return run
 

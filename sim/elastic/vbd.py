@@ -319,7 +319,7 @@ class VBDSubsteps:
                 for phase in ti.static(range(len(c.phase_sizes))):
                     ti.loop_config(serialize=s.serial, block_dim=ti.static(block_size(s, c.phase_sizes[phase])))
                     for k in range(c.phase_sizes[phase]):
-                        c.solve_phase(self, phase, k, True)
+                        c.solve_phase(self, ti.static(phase > 0), phase, k, True)
             ti.loop_config(serialize=s.serial)
             for i in range(s.V):
                 if s.awake_vertex(i):

@@ -100,7 +100,7 @@ class XPBDSubsteps:
                     for k in range(c.phase_count(phase) if ti.static(s.serial) else c.phase_sizes[phase]):
                         if ti.static(first and phase == 0):
                             c.evaluate(k)
-                        c.solve_phase(self, phase, k, first)
+                        c.solve_phase(self, ti.static(phase > 0), phase, k, first)
             if ti.static(len(in_pairs) > 0):
                 apply()
 

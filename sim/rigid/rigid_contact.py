@@ -136,7 +136,7 @@ class RigidContacts:
         return e
 
     @ti.func
-    def solve(self, g, j: ti.template()):
+    def solve(self, g, j):
         """Pass j over group g: sweeps over its constraints, on copies of its bodies with their parts of mass."""
         m = self.rigid_bodies
         table = self.constraints
@@ -186,5 +186,5 @@ class RigidContacts:
             m.add_impulse(a, impulse, moment_a, j)
             if b != WORLD:
                 m.add_impulse(b, -impulse, -moment_b, j)
-            if ti.static(j == m.passes):
+            if j == m.passes:
                 f.active[g] = 0

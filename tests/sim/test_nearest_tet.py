@@ -12,8 +12,11 @@ from bench.sample_meshes import torus
 from core.fields import destroy_fields
 from core.material import Material
 from sim.contact.broad_phase import PointHash
+from sim.contact.nearest_tet import CELL_SIZE
 from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
+from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
+from sim.solver import Solver
 from tests.support.soft_world import soft_solver
 
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0)
@@ -91,6 +94,16 @@ def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed)
 
 def test_what_is_slow_lists_nothing(rings):
     assert (found(rings, 0.3)[2] < 0).all()
+
+
+def test_rigid_bodies_do_not_coarsen_the_hash(ti_cpu):
+    """With the edges of a brick among them, its cells held all points of a fine body, and each tet looked at all."""
+    ring = SoftBody("ring", *torus(0.08, 0.025, 24, 3), RUBBER)
+    bricks = [RigidBody.box("brick", (0.3, 0.2, 0.1), density=500.0, position=(k, 0, 0)) for k in (1, 2)]
+    solver = Solver([ring, *bricks])
+    assert solver.contacts.deformable.hosts.hash.cell[None] == pytest.approx(
+        CELL_SIZE * solver.body_models[0].shape.edge
+    )
 
 
 def test_a_point_goes_on_to_the_tet_that_it_is_in_but_not_to_and_fro_on_a_face(rings):

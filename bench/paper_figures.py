@@ -57,7 +57,7 @@ QUICK = Effort(("180 degrees",), 0.5 * np.pi, 0.35, (0.3, 0.1, 0.6), 0.1, 1, (16
 
 
 def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> None:
-    """Run the command: make all figures, then write the page and its numbers. Raises BadInput.
+    """Run the command: make all figures, writing the page and its numbers after each. Raises BadInput.
 
     inpainting  makes the figure of that, from the dictionary that takes its numbers and a function that takes lines
     """
@@ -66,27 +66,26 @@ def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> N
     page, numbers = args.out / "figures.html", args.out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
-    say = _progress(6)
     bar = prepared("bar")[1]
     results: dict = {"arch": arch(), "quick": args.quick}
-    say("two-level and one-level embedding")
-    sections = [embedding_section(bar, effort, results)]
-    say("twist")
-    sections.append(twist_section(bar, effort, results))
-    say("solvers")
-    sections.append(solver_section(bar, effort, results))
-    say("inpainting")
-    sections.append(inpainting(results, _told))
-    say("demos")
-    demos = demo_pictures(effort, results, _told)
-    say("shadow")
-    sections.insert(1, shadow_section(effort, results))
-    sections.append(demos)
+    figures: list[tuple[str, Callable[[], Section]]] = [
+        ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
+        ("shadow", lambda: shadow_section(effort, results)),
+        ("twist", lambda: twist_section(bar, effort, results)),
+        ("solvers", lambda: solver_section(bar, effort, results)),
+        ("inpainting", lambda: inpainting(results, _told)),
+        ("demos", lambda: demo_pictures(effort, results, _told)),
+    ]
     how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if args.quick else ''}"
-    text = f"Made by vrgs.py figures on {how}. {PAPER}"
-    with atomic_write_all(page, numbers) as (page_part, numbers_part):
-        page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
-        numbers_part.write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
+    sections: list[Section] = []
+    for k, (what, make) in enumerate(figures, 1):
+        print(f"[{k}/{len(figures)}] {what}", file=sys.stderr, flush=True)
+        sections.append(make())
+        still = "" if k == len(figures) else f" Not finished: {k} of {len(figures)} figures."
+        text = f"Made by vrgs.py figures on {how}.{still} {PAPER}"
+        with atomic_write_all(page, numbers) as (page_part, numbers_part):
+            page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
+            numbers_part.write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
     print(f"wrote {page} and {numbers}", file=sys.stderr)
 
 
@@ -99,16 +98,6 @@ PAPER = (
 def _told(text: str) -> None:
     """Print a line of a figure in the making."""
     print(f"      {text}", file=sys.stderr, flush=True)
-
-
-def _progress(count: int) -> Callable[[str], None]:
-    """A function that tells which of `count` figures is being made."""
-    done = iter(range(1, count + 1))
-
-    def say(what: str) -> None:
-        print(f"[{next(done)}/{count}] {what}", file=sys.stderr, flush=True)
-
-    return say
 
 
 def embedding_section(bar, effort: Effort, results: dict) -> Section:

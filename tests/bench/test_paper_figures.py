@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -57,6 +58,20 @@ def test_a_twisted_bar_agrees_with_theory(ti_cpu):
     measured, theory = found.frequency
     assert abs(measured / theory - 1) < 0.12
     assert found.left < 1.0 and not found.pictures
+
+
+def test_what_is_interrupted_leaves_a_page_of_the_figures_that_are_made(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(paper_figures, "prepared", lambda _: (None, None))
+    monkeypatch.setattr(paper_figures, "arch", lambda: "cpu")
+    monkeypatch.setattr(paper_figures, "embedding_section", lambda *_: Section("the first", "text", {}))
+    monkeypatch.setattr(paper_figures, "shadow_section", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        paper_figures.run(SimpleNamespace(out=tmp_path, quick=True), interrupted)
+    page = (tmp_path / "figures.html").read_text()
+    assert "the first" in page and "Not finished: 1 of 6 figures." in page and (tmp_path / "figures.json").is_file()
 
 
 @pytest.mark.long

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import _thread
 import os
 import sys
+import threading
+from collections.abc import Callable
+from functools import partial
 
 SUMMARY = "VR-GS: captures as Gaussians that can be grabbed, squeezed and thrown."
 START = "`make play` installs all; then start the program with .venv/bin/python, or activate .venv (README.md)"
@@ -12,11 +16,23 @@ START = "`make play` installs all; then start the program with .venv/bin/python,
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit status: 0 done, 1 a check failed, 2 bad input, 130 interrupted."""
+    report = sys.unraisablehook
+    sys.unraisablehook = partial(repeat_interrupt, report)
     try:
         return run(sys.argv[1:] if argv is None else argv)
     except KeyboardInterrupt:
         print("vrgs: interrupted", file=sys.stderr)
         return 130
+    finally:
+        sys.unraisablehook = report
+
+
+def repeat_interrupt(report: Callable, unraisable) -> None:
+    """Repeat a Ctrl-C that came while an object was freed, where it is ignored; `report` all else that is."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        threading.Timer(0.02, _thread.interrupt_main).start()  # at once, it would come in here, and be lost as well
+    else:
+        report(unraisable)
 
 
 def run(argv: list[str]) -> int:

@@ -1,5 +1,8 @@
 """The command line: each option acts or is refused in one line, before anything is read or started."""
 
+import signal
+import time
+
 import pytest
 
 import vrgs
@@ -179,3 +182,22 @@ def test_the_program_ends_with_status_2(capsys):
 
 def test_no_word_at_all_plays_the_ring_toss():
     assert parse([], "", print).scene == "ring_toss" and scene_file_in(["--scene"]) is None
+
+
+def test_an_interrupt_that_comes_while_an_object_is_freed_ends_the_program(monkeypatch, capsys):
+    class Freed:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    def run(argv):
+        freed = Freed()
+        del freed  # ignored here
+        time.sleep(10)
+
+    monkeypatch.setattr(vrgs, "run", run)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert vrgs.main([]) == 130
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert capsys.readouterr().err == "vrgs: interrupted\n"

@@ -113,6 +113,10 @@ def check(args: argparse.Namespace) -> None:
     for path in filter(None, (args.marks, args.masks, args.lama)):
         if not path.exists():
             raise BadInput(f"{path}: no such file or folder")
+    if args.lama:
+        from prepare.inpaint.lama_network import LamaNetwork
+
+        LamaNetwork(args.lama)  # needed in an hour, perhaps
     if args.scale_points:
         for text in args.scale_points[:2]:
             parsed_point(text)

@@ -51,6 +51,7 @@ def test_a_modelled_capture_becomes_a_room(tmp_path, ti_cpu, capsys):
         ("{0} --out {0}/file --no-objects", "is a file"),
         ("{0} --out {0}/room --material cheese", "no material named"),
         ("{0} --out {0}/room --marks {0}/none.json", "no such file or folder"),
+        ("{0} --out {0}/room --lama {0}/file", "a network is an .onnx file"),
         ("{0} --out {0}/room --no-objects --scale-points 1,2 1,2,3 1", "neither PHOTOGRAPH"),
         ("{0} --out {0}/room --no-objects --scale-points 1,2,3 1,2,4 -1", "no length"),
     ],

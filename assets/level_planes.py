@@ -45,17 +45,20 @@ def refine_direction(axis: np.ndarray, normals: np.ndarray, areas: np.ndarray) -
     return axis
 
 
-def find_floor_plane(heights: np.ndarray, level: np.ndarray, areas: np.ndarray) -> tuple[float, float, float]:
+def find_floor_plane(
+    heights: np.ndarray, level: np.ndarray, areas: np.ndarray, size: float = 0.0
+) -> tuple[float, float, float]:
     """Height of the largest level plane in the lower half, and the fractions of all area in it and below it.
 
-    heights (N,), level (N,) bool: the normal is about vertical, areas (N,).
+    heights (N,), level (N,) bool: the normal is about vertical, areas (N,). A plane is thin by the range of the
+    heights, or by the `size` of the scene if that is larger: the range of a bare floor's is no more than its roughness.
     """
     low, high = weighted_percentile(heights, areas, (0.2, 99.8))
-    step = max((high - low) / HEIGHT_BINS, 1e-9)
+    step = max(high - low, size, 1e-6) / HEIGHT_BINS
     bins = np.floor((heights - low) / step).clip(-1, HEIGHT_BINS).astype(int) + 1
     weight = np.bincount(bins[level], areas[level], HEIGHT_BINS + 2)
     smooth = np.convolve(weight, np.ones(5), "same")
-    first = int(smooth[: round(FLOOR_HEIGHT_MAX * HEIGHT_BINS)].argmax())
+    first = int(smooth[: max(round(FLOOR_HEIGHT_MAX * (high - low) / step), 1)].argmax())
     near = level & (np.abs(bins - first) <= 4)
     if not areas[near].sum():
         return float(low), 0.0, 0.0

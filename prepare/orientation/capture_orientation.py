@@ -154,10 +154,11 @@ def support_plane(
     points = near.means.astype(np.float64)
     normals, areas = normals_and_areas(near)
     areas = np.minimum(areas, np.percentile(areas, 99.0))  # a smear must not outweigh a floor
+    size = 2.0 * float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 95.0))
     direction = refine_direction(up, normals, areas)
     for _ in range(2):  # the height of a leaning plane is known only once it is level
         level = np.abs(normals @ direction) > LEVEL_COS
-        height, share, _ = largest_level_plane(points @ direction, level, areas)
+        height, share, _ = largest_level_plane(points @ direction, level, areas, size)
         height, direction = fit_floor(points, normals, areas, height, direction)
     apart = np.arccos(np.clip(direction @ up, -1.0, 1.0))
     if share < PLANE_SHARE or apart > np.clip(AGREEMENT * error, AGREEMENT_MIN, AGREEMENT_MAX):
@@ -166,16 +167,16 @@ def support_plane(
     gap = 0.15 * (np.median(places @ direction) - height)
     under = heights < height - gap
     if under.sum() > 100 and level[under].any():
-        lower, part, _ = find_floor_plane(heights[under], level[under], areas[under])
+        lower, part, _ = find_floor_plane(heights[under], level[under], areas[under], size)
         if part * areas[under].sum() > LOWER_SHARE * share * areas.sum():
             height = lower
     return direction, float(height)
 
 
-def largest_level_plane(heights, level, areas) -> tuple[float, float, float]:
+def largest_level_plane(heights, level, areas, size: float) -> tuple[float, float, float]:
     """As `find_floor_plane`, of all heights: the halves of the range are searched one after the other."""
-    lower = find_floor_plane(heights, level, areas)
-    upper = find_floor_plane(-heights, level, areas)
+    lower = find_floor_plane(heights, level, areas, size)
+    upper = find_floor_plane(-heights, level, areas, size)
     return lower if lower[1] >= upper[1] else (-upper[0], *upper[1:])
 
 

@@ -125,11 +125,20 @@ def test_a_plane_under_the_largest_is_the_floor_if_it_is_not_much_smaller(side, 
     planes = [
         sheet(rng, (-0.5 * s, y, 0.5 * s), (s, 0, 0), (0, 0, -s), 0.03, 0.003) for s, y in ((1.6, 0.7), (side, 0.0))
     ]
-    planes.append(sheet(rng, (-0.05, 0, 0), (0.1, 0, 0), (0, 0.7, 0), 0.03, 0.003))  # a leg
     places = np.array([-p[:3, :3].T @ p[:3, 3] for p in orbit(rng, 20, 2 * np.pi, 0.8)]) + [0, 0.7, 0]
     up = np.array([0.0, 1.0, 0.0])
     found = support_plane(concatenate(planes), places, np.array([0.0, 0.7, 0.0]), up, 0.02)
     assert found[1] == pytest.approx(height, abs=0.02)
+
+
+@pytest.mark.parametrize("rough", [0.003, 0.02])
+def test_a_bare_floor_is_a_plane(rough):
+    """Its range of heights is its roughness [m], of which no thin layer has much."""
+    rng = np.random.default_rng(1)
+    places = np.array([-p[:3, :3].T @ p[:3, 3] for p in orbit(rng, 20, 2 * np.pi, 1.5)])
+    floor = sheet(rng, (-2, 0, 2), (4, 0, 0), (0, 0, -4), 0.06, rough)
+    normal, height = support_plane(floor, places, np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.02)
+    assert degrees_apart(normal, (0.0, 1.0, 0.0)) < 0.3 and abs(height) < 0.1 * rough + 1e-3
 
 
 def test_cameras_move_with_what_they_show(table):

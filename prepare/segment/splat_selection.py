@@ -41,6 +41,7 @@ class SplatSelection:
         gaussians = gaussians.with_sh_degree(0).select(self.order)
         self._points, self.graph = gaussians.means, neighbour_graph(gaussians)
         self._clusters = Clusters(self.graph, CLUSTERS)
+        self._degree = np.asarray(self.graph.sum(1)).ravel()
         self._kept: dict[tuple, np.ndarray] = {}  # what was selected, packed in bits: undo, grow and shrink are fast
         widths = np.sort(np.exp(gaussians.log_scales.astype(np.float64)), axis=1)
         self._width = np.sqrt(widths[:, 1] * widths[:, 2])  # [m]
@@ -108,9 +109,11 @@ class SplatSelection:
         return self._joined_to(out, inside)
 
     def _conductance(self, cut: np.ndarray) -> float:
-        """Share of the weights of the selected Gaussians' edges that leave the selection: of a whole thing, little."""
-        rows = self.graph[cut]
-        return float((rows @ (~cut).astype(float)).sum() / max(rows.sum(), 1e-30))
+        """Weights of the edges that leave the selection, as a share of all edges of its Gaussians or of the others,
+        whichever is larger: of a whole thing, little; of nearly the whole splat, much."""
+        leaving = float((self.graph[cut] @ (~cut).astype(float)).sum())
+        own = float(self._degree[cut].sum())
+        return leaving / max(min(own, float(self._degree.sum()) - own), 1e-30)
 
     def _colour_ratio(self, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
         """Logarithm of the ratio of likelihoods (N,) of each Gaussian's colour inside and outside."""

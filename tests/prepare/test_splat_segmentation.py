@@ -129,6 +129,17 @@ def test_wide_gaussians_under_a_thing_stay_with_the_floor(scene):
     assert own[straddlers(g, own)[0]].all(), "the one below it lies beside the border, not over it"
 
 
+def test_nearly_the_whole_splat_is_no_clear_selection():
+    """Little leaves it, but nearly all that the few others have: what is left out has the same border."""
+    gaussians, ids = balls_on_a_floor()
+    selection = SplatSelection(gaussians)
+    ids = ids[selection.order]
+    leak = selection._conductance(ids == 1)
+    assert leak == pytest.approx(selection._conductance(ids != 1)) and leak < 0.1
+    corner = (selection._points < -0.6).any(1) & (ids == 0)
+    assert selection._conductance(~corner) == pytest.approx(selection._conductance(corner))
+
+
 def test_rounds_end_when_the_border_becomes_little_clearer(monkeypatch):
     """The share of edges that leave a disc falls with its radius: twice it is a find, a tenth more a creep."""
     g = plane(60, 1.0, 0.02, (0.5, 0.5, 0.5))

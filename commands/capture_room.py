@@ -260,21 +260,22 @@ class RoomMaking:
     def segment(self) -> None:
         """Objects of the Gaussians: by masks, by masks made from marks, or none."""
         from assets.splat_files import read_gaussians, write_gaussians
-        from prepare.room_capture.room_pipeline import labelled
+        from prepare.room_capture.room_pipeline import labelled, without_supports
 
-        g = self.gaussians
-        if self.args.no_objects or self.masks is not None:  # those of masks have been learned with the Gaussians
-            self.stages.run("objects", {"none": self.args.no_objects}, lambda folder: None, self.source)
-            if self.args.no_objects:
-                self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
+        g, progress = self.gaussians, self.stages.progress
+        if self.args.no_objects:
+            self.stages.run("objects", {"none": True}, lambda folder: None, self.source)
+            self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
-        marks = self.marks
+        # The ids of masks have been learned with the Gaussians.
+        marks = self.marks if self.masks is None else None
 
         def make(into: Path) -> None:
-            made = labelled(g, self.capture, self.masks_from(marks), self.stages.progress)
-            write_gaussians(into / "objects.ply", made)
+            made = g if marks is None else labelled(g, self.capture, self.masks_from(marks), progress)
+            write_gaussians(into / "objects.ply", without_supports(made, self.capture, progress))
 
-        done = self.stages.run("objects", {"marks": marks.read_text(encoding="utf-8")}, make, self.source)
+        inputs = {"marks": None if marks is None else marks.read_text(encoding="utf-8")}
+        done = self.stages.run("objects", inputs, make, self.source)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
     def masks_from(self, marks: Path):

@@ -68,7 +68,16 @@ def run(args: argparse.Namespace) -> None:
     """Remove, inpaint and write. Raises BadInput."""
     from assets.gaussians import concatenate
     from assets.splat_files import kind_to_write, read_gaussians, write_gaussians
-    from prepare.inpaint.inpaint_pipeline import STAGES, STEPS, close_hole, find_hole, order_of, paint_hole, take_shadow
+    from prepare.inpaint.inpaint_pipeline import (
+        STAGES,
+        STEPS,
+        close_hole,
+        find_hole,
+        order_of,
+        paint_hole,
+        take_shadow,
+        without_support,
+    )
     from prepare.inpaint.lama_network import LamaNetwork
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import progress_on
@@ -89,6 +98,7 @@ def run(args: argparse.Namespace) -> None:
         told = options | {"progress": progress}
         try:
             more = concatenate(others) if others else None
+            background, removed = without_support(background, removed, cameras, others=more, progress=progress)
             hole = find_hole(background, removed, cameras, name=name, others=more, **told)
             if not args.keep_shadow:
                 hole = take_shadow(hole, concatenate(standing) if standing else None, **told)

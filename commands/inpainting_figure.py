@@ -72,7 +72,15 @@ def inpainting_section(effort: Effort, results: dict, report: Callable[[str], No
 def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> dict[str, dict]:
     """Numbers and the picture of each object."""
     from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-    from prepare.inpaint.inpaint_pipeline import STEPS, close_hole, find_hole, order_of, paint_hole, take_shadow
+    from prepare.inpaint.inpaint_pipeline import (
+        STEPS,
+        close_hole,
+        find_hole,
+        order_of,
+        paint_hole,
+        take_shadow,
+        without_support,
+    )
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
@@ -87,11 +95,11 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
             continue
         report(f"without the {name}")
         own = gaussians.object_id == number
-        before = gaussians.select(~own)
         cameras = [p.camera for p in photographs]
+        before, removed = without_support(gaussians.select(~own), gaussians.select(own), cameras)
         told = options | {"progress": no_progress}
         try:
-            hole = take_shadow(find_hole(before, gaussians.select(own), cameras, name=name, **told), **told)
+            hole = take_shadow(find_hole(before, removed, cameras, name=name, **told), **told)
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}

@@ -33,7 +33,7 @@ class Hole:
 
     background  what stays, without Gaussians that no camera saw behind the object
     dropped     number of those
-    removed     the object, without parts of the surface that its masks took along: these are in the background
+    removed     the object
     views       of the scene without the object, and of the object alone
     support     texture of the surface that the object stands on
     textures    of the support surfaces that have a hole, not painted yet; empty: cameras saw everything behind it
@@ -70,8 +70,7 @@ def inpaint(
     """The background and, where no camera saw behind the removed Gaussians, a patch of new ones after it.
 
     The background's Gaussians stay as they are, bit for bit, except for their colours in the object's shadow, and that
-    those inside the object, which no camera saw, are left out. Parts of the surface that it stands on, which its masks
-    took along, are put back after them.
+    those inside the object, which no camera saw, are left out.
 
     others    Gaussians of other objects that are removed as well: what they hid was not seen either
     standing  objects that cast shadows on the background, too, in addition to those in it that have an id
@@ -94,6 +93,41 @@ def inpaint(
 def order_of(gaussians: Gaussians) -> str:
     """The order of blending that a splat was trained for; "radial" where it is not known."""
     return gaussians.sort or "radial"
+
+
+def in_support(
+    background: Gaussians,
+    removed: Gaussians,
+    cameras: list[Camera] | None,
+    *,
+    others: Gaussians | None = None,
+    progress: Progress = no_progress,
+) -> np.ndarray:
+    """Mask (N,) of an object's Gaussians that lie in the surface that it stands on: its masks took them along.
+
+    For the arguments see `inpaint`.
+    """
+    none = np.zeros(len(removed), bool)
+    if len(removed) < OBJECT_MIN or not len(background):
+        return none
+    ball = Surroundings.of(removed)
+    options = {"antialias": False, "sort": order_of(background)}
+    photographed = cameras is not None
+    if not photographed:
+        cameras = cameras_around(background, removed, ball, **options)
+    hiding = removed if others is None else concatenate([removed, others])
+    views = draw_views(background, hiding, cameras, ball, progress, **options)
+    textures = textures_around(views, removed, ball, photographed=photographed)
+    return part_of_surface(removed.means, textures[0].surface, ball) if textures else none
+
+
+def without_support(
+    background: Gaussians, removed: Gaussians, cameras: list[Camera] | None, **options
+) -> tuple[Gaussians, Gaussians]:
+    """The background with what the object took along of its support, and the object without it. See `in_support`."""
+    part = in_support(background, removed, cameras, **options)
+    own = removed.select(part)
+    return concatenate([background, replace(own, object_id=np.zeros_like(own.object_id))]), removed.select(~part)
 
 
 def find_hole(
@@ -127,23 +161,30 @@ def find_hole(
         kept, dropped = background.select(~unseen), int(unseen.sum())
         hiding.append(background.select(unseen))
         views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
-    surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
-    if surfaces and (part := part_of_surface(removed.means, surfaces[0], ball)).any():
-        own = removed.select(part)
-        kept = concatenate([kept, replace(own, object_id=np.zeros_like(own.object_id))])
-        removed = hiding[0] = removed.select(~part)
-        views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
-        surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
-    if not surfaces:
+    textures = textures_around(views, removed, ball, photographed=photographed)
+    if not textures:
         raise BadInput(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
-    textures = []
-    for k, surface in enumerate(surfaces):
-        bounds = [s for s in surfaces if s is not surface]
-        textures.append(texture_of(surface, bounds, views, ball, photographed=photographed))
-        progress("hole", 0.5 + 0.5 * (k + 1) / len(surfaces))
     holes = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
     return Hole(kept, dropped, removed, ball, views, textures[0], holes)
+
+
+def textures_around(
+    views: list[HoleView], removed: Gaussians, ball: Surroundings, *, photographed: bool
+) -> list[SurfaceTexture]:
+    """Textures of an object's support surfaces, the one that it stands on first."""
+    surfaces = support_surfaces(views, removed.means, ball, np.random.default_rng(0))
+    textures = []
+    for surface in surfaces:
+        bounds = [s for s in surfaces if s is not surface]
+        textures.append(texture_of(surface, bounds, views, ball, photographed=photographed))
+    return with_hole_first(textures)
+
+
+def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
+    """The textures, those with a hole first: a remainder of the object's own side in the background touches it more
+    than what it stands on does, but hides nothing."""
+    return sorted(textures, key=lambda t: not t.hole.any())
 
 
 def take_shadow(

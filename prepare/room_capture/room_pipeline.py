@@ -76,6 +76,26 @@ def labelled(gaussians: Gaussians, capture: Capture, masks: Masks, progress: Pro
     return replace(gaussians, object_id=found.astype(np.uint16), objects=tuple(masks.names))
 
 
+def without_supports(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Gaussians:
+    """The Gaussians, those of objects that lie in the surface that these stand on as parts of the background: masks
+    took them along, and a body would carry them away."""
+    from prepare.inpaint.inpaint_pipeline import in_support
+
+    ids, cameras = gaussians.object_id.copy(), cameras_of(capture)
+    for k in np.unique(ids[ids > 0]):
+        own, others = np.flatnonzero(ids == k), gaussians.select((ids != k) & (ids > 0))
+        name = object_name(gaussians, k)
+        found = in_support(
+            gaussians.select(ids == 0),
+            gaussians.select(own),
+            cameras,
+            others=others,
+            progress=lambda _, done, name=name: progress(f"support of {name}", done),
+        )
+        ids[own[found]] = 0
+    return replace(gaussians, object_id=ids)
+
+
 def seen_by_cameras(gaussians: Gaussians, capture: Capture, progress: Progress = no_progress) -> Contributions:
     """Contribution of each Gaussian to the photographs. Raises BadInput if they show nothing."""
     found = contributions(gaussians, cameras_of(capture), progress=progress)

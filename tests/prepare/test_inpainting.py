@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,13 +15,14 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera
-from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow
+from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views
+from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
-from prepare.inpaint.support_surface import part_of_surface, support_surfaces
+from prepare.inpaint.support_surface import part_of_surface, support_surfaces, unproject
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import no_progress
+from prepare.room_capture.room_pipeline import without_supports
 from prepare.train.photographs import Photograph
 from tests.support.onnx_network import Network
 from vrgs import main
@@ -109,6 +111,14 @@ def test_a_texture_is_sampled_at_any_number_of_places():
     many = np.tile(at, (10_000, 1))  # cv2.remap takes rows of less than 32,768
     assert_array_equal(texture.sample(values, many)[-4:], [0.0, 11.0, 0.5, 0.0])
     assert texture.sample(np.dstack([values] * 3), at[None]).shape == (1, 4, 3)
+
+
+def test_what_an_object_stands_on_has_the_hole():
+    def texture(hole: bool) -> SurfaceTexture:
+        return SurfaceTexture(None, np.zeros(2), 0.5, None, np.full((3, 4), not hole), np.full((3, 4), hole))
+
+    side, table, wall = texture(False), texture(True), texture(True)
+    assert [id(t) for t in with_hole_first([side, table, wall])] == [id(t) for t in (table, wall, side)]
 
 
 def test_only_what_no_camera_saw_is_a_hole(closed):
@@ -252,6 +262,29 @@ def test_a_part_of_the_surface_that_went_with_the_object_is_told_from_it():
     assert not part_of_surface(slab, top, sphere).any()  # a flat object is no part of what it lies on
 
 
+def test_a_body_does_not_carry_away_what_its_masks_took_of_the_table(ti_cpu):
+    whole, thing = table(), ball()
+    taken = np.linalg.norm(whole.means[:, [0, 2]], axis=1) < RADIUS
+    ids = np.concatenate([taken, np.ones(len(thing))]).astype(np.uint16)
+    capture = SimpleNamespace(views=[SimpleNamespace(camera=lambda c=c: c) for c in cameras()])
+    told = without_supports(replace(concatenate([whole, thing]), object_id=ids, objects=("ball",)), capture).object_id
+    assert told[: len(whole)][taken].mean() < 0.3 and told[len(whole) :].mean() > 0.9
+
+
+def test_a_far_background_seen_through_the_table_does_not_spoil_its_depth(ti_cpu):
+    thin, far = table(), ball(height=0.0)
+    thin = replace(thin, logit_opacities=np.full_like(thin.logit_opacities, 1.0))
+    far = replace(far, means=150.0 * far.means, log_scales=np.full_like(far.log_scales, np.log(2.0)))
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = draw_views(concatenate([thin, far]), ball(), cameras(), sphere, no_progress, antialias=False, sort="radial")
+    for view in views:
+        y, x = np.nonzero(view.object_alpha < 0.01)
+        at, eye = unproject(view, x, y), view.camera.position
+        exact = eye + (at - eye) * (eye[1] / (eye[1] - at[:, 1]))[:, None]  # of the same ray, on the table
+        near = np.linalg.norm(exact - sphere.centre, axis=1) < 2.0 * RADIUS
+        assert near.sum() > 300 and np.abs(at[near, 1]).max() < 0.1 * RADIUS
+
+
 def test_an_object_whose_underside_no_camera_saw_stands_level():
     sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
     views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cameras())]
@@ -341,6 +374,7 @@ def test_the_command_writes_the_scene_and_a_report(closed, views, tmp_path, caps
     """With the hole that was found and closed above."""
     hole, _, after = closed
     (line, _), report = write_scene(tmp_path), tmp_path / "report.json"
+    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.without_support", lambda rest, thing, *_, **__: (rest, thing))
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.find_hole", lambda *_, **__: hole)
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.take_shadow", lambda *_, **__: hole)
     monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.close_hole", lambda *_, **__: after)

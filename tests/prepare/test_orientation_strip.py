@@ -29,8 +29,9 @@ def test_each_picture_shows_the_thing_with_its_axis_up(ti_cpu):
     assert panels[0][upper].mean() > panels[0][lower].mean() and panels[1][upper].mean() < panels[1][lower].mean()
 
 
-def test_an_unsure_preparation_writes_the_strip_and_a_sure_one_removes_it(ti_cpu, tmp_path):
+def test_an_unsure_preparation_writes_the_strip_and_a_sure_one_removes_it(ti_cpu, tmp_path, monkeypatch):
     """A ring lies as well on one side as on the other."""
+    monkeypatch.setenv("VRGS_CACHE", str(tmp_path / "cache"))  # an interrupted preparation of it would be resumed
     write_ply(tmp_path / "ring.ply", ring(1500))
     out, lines = tmp_path / "ring.h5", []
     prepare_file(tmp_path / "ring.ply", out, Options(300), report=lines.append, page=True)

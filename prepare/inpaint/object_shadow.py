@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from scipy.optimize import nnls
-from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, image_positions, nearest_pixels
+from prepare.inpaint.support_surface import normals_of
 from prepare.inpaint.surface_texture import SurfaceTexture
 from prepare.progress import Progress
 
@@ -34,7 +34,6 @@ EVEN = 0.1  # weight of small b_j
 ROUNDS = 6  # of least squares, with weights that leave out marks and other things on the surface
 DARKEST = 0.2  # of the light that the object leaves: beyond, colours are noise
 REACH = 5.0  # radii from the object's middle: where its shadow is taken away
-NEIGHBOURS = 24  # Gaussians that a normal is found from
 
 
 class ShadowMaps:
@@ -141,10 +140,13 @@ def without_shadow(background: Gaussians, shadow: ObjectShadow, ball: Surroundin
     """The background in the colours that it has without the object; all else as it is."""
     near = np.linalg.norm(background.means - ball.centre, axis=1) < REACH * ball.radius
     part = background.select(near)
-    if len(part) < NEIGHBOURS:
+    if len(part) < 3:  # no normals
         return background
+    points = part.means.astype(np.float64)
     eye = np.mean([view.camera.position for view in views], axis=0)
-    left = shadow.left(part.means.astype(np.float64), _normals(part.means.astype(np.float64), eye))
+    normals = normals_of(points)
+    normals *= np.where(((eye - points) * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    left = shadow.left(points, normals)
     sh, lit = background.sh.copy(), part.sh / left[:, None, None]
     lit[:, 0] += ((1.0 / left - 1.0) * 0.5 / C0)[:, None]  # colour = 0.5 + SH
     sh[near] = np.where((left < 1.0)[:, None, None], lit, part.sh)
@@ -171,11 +173,3 @@ def views_of(background: Gaussians, views: list[HoleView], progress: Progress, *
         progress("shadow", (k + 1) / len(views))
     drawing.destroy()
     return found
-
-
-def _normals(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Unit normals (N, 3) of points' neighbourhoods, on the side of the eye."""
-    own = points[cKDTree(points).query(points, k=NEIGHBOURS)[1]]
-    own -= own.mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", own, own))[1][:, :, 0]
-    return normals * np.where(((eye - points) * normals).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]

@@ -1,11 +1,16 @@
 """The shadow of a removed object: its light from what the surface shows, and what it leaves to points."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, fit_light, half_sphere
-from prepare.inpaint.surface_texture import goes_on
+from assets.gaussians import Gaussians
+from prepare.inpaint.hole_views import Surroundings
+from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
+from prepare.inpaint.support_surface import SupportSurface
+from prepare.inpaint.surface_texture import SurfaceTexture, goes_on
 
 N, J = 600, 24
 
@@ -68,6 +73,62 @@ def test_what_an_object_leaves():
     assert left(own, Screen(half), up) == pytest.approx(0.2 / 0.6, abs=0.02)  # the others have the other half
     assert left(own, own, up) == pytest.approx(1.0)  # they shade all of it anyhow
     assert left(all_of_it, None, up, share=2.0) == DARKEST
+
+
+class PlateDrawing:
+    """A drawing of a round plate of radius 1 around the origin, across z, whose depth is noisy."""
+
+    def __init__(self, thing, cameras, **_):
+        self._rng = np.random.default_rng(0)
+
+    def __call__(self, camera):
+        y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+        rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
+        rays = rays @ camera.world_to_camera[:3, :3]
+        depth = -camera.position[2] / rays[..., 2]
+        on = np.linalg.norm((camera.position + depth[..., None] * rays)[..., :2], axis=-1) < 1.0
+        depth += 0.02 * self._rng.normal(size=depth.shape)
+        return None, on.astype(np.float32), np.where(on, depth, np.inf).astype(np.float32)
+
+    def destroy(self):
+        pass
+
+
+@pytest.fixture
+def plate(monkeypatch):
+    """The shadow of a plate of radius 1 that floats 1 m over a floor."""
+    monkeypatch.setattr("prepare.inpaint.object_shadow.Drawing", PlateDrawing)
+    floor, seen = SupportSurface(np.array([0.0, 0.0, -1.0]), np.eye(3), 0.01), np.ones((40, 40), bool)
+    texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
+    turn = np.arange(100) * 0.02 * np.pi
+    thing = SimpleNamespace(means=np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
+    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
+
+
+def test_a_noisy_surface_does_not_shade_itself_but_what_is_close_behind(plate):
+    steep = plate.directions[:, 2] > 0.8
+    x, y = (a.ravel() for a in np.mgrid[-0.6:0.6:12j, -0.6:0.6:12j])
+    on, behind = (plate.own.passing(np.stack([x, y, 0.0 * x - h], axis=1), plate.bias)[:, steep] for h in (0.0, 0.14))
+    assert on.mean() > 0.95 and behind.mean() < 0.05
+
+
+def test_the_light_of_a_shadow_map_is_nearly_parallel(plate):
+    toward, edge = plate.directions[0], np.cross(plate.directions[0], [1.0, 0.0, 0.0])
+    inside, outside = (s * edge / np.linalg.norm(edge) - 2.0 * toward for s in (0.9, 1.35))
+    assert plate.own.passing(inside[None], plate.bias)[0, 0] < 0.1
+    assert plate.own.passing(outside[None], plate.bias)[0, 0] > 0.9
+
+
+def test_a_shadow_is_taken_from_the_surroundings_only():
+    """Four radii away the colours change; ten radii away they stay bit for bit."""
+    x, y = (a.ravel() for a in np.mgrid[-12:12:49j, -12:12:49j])
+    n, directions = len(x), half_sphere(J)
+    points, quats = np.stack([x, y, 0.0 * x], axis=1), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
+    floor = Gaussians.of(points, quats, np.full((n, 3), -3.0), np.full(n, 4.0), np.zeros((n, 1, 3)))
+    shadow = ObjectShadow(directions, np.full(J, 0.5) / directions[:, 2].sum(), Screen(np.zeros(J)), None, 0.0)
+    view = SimpleNamespace(camera=SimpleNamespace(position=np.array([0.0, 3.0, 5.0])))
+    lit, away = without_shadow(floor, shadow, Surroundings(np.zeros(3), 1.0), [view]).sh, np.hypot(x, y)
+    assert (lit[away < 4.0] > 0.5).all() and not lit[away > 10.0].any()
 
 
 def test_directions_are_spread_over_the_half_sphere():

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
-PLANES_MAX = 3  # a floor and two walls meeting in a corner
 POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
 OBJECT_POINTS = 2000  # sampled on the object
 TRIALS = 400  # RANSAC planes through three points
@@ -20,12 +19,9 @@ REFITS = 8  # of the best plane
 NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
 CONTACT = 0.08  # radii from the object at which a point's weight is a quarter
 FLAT = 0.06  # radii: largest distance of a plane's points from it
-UNTOUCHED = 0.03  # share of the object that counts as touching a plane where its underside was not seen
-SHARE = 0.04, 0.08  # of all points' weight that the first plane needs, and further planes
+SHARE = 0.08  # of all points' weight that a plane needs
 PARALLEL = 0.85  # cosine between a point's normal and its plane's
 NEIGHBOURS = 32  # points from which a normal is estimated
-GAP = 0.5  # radii between the object and its support, at most: its underside may be unseen
-BENEATH = 0.12  # radii that the object may reach behind its support
 PART_SHARE = 0.06, 0.5  # least and most of an object that may be a part of its support
 HALO = 2  # [px] around the object in which its colour leaks into the background
 RELIEF_POINTS, RELIEF_POINTS_MIN = 300, 20
@@ -95,14 +91,14 @@ def support_surfaces(
     near = _nearness(points, removed_means, ball)
     eyes = np.array([v.camera.position for v in views])
     found, total = [], near.sum()
-    while len(found) < PLANES_MAX and len(points) >= POINTS_MIN:
+    while len(points) >= POINTS_MIN:
         plane = _supporting_plane(points, normals, near, removed_means, eyes, ball, rng)
         if plane is None:
             break
         origin, normal, spread = plane
         along = np.abs(normals @ normal) > PARALLEL
         on = along & (np.abs((points - origin) @ normal) < FLAT * ball.radius)
-        if near[on].sum() < SHARE[min(len(found), 1)] * total:
+        if near[on].sum() < SHARE * total:
             break
         found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
         points, normals, near = points[~along], normals[~along], near[~along]  # parallel ones: the same with noise
@@ -152,10 +148,10 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
     offsets = np.concatenate([(origins * normals).sum(axis=1), lowest])
     normals, lowest = np.concatenate([normals, normals]), np.concatenate([lowest, lowest]) - offsets
     facing = (eyes @ normals.T > offsets).mean(axis=0)
-    carries = (lowest > -BENEATH * ball.radius) & (lowest < GAP * ball.radius) & (facing > SOLID)
+    carries = (lowest >= 0.0) & (facing > SOLID)
     own = (1.0 - ((points @ normals.T - offsets) / flat) ** 2).clip(0.0) * (np.abs(own_normals @ normals.T) > PARALLEL)
     touching = beside @ (1.0 - ((some @ normals.T - offsets) / flat) ** 2).clip(0.0) / beside.sum()
-    score = np.where(carries, (near @ own) * (UNTOUCHED + touching), 0.0)
+    score = np.where(carries, (near @ own) * touching, 0.0)
     if not score.size or not score.max():
         return None
     best = int(score.argmax())

@@ -15,7 +15,7 @@ from assets.level_planes import AXES
 from core.errors import BadInput
 
 # log P(up | cues) = sum_k WEIGHTS[k] cue_k(up) + const, fitted by `vrgs.py bench orientation --fit`: of a thing to take
-# into the hand, and of a room, a table top or open ground. Of a file that may be either the mean is taken.
+# into the hand, and of a room, a table top or open ground.
 WEIGHTS = {
     "body": {
         "bright": 10.7,
@@ -40,8 +40,12 @@ WEIGHTS = {
         "stable": 16.2,
     },
 }
+# Of a file that may be either, what both models say is added in these parts (a logarithmic opinion pool, Genest & Zidek
+# 1986), fitted to all cases. The mean of their probabilities would be less sure than it is right: so is every mean of
+# calibrated forecasts (Ranjan & Gneiting 2010).
+POOL = {"body": 0.84, "scene": 0.24}
 # Share of the cases, fitted, in which the cues mean nothing: no guess is surer than that leaves it.
-LAPSE = {"body": 0.0093, "scene": 0.0072}
+LAPSE = {"body": 0.0093, "scene": 0.0072, None: 0.013}
 # Frequencies of a file's up axis: of 30 splats that public programs for the web place in their code, 18 have -y up
 # (COLMAP's), 10 +y, one +z and one -z. Two more are added to each.
 FILE_PRIOR = {"-y": 0.48, "+y": 0.29, "+z": 0.07, "-z": 0.07, "+x": 0.05, "-x": 0.04}
@@ -68,19 +72,23 @@ def up_probabilities(
     """
     from assets.up_cues import up_cues
 
-    cues, prior = up_cues(gaussians), prior or FILE_PRIOR
+    return probabilities_from(up_cues(gaussians), prior, kind)
+
+
+def probabilities_from(
+    cues: dict[str, dict[str, float]], prior: dict[str, float] | None = None, kind: str | None = None
+) -> dict[str, float]:
+    """As `up_probabilities`, from the cues of each axis."""
+    prior = prior or FILE_PRIOR
     given = np.array([prior[up] for up in AXES])
     given /= given.sum()
-    kinds = [kind] if kind else list(WEIGHTS)
-    p = np.mean([_probabilities_of(k, cues, given) for k in kinds], axis=0)
+    parts = {kind: 1.0} if kind else POOL
+    votes = np.array(
+        [sum(parts[k] * w * cues[up][name] for k in parts for name, w in WEIGHTS[k].items()) for up in AXES]
+    )
+    likely = given * np.exp(votes - votes.max())
+    p = (1 - LAPSE[kind]) * likely / likely.sum() + LAPSE[kind] * given
     return dict(zip(AXES, p.tolist(), strict=True))
-
-
-def _probabilities_of(kind: str, cues: dict[str, dict[str, float]], given: np.ndarray) -> np.ndarray:
-    """Probabilities (6,) of the axes for a kind, with these (6,) before the cues are known."""
-    vote = np.array([sum(weight * cues[up][name] for name, weight in WEIGHTS[kind].items()) for up in AXES])
-    likely = given * np.exp(vote - vote.max())
-    return (1 - LAPSE[kind]) * likely / likely.sum() + LAPSE[kind] * given
 
 
 def guess_up_axis(gaussians: Gaussians, kind: str | None = None) -> tuple[str, float]:

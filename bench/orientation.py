@@ -13,7 +13,7 @@ import numpy as np
 from assets.file_access import check_writable
 from assets.level_planes import AXES
 from assets.splat_files import read_gaussians
-from assets.up_axis import FILE_PRIOR, UNSURE, WEIGHTS, alternatives, up_probabilities
+from assets.up_axis import FILE_PRIOR, UNSURE, WEIGHTS, alternatives, probabilities_from, up_probabilities
 from assets.up_cues import up_cues
 from bench.orientation_cases import OrientationCase, front_cases, procedural_cases, shipped_cases
 from display.run_stats import write_stats
@@ -38,10 +38,13 @@ def run(args) -> None:
         ("procedural", procedural_cases(count, TEST_SEED)),
         ("shipped", shipped_cases(count, TEST_SEED)),
     ):
-        said, right, families = measured(cases)
-        row = {"bench": "orientation", "what": what, "cases": len(said), **figures(said, right)}
-        rows.append(row | {"reliability": reliability(said, right), "families": of_families(said, right, families)})
-        print_table(rows[-1])
+        found = with_cues(cases)
+        for known in (True, False):
+            said, right, families = measured(found, known)
+            row = {"bench": "orientation", "what": what if known else f"{what}, of a kind that is not known"}
+            row |= {"cases": len(said), **figures(said, right), "reliability": reliability(said, right)}
+            rows.append(row | {"families": of_families(said, right, families)})
+            print_table(rows[-1])
     said, right, families = measured_fronts(front_cases(max(1, count // 3), TEST_SEED))
     row = {"bench": "orientation", "what": "fronts", "cases": len(said), **figures(said, right)}
     rows.append(row | {"reliability": reliability(said, right), "families": of_families(said, right, families)})
@@ -55,11 +58,17 @@ def run(args) -> None:
         write_stats(args.json, rows)
 
 
-def measured(cases) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Confidence of each guess (C,), whether it is right (C,), and the family of each case."""
+def with_cues(cases) -> list[tuple[OrientationCase, dict[str, dict[str, float]]]]:
+    """Each case with the cues of its axes."""
+    return [(case, up_cues(case.gaussians)) for case in cases]
+
+
+def measured(found, known: bool = True) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Confidence of each guess (C,), whether it is right (C,), and the family of each case `with_cues`; the kind of the
+    cases is said, or not known."""
     said, right, families = [], [], []
-    for case in cases:
-        p = up_probabilities(case.gaussians, EVEN, case.kind)
+    for case, cues in found:
+        p = probabilities_from(cues, EVEN, case.kind if known else None)
         up = max(p, key=p.get)
         said.append(p[up])
         right.append(up == case.up)
@@ -132,30 +141,40 @@ def print_table(row: dict) -> None:
 
 
 def fit_model(count: int) -> None:
-    """Fit the weights and the lapse of each kind to procedural cases, and print them."""
-    cases = list(procedural_cases(count, FIT_SEED))
-    print(f"cues of {len(cases)} cases ...", file=sys.stderr, flush=True)
+    """Fit the weights and the lapse of each kind to procedural cases, then the pool of both to all cases; print all."""
+    print(f"cues of {count} cases ...", file=sys.stderr, flush=True)
+    found = with_cues(procedural_cases(count, FIT_SEED))
+    x, y = table(found)
+    kinds, votes = np.array([case.kind for case, _ in found]), []
     for kind, names in WEIGHTS.items():
-        x, y = table([case for case in cases if case.kind == kind], list(names))
-        width = x.reshape(-1, x.shape[2]).std(axis=0)
-        weights, lapse = fitted(x / width, y)
-        print(f'WEIGHTS["{kind}"] = {{')
-        for name, weight in zip(names, weights / width, strict=True):
-            print(f'    "{name}": {weight:.3g},')
-        print(f'}}\nLAPSE["{kind}"] = {lapse:.2g}')
+        weights, lapse = fitted(x[kinds == kind], y[kinds == kind])
+        votes.append(x @ weights)
+        print_fit(f'WEIGHTS["{kind}"]', names, weights, f'LAPSE["{kind}"]', lapse)
+    parts, lapse = fitted(np.stack(votes, 2), y, ridge=0.0)
+    print_fit("POOL", WEIGHTS, parts, "LAPSE[None]", lapse)
 
 
-def table(cases: list[OrientationCase], names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Cues (C, 6, K) of the axes and the index (C,) of the one that is up."""
-    axes = list(AXES)
-    found = [up_cues(case.gaussians) for case in cases]
-    x = np.array([[[of[up][name] for name in names] for up in axes] for of in found])
-    return x, np.array([axes.index(case.up) for case in cases])
+def print_fit(what: str, names, weights: np.ndarray, lapse_of: str, lapse: float) -> None:
+    """Coefficients, as assets/up_axis.py has them."""
+    print(f"{what} = {{")
+    for name, weight in zip(names, weights, strict=True):
+        print(f'    "{name}": {weight:.3g},')
+    print(f"}}\n{lapse_of} = {lapse:.2g}", flush=True)
+
+
+def table(found) -> tuple[np.ndarray, np.ndarray]:
+    """Cues (C, 6, K) of the axes of cases `with_cues`, and the index (C,) of the one that is up."""
+    axes, names = list(AXES), list(WEIGHTS["body"])
+    x = np.array([[[cues[up][name] for name in names] for up in axes] for _, cues in found])
+    return x, np.array([axes.index(case.up) for case, _ in found])
 
 
 def fitted(x: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarray, float]:
     """Weights (K,) and lapse of the conditional logit (McFadden 1974) of cues (C, 6, K) and answers (C,)."""
     from scipy.optimize import minimize
+
+    width = x.reshape(-1, x.shape[2]).std(axis=0)
+    x = x / width
 
     def loss(v: np.ndarray) -> float:
         vote = x @ v[:-1]
@@ -166,4 +185,4 @@ def fitted(x: np.ndarray, y: np.ndarray, ridge: float = RIDGE) -> tuple[np.ndarr
         return -np.log(p).mean() + ridge * (v[:-1] ** 2).sum()
 
     v = minimize(loss, np.append(np.zeros(x.shape[2]), -3.0), method="L-BFGS-B").x
-    return v[:-1], float(1 / (1 + np.exp(-v[-1])))
+    return v[:-1] / width, float(1 / (1 + np.exp(-v[-1])))

@@ -26,6 +26,13 @@ def level(count: int, height: float) -> np.ndarray:
     return points[(away < 1.7) & (away > 1.0)][:count, [0, 2, 1]]
 
 
+def ring(count: int, inner: float, outer: float, height: float) -> np.ndarray:
+    """Noisy points (count, 3) of a level ring around the ball's axis."""
+    rng = np.random.default_rng(count)
+    radius, turn = np.sqrt(rng.uniform(inner**2, outer**2, count)), rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.stack([radius * np.cos(turn), height + 0.01 * rng.normal(size=count), radius * np.sin(turn)], axis=1)
+
+
 def clutter() -> np.ndarray:
     """Points everywhere around the ball but under it."""
     rng = np.random.default_rng(3)
@@ -80,6 +87,11 @@ def test_a_floor_that_was_not_seen_close_to_an_object_carries_it_beside_a_wall_t
     floor = floor[(floor[:, 0] > -1.0) & (np.linalg.norm(floor, axis=1) > 1.12)]
     (found,) = planes(floor, wall[wall[:, 1] > -1.0], eyes=IN_CORNER)
     assert len(found) == 2 and height(found[1]) == pytest.approx(-1.0, abs=0.02)
+
+
+def test_the_ground_below_does_not_tilt_the_top_of_a_plinth(planes):
+    ((top,),) = planes(ring(300, 0.5, 0.8, -1.0), ring(5000, 0.85, 1.2, -1.18))
+    assert height(top) == pytest.approx(-1.0, abs=0.02) and top.axes[2][1] > 0.998
 
 
 def test_clutter_is_no_support(planes):

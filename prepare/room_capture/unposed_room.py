@@ -43,7 +43,7 @@ FOV_Y = 1.2  # [rad] of the likely cameras: wider than a photographer's lens, so
 LEAN_ERROR = np.radians(6.0)  # of a file's axis from the vertical; a plane may lean by 2.5 times as much
 LEVEL_HALF = 0.4  # [m] half a side of the unseen level on which things are played with
 LEVEL_FREE = 0.15  # [m] radius of free space over it that is enough
-# Where it may lie: parts of the way from the eye to what is looked at, and of that distance below the line of sight.
+# Places to try: parts of the way from the eye to what is looked at, and of that distance below the line of sight.
 LEVEL_WAYS, LEVEL_DOWN = (0.75, 0.7, 0.65, 0.6, 0.55, 0.5), 0.2
 
 

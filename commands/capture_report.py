@@ -20,7 +20,9 @@ WIDTH = 360  # [px] of a picture
 MENU = (256, 144)  # [px] of the picture in the menu of scenes
 VIEWS = 3  # photographs compared with the room
 WORK = {
-    "train": "poses, if there were none, and Gaussians",
+    "frames": "the sharpest frames of the video",
+    "poses": "where each photograph was taken",
+    "train": "Gaussians",
     "cameras": "what each photograph needs of them",
     "objects": "masks from marks; the object of each Gaussian",
     "cages": "a body for each object",

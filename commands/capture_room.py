@@ -13,19 +13,17 @@ import numpy as np
 
 from assets.file_access import atomic_write, make_folder
 from commands import train
+from commands.capture_input import capture_key, photographed, stages_before
 from commands.conditions import Condition
 from commands.options import add_arch, positive
-from commands.segment import marked_photographs
 from core.errors import BadInput
 from core.material import MATERIALS
 from core.rotation import rotation_between
 from core.runtime import end_taichi, start_taichi
 from prepare.room_capture.program_source import source_digest
 from prepare.room_capture.stages import Stages, file_key
-from prepare.segment.marks import read_marks
+from prepare.segment.marks import marks_json
 from prepare.segment.mask_files import photograph_size
-from prepare.segment.object_ids import masks_of
-from prepare.train.capture import read_capture
 
 HELP = "turn photographs into a room to play in: its objects can be grabbed, and what they hid is filled in"
 EXAMPLES = (
@@ -36,9 +34,6 @@ EXAMPLES = (
 )
 STAGES = ("train", "cameras", "objects", "cages", "inpaint", "room")
 TRAINED = "trained.ply"
-MARKS = "marks.json"  # beside the photographs
-CAPTURE_FILES = {".json", ".txt", ".bin", ".jpg", ".jpeg", ".png", ".webp", ".ply"}
-NO_PART = {"work", "masks", "depth", "behind"}  # folders beside the photographs, which the training does not read
 STEPS = {"cuda": 10_000, "cpu": 3_000}
 CONDITIONS = (
     Condition(("--lama", "--vertices", "--material"), lambda args: not args.no_objects, "is not for --no-objects"),
@@ -90,7 +85,7 @@ def make_room(args: argparse.Namespace) -> None:
     """Make the room of a capture in the folder `args.out`. Raises BadInput."""
     check(args)
     start_taichi(args.arch, args.seed)
-    stages = Stages(args.out / "work", STAGES)
+    stages = Stages(args.out / "work", (*stages_before(args.capture), *STAGES))
     RoomMaking(args, stages).make()
 
 
@@ -165,10 +160,6 @@ class RoomMaking:
     def __init__(self, args: argparse.Namespace, stages):
         self.args, self.stages, self.notes = args, stages, []
         self.source = source_digest("commands.capture_room")
-        self.folder = args.capture if args.capture.is_dir() else args.capture.parent
-        beside = self.folder / MARKS
-        self.marks = args.marks or (beside if args.masks is None and beside.is_file() else None)
-        self.masks = None
 
     def say(self, text: str) -> None:
         """Tell the user, and note it for the report."""
@@ -201,10 +192,8 @@ class RoomMaking:
         a = self.args
         steps = a.steps or STEPS["cuda" if ti.cfg.arch == ti.cuda else "cpu"]
         options = {"steps": steps, "reduce": a.reduce, "cap": a.cap, "seed": a.seed}
-        if train.is_posed(a.capture):  # else their files can be checked only once there are poses
-            capture = read_capture(a.capture)
-            check_points(a.scale_points, {view.name: photograph_size(view)[::-1] for view in capture.views})
-            self.find_objects(capture)
+        given = photographed(a, self.stages, self.say, self.check_points)
+        self.marks, self.masks = given.marks, given.masks
 
         def arguments(folder: Path) -> argparse.Namespace:
             parser = argparse.ArgumentParser()
@@ -212,37 +201,25 @@ class RoomMaking:
             words = [str(a.capture), "--fast", "--out", str(folder / TRAINED), "--report", str(folder / "trained.json")]
             for key, value in options.items():
                 words += [f"--{key}", str(value)] if value is not None else []
-            words += ["--masks", str(a.masks)] if a.masks else []
+            words += ["--masks", str(self.masks or train.NO_MASKS)]
             return parser.parse_args([*words, *(["--arch", a.arch] if a.arch else [])])
 
         def make(folder: Path) -> None:
-            train.run(arguments(folder))
+            train.run(arguments(folder), given.capture)
             end_taichi()  # and with it the memory of the training
             start_taichi(a.arch, a.seed)
 
-        inputs = {**options, "capture": str(a.capture.resolve()), "files": capture_files(a.capture)}
-        if self.masks is not None or a.masks:
-            inputs["masks"] = [file_key(p) for p in sorted((a.masks or self.folder / "masks").iterdir())]
+        inputs = {**options, **capture_key(given.capture)}
+        if self.masks is not None:
+            inputs["masks"] = [file_key(p) for p in sorted(self.masks.iterdir())]
         done = self.stages.run("train", inputs, make, source_digest("commands.train"))
-        as_filed = train.posed_capture(arguments(done))
-        self.turn, self.capture = rotation_between(as_filed.up, (0.0, 1.0, 0.0)), as_filed.upright()
-        self.find_objects(self.capture)
+        self.turn, self.capture = rotation_between(given.capture.up, (0.0, 1.0, 0.0)), given.capture.upright()
         self.gaussians = read_gaussians(done / TRAINED, self.say)
         self.training = json.loads((done / "trained.json").read_text(encoding="utf-8"))
 
-    def find_objects(self, capture) -> None:
-        """Masks, or marks that are checked against the photographs. Raises BadInput."""
-        if self.args.no_objects:
-            return
-        sizes = {view.name: photograph_size(view)[::-1] for view in capture.views}
-        if self.marks is not None:
-            read_marks(self.marks, sizes)
-            return
-        self.masks = masks_of(capture, self.args.masks, lambda line: line in self.notes or self.say(line))[1]
-        if self.masks is None:  # asked before the long stages, if there are poses
-            check_can_ask()
-            marked_photographs(capture, sizes)
-            self.marks = capture.folder / MARKS
+    def check_points(self, views: list) -> None:
+        """Check points of --scale-points. Raises BadInput."""
+        check_points(self.args.scale_points, {view.name: photograph_size(view)[::-1] for view in views})
 
     def look(self):
         """Contributions of the Gaussians to the photographs."""
@@ -267,25 +244,22 @@ class RoomMaking:
             self.stages.run("objects", {"none": True}, lambda folder: None, self.source)
             self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
-        # The ids of masks have been learned with the Gaussians.
-        marks = self.marks if self.masks is None else None
 
-        def make(into: Path) -> None:
-            made = g if marks is None else labelled(g, self.capture, self.masks_from(marks), progress)
+        def make(into: Path) -> None:  # the ids of masks have been learned with the Gaussians
+            made = g if self.marks is None else labelled(g, self.capture, self.masks_from_marks(), progress)
             write_gaussians(into / "objects.ply", without_supports(made, self.capture, progress))
 
-        inputs = {"marks": None if marks is None else marks.read_text(encoding="utf-8")}
+        inputs = {"marks": None if self.marks is None else marks_json(self.marks)}
         done = self.stages.run("objects", inputs, make, self.source)
         self.gaussians = read_gaussians(done / "objects.ply", self.say)
 
-    def masks_from(self, marks: Path):
+    def masks_from_marks(self):
         """Masks of all photographs, from marks in some."""
         from prepare.segment.mask_propagation import propagate_marks
         from prepare.train.photographs import load_photographs
 
-        read = read_marks(marks, {view.name: photograph_size(view)[::-1] for view in self.capture.views})
         photographs = load_photographs(self.capture.views, self.args.reduce)
-        return propagate_marks(self.capture, photographs, read, self.gaussians, self.stages.progress)
+        return propagate_marks(self.capture, photographs, self.marks, self.gaussians, self.stages.progress)
 
     def measured(self) -> dict:
         """Points and length of --scale-points."""
@@ -370,24 +344,3 @@ class RoomMaking:
         images = [view.image for view in self.capture.views]
         write_report(out, room, Asset.load(out / "room.h5"), things, images, about)
         write_room(out, manifest(room, [thing for _, thing in things]))
-
-
-def check_can_ask() -> None:
-    """Raise BadInput where the user cannot be asked for marks in a window."""
-    from display.window.gl_window import has_display
-
-    if has_display():
-        return
-    raise BadInput(
-        "no marked objects, and no display to mark them on: give --marks MARKS.json or --masks FOLDER, or --no-objects "
-        "for only the room"
-    )
-
-
-def capture_files(path: Path) -> list:
-    """Keys of the files of a capture: if one changes, all is made anew."""
-    if path.is_file() and path.suffix.lower() != ".json":
-        return [file_key(path)]
-    folder = path if path.is_dir() else path.parent
-    found = (p for p in sorted(folder.rglob("*")) if p.suffix.lower() in CAPTURE_FILES and p.is_file())
-    return [file_key(p) for p in found if not NO_PART & set(p.relative_to(folder).parts[:-1])]

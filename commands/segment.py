@@ -117,7 +117,11 @@ def segment_capture(args: argparse.Namespace) -> None:
         start_taichi(args.arch)
     elif not len(capture.points):
         raise BadInput(f"{args.capture}: has no sparse points; train on it first, then give the splat with --splats")
-    marks = marked_photographs(capture, sizes) if args.marks is None else read_marks(args.marks, sizes)
+    marks = (
+        marked_photographs(capture, sizes, capture.folder / "marks.json")
+        if args.marks is None
+        else read_marks(args.marks, sizes)
+    )
     start, progress = time.perf_counter(), TimeLeft()
     photographs = []
     for k, view in enumerate(capture.views):
@@ -143,8 +147,8 @@ def segment_capture(args: argparse.Namespace) -> None:
     print(f"{args.out}: {len(masks.ids)} masks, {time.perf_counter() - start:.0f} s")
 
 
-def marked_photographs(capture, sizes: dict[str, tuple[int, int]]):
-    """Marks drawn in a window, starting from CAPTURE/marks.json if it exists, and saved there.
+def marked_photographs(capture, sizes: dict[str, tuple[int, int]], path: Path):
+    """Marks drawn in a window, starting from those in the file `path` if it exists, and saved there.
 
     Raises BadInput without a display, Cancelled if the user leaves without saving.
     """
@@ -153,7 +157,6 @@ def marked_photographs(capture, sizes: dict[str, tuple[int, int]]):
     from prepare.segment.marks import Marks, read_marks, write_marks
 
     check_window()
-    path = capture.folder / "marks.json"
     check_writable(path)
     before = read_marks(path, sizes) if path.is_file() else Marks()
     subject, edit = PhotographSubject(capture.views), edit_of(before, {})

@@ -82,8 +82,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_arch(parser)
 
 
-def run(args: argparse.Namespace) -> None:
-    """Train, test, and write the Gaussians. Raises BadInput."""
+def run(args: argparse.Namespace, capture=None) -> None:
+    """Train, test, and write the Gaussians; `capture` is that of `args` if it has been read. Raises BadInput."""
     from assets.splat_files import kind_to_write, write_gaussians
     from commands.training_report import write_report
     from prepare.segment.object_ids import identified
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> None:
 
         if not has_display():
             raise BadInput("--preview: no display to open a window on")
-    capture, masks = _with_masks(args, posed_capture(args).upright())
+    capture, masks = _with_masks(args, (capture or posed_capture(args)).upright())
     kept_for_test(capture.views, args.test_every)  # refused before all photographs are loaded
 
     def tell(count: int) -> None:
@@ -199,33 +199,34 @@ def _objects(args: argparse.Namespace, trainer, test: list, gaussians) -> dict:
 def is_posed(path: Path) -> bool:
     """True for a capture with poses; False for photographs alone or a video."""
     from prepare.train.colmap_model import find_colmap_model
-    from prepare.train.structure_from_motion import VIDEOS, photographs_in
+    from prepare.train.structure_from_motion import VIDEOS, image_folder, photographs_in
 
     if path.is_file():
         return path.suffix.lower() not in VIDEOS
     posed = not path.is_dir() or (path / "transforms.json").is_file() or find_colmap_model(path) is not None
-    return posed or not photographs_in(path)
+    return posed or not photographs_in(image_folder(path))
 
 
 def posed_capture(args: argparse.Namespace):
     """The capture; for photographs or a video without poses these are found first, and kept beside the output."""
     from prepare.train.capture import checked, read_capture
     from prepare.train.colmap_model import read_colmap
-    from prepare.train.structure_from_motion import find_poses, photographs_in, sharpest_frames
+    from prepare.train.structure_from_motion import find_poses, image_folder, photographs_in, sharpest_frames
 
     path, beside = args.capture, args.out.with_name(f"{args.out.name}.poses")
     if is_posed(path):
         return read_capture(path)
     video = path.is_file()
-    images, model = beside / "images" if video else path, beside / "sparse"
+    folder, model = beside if video else path, beside / "sparse"
     beside.mkdir(exist_ok=True)
-    if video and not images.is_dir():
-        print(f"{sharpest_frames(path, images)} sharp frames of {path}", file=sys.stderr)
+    if video and not (beside / "images").is_dir():
+        print(f"{sharpest_frames(path, beside / 'images')} sharp frames of {path}", file=sys.stderr)
     if model.is_dir():
         print(f"using the poses of an earlier run ({beside})", file=sys.stderr)
     else:
+        images = image_folder(folder)
         find_poses(images, model, names=photographs_in(images), in_order=video, progress=_say)
-    return checked(read_colmap(model, images))
+    return checked(read_colmap(model, folder))
 
 
 def _trainer(args: argparse.Namespace, capture, train: list, objects: list[str]):

@@ -22,7 +22,22 @@ Progress = Callable[[str], None]
 
 def photographs_in(folder: Path) -> list[str]:
     """Names of the images in a folder, sorted."""
-    return sorted(p.name for p in folder.iterdir() if p.suffix.lower() in PHOTOGRAPHS and p.is_file())
+    there = folder.iterdir() if folder.is_dir() else ()
+    return sorted(p.name for p in there if p.suffix.lower() in PHOTOGRAPHS and p.is_file())
+
+
+def image_folder(folder: Path) -> Path:
+    """The folder with the photographs of a capture: images/ in it, if it holds none itself."""
+    return folder if photographs_in(folder) else folder / "images"
+
+
+def load_pycolmap():
+    """The optional package. Raises BadInput without it."""
+    try:
+        import pycolmap
+    except ImportError as e:
+        raise BadInput("photographs without poses need pycolmap (pip install -r requirements-poses.txt)") from e
+    return pycolmap
 
 
 def find_poses(images: Path, model: Path, *, names: list[str], in_order: bool, progress: Progress) -> None:
@@ -30,10 +45,7 @@ def find_poses(images: Path, model: Path, *, names: list[str], in_order: bool, p
 
     in_order: consecutive images overlap, as in a video. Raises BadInput if no poses can be found.
     """
-    try:
-        import pycolmap
-    except ImportError as e:
-        raise BadInput("photographs without poses need pycolmap (pip install -r requirements-poses.txt)") from e
+    pycolmap = load_pycolmap()
     pycolmap.logging.minloglevel = 3  # it would print what is reported here
     one_camera = len({_size(images / name) for name in names}) == 1
     with tempfile.TemporaryDirectory(prefix="poses-", dir=model.parent) as work:

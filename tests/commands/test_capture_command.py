@@ -10,7 +10,8 @@ from assets.asset import Asset
 from assets.environment import Environment
 from bench.html_page import html_page
 from commands.capture_report import played, spent
-from commands.capture_room import STAGES, check_can_ask, check_points
+from commands.capture_input import stages_before
+from commands.capture_room import STAGES, check_points
 from commands.parser import parse
 from core.errors import BadInput
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
@@ -73,8 +74,10 @@ def test_the_report_tells_how_to_play_what_is_free_and_what_each_stage_took(tmp_
         "A body of yours falls 1.0 m from the eye, onto the table at a height of 60 cm, with"
     )
     assert "onto the floor, with 18 cm" in told("floor") and "no free, level place" in told("nothing")
-    page = html_page("attic", "", [spent(dict.fromkeys(STAGES, 2.0))])
-    assert all(f"<td>{name}</td>" in page for name in STAGES) and "<td>12.0</td>" in page
+    (tmp_path / "walk.mp4").touch()
+    stages = (*stages_before(tmp_path / "walk.mp4"), *STAGES)
+    page = html_page("attic", "", [spent(dict.fromkeys(stages, 2.0))])
+    assert all(f"<td>{name}</td>" in page for name in stages) and "<td>16.0</td>" in page
 
 
 def test_points_of_the_scale_are_checked_before_the_training():
@@ -84,9 +87,3 @@ def test_points_of_the_scale_are_checked_before_the_training():
     for point, why in (("b.jpg:1,1", "no photograph b.jpg"), ("a.jpg:160,5", "has 160x120 pixels")):
         with pytest.raises(BadInput, match=why):
             check_points(["1,2,3", point, "0.5"], sizes)
-
-
-def test_without_a_display_nobody_can_be_asked_for_marks(monkeypatch):
-    monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
-    with pytest.raises(BadInput, match=r"no display to mark them on: give --marks MARKS\.json"):
-        check_can_ask()

@@ -11,7 +11,7 @@ from assets.environment import Environment
 from assets.gaussians import Gaussians, concatenate
 from assets.room_folder import RoomObject
 from bench.sample_meshes import box
-from commands.capture_room import capture_files, parsed_length, parsed_point
+from commands.capture_room import parsed_length, parsed_point
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
@@ -322,10 +322,3 @@ def test_points_of_a_scale():
     for text in ("0", "-1", "inf", "nan", "a"):
         with pytest.raises(BadInput, match="no length"):
             parsed_length(text)
-
-
-def test_masks_and_results_are_no_files_of_a_capture(tmp_path):
-    for name in ("transforms.json", "images/a.jpg", "masks/a.png", "notes.md"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("x")
-    assert [name for name, *_ in capture_files(tmp_path)] == ["a.jpg", "transforms.json"]

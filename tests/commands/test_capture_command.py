@@ -9,8 +9,8 @@ import pytest
 from assets.asset import Asset
 from assets.environment import Environment
 from bench.html_page import html_page
-from commands.capture_report import played, spent
 from commands.capture_input import stages_before
+from commands.capture_report import played, spent
 from commands.capture_room import STAGES, check_points
 from commands.parser import parse
 from core.errors import BadInput

@@ -12,9 +12,10 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
-from assets.file_access import make_folder, reason_of
+from assets.file_access import atomic_write, make_folder, reason_of
 from core.errors import BadInput
 
 ABOUT = "stage.json"
@@ -64,7 +65,8 @@ class Stages:
             raise BadInput(f"{e.filename or part}: cannot be written ({reason_of(e)})") from e
         finally:  # what was spent counts, also if it was cut
             spent += time.perf_counter() - self._begin
-            write_about(part, {"digest": self._digest, "seconds": spent})
+            with suppress(BadInput):  # the disk may be full
+                write_about(part, {"digest": self._digest, "seconds": spent})
         write_about(part, {"digest": self._digest, "seconds": spent, "files": file_sizes(part)})
         remove(done)
         part.rename(done)
@@ -124,11 +126,10 @@ def file_sizes(folder: Path) -> dict[str, int]:
 
 
 def write_about(folder: Path, about: dict) -> None:
-    """Write a stage's stage.json. Raises BadInput."""
-    try:
-        (folder / ABOUT).write_text(json.dumps(about), encoding="utf-8")
-    except OSError as e:
-        raise BadInput(f"{folder}: cannot be written to ({e.strerror})") from e
+    """Write a stage's stage.json: else the one before stays, without which what a cut stage has made is lost. Raises
+    BadInput."""
+    with atomic_write(folder / ABOUT) as beside:
+        beside.write_text(json.dumps(about), encoding="utf-8")
 
 
 def remove(folder: Path) -> None:

@@ -235,17 +235,26 @@ def test_a_cut_run_goes_on_and_changed_inputs_are_made_anew(tmp_path):
         assert (run(2) / "result").read_text() == "done" and made.pop() == "second.part" and made[-1] == "first"
 
 
-def test_a_full_disk_is_told_in_one_line_and_the_stage_is_not_there(tmp_path):
-    def full(folder):
-        (folder / "result").write_text("do")
-        raise OSError(28, "No space left on device")
+def test_a_full_disk_is_told_in_one_line_and_what_the_stage_has_made_is_kept(tmp_path):
+    """A limit of the size of files stands for the full disk; stage.json does not fit either."""
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    seen = []
 
-    stages = Stages(tmp_path / "work", ("first",))
-    with pytest.raises(BadInput, match=r"first\.part: cannot be written \(No space left on device\)$"):
-        stages.run("first", {}, full)
-    assert not (tmp_path / "work/first").exists()
-    done = Stages(tmp_path / "work", ("first",)).run("first", {}, lambda folder: (folder / "result").write_text("done"))
-    assert (done / "result").read_text() == "done"
+    def make(folder, limit=limits[0]):
+        seen.append((folder / "checkpoint").exists())
+        (folder / "checkpoint").write_text("1")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
+        (folder / "result").write_text("done")
+
+    try:
+        with pytest.raises(BadInput, match=r"first\.part: cannot be written \(File too large\)$"):
+            Stages(tmp_path / "work", ("first",)).run("first", {}, lambda folder: make(folder, 2))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert [p.name for p in (tmp_path / "work").iterdir()] == ["first.part"]
+    done = Stages(tmp_path / "work", ("first",)).run("first", {}, make)
+    assert (done / "result").read_text() == "done" and seen == [False, True]
 
 
 def test_a_stage_is_made_again_once_the_source_that_makes_it_has_changed(tmp_path):

@@ -8,6 +8,7 @@ bodies are twisted and stretched by formula; each Gaussian is compared with its 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from statistics import median
 from time import perf_counter
 
@@ -22,6 +23,7 @@ from assets.splat_files import read_gaussians
 from bench.sample_meshes import random_gaussians, tet_bar
 from bench.synthetic_room import box_surface, turns_to
 from core.camera import look_at, perspective
+from core.spherical_harmonics import C0
 from display.headless.picture_strip import PAPER, write
 from display.picture import pixels_of, save_picture
 from display.run_stats import write_stats
@@ -37,7 +39,9 @@ DEFORMATIONS = {"90 degrees": 0.5 * np.pi, "180 degrees": np.pi, "360 degrees": 
 SPIKE_RATIO = 2.0  # a Gaussian is a spike if its axis ratio exceeds the correct one by this factor
 CAGE_VERTICES = 800  # tets of a tenth of the body
 KS, FLOORS = (0.0, 1 / 6, 1 / 3, 0.5, 1.0), (0.05, 0.1, 0.15, 0.2, 0.3)
-PANEL, LABEL = 300, 30  # [px] sides of a picture on the page, height of a line of text
+PANEL, LABEL = 340, 30  # [px] sides of a picture on the page, height of a line of text
+WORST_SHOWN = 0.3  # error that has the full colour
+PALE, RED = np.array([0.93, 0.92, 0.88]), np.array([0.78, 0.08, 0.08])
 
 
 def run(args) -> None:
@@ -51,13 +55,13 @@ def run(args) -> None:
     print(f"{'error 95%':>10} {'jump 95%':>9}", flush=True)
     for source in names:
         name, asset = prepared(source)
-        for title in DEFORMATIONS:
-            for scheme in SCHEMES:
-                row, picture = measure_ablation(name, asset, title, scheme, draw=args.out is not None)
-                pictures[f"{name}, {scheme}", title] = picture
-                rows.append(row)
-                figures = f"{row['spikes']:8.2%} {row['excess']:10.3f} {row['error']:10.4f} {row['jump']:9.4f}"
-                print(f"{name:14} {title:12} {scheme:10} {figures}", flush=True)
+        for row, drawn in measure_ablations(name, asset, DEFORMATIONS, draw=args.out is not None):
+            title, scheme = row["deformation"], row["scheme"]
+            if drawn:
+                pictures[f"{name}, {scheme}", title] = np.concatenate(drawn)
+            rows.append(row)
+            figures = f"{row['spikes']:8.2%} {row['excess']:10.3f} {row['error']:10.4f} {row['jump']:9.4f}"
+            print(f"{name:14} {title:12} {scheme:10} {figures}", flush=True)
     rows += measure_parameters()
     if args.out:
         save_picture(args.out, page(pictures))
@@ -165,55 +169,96 @@ def covariances(six: np.ndarray) -> np.ndarray:
     return six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3).astype(np.float64)
 
 
-def carry(g: Gaussians, embedded, cage, turn, scheme: str, splats: Splats | None = None):
-    """Deform the cage (vertices, tets) and its Gaussians, and their splats if given.
+class CarriedGaussians:
+    """Gaussians that a cage (vertices, tets) carries by a scheme, and their splats if given."""
 
-    Returns covariances (N, 3, 3) [m^2] and those of the formula.
-    """
-    (vertices, tets), n = cage, len(g)
-    y, F = deformed(np.concatenate([vertices, g.means]), turn)  # the formula depends on the extent of both
-    x = ti.Vector.field(3, ti.f32, len(vertices))
-    x.from_numpy(y[: len(vertices)].astype(np.float32))
-    embedding = Embedding([EmbeddedBody(embedded.host, embedded.weights, g, vertices, tets)], scheme=scheme)
-    out = [splats.mean, splats.cov, splats.rotation] if splats else [ti.Vector.field(k, ti.f32, n) for k in (3, 6, 4)]
-    embedding.deform(x, *out)
-    found = covariances(out[1].to_numpy()[:n])
-    embedding.destroy()
-    F = F[len(vertices) :]
-    return found, F @ covariances(g.covariances) @ np.moveaxis(F, 1, 2)
+    def __init__(self, g: Gaussians, embedded, cage, scheme: str, splats: Splats | None = None) -> None:
+        (self.vertices, tets), self.g, n = cage, g, len(g)
+        self.x = ti.Vector.field(3, ti.f32, len(self.vertices))
+        bodies = [EmbeddedBody(embedded.host, embedded.weights, g, self.vertices, tets)]
+        self.embedding = Embedding(bodies, scheme=scheme)
+        fields = [splats.mean, splats.cov, splats.rotation] if splats else None
+        self.out = fields or [ti.Vector.field(k, ti.f32, n) for k in (3, 6, 4)]
+
+    def deform(self, turn: float | None) -> tuple[np.ndarray, np.ndarray]:
+        """Covariances (N, 3, 3) [m^2] after the cage was deformed, and those of the formula."""
+        n = len(self.vertices)
+        y, F = deformed(np.concatenate([self.vertices, self.g.means]), turn)  # depends on the extent of both
+        self.x.from_numpy(y[:n].astype(np.float32))
+        self.embedding.deform(self.x, *self.out)
+        F = F[n:]
+        exact = F @ covariances(self.g.covariances) @ np.moveaxis(F, 1, 2)
+        return covariances(self.out[1].to_numpy()[: len(self.g)]), exact
+
+    def destroy(self) -> None:
+        """Free the device memory of the embedding."""
+        self.embedding.destroy()
 
 
-def error_of(found: np.ndarray, exact: np.ndarray) -> float:
-    """95th percentile of |Sigma - exact| / |exact|."""
-    return float(np.percentile(np.linalg.norm(found - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2)), 95))
+def errors_of(found: np.ndarray, exact: np.ndarray) -> np.ndarray:
+    """|Sigma - exact| / |exact| of each Gaussian."""
+    return np.linalg.norm(found - exact, axis=(1, 2)) / np.linalg.norm(exact, axis=(1, 2))
 
 
-def jump_of(g: Gaussians, embedded, cage, turn, scheme: str) -> float:
-    """95th percentile of the error's jump between neighbours, if all had the same covariance at rest."""
+def all_alike(g: Gaussians) -> Gaussians:
+    """Gaussians at the same places, all with the same covariance."""
+    n, scales = len(g), np.log(np.tile([0.01, 0.02, 0.03], (len(g), 1)))
+    return Gaussians.of(g.means, np.tile([1.0, 0, 0, 0], (n, 1)), scales, np.zeros(n), np.zeros((n, 1, 3)))
+
+
+def jump_of(means: np.ndarray, found: np.ndarray, exact: np.ndarray) -> float:
+    """95th percentile of the error's jump between neighbours, of Gaussians that are `all_alike`."""
     from scipy.spatial import cKDTree
 
-    n = len(g)
-    scales = np.log(np.tile([0.01, 0.02, 0.03], (n, 1)))
-    same = Gaussians.of(g.means, np.tile([1.0, 0, 0, 0], (n, 1)), scales, np.zeros(n), np.zeros((n, 1, 3)))
-    found, exact = carry(same, embedded, cage, turn, scheme)
-    near, off = cKDTree(g.means).query(g.means, k=5)[1][:, 1:], found - exact
+    near, off = cKDTree(means).query(means, k=5)[1][:, 1:], found - exact
     jumps = np.linalg.norm(off[:, None] - off[near], axis=(2, 3)) / np.linalg.norm(exact, axis=(1, 2))[:, None]
     return float(np.percentile(jumps, 95))
 
 
-def measure_ablation(name: str, asset: Asset, title: str, scheme: str, *, draw: bool) -> tuple[dict, np.ndarray | None]:
-    """A row of the table, and a picture of the deformed body."""
-    g, cage, turn = asset.gaussians, (asset.cage.vertices, asset.cage.tets), DEFORMATIONS[title]
-    splats = Splats(g) if draw else None
-    found, exact = carry(g, asset.embedding, cage, turn, scheme, splats)
-    axes = (np.linalg.eigvalsh(S) for S in (found, exact))
-    ratios = [np.sqrt(w[:, 2] / np.maximum(w[:, 0], 1e-6 * w[:, 2])) for w in axes]
-    excess = ratios[0] / ratios[1]
-    row = {"bench": "embedding", "what": "ablation", "body": name, "deformation": title, "scheme": scheme}
-    row |= {"gaussians": len(g), "vertices": len(cage[0]), "error": error_of(found, exact)}
-    row |= {"spikes": float((excess > SPIKE_RATIO).mean()), "excess": float(np.percentile(excess, 99))}
-    row |= {"jump": jump_of(g, asset.embedding, cage, turn, scheme), "arch": arch()}
-    return row, picture(splats, g, turn) if draw else None
+class Ablation:
+    """A prepared body whose cage is deformed by formula and carries the Gaussians by one scheme."""
+
+    def __init__(self, name: str, asset: Asset, scheme: str, pictures: BodyPictures | None = None) -> None:
+        g, e, cage = asset.gaussians, asset.embedding, (asset.cage.vertices, asset.cage.tets)
+        self.name, self.scheme, self.g, self.vertices = name, scheme, g, len(cage[0])
+        self.pictures = pictures
+        self.carried = CarriedGaussians(g, e, cage, scheme, pictures.splats if pictures else None)
+        self.alike = CarriedGaussians(all_alike(g), e, cage, scheme)
+
+    def measure(self, title: str) -> tuple[dict, list[np.ndarray]]:
+        """A row of the table, and if there are to be pictures: the deformed body, and the same coloured by the error of
+        each Gaussian's covariance, from none, pale, to WORST_SHOWN, red."""
+        turn = DEFORMATIONS[title]
+        found, exact = self.carried.deform(turn)
+        axes = (np.linalg.eigvalsh(S) for S in (found, exact))
+        ratios = [np.sqrt(w[:, 2] / np.maximum(w[:, 0], 1e-6 * w[:, 2])) for w in axes]
+        excess = ratios[0] / ratios[1]
+        row = {"bench": "embedding", "what": "ablation", "body": self.name, "deformation": title}
+        row |= {"scheme": self.scheme, "gaussians": len(self.g), "vertices": self.vertices}
+        errors = errors_of(found, exact)
+        row |= {"error": float(np.percentile(errors, 95)), "spikes": float((excess > SPIKE_RATIO).mean())}
+        row |= {"excess": float(np.percentile(excess, 99))}
+        row |= {"jump": jump_of(self.g.means, *self.alike.deform(turn)), "arch": arch()}
+        if self.pictures is None:
+            return row, []
+        part = (errors / WORST_SHOWN).clip(0.0, 1.0)[:, None]
+        return row, [self.pictures.draw(c, stretched=turn is None) for c in (None, (1 - part) * PALE + part * RED)]
+
+    def destroy(self) -> None:
+        """Free the device memory of the embeddings."""
+        self.carried.destroy()
+        self.alike.destroy()
+
+
+def measure_ablations(name: str, asset: Asset, titles, *, draw: bool) -> Iterator[tuple[dict, list[np.ndarray]]]:
+    """Row and pictures of each deformation by each scheme."""
+    pictures = BodyPictures(asset.gaussians) if draw else None
+    ablations = [Ablation(name, asset, scheme, pictures) for scheme in SCHEMES]
+    for title in titles:
+        for ablation in ablations:
+            yield ablation.measure(title)
+    for part in filter(None, (*ablations, pictures)):
+        part.destroy()
 
 
 def measure_parameters() -> list[dict]:
@@ -227,34 +272,51 @@ def measure_parameters() -> list[dict]:
     for k, floor in [*((k, 0.15) for k in KS), *((1 / 3, f) for f in FLOORS)]:
         e = embed(g.means, g.quats, np.exp(g.log_scales), *bar, k=k, floor=floor)
         row = {"bench": "embedding", "what": "choice", "k": k, "floor": floor, "arch": arch()}
-        row |= {
-            "error": error_of(*carry(g, e, bar, np.pi, "two-level")),
-            "jump": jump_of(g, e, bar, np.pi, "two-level"),
-        }
+        carried, alike = (CarriedGaussians(h, e, bar, "two-level") for h in (g, all_alike(g)))
+        row |= {"error": float(np.percentile(errors_of(*carried.deform(np.pi)), 95))}
+        row |= {"jump": jump_of(g.means, *alike.deform(np.pi))}
+        carried.destroy()
+        alike.destroy()
         rows.append(row)
         print(f"{k:6.3f} {floor:6.2f} {row['jump']:9.4f} {row['error']:10.4f}", flush=True)
     return rows
 
 
-def picture(splats: Splats, g: Gaussians, turn) -> np.ndarray:
-    """Picture (PANEL, PANEL, 3) uint8 of a deformed body that stands on y = 0."""
-    extent = np.ptp(g.means, axis=0) * ([1, 1.5, 1] if turn is None else [1, 1, 1])
-    target, fov = np.array([0.0, 0.5 * extent[1], 0.0]), np.radians(30)
-    eye = target + np.linalg.norm(extent) / np.tan(fov / 2) * np.array([0.28, 0.20, 0.56])
-    renderer = Renderer(splats, PANEL, PANEL, background=(0.96, 0.96, 0.95))
-    renderer.render([perspective(PANEL, PANEL, fov, look_at(eye, target))])
-    pixels = pixels_of(renderer.picture)[..., :3].copy()
-    renderer.destroy()
-    return pixels
+class BodyPictures:
+    """Pictures of a body that stands on y = 0, as its `splats` have it."""
+
+    def __init__(self, g: Gaussians) -> None:
+        self.g, self.splats, self.extent = g, Splats(g), np.ptp(g.means, axis=0)
+        self.renderer = Renderer(self.splats, PANEL, PANEL, background=(0.96, 0.96, 0.95))
+
+    def draw(self, colors: np.ndarray | None = None, *, stretched: bool = False) -> np.ndarray:
+        """Picture (PANEL, PANEL, 3) uint8; with other colours (N, 3) than its own; `stretched`: there is room for one
+        and a half of the height."""
+        sh = self.g.sh
+        if colors is not None:
+            sh = np.concatenate([((colors - 0.5) / C0)[:, None], np.zeros_like(sh[:, 1:])], axis=1)
+        self.splats.sh.from_numpy(self.splats.padded(sh))
+        extent = self.extent * ([1, 1.5, 1] if stretched else [1, 1, 1])
+        target, fov = np.array([0.0, 0.5 * extent[1], 0.0]), np.radians(30)
+        eye = target + np.linalg.norm(extent) / np.tan(fov / 2) * np.array([0.28, 0.20, 0.56])
+        self.renderer.render([perspective(PANEL, PANEL, fov, look_at(eye, target))])
+        return pixels_of(self.renderer.picture)[..., :3].copy()
+
+    def destroy(self) -> None:
+        """Free the device memory."""
+        self.renderer.destroy()
+        self.splats.destroy()
 
 
 def page(pictures: dict[tuple[str, str], np.ndarray]) -> np.ndarray:
     """All pictures by row and column title, in a table."""
     rows, columns = (list(dict.fromkeys(titles)) for titles in zip(*pictures, strict=True))
-    paper = np.full((LABEL + len(rows) * (PANEL + LABEL), len(columns) * PANEL, 3), PAPER, np.uint8)
+    height = len(next(iter(pictures.values())))
+    paper = np.full((LABEL + len(rows) * (height + LABEL), len(columns) * PANEL, 3), PAPER, np.uint8)
     for (row, column), panel in pictures.items():
-        top, left = LABEL + rows.index(row) * (PANEL + LABEL), columns.index(column) * PANEL
-        paper[top : top + PANEL, left : left + PANEL] = panel
-        write(paper, f"{row}, {column}", (left + 6, top + PANEL + 20), 15)
-    write(paper, "One-level and two-level embedding in a coarse cage", (6, 22), 18, weight=600)
+        top, left = LABEL + rows.index(row) * (height + LABEL), columns.index(column) * PANEL
+        paper[top : top + height, left : left + PANEL] = panel
+        write(paper, f"{row}, {column}", (left + 6, top + height + 20), 15)
+    title = f"One-level and two-level embedding in a coarse cage; below: error, red: {WORST_SHOWN} or more"
+    write(paper, title, (6, 22), 18, weight=600)
     return paper

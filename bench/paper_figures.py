@@ -10,25 +10,28 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from time import perf_counter
 
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
-from bench.embedding_ablation import DEFORMATIONS, SCHEMES, arch, measure_ablation, prepared
+from bench.embedding_ablation import DEFORMATIONS, SCHEMES, WORST_SHOWN, arch, measure_ablations, prepared
 from bench.html_page import Section, Table, html_page
 from bench.twist import HEIGHTS, MATERIAL, TwistedBar, quarter_period
 from core.camera import look_at, perspective
+from core.fields import keep_compiled_kernels
 from display.picture import pixels_of
 from display.protocol import Frame
 from display.run_stats import plain, run_stats
 from display.world import World
 from scenes import registry
-from scenes.paper_demos import PAPER_DEMOS
+from scenes.paper_demos import PaperDemo, paper_demos
 
 FRAME = 1 / 60  # [s]
 DARKENED = 0.02  # of the full brightness: pixels that lose more count as in shadow
 UNKNOWN = "–"
 DEVICES = {"cuda": "a CUDA GPU"}
+SHADOWED = "just_dance"  # the demo that is shown without its shadows
 MARGIN = 14  # [px] of background around what a picture shows
 
 
@@ -39,8 +42,10 @@ class Effort:
     deformations  of the embedding's ablation
     turn          of the bar [rad], and small_turn: the one that is compared with the theory of small angles
     seconds       of twisting, holding and swinging
-    demo_seconds  that a demo is played before its picture is taken; `demos` how many demos (None: all)
+    demo_seconds  that a demo is played before its picture is taken
+    demos         names; empty: all
     size          of the demos' pictures [px]
+    takes         time of each figure [s] on two CPU cores that compile nothing for the first time
     """
 
     deformations: tuple[str, ...]
@@ -48,12 +53,31 @@ class Effort:
     small_turn: float
     seconds: tuple[float, float, float]
     demo_seconds: float
-    demos: int | None
+    demos: tuple[str, ...]
     size: tuple[int, int]
+    takes: tuple[float, ...]
 
 
-FULL = Effort(tuple(DEFORMATIONS), np.pi, 0.35, (1.5, 1.0, 2.5), 2.0, None, (560, 315))
-QUICK = Effort(("180 degrees",), 0.5 * np.pi, 0.35, (0.3, 0.1, 0.6), 0.1, 1, (160, 90))
+FULL = Effort(
+    deformations=tuple(DEFORMATIONS),
+    turn=np.pi,
+    small_turn=0.35,
+    seconds=(1.5, 1.0, 2.5),
+    demo_seconds=2.0,
+    demos=(),
+    size=(560, 315),
+    takes=(12.0, 20.0, 20.0, 20.0, 240.0, 160.0),
+)
+QUICK = Effort(
+    deformations=("180 degrees",),
+    turn=0.5 * np.pi,
+    small_turn=0.35,
+    seconds=(0.3, 0.1, 0.6),
+    demo_seconds=0.1,
+    demos=(SHADOWED,),
+    size=(160, 90),
+    takes=(9.0, 15.0, 15.0, 15.0, 40.0, 1.0),
+)
 
 
 def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> None:
@@ -66,27 +90,43 @@ def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> N
     page, numbers = args.out / "figures.html", args.out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
-    bar = prepared("bar")[1]
+    bar, plays = prepared("bar")[1], Plays(effort.demo_seconds, effort.size)
     results: dict = {"arch": arch(), "quick": args.quick}
     figures: list[tuple[str, Callable[[], Section]]] = [
         ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
-        ("shadow", lambda: shadow_section(effort, results)),
+        ("shadow", lambda: shadow_section(plays, results)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
         ("inpainting", lambda: inpainting(results, _told)),
-        ("demos", lambda: demo_pictures(effort, results, _told)),
+        ("demos", lambda: demo_section(effort.demos, plays, results, _told)),
     ]
     how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if args.quick else ''}"
     sections: list[Section] = []
-    for k, (what, make) in enumerate(figures, 1):
-        print(f"[{k}/{len(figures)}] {what}", file=sys.stderr, flush=True)
-        sections.append(make())
-        still = "" if k == len(figures) else f" Not finished: {k} of {len(figures)} figures."
+    begin = perf_counter()
+    for k, (what, make) in enumerate(figures):
+        left = time_left(effort.takes, k, perf_counter() - begin)
+        print(f"[{k + 1}/{len(figures)}] {what}{left}", file=sys.stderr, flush=True)
+        with keep_compiled_kernels():
+            sections.append(make())
+        still = "" if k + 1 == len(figures) else f" Not finished: {k + 1} of {len(figures)} figures."
         text = f"Made by vrgs.py figures on {how}.{still} {PAPER}"
         with atomic_write_all(page, numbers) as (page_part, numbers_part):
             page_part.write_text(html_page("VR-GS: figures and tables", text, sections), encoding="utf-8")
             numbers_part.write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
-    print(f"wrote {page} and {numbers}", file=sys.stderr)
+    print(f"wrote {page} and {numbers}, after {in_words(perf_counter() - begin)}", file=sys.stderr)
+
+
+def time_left(takes: tuple[float, ...], done: int, passed: float) -> str:
+    """A remark on the time that the remaining figures take, if they go on at the pace of those that are done."""
+    left, expected = sum(takes[done:]), sum(takes[:done])
+    if not done:
+        return f" (all figures: about {in_words(left)} on two free CPU cores)"
+    return f" ({in_words(passed)} passed, about {in_words(left * passed / expected)} left)"
+
+
+def in_words(seconds: float) -> str:
+    """A duration: "40 s", "5 min"."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 PAPER = (
@@ -102,24 +142,29 @@ def _told(text: str) -> None:
 
 def embedding_section(bar, effort: Effort, results: dict) -> Section:
     """The ablation of the embedding: spikes where a Gaussian follows one coarse tet alone."""
-    rows, pictures, table = [], {}, []
+    found, shown = {}, {}
+    for row, (picture, errors) in measure_ablations("bar", bar, effort.deformations, draw=True):
+        key = row["deformation"], row["scheme"]
+        found[key] = row
+        shown |= {(*key, "picture"): picture, (*key, "errors"): errors}
+    results["embedding"] = list(found.values())
+    shown, pictures, table = cropped(shown), {}, []
     for title in effort.deformations:
-        for scheme in SCHEMES:
-            row, picture = measure_ablation("bar", bar, title, scheme, draw=True)
-            rows.append(row)
-            pictures[f"{title}, {scheme}"] = picture
-            figures = (f"{row['spikes']:.2%}", f"{row['error']:.3f}", f"{row['jump']:.3f}")
-            table.append((title, scheme, *figures))
-    results["embedding"] = rows
+        pairs = [[shown[title, scheme, what] for scheme in SCHEMES] for what in ("picture", "errors")]
+        pictures[title] = np.concatenate([np.concatenate(pair, axis=1) for pair in pairs])
+        table.append((title, *(f"{found[title, s][what]:.3f}" for what in ("error", "jump") for s in SCHEMES)))
+    spikes = max(row["spikes"] for row in found.values())
     return Section(
         "Two-level and one-level embedding",
-        "A striped bar in a coarse cage is twisted and stretched by formula. One-level: a Gaussian takes the gradient "
-        "of the tetrahedron that holds its centre. Two-level: that of its own local tetrahedron, whose corners are "
-        "embedded in the cage one by one (Sec. 4.3.2).",
-        cropped(pictures),
-        Table(("deformation", "embedding", "spikes", "error, 95%", "jump between neighbours, 95%"), table),
-        "Spikes: Gaussians more than twice as elongated as they should be. Error: of the covariance, relative to that "
-        "of the formula. Jump: of the error, from one Gaussian to the next.",
+        "A striped bar in a coarse cage is twisted and stretched by formula. Left, one-level: a Gaussian takes the "
+        "gradient of the tetrahedron that holds its centre. Right, two-level: that of its own local tetrahedron, whose "
+        "corners are embedded in the cage one by one (Sec. 4.3.2). Below: error of each Gaussian's shape, from none, "
+        f"pale, to {WORST_SHOWN} or more, red.",
+        pictures,
+        Table(("deformation", "error, one-level", "two-level", "jump, one-level", "two-level"), table),
+        "Error: of the covariance, relative to the formula's; 95% of the Gaussians have less. Jump: of the error, from "
+        "one Gaussian to the next, 95% as well. Gaussians more than twice as elongated as they should be: at most "
+        f"{spikes:.2%}.",
     )
 
 
@@ -144,67 +189,98 @@ def twist_section(bar, effort: Effort, results: dict) -> Section:
 
 
 def solver_section(bar, effort: Effort, results: dict) -> Section:
-    """Both solvers on the swing of a bar, and what is known of others."""
+    """Both solvers on the swing of a bar."""
     rows, twisted = [], TwistedBar(bar)
     for name, method in (("xpbd", "XPBD"), ("vbd", "vertex block descent")):
         found = twisted.twist(effort.small_turn, effort.seconds, name, draw=False)
         measured, theory = found.frequency
         results[f"solver_{name}"] = {k: v for k, v in asdict(found).items() if k != "pictures"}
-        error = f"{measured:.2f} Hz ({measured / theory - 1:+.1%})" if np.isfinite(measured) else UNKNOWN
-        sizes = f"{len(bar.cage.vertices):,}"
-        steps = f"{found.substeps} of {1e3 * found.dt:.2f} ms, {iterations(found.iterations)}"
-        rows.append((f"here: {method}", "tetrahedral cage", sizes, steps, f"{found.frame_ms:.2f} ms", error))
-    for demo in PAPER_DEMOS:
-        name, sizes = f"VR-GS, {demo.name.replace('_', ' ')}: XPBD", f"{demo.vertices:,}"
-        steps, took = iterations(demo.iterations), f"{1e3 / demo.fps:.1f} ms*"
-        rows.append((name, "tetrahedral cage", sizes, steps, took, UNKNOWN))
-    for name in ("PhysGaussian: material point method", "PAC-NeRF: material point method"):
-        carrier = "Gaussians as particles" if name.startswith("Phys") else "particles of a voxel radiance field"
-        rows.append((name, carrier, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN))
+        swing = f"{measured:.2f} Hz ({measured / theory - 1:+.1%})" if np.isfinite(measured) else UNKNOWN
+        steps = (str(found.substeps), f"{1e3 * found.dt:.2f} ms", str(found.iterations))
+        rows.append((method, f"{len(bar.cage.vertices):,}", *steps, f"{found.frame_ms:.1f} ms", swing))
     theory = 1 / (4 * quarter_period(twisted))
+    rows.append(("theory of slender bars", UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN, f"{theory:.2f} Hz"))
     results["torsion_frequency_theory"] = theory
     return Section(
         "Solvers",
-        f"A bar of {MATERIAL.young / 1e3:.0f} kPa is twisted by {np.degrees(effort.small_turn):.0f}° and let go. "
-        f"Theory of slender bars has it swing at {theory:.2f} Hz.",
+        f"A bar of {MATERIAL.young / 1e3:.0f} kPa is twisted by {np.degrees(effort.small_turn):.0f}° and let go, with "
+        "each of the solvers.",
         {},
-        Table(("method", "what is simulated", "vertices", "substeps a frame of 1/60 s", "time a frame", "swing"), rows),
-        "*: with the picture. The theory neglects that the clamp holds the section's warping, which stiffens a short "
-        "bar, as coarse linear tetrahedra do. VR-GS: the paper's table of demos. PhysGaussian (arXiv:2311.12198) and "
-        "PAC-NeRF (arXiv:2303.05512): what they simulate, by their authors. The paper's times for these two are not "
-        "known here, so none are given.",
+        Table(("method", "vertices", "substeps", "of", "iterations", "time a frame", "torsional swing"), rows),
+        "Substeps of a frame of 1/60 s, iterations of each. The theory neglects that the clamp holds the section's "
+        "warping, which stiffens a short bar, as coarse linear tetrahedra do. The paper uses XPBD; its iterations and "
+        "frame rates stand below, with the demos. It compares itself with PhysGaussian (arXiv:2311.12198), which "
+        "simulates the Gaussians as particles, and PAC-NeRF (arXiv:2303.05512), which simulates particles of a voxel "
+        "radiance field, both by the material point method; their times are not quoted, since they are not known here.",
     )
 
 
-def iterations(count: int) -> str:
-    """A number of iterations in words."""
-    return f"{count} iteration{'' if count == 1 else 's'}"
+def cropped(pictures: dict) -> dict:
+    """Pictures (H, W, 3) of one size without the rows and columns at their edges that show in all of them the
+    background only."""
+    stack = np.stack(list(pictures.values()))
+    shown, cuts = (np.abs(stack.astype(int) - stack[0, 0, 0]) > 8).any(axis=(0, 3)), []
+    for axis in (0, 1):
+        found = np.flatnonzero(shown.any(axis=1 - axis))
+        first, last = (found[0], found[-1] + 1) if len(found) else (0, shown.shape[axis])
+        cuts.append(slice(max(first - MARGIN, 0), last + MARGIN))
+    return {name: p[tuple(cuts)] for name, p in pictures.items()}
 
 
-def cropped(pictures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Pictures (H, W, 3) of one size without the columns at both sides that show in all of them the background only."""
-    shown = np.any([np.ptp(p.reshape(len(p), -1, 3).astype(int), axis=0).max(axis=1) > 8 for p in pictures.values()], 0)
-    first, last = (np.flatnonzero(shown)[[0, -1]] if shown.any() else (0, len(shown))) + np.array([-MARGIN, MARGIN + 1])
-    return {name: p[:, max(first, 0) : last] for name, p in pictures.items()}
+@dataclass(frozen=True)
+class Played:
+    """A demo after its scripted player has played: its picture (H, W, 3) uint8 with shadows and without, statistics
+    of the run."""
+
+    picture: np.ndarray
+    without_shadows: np.ndarray
+    stats: dict
 
 
-def shadow_section(effort: Effort, results: dict) -> Section:
+class Plays:
+    """Demos that are played for a while, each once, whichever figures show it."""
+
+    def __init__(self, seconds: float, size: tuple[int, int]) -> None:
+        self.seconds, self.size = seconds, size
+        self._found: dict[str, Played] = {}
+
+    def of(self, demo: PaperDemo) -> Played:
+        """The demo, played."""
+        if demo.name not in self._found:
+            self._found[demo.name] = self._play(demo)
+        return self._found[demo.name]
+
+    def _play(self, demo: PaperDemo) -> Played:
+        scene, size = registry.load(demo.scene, **demo.options), self.size
+        world = World(scene, width=size[0], height=size[1])
+        camera = perspective(*size, scene.fov_y, look_at(np.array(scene.eye), np.array(scene.target)))
+        frames = max(round(self.seconds / FRAME), 2)
+        for k in range(frames):
+            time, last = (k + 1) * FRAME, k == frames - 1
+            world.step(Frame(FRAME, time, [camera] if last else [], world.scripted_hands(time)))
+        picture = pixels_of(world.picture)[..., :3].copy()
+        world.device.splats.visibility.fill(1.0)
+        world.device.renderer.render([camera])
+        without = pixels_of(world.picture)[..., :3].copy()
+        played = Played(picture, without, run_stats(world, frames))
+        world.close()
+        return played
+
+
+def shadow_section(plays: Plays, results: dict) -> Section:
     """One view with shadows and without."""
-    world = played("just_dance", {}, effort.demo_seconds, effort.size)
-    with_shadow = pixels_of(world.picture)[..., :3].copy()
-    world.device.splats.visibility.fill(1.0)
-    world.device.renderer.render([camera_of(world.scene, effort.size)])
-    without = pixels_of(world.picture)[..., :3].copy()
-    loss = (without.astype(float) - with_shadow).mean(2) / 255
+    (demo,) = paper_demos([SHADOWED], there=registry.names())
+    played = plays.of(demo)
+    loss = (played.without_shadows.astype(float) - played.picture).mean(2) / 255
     dark = loss > DARKENED
-    darker = float(1 - with_shadow[dark].mean() / without[dark].mean()) if dark.any() else 0.0
-    took = run_stats(world, 1)["stages"]["shadow"]["median_ms"]
+    darker = float(1 - played.picture[dark].mean() / played.without_shadows[dark].mean()) if dark.any() else 0.0
+    took = played.stats["stages"]["shadow"]["median_ms"]
     results["shadow"] = {"pixels": float(dark.mean()), "darker": darker, "median_ms": took}
     return Section(
         "Shadows",
         "The dance with the shadow map and without. Baked shadows stay as they were trained; the map darkens what lies "
         "behind a body, seen from the light (Sec. 4.4).",
-        {"with shadows": with_shadow, "without": without},
+        {"with shadows": played.picture, "without": played.without_shadows},
         Table(
             ("", "measured"),
             [("pixels in shadow", f"{dark.mean():.1%}"), ("darker there by", f"{darker:.0%}"),
@@ -213,42 +289,34 @@ def shadow_section(effort: Effort, results: dict) -> Section:
     )  # fmt: skip
 
 
-def demo_pictures(effort: Effort, results: dict, report: Callable[[str], None]) -> Section:
-    """A picture of each demo, after its scripted player has played for a while."""
-    there = registry.names()
-    demos = [(d.name, d.scene, d.options, d) for d in PAPER_DEMOS if d.scene in there]
-    demos += [(name, name, {}, None) for name in there if name not in {scene for _, scene, _, _ in demos}]
+def demo_section(names: tuple[str, ...], plays: Plays, results: dict, report: Callable[[str], None]) -> Section:
+    """A picture of each demo, or of those of these names, after its scripted player has played for a while."""
+    demos = paper_demos(names, there=registry.names())
     pictures, rows, results["demos"] = {}, [], {}
-    for name, scene, options, paper in demos[: effort.demos]:
-        report(name.replace("_", " "))
-        world = played(scene, options, effort.demo_seconds, effort.size)
-        stats, title = world.stats(), name.replace("_", " ")
-        pictures[title] = pixels_of(world.picture)[..., :3].copy()
-        results["demos"][name] = {k: stats[k] for k in ("gaussians", "vertices", "tets", "substeps", "integrator")}
-        theirs = (f"{paper.gaussians / 1e6:.3f} M", f"{paper.vertices:,}") if paper else (UNKNOWN, UNKNOWN)
-        rows.append((title, f"{stats['gaussians'] / 1e6:.3f} M", f"{stats['vertices']:,}", *theirs))
+    for k, demo in enumerate(demos, 1):
+        title = demo.name.replace("_", " ")
+        report(f"{title} ({k} of {len(demos)})")
+        played = plays.of(demo)
+        stats, pictures[title] = played.stats, played.picture
+        counts = ("gaussians", "vertices", "tets", "iterations", "substeps", "integrator")
+        results["demos"][demo.name] = {name: stats[name] for name in counts}
+        rows.append((
+            title, f"{stats['gaussians'] / 1e6:.3f} M", f"{demo.gaussians / 1e6:.3f} M", f"{stats['vertices']:,}",
+            f"{demo.vertices:,}", str(demo.iterations), f"{demo.fps:g}",
+        ))  # fmt: skip
+    columns = (
+        "demo",
+        "Gaussians",
+        "in the paper",
+        "cage vertices",
+        "in the paper",
+        "iterations of the paper",
+        "its fps",
+    )
     return Section(
         "Demos",
-        f"Each demo after {effort.demo_seconds:g} s of its scripted play, with the shipped assets.",
+        f"Each demo after {plays.seconds:g} s of its scripted play, with the shipped assets.",
         pictures,
-        Table(("demo", "Gaussians", "cage vertices", "Gaussians of the paper", "cage vertices of the paper"), rows),
-        "vrgs.py build --detail paper makes the demos at the paper's sizes, vrgs.py bench demos measures them.",
+        Table(columns, rows),
+        "vrgs.py build --detail paper makes the demos at the paper's sizes, vrgs.py bench demos measures them there.",
     )
-
-
-def played(scene: str, options: dict, seconds: float, size: tuple[int, int]) -> World:
-    """The world of a demo after so many seconds of its scripted play, with its picture."""
-    world = World(registry.load(scene, **options), width=size[0], height=size[1])
-    camera, frames = camera_of(world.scene, size), max(round(seconds / FRAME), 2)
-    render, world.device.render = world.device.render, lambda cameras: None
-    for k in range(frames):
-        if k == frames - 1:
-            world.device.render = render
-        time = (k + 1) * FRAME
-        world.step(Frame(FRAME, time, [camera], world.scripted_hands(time)))
-    return world
-
-
-def camera_of(scene, size: tuple[int, int]):
-    """The camera of a scene's player."""
-    return perspective(*size, scene.fov_y, look_at(np.array(scene.eye), np.array(scene.target)))

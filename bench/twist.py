@@ -15,9 +15,8 @@ import numpy as np
 import taichi as ti
 
 from assets.asset import Asset
-from bench.embedding_ablation import picture
+from bench.embedding_ablation import BodyPictures
 from core.material import Material
-from render.splats import Splats
 from sim.embedding import EmbeddedBody, Embedding
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -135,14 +134,14 @@ class _Pictures:
 
     def __init__(self, asset: Asset, solver: Solver):
         g, e, c = asset.gaussians, asset.embedding, asset.cage
-        self.solver, self.gaussians, self.splats = solver, g, Splats(g)
+        self.solver, self.body = solver, BodyPictures(g)
         self.embedding = Embedding([EmbeddedBody(e.host, e.weights, g, c.vertices, c.tets)])
 
     def picture(self) -> np.ndarray:
         """Picture (PANEL, PANEL, 3) uint8 of the bar as it is now."""
-        s = self.splats
+        s = self.body.splats
         self.embedding.deform(self.solver.x, s.mean, s.cov, s.rotation)
-        return picture(s, self.gaussians, 1.0)
+        return self.body.draw()
 
 
 def quarter_period(bar: TwistedBar) -> float:

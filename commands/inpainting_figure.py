@@ -5,10 +5,12 @@ The capture is modelled and ray-cast, a splat is trained with its masks, and eac
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
@@ -87,7 +89,8 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
     from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
     report("a capture, by ray casting")
-    write_procedural_capture(folder, CaptureOptions(views=effort.views, size=effort.size), lambda line: None)
+    options = CaptureOptions(views=effort.views, size=effort.size)
+    write_procedural_capture(folder, options, every(effort.views // 4, report))
     capture, photographs, gaussians = _trained(folder, effort.steps, report)
     options, found = {"antialias": False, "sort": order_of(gaussians)}, {}
     for number, name in enumerate(gaussians.objects, 1):
@@ -120,6 +123,12 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
     return found
 
 
+def every(count: int, report: Callable[[str], None]) -> Callable[[str], None]:
+    """A function that reports the first of so many lines."""
+    lines = itertools.count()
+    return lambda line: report(line) if next(lines) % count == 0 else None
+
+
 def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
     """The capture, its photographs, and the Gaussians trained to them, with the ids of its objects."""
     from prepare.segment.object_ids import identified, masks_of
@@ -135,10 +144,13 @@ def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:
     rng = np.random.default_rng(options.seed)
     start = seeds(with_background(capture, photographs, rng), degree=options.degree, count=options.cap, rng=rng)
     trainer = Trainer(photographs, start, capture.extent, options, masks.names)
+    begin = perf_counter()
     while trainer.done < steps:
         trainer.step()
         if trainer.done % max(steps // 4, 1) == 0:
-            report(f"training, step {trainer.done} of {steps}, PSNR {trainer.recent_loss().psnr:.1f} dB")
+            left = (perf_counter() - begin) / trainer.done * (steps - trainer.done)
+            quality = f"PSNR {trainer.recent_loss().psnr:.1f} dB"
+            report(f"training, step {trainer.done} of {steps}, {quality}, {left:.0f} s left")
     gaussians = identified(trainer)
     trainer.destroy()
     return capture, photographs, gaussians

@@ -91,6 +91,8 @@ def parse(argv: list[str], summary: str, run_play: Callable[[argparse.Namespace]
     where, module = (parser, play) if name is None else (parser.commands[name], COMMANDS[name])
     given = given_flags(where, argv, name)
     args, unknown = parser.parse_known_args(argv)
+    if "names" in args and not any(word.startswith("-") for word in unknown):
+        args.names, unknown = [*args.names, *unknown], []  # argparse takes those before the first option only
     if unknown:
         raise BadInput(f"{' '.join(unknown)}: is one too many; see {where.prog} --help")
     args.given = given

@@ -13,7 +13,7 @@ from core.errors import BadInput
 from core.program import cache_folder
 from core.runtime import start_taichi
 
-BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 6, 6  # of what `cached_body` and `cached_environment` make
+BODY_CACHE_VERSION, ENVIRONMENT_CACHE_VERSION = 7, 6  # of what `cached_body` and `cached_environment` make
 
 
 def prepared_bodies(args: argparse.Namespace) -> list[str]:

@@ -33,6 +33,7 @@ from prepare.cage.component_cages import (
 )
 from prepare.cage.device_locator import fraction_inside
 from prepare.cage.filling import DENSE, density_of, solid_cells
+from prepare.cage.flap import flap_of
 from prepare.cage.level_set import ComponentSolid, contact_grid, level_sets, volume_of
 from prepare.cage.mesh_quality import smallest_angle
 from prepare.checkpoints import Checkpoints, arrays_of, gaussians_of
@@ -41,7 +42,7 @@ from prepare.orientation.body_front import FRONT_SURE, front_of, turned_about_up
 from prepare.own_weight import suitable_material
 from prepare.progress import Progress, no_progress
 
-VERSION = 8  # of the pipeline's results; raise it when the same splat would give another asset
+VERSION = 9  # of the pipeline's results; raise it when the same splat would give another asset
 
 STEPS = ("clean", "orient", "fill", "surface", "cage", "embed", "contact")
 
@@ -127,7 +128,8 @@ def prepare(
     if options.pieces:
         counts["specks"] += len(components) - len(cages)
     own = np.concatenate([c.component.indices for c in cages])
-    counts |= {"stray": counts["kept"] - len(own), "kept": len(own)}
+    flap = np.concatenate([c.component.in_flap(g.select(c.component.indices)) for c in cages])
+    counts |= {"stray": counts["kept"] - len(own), "kept": len(own), "flap": int(flap.sum())}
     longest, foot = extent_of(cages)
     size = body_size(longest, longest if options.metres else options.scale)
     factor = size / longest
@@ -143,7 +145,7 @@ def prepare(
     progress("contact", 0.0)
     solids = [solid_of(c.component, foot, factor) for c in cages]
     grid = contact_grid([s.distance for s in solids])
-    figures = measure(cage, g.means[surface_mask(g)], options.vertices)
+    figures = measure(cage, g.means[surface_mask(g) & ~flap], options.vertices)
     figures |= {
         "mesher": used,
         "pieces": len(cages),
@@ -218,9 +220,12 @@ def fill_components(
 
 
 def fill(g: Gaussians, grid: Grid) -> dict[str, np.ndarray]:
-    """Cells (X, Y, Z) bool of a cluster: the dense `shell`, and `solid`, the shell with what it encloses."""
+    """Cells (X, Y, Z) bool of a cluster: the dense `shell`, `solid`, the shell with what it encloses, both without the
+    `flap` that would carry it."""
     density = density_of(g, grid.origin, grid.spacing, grid.shape)
-    return {"solid": solid_cells(density), "shell": density > DENSE}
+    solid = solid_cells(density)
+    flap = flap_of(solid)
+    return {"solid": solid & ~flap, "shell": (density > DENSE) & ~flap, "flap": flap}
 
 
 def solid_of(component: Component, foot: np.ndarray, factor: float) -> ComponentSolid:
@@ -239,7 +244,7 @@ def filled_volume(cages: list[ComponentCage], factor: float) -> float:
 def measure(cage: Cage, surface_points: np.ndarray, wanted: int) -> dict:
     """Figures of the cage. Raises NoSoundCage, naming the figure, if it must not be simulated.
 
-    surface_points  centres of the opaque Gaussians (N, 3) [m]
+    surface_points  centres of the opaque Gaussians that the cage should hold (N, 3) [m]
     """
     volume = tet_volumes(cage.vertices, cage.tets)
     figures = {

@@ -29,6 +29,7 @@ from prepare.report import report_names, report_texts
 from prepare.report_pictures import camera_for, splat_picture
 from prepare.rig.rig_source import described, is_skinned, rig_source
 from prepare.room_capture.unposed_room import UNPOSED_STEPS, playable_environment
+from prepare.standing import stood_up
 
 # Vertices of a cage unless the user says; the next number where a shape finds no sound cage with one. A second of a
 # plush toy takes 0.6 s of a CPU core with 500, and 6 s with 2,000.
@@ -95,6 +96,8 @@ def prepare_file(
             progress("rig", 0.0)
             asset = source.animate(asset, solids[0].distance)
             progress("rig", 1.0)
+        elif len(solids) == 1 and not options.metres:
+            asset, solids = stood_up(asset, solids)
     except BadInput as e:
         checkpoints.clear()
         raise BadInput(f"{path}: {e}") from e
@@ -172,10 +175,15 @@ def summary(provenance: dict) -> list[str]:
         ]
     if counts.get("specks"):
         lines.append(f"{counts['specks']} more pieces were too small or too flat for a cage and are left out")
+    if counts.get("flap"):
+        lines.append(
+            f"a thin part of {counts['flap']} Gaussians under it, on which it would topple, is left out of the cage"
+        )
     return lines + [
         f"Gaussians: {counts['kept']} of {counts['read']}" + (f"; left out: {left_out}" if left_out else ""),
         f"up {_up_axis(provenance)}, largest extent {_size(provenance)}",
         *_front(provenance.get("front")),
+        *([f"turned by {provenance['stood_up']:g} degrees, to stand as it rests"] if "stood_up" in provenance else ()),
         f"cage: {figures['vertices']} vertices, {figures['tets']} tets in {figures['cells']} cells, smallest angle "
         f"{figures['min_dihedral']:.1f} degrees, volume {1e6 * figures['volume']:.4g} cm^3",
         f"inside the cage: {figures['inside']:.2%} of the opaque Gaussians; {figures['seconds']:.1f} s",

@@ -12,6 +12,7 @@ from assets.gaussians import Gaussians
 from core.errors import BadInput
 from prepare.cage.cage_generation import EXACT_VERTICES, VERTEX_RANGE, cage_of
 from prepare.cage.embedding_hosts import embed
+from prepare.cage.level_set import dilated_26
 from prepare.cage.tetgen_mesher import MeshFailed, check_installed, tetgen_cage
 from prepare.cleaning import MIN_GAUSSIANS
 
@@ -52,7 +53,8 @@ class Component:
 
     phi      signed distance (X, Y, Z) [grid cells]
     indices  its Gaussians (N,)
-    cells    {"shell", "solid"}: dense cells (X, Y, Z) bool, and these with what they enclose, of its whole cluster
+    cells    {"shell", "solid", "flap"}: of its whole cluster, dense cells (X, Y, Z) bool, these with what they enclose,
+             and those of a thin part that is in neither (prepare/cage/flap.py)
     """
 
     grid: Grid
@@ -69,6 +71,10 @@ class Component:
     def area(self) -> float:
         """Approximate surface area, in the file's units: nodes within half a cell of it."""
         return float((np.abs(self.phi) < 0.5).sum()) * self.grid.spacing**2
+
+    def in_flap(self, g: Gaussians) -> np.ndarray:
+        """Mask (N,) of the Gaussians that are outside the solid because they belong to the flap."""
+        return in_flap(self.cells, (g.means - self.grid.origin) / self.grid.spacing)
 
 
 @dataclass(frozen=True)
@@ -109,9 +115,17 @@ def components_of(g: Gaussians, indices: np.ndarray, grid: Grid, cells: dict, ph
     points = (g.means[indices] - grid.origin) / grid.spacing
     values = np.stack([_nearest_value(phi, points) for phi in phis])
     own = values.argmin(0)
-    close = values.min(0) < MAX_STRAY * grid.nodes
+    close = (values.min(0) < MAX_STRAY * grid.nodes) | in_flap(cells, points)
     found = [Component(grid, phi, indices[close & (own == k)], cells) for k, phi in enumerate(phis)]
     return found if len(found) == 1 else [c for c in found if len(c.indices) >= MIN_GAUSSIANS]
+
+
+def in_flap(cells: dict[str, np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the points (N, 3) in grid cells that are in the flap's cells or beside these, not in the solid."""
+    if not cells["flap"].any():
+        return np.zeros(len(points), bool)
+    beside = dilated_26(cells["flap"]) & ~cells["solid"]
+    return _nearest_value(np.where(beside, 0.0, np.inf), points) == 0.0
 
 
 def _nearest_value(phi: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -165,7 +179,8 @@ def component_cages(
 
             progress(0.0)
             own, exact = g.select(component.indices), vertices >= EXACT_VERTICES
-            points = (own.means[surface_mask(own)].astype(np.float64) - component.grid.origin) / component.grid.spacing
+            held = surface_mask(own) & ~component.in_flap(own)
+            points = (own.means[held].astype(np.float64) - component.grid.origin) / component.grid.spacing
             # A few vertices hold no thin feature exactly: a minor component may be inexact, or left out.
             for strict in (True, False) if exact and minor else (exact,):
                 try:

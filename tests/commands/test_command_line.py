@@ -165,6 +165,11 @@ def test_options_before_a_command_are_the_command_s(words):
     assert args.size == (320, 180) and args.files[0].name == "a.ply" and "--size" in args.given
 
 
+def test_names_may_follow_options():
+    assert parse("bench orientation a.ply --cases 3 b.ply c.ply".split(), "", print).names == ["a.ply", "b.ply", "c.ply"]
+    assert parse("build --detail rough ring_red".split(), "", print).names == ["ring_red"]
+
+
 def test_a_value_may_be_named_as_a_command():
     """The scene "check" and the participant "view" are no commands."""
     args = parse(["--scene", "check", "--study", "s.h5", "--participant", "view"], "", print)

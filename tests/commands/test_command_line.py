@@ -165,9 +165,10 @@ def test_options_before_a_command_are_the_command_s(words):
     assert args.size == (320, 180) and args.files[0].name == "a.ply" and "--size" in args.given
 
 
-def test_names_may_follow_options():
-    assert parse("bench orientation a.ply --cases 3 b.ply c.ply".split(), "", print).names == ["a.ply", "b.ply", "c.ply"]
-    assert parse("build --detail rough ring_red".split(), "", print).names == ["ring_red"]
+@pytest.mark.parametrize("words", ["a b --cases 3", "--cases 3 a b", "a --cases 3 b"])
+def test_names_may_follow_options(words):
+    args = parse(["bench", "orientation", *words.split()], "", print)
+    assert (args.names, args.cases) == (["a", "b"], 3)
 
 
 def test_a_value_may_be_named_as_a_command():

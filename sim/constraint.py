@@ -30,11 +30,13 @@ class Constraint:
     has_vertex   the vertex functions do something
     has_pairs    the phases do something
     phase_sizes  capacity of each phase, in elements
+    max_groups   capacity in groups, which are solved in each later phase, by a warp each
     """
 
     has_vertex = False
     has_pairs = False
     phase_sizes: tuple[int, ...] = ()
+    max_groups = 0
 
     def check_capacity(self, model: "Model") -> None:
         """Raise CapacityError if these bodies do not fit."""
@@ -86,6 +88,15 @@ class Constraint:
     @ti.func
     def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
         """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
+
+    @ti.func
+    def solve_group(self, phase, g, lane):
+        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py)."""
+
+    @ti.func
+    def group_count(self):
+        """Number of groups until the next search."""
+        return 0
 
     @ti.func
     def phase_count(self, phase: ti.template()):

@@ -25,6 +25,15 @@ def sum_lanes(value, lanes: ti.template()):
 
 
 @ti.func
+def from_lane(value, k, lanes: ti.template()):
+    """The float of lane k, in all lanes."""
+    result = value
+    if ti.static(lanes > 1):
+        result = ti.simt.warp.shfl_sync_f32(ti.u32(ALL), value, k)
+    return result
+
+
+@ti.func
 def max_lanes(value, lanes: ti.template()):
     """Largest of a float over each group of `lanes` neighbouring threads, in the first of them."""
     most = value

@@ -106,8 +106,8 @@ class Contacts(Constraint):
             )  # fmt: skip
         self.forces = ContactForces(state, self.constraints)
         self.static = StaticContact(state, self.samples, self.static_shapes, self.bounds, self.constraints, self.forces)
-        later = GROUPS if self.coupled else 0  # constraints between rigid bodies alone are solved in groups
-        later += size if self.soft or fingers else 0
+        self.max_groups = GROUPS if self.coupled else 0  # constraints between rigid bodies alone are solved in groups
+        later = size if self.soft or fingers else 0
         self.phase_sizes = (size,) + (later,) * self.constraints.passes
 
     def check_capacity(self, model: "Model") -> None:
@@ -242,12 +242,8 @@ class Contacts(Constraint):
 
         In later passes those of rigid bodies alone: what soft bodies do to one another waits for the next substep.
         """
-        groups = ti.static(GROUPS if self.coupled and later else 0)
-        if k < groups:
-            if ti.static(groups > 0):
-                self.rigid.solve(k, phase)
-        elif k - groups < self.constraints.candidate_count[None]:
-            r = self.constraints.candidate[k - groups]
+        if k < self.constraints.candidate_count[None]:
+            r = self.constraints.candidate[k]
             if ti.static(not later):
                 if self.constraints.status[r] != NOT_CHECKED:
                     self._activate(r, self.constraints.status[r] == VALID, first, integrator)
@@ -257,6 +253,18 @@ class Contacts(Constraint):
                     skipped = self._grouped(r) or (phase > 1 and self.constraints.body_count[r] == 0)
                 if not skipped:
                     self.constraints.solve(r, phase, integrator)
+
+    @ti.func
+    def solve_group(self, phase, g, lane):
+        if ti.static(self.coupled):
+            self.rigid.solve(self.rigid_search.group[g], phase, lane)
+
+    @ti.func
+    def group_count(self):
+        count = 0
+        if ti.static(self.coupled):
+            count = self.rigid_search.group_count[None]
+        return count
 
     @ti.func
     def _activate(self, r, usable, first: ti.template(), integrator: ti.template()):
@@ -326,9 +334,7 @@ class Contacts(Constraint):
 
     @ti.func
     def phase_count(self, phase: ti.template()):
-        groups = ti.static(GROUPS if self.coupled and phase > 0 else 0)
-        candidates = self.constraints.candidate_count[None]
-        return groups + (candidates if ti.static(phase == 0 or self.soft or self.has_fingers) else 0)
+        return self.constraints.candidate_count[None] if ti.static(phase == 0 or self.soft or self.has_fingers) else 0
 
     @ti.func
     def apply_impulses(self, i, dx):

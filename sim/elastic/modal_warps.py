@@ -26,7 +26,7 @@ class ModalWarps:
     def __init__(self, modal: "ModalCorrection", descent: "VertexDescent", grid: "PersistentGrid"):
         self.modal, self.descent, self.grid = modal, descent, grid
         self.state, self.blocks = modal.state, modal.blocks
-        self.lanes, self.warps = grid.warp, grid.threads // grid.warp
+        self.lanes, self.warps = grid.warp, grid.warps
         g = self._group = FieldGroup()
         # Point of each body about which moments are summed: of the last substep, because x is just being moved
         self.origin = g.vector(MAX_BODIES)
@@ -37,11 +37,6 @@ class ModalWarps:
         """Before the first turn, for each body."""
         if b < self.state.body_count[None]:
             self.origin[b] = self.state.x[self.state.vertex_begin[b]]
-
-    @ti.func
-    def _warp(self, thread):
-        """Number of the warp of this thread, such that the first ones are on different multiprocessors."""
-        return thread % self.grid.block // self.lanes * self.grid.blocks + thread // self.grid.block
 
     @ti.func
     def _sum(self, value):
@@ -57,7 +52,7 @@ class ModalWarps:
     def turn(self, thread, ends, begins):
         """End a substep, begin the next one: shorten the last step, commit, predict; and the moments for rotations."""
         s, m = self.state, self.modal
-        j, lane = self._warp(thread), thread % self.lanes
+        j, lane = self.grid.warp_index(thread), thread % self.lanes
         while j < self._spans():
             span = self.blocks.span[j]
             if not self.state.asleep[span[2]]:
@@ -105,7 +100,7 @@ class ModalWarps:
     def fit_rotations(self, thread):
         """R of each body."""
         s, m = self.state, self.modal
-        b, lane = self._warp(thread), thread % self.lanes
+        b, lane = self.grid.warp_index(thread), thread % self.lanes
         while b < s.body_count[None]:
             self.origin[b] = s.x[s.vertex_begin[b]]  # all threads of the warp write the same
             total = ti.Matrix.zero(ti.f32, 3, 3)
@@ -145,7 +140,7 @@ class ModalWarps:
     def project(self, thread):
         """Sums of each run for the amplitudes."""
         s, m = self.state, self.modal
-        j, lane = self._warp(thread), thread % self.lanes
+        j, lane = self.grid.warp_index(thread), thread % self.lanes
         while j < self._spans():
             span = self.blocks.span[j]
             if not self.state.asleep[span[2]]:
@@ -167,7 +162,7 @@ class ModalWarps:
     def find_amplitudes(self, thread):
         """q_k of each body."""
         s, m = self.state, self.modal
-        bk, lane = self._warp(thread), thread % self.lanes
+        bk, lane = self.grid.warp_index(thread), thread % self.lanes
         while bk < s.body_count[None] * MODES:
             b, k = bk // MODES, bk % MODES
             total, j = 0.0, self.blocks.begin[b] + lane
@@ -183,7 +178,7 @@ class ModalWarps:
     def find_step(self, thread):
         """d of each vertex, and the sums of f . d and h."""
         s, m = self.state, self.modal
-        j, lane = self._warp(thread), thread % self.lanes
+        j, lane = self.grid.warp_index(thread), thread % self.lanes
         while j < self._spans():
             span = self.blocks.span[j]
             if not self.state.asleep[span[2]]:
@@ -206,7 +201,7 @@ class ModalWarps:
     def move(self, thread):
         """Move by b d."""
         s, m = self.state, self.modal
-        j, lane = self._warp(thread), thread % self.lanes
+        j, lane = self.grid.warp_index(thread), thread % self.lanes
         while j < self._spans():
             span = self.blocks.span[j]
             if not self.state.asleep[span[2]]:
@@ -226,7 +221,7 @@ class ModalWarps:
     def measure(self, thread):
         """Sums of the secant."""
         m = self.modal
-        j, lane = self._warp(thread), thread % self.lanes
+        j, lane = self.grid.warp_index(thread), thread % self.lanes
         while j < self._spans():
             span = self.blocks.span[j]
             if not self.state.asleep[span[2]]:

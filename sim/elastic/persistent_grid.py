@@ -10,7 +10,7 @@ import sys
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.lanes import ALL, sum_lanes
+from sim.lanes import from_lane, sum_lanes
 
 
 def multiprocessors() -> int:
@@ -41,6 +41,7 @@ class PersistentGrid:
         self.block, self.blocks = (block, multiprocessors()) if self.on_cuda else (1, 1)
         self.warp = min(32, self.block)
         self.threads = self.blocks * self.block
+        self.warps = self.threads // self.warp
         g = self._group = FieldGroup()
         self.arrived, self.released = (g.scalar(32, dtype=ti.i32) for _ in range(2))  # a cache line each
         self.words, self.points = g.scalar(words), g.scalar(max(points, 1), dtype=ti.f64)
@@ -90,6 +91,11 @@ class PersistentGrid:
         return (lane * (self.block // self.warp) + last) * self.blocks + block
 
     @ti.func
+    def warp_index(self, thread):
+        """Number of the warp of this thread, such that the first ones are on different multiprocessors."""
+        return thread % self.block // self.warp * self.blocks + thread // self.block
+
+    @ti.func
     def sum_lanes(self, value, lanes: ti.template()):
         """Sum of a float over each group of `lanes` neighbouring threads, in the first of them."""
         return sum_lanes(value, ti.static(lanes if self.on_cuda else 1))
@@ -97,10 +103,7 @@ class PersistentGrid:
     @ti.func
     def broadcast(self, value):
         """The float of a warp's first thread, in all of its threads."""
-        result = value
-        if ti.static(self.on_cuda):
-            result = ti.simt.warp.shfl_sync_f32(ti.u32(ALL), value, 0)
-        return result
+        return from_lane(value, 0, ti.static(self.warp))
 
     def destroy(self) -> None:
         self._group.destroy()

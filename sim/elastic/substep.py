@@ -3,6 +3,7 @@
 import taichi as ti
 
 from sim.constraint import Constraint
+from sim.lanes import lane_count
 from sim.state import State
 
 
@@ -51,6 +52,11 @@ def solve_phases(integrator: ti.template(), thread, rounds):
     for c in ti.static(integrator.in_pairs):
         for later in ti.static(range(min(len(c.phase_sizes), 2))):
             for turn in range(ti.static(len(c.phase_sizes) - 1 if later else 1)):
+                if ti.static(later and c.max_groups > 0):
+                    g = integrator.grid.warp_index(thread)
+                    while g < c.group_count():
+                        c.solve_group(later + turn, g, thread % integrator.grid.warp)
+                        g += integrator.grid.warps
                 k, end = integrator.grid.scattered(thread), c.phase_count(later)
                 while k < end:
                     c.solve_phase(integrator, later, later + turn, k, True)
@@ -74,6 +80,8 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate:
     With rigid bodies a single kernel for a CPU would take minutes to compile.
     """
 
+    lanes = lane_count()
+
     @ti.kernel
     def evaluation():
         ti.loop_config(serialize=s.serial)
@@ -83,6 +91,11 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate:
     def kernel(phase: int):
         @ti.kernel
         def run():
+            if ti.static(phase > 0 and c.max_groups > 0):
+                ti.loop_config(serialize=s.serial)
+                for k in range(c.max_groups * lanes):
+                    if k // lanes < c.group_count():
+                        c.solve_group(phase, k // lanes, k % lanes)
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
                 c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)

@@ -49,6 +49,7 @@ class RigidBroadPhase:
     bounce_speed f32[4P] [m/s]: speed that an impact still asks for
     gap f32 [m], normal vec3 from the group's second body to its first, position vec3 [m], all [4P]: at the last search
     size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P], in the order of their slots
+    group i32[G], group_count: the groups that have constraints
     listed, spare i32[4P]: the entries before they are sorted; whether one is left out
     active i32[G]: whether any of a group carries a load
     """
@@ -75,7 +76,8 @@ class RigidBroadPhase:
             self.gap, self.normal, self.position = group.scalar(), group.vector(), group.vector()
         with group.interleaved(GROUPS):
             self.size, self.group_begin, self.filled, self.active = (group.scalar(dtype=ti.i32) for _ in range(4))
-        self.total = group.scalar(dtype=ti.i32)
+            self.group = group.scalar(dtype=ti.i32)
+        self.total, self.group_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
         self._group = group
         group.build()
 
@@ -84,6 +86,7 @@ class RigidBroadPhase:
         self.shape.fill(-1)
         self.bounce_speed.fill(0.0)
         self.size.fill(0)
+        self.group_count[None] = 0
 
     @ti.func
     def group_of(self, q):
@@ -166,7 +169,7 @@ class RigidBroadPhase:
         The bounds must be up to date.
         """
         P = self.samples.capacity
-        self.total[None] = 0
+        self.total[None], self.group_count[None] = 0, 0
         for g in range(GROUPS):
             self.size[g], self.filled[g], self.active[g] = 0, 0, 0
         for p in range(P):
@@ -189,6 +192,7 @@ class RigidBroadPhase:
         for g in range(GROUPS):
             if self.size[g] > 0:
                 self.group_begin[g] = ti.atomic_add(self.total[None], self.size[g])
+                self.group[ti.atomic_add(self.group_count[None], 1)] = g
         for q in range(SLOTS * P):
             if self._in_use(q):
                 g = self.group_of(q)

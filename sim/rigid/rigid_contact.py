@@ -21,6 +21,7 @@ from sim.contact.response import (
 )
 from sim.contact.signed_distance import known
 from sim.contact.static_shapes import MAX_SHAPES
+from sim.lanes import from_lane, lane_count
 from sim.rigid.rigid_broad_phase import WORLD
 from sim.rigid.rigid_motion import SOFT
 
@@ -42,6 +43,7 @@ class RigidContacts:
     def __init__(self, search: "RigidBroadPhase"):
         self.search, self.state, self.rigid_bodies = search, search.state, search.rigid_bodies
         self.constraints, self.samples, self.begin = search.constraints, search.samples, search.begin
+        self.lanes = lane_count()
         self._group = FieldGroup()
         self.impact_left = self._group.scalar(search.shape.shape[0], dtype=ti.i32)
         self._group.build()
@@ -136,12 +138,14 @@ class RigidContacts:
         return e
 
     @ti.func
-    def solve(self, g, j):
-        """Pass j over group g: sweeps over its constraints, on copies of its bodies with their parts of mass."""
-        m = self.rigid_bodies
-        table = self.constraints
-        f = self.search
-        if f.size[g] > 0 and f.active[g] != 0:
+    def solve(self, g, j, lane):
+        """Pass j over group g: sweeps over its constraints, on copies of its bodies with their parts of mass.
+
+        The lanes of a warp hold a constraint each; one after the other takes a step, which all learn of.
+        """
+        m, table, f = self.rigid_bodies, self.constraints, self.search
+        lanes = ti.static(self.lanes)
+        if f.active[g] != 0:
             a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
             dt = self.state.dt[None]
             splits = m.splits(a)
@@ -152,39 +156,56 @@ class RigidContacts:
                 splits = m.splits(b)
                 d_b, t_b = m.increments(b, j)
                 w_b, I_b = splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
-            restitution = self._restitution(g)
+            restitution, begin, size = self._restitution(g), f.group_begin[g], f.size[g]
             impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
-            for _ in range(GROUP_SWEEPS):
-                for e in range(f.group_begin[g], f.group_begin[g] + f.size[g]):
-                    q = f.entry[e]
-                    r = self.begin + q
-                    if table.active[r]:
-                        sign = 1.0 if table.body[r, 0] == a else -1.0
-                        r_a, r_b = table.lever_arm[r, 0], vec3(0.0)
-                        if b != WORLD:
-                            r_b = table.lever_arm[r, 1]
-                            if sign < 0.0:
-                                r_a, r_b = r_b, r_a
-                        y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
-                        n, old = table.normal[r], table.impulse[r]
-                        y_t = y - n.dot(y) * n
-                        u = y_t / ti.max(y_t.norm(), 1e-20)
-                        w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
-                        w_t = w_a + w_b + angular_inv_mass(r_a, u, I_a) + angular_inv_mass(r_b, u, I_b)
-                        least = self._min_normal_motion(r, q, restitution)
-                        held = holding_impulse(old, n, y, least, w_n, w_t, 0.0, 1.0, UNBOUNDED)
-                        new = contact_impulse(held, n, n, w_t, table.friction[r], dt)
-                        table.impulse[r] = new
-                        c = sign * (new - old)
+            r, sign, n, old, r_a, r_b = -1, 1.0, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
+            friction, least, w_n = ti.Vector([0.0, 0.0]), 0.0, 0.0
+            for sweep in range(GROUP_SWEEPS):
+                first = 0
+                while first < size:
+                    if sweep == 0 or size > lanes:
+                        r = -1
+                        if first + lane < size:
+                            q = f.entry[begin + first + lane]
+                            if table.active[self.begin + q]:
+                                r = self.begin + q
+                                sign = 1.0 if table.body[r, 0] == a else -1.0
+                                r_a = table.lever_arm[r, 0]
+                                if b != WORLD:
+                                    r_b = table.lever_arm[r, 1]
+                                    if sign < 0.0:
+                                        r_a, r_b = r_b, r_a
+                                n, old, friction = table.normal[r], table.impulse[r], table.friction[r]
+                                least = self._min_normal_motion(r, q, restitution)
+                                w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
+                    for k in range(ti.min(lanes, size - first)):
+                        c, moment, counter = vec3(0.0), vec3(0.0), vec3(0.0)
+                        if lane == k and r >= 0:
+                            y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
+                            y_t = y - n.dot(y) * n
+                            u = y_t / ti.max(y_t.norm(), 1e-20)
+                            w_t = w_a + w_b + angular_inv_mass(r_a, u, I_a) + angular_inv_mass(r_b, u, I_b)
+                            held = holding_impulse(old, n, y, least, w_n, w_t, 0.0, 1.0, UNBOUNDED)
+                            new = contact_impulse(held, n, n, w_t, friction, dt)
+                            c = sign * (new - old)
+                            moment, counter, old = r_a.cross(c), r_b.cross(c), new
+                        for axis in ti.static(range(3)):
+                            c[axis] = from_lane(c[axis], k, lanes)
+                            moment[axis] = from_lane(moment[axis], k, lanes)
+                            counter[axis] = from_lane(counter[axis], k, lanes)
                         d_a += w_a * c
                         d_b -= w_b * c
-                        t_a += I_a @ r_a.cross(c)
-                        t_b -= I_b @ r_b.cross(c)
+                        t_a += I_a @ moment
+                        t_b -= I_b @ counter
                         impulse += c
-                        moment_a += r_a.cross(c)
-                        moment_b += r_b.cross(c)
-            m.add_impulse(a, impulse, moment_a, j)
-            if b != WORLD:
-                m.add_impulse(b, -impulse, -moment_b, j)
-            if j == m.passes:
-                f.active[g] = 0
+                        moment_a += moment
+                        moment_b += counter
+                    if r >= 0:
+                        table.impulse[r] = old
+                    first += lanes
+            if lane == 0:
+                m.add_impulse(a, impulse, moment_a, j)
+                if b != WORLD:
+                    m.add_impulse(b, -impulse, -moment_b, j)
+                if j == m.passes:
+                    f.active[g] = 0

@@ -34,6 +34,24 @@ def from_lane(value, k, lanes: ti.template()):
 
 
 @ti.func
+def rank_lanes(chosen, lane, lanes: ti.template()):
+    """Number of chosen lanes before this one, and of all chosen lanes."""
+    before, total = 0, ti.cast(chosen, ti.i32)
+    if ti.static(lanes > 1):
+        mask = ti.cast(ti.simt.warp.ballot(total), ti.u32)
+        before = ti.cast(ti.math.popcnt(mask & ((ti.u32(1) << ti.cast(lane, ti.u32)) - ti.u32(1))), ti.i32)
+        total = ti.cast(ti.math.popcnt(mask), ti.i32)
+    return before, total
+
+
+@ti.func
+def sync_lanes(lanes: ti.template()):
+    """Wait for all lanes, and see what they have written."""
+    if ti.static(lanes > 1):
+        ti.simt.warp.sync(ti.u32(ALL))
+
+
+@ti.func
 def max_lanes(value, lanes: ti.template()):
     """Largest of a float over each group of `lanes` neighbouring threads, in the first of them."""
     most = value

@@ -5,9 +5,11 @@ Each sample keeps a few slots for the shapes that it is near; each slot is a con
 bodies alone form groups, one for each two bodies that touch; all static shapes count as one body.
 
 Of contacts in a plane, those at the corners of their convex hull suffice: what they hold, they hold for all points
-between them. The others are left out of a group until the next search.
+between them. Of these corners the farthest in each of a few directions are kept. The others are left out of a group
+until the next search.
 """
 
+import math
 from typing import TYPE_CHECKING
 
 import taichi as ti
@@ -33,12 +35,22 @@ if TYPE_CHECKING:
 SLOTS = 4  # shapes that one sample can touch at once: a floor, a wall and two neighbours
 WORLD = MAX_BODIES  # the one body that all static shapes are
 GROUPS = MAX_BODIES * (MAX_BODIES + 1)
-STRAIGHT = 1e-3  # [rad] by which normals of one plane may differ, and a corner of the hull from a straight line
+STRAIGHT = 1e-3  # [rad] by which normals of one plane may differ
+DIRECTIONS = 16  # in a plane, in each of which the farthest contact is kept: of a round foot 2% of the radius is lost
 
 
 def slot_count(samples: "ContactSamples") -> int:
     """Number of slots, which is that of the constraints."""
     return SLOTS * samples.capacity
+
+
+@ti.func
+def tangents(n):
+    """Two unit vectors that are perpendicular to a unit vector n and to each other (Duff et al. 2017)."""
+    sign = 1.0 if n.z >= 0.0 else -1.0
+    a = -1.0 / (sign + n.z)
+    b = n.x * n.y * a
+    return vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), vec3(b, sign + n.y * n.y * a, -n.y)
 
 
 @ti.data_oriented
@@ -51,7 +63,7 @@ class RigidBroadPhase:
     size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P], in the order of their slots
     group i32[G], group_count: the groups that have constraints
     listed, spare i32[4P]: the entries before they are sorted; whether one is left out
-    active i32[G]: whether any of a group carries a load
+    active i32[G], loaded i32[4P]: how many of a group carry a load, and which; 1 before they are listed
     """
 
     def __init__(
@@ -71,7 +83,7 @@ class RigidBroadPhase:
         with group.interleaved(slots):
             self.shape, self.entry = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
             self.distance, self.bounce_speed = group.scalar(), group.scalar()
-            self.listed, self.spare = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
+            self.listed, self.spare, self.loaded = (group.scalar(dtype=ti.i32) for _ in range(3))
         with group.interleaved(slots):
             self.gap, self.normal, self.position = group.scalar(), group.vector(), group.vector()
         with group.interleaved(GROUPS):
@@ -203,7 +215,7 @@ class RigidBroadPhase:
                 self._sort(self.listed[e])
         for e in range(SLOTS * P):
             if e < self.total[None]:
-                self.spare[e] = self._surrounded(e)
+                self.spare[e] = self._is_spare(e)
         for g in range(GROUPS):
             self._thin_out(g)
 
@@ -229,42 +241,47 @@ class RigidBroadPhase:
         self.entry[self.group_begin[g] + rank] = q
 
     @ti.func
-    def _surrounded(self, e):
-        """Test if entry e lies between others of its face, over the same plane.
+    def _is_spare(self, e):
+        """Test if entry e lies between others over the same plane, of its face or no higher than itself.
 
-        Seen from it, the others lie in a wedge, which grows from `left` to `right`, or they surround it. Those over the
-        same plane are as much farther away as they lie higher.
+        What all others hold then, it would hold as well. `left` and `lower`: directions, as bits, in which none of
+        its face and none so low is farther.
         """
         q = self.entry[e]
         g = self.group_of(q)
         x, n, facing = self.position[q], self.normal[q], self.shapes.normal(q % self.samples.capacity)
-        left, right, any_seen = vec3(0.0), vec3(0.0), False
-        surrounded, f = False, self.group_begin[g]
-        while f < self.group_begin[g] + self.size[g] and not surrounded:
-            v = self.position[self.entry[f]] - x
+        s, t = tangents(n)
+        left = lower = (1 << DIRECTIONS) - 1
+        f, end = self.group_begin[g], self.group_begin[g] + self.size[g]
+        while f < end and left != 0 and lower != 0:
+            other = self.entry[f]
+            v = self.position[other] - x
             height = n.dot(v)
-            length = (v - height * n).norm()
             if (
-                length > CONTACT_SLOP
-                and abs(facing.dot(v)) < CONTACT_SLOP
-                and abs(self.gap[self.entry[f]] - self.gap[q] - height) < CONTACT_SLOP
-                and n.cross(self.normal[self.entry[f]]).norm() < STRAIGHT
-                and (g % (MAX_BODIES + 1) != WORLD or self.shape[self.entry[f]] == self.shape[q])
+                abs(self.gap[other] - self.gap[q] - height) < CONTACT_SLOP
+                and n.cross(self.normal[other]).norm() < STRAIGHT
+                and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
             ):
-                u = (v - height * n) / length
-                if not any_seen:
-                    left, right, any_seen = u, u, True
-                from_left, from_right = n.dot(left.cross(u)), n.dot(right.cross(u))
-                beyond_left, beyond_right = u.dot(left) < 0.0, u.dot(right) < 0.0
-                if (beyond_left and abs(from_left) < STRAIGHT) or (beyond_right and abs(from_right) < STRAIGHT):
-                    surrounded = True
-                elif from_left < 0.0:
-                    surrounded = from_right >= 0.0 and (beyond_left or beyond_right)
-                    left = u
-                elif from_right > 0.0:
-                    right = u
+                behind = self._directions_of(v.dot(s), v.dot(t))
+                if abs(facing.dot(v)) < CONTACT_SLOP:
+                    left &= ~behind
+                if height < CONTACT_SLOP:
+                    lower &= ~behind
             f += 1
-        return ti.cast(surrounded and self.bounce_speed[q] == 0.0, ti.i32)  # what bounces is not to be forgotten
+        spare = (left == 0 or lower == 0) and self.bounce_speed[q] == 0.0  # what bounces is not to be forgotten
+        return ti.cast(spare, ti.i32)
+
+    @ti.func
+    def _directions_of(self, x, y):
+        """Directions, as bits, in which x, y [m] is farther than the origin, or as far but more to the left."""
+        result = 0
+        for k in range(DIRECTIONS):
+            angle = (k + 0.5) * (2.0 * math.pi / DIRECTIONS)
+            c, s = ti.cos(angle), ti.sin(angle)
+            ahead, beside = c * x + s * y, c * y - s * x
+            if ahead > CONTACT_SLOP or (ahead > -CONTACT_SLOP and beside > CONTACT_SLOP):
+                result |= 1 << k
+        return result
 
     @ti.func
     def _thin_out(self, g):

@@ -21,7 +21,7 @@ from sim.contact.response import (
 )
 from sim.contact.signed_distance import known
 from sim.contact.static_shapes import MAX_SHAPES
-from sim.lanes import from_lane, lane_count
+from sim.lanes import from_lane, lane_count, rank_lanes, sync_lanes
 from sim.rigid.rigid_broad_phase import WORLD
 from sim.rigid.rigid_motion import SOFT
 
@@ -156,7 +156,10 @@ class RigidContacts:
                 splits = m.splits(b)
                 d_b, t_b = m.increments(b, j)
                 w_b, I_b = splits * m.inv_mass[b], splits * m.inverse_inertia_world[b]
-            restitution, begin, size = self._restitution(g), f.group_begin[g], f.size[g]
+            restitution, begin = self._restitution(g), f.group_begin[g]
+            size = f.active[g]
+            if j == 1:
+                size = self._list_loaded(g, lane)
             impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
             r, sign, n, old, r_a, r_b = -1, 1.0, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
             friction, least, w_n = ti.Vector([0.0, 0.0]), 0.0, 0.0
@@ -166,21 +169,20 @@ class RigidContacts:
                     if sweep == 0 or size > lanes:
                         r = -1
                         if first + lane < size:
-                            q = f.entry[begin + first + lane]
-                            if table.active[self.begin + q]:
-                                r = self.begin + q
-                                sign = 1.0 if table.body[r, 0] == a else -1.0
-                                r_a = table.lever_arm[r, 0]
-                                if b != WORLD:
-                                    r_b = table.lever_arm[r, 1]
-                                    if sign < 0.0:
-                                        r_a, r_b = r_b, r_a
-                                n, old, friction = table.normal[r], table.impulse[r], table.friction[r]
-                                least = self._min_normal_motion(r, q, restitution)
-                                w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
+                            q = f.loaded[begin + first + lane]
+                            r = self.begin + q
+                            sign = 1.0 if table.body[r, 0] == a else -1.0
+                            r_a = table.lever_arm[r, 0]
+                            if b != WORLD:
+                                r_b = table.lever_arm[r, 1]
+                                if sign < 0.0:
+                                    r_a, r_b = r_b, r_a
+                            n, old, friction = table.normal[r], table.impulse[r], table.friction[r]
+                            least = self._min_normal_motion(r, q, restitution)
+                            w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
                     for k in range(ti.min(lanes, size - first)):
                         c, moment, counter = vec3(0.0), vec3(0.0), vec3(0.0)
-                        if lane == k and r >= 0:
+                        if lane == k:
                             y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
                             y_t = y - n.dot(y) * n
                             u = y_t / ti.max(y_t.norm(), 1e-20)
@@ -207,5 +209,21 @@ class RigidContacts:
                 m.add_impulse(a, impulse, moment_a, j)
                 if b != WORLD:
                     m.add_impulse(b, -impulse, -moment_b, j)
-                if j == m.passes:
-                    f.active[g] = 0
+                f.active[g] = 0 if j == m.passes else size
+
+    @ti.func
+    def _list_loaded(self, g, lane):
+        """List the constraints of group g that carry a load, in their order; returns their number."""
+        f, count, first = self.search, 0, 0
+        while first < f.size[g]:
+            q, loaded = -1, 0
+            if first + lane < f.size[g]:
+                q = f.entry[f.group_begin[g] + first + lane]
+                loaded = self.constraints.active[self.begin + q]
+            before, total = rank_lanes(loaded, lane, ti.static(self.lanes))
+            if loaded:
+                f.loaded[f.group_begin[g] + count + before] = q
+            count += total
+            first += ti.static(self.lanes)
+        sync_lanes(ti.static(self.lanes))
+        return count

@@ -33,7 +33,8 @@ def choose_for(model: Model, wanted: dict, *, rigid: bool) -> Integration:
     device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
     options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **wanted}
     chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
-    return replace(chosen, substep=min(chosen.substep, MAX_RIGID_SUBSTEP)) if rigid else chosen
+    longest = MAX_RIGID_SUBSTEP * chosen.iterations
+    return replace(chosen, substep=min(chosen.substep, longest)) if rigid else chosen
 
 
 class Integrators:

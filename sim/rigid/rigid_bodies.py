@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from sim.state import State
 
 SUBSTEP_PER_PASS = 1.25e-4  # [s] of a substep for each pass over the constraints
-MAX_RIGID_SUBSTEP = 5e-4  # [s] with rigid bodies: the contacts of a stack converge over substeps
+MAX_RIGID_SUBSTEP = 5e-4  # [s] for each sweep, with rigid bodies: the contacts of a stack converge over sweeps
 
 
 @ti.data_oriented

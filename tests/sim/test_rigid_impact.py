@@ -1,13 +1,16 @@
-"""Impacts of rigid bodies that take more than a substep: through others, and into what does not give way."""
+"""Rigid bodies: impacts that take more than a substep, through others or into what does not give way; a round foot."""
 
 import numpy as np
 import pytest
 
 from scenes.scene import Plane
+from sim.capacity import MAX_BODIES
 from sim.rigid.rigid_body import RigidBody
+from sim.rigid.rigid_broad_phase import WORLD
 from sim.solver import Solver
 
 SIDE = 0.1
+FOOT_SIDES = 48
 
 
 def cube(x: float, low: float, restitution: float = 0.8, **options) -> RigidBody:
@@ -16,17 +19,26 @@ def cube(x: float, low: float, restitution: float = 0.8, **options) -> RigidBody
     return RigidBody.box("cube", (SIDE,) * 3, density=1000.0, position=position, restitution=restitution, **options)
 
 
-@pytest.fixture(scope="module")
-def heights(ti_cpu) -> np.ndarray:
-    """Heights of all cubes' centres [m] in 1.5 s, (frames, cubes)."""
+@pytest.fixture(scope="module", params=["xpbd", "vbd"])
+def run(ti_cpu, request) -> tuple[np.ndarray, Solver]:
+    """Heights of all centres [m] in 1.5 s, (frames, bodies), and the solver after that."""
     on_two = [cube(0, 0.0), cube(0, SIDE), cube(0, 0.75)]
     wedged = [cube(2, 1e-4, velocity=(0.0, -2.0, 0.0)), cube(2, SIDE + 5e-4, kinematic=True)]
-    solver = Solver([*on_two, *wedged], [Plane((0, 0, 0), (0, 1, 0), 0.5)], hands=0, sleep=False)
+    angle = 2 * np.pi * np.arange(FOOT_SIDES) / FOOT_SIDES
+    rim = SIDE * np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
+    foot = RigidBody.convex("foot", np.concatenate([rim, rim + (0, SIDE, 0)]), density=1000.0, position=(4, 0, 0))
+    options = {"hands": 0, "sleep": False, "integrator": request.param}
+    solver = Solver([*on_two, *wedged, foot], [Plane((0, 0, 0), (0, 1, 0), 0.5)], **options)
     seen = []
     for _ in range(90):
         solver.step(1 / 60)
         seen.append([b.centroid[1] for b in solver.bodies()])
-    return np.array(seen)
+    return np.array(seen), solver
+
+
+@pytest.fixture
+def heights(run) -> np.ndarray:
+    return run[0]
 
 
 def test_what_falls_on_two_others_rebounds_from_the_floor_beneath_them(heights):
@@ -40,3 +52,16 @@ def test_what_falls_on_two_others_rebounds_from_the_floor_beneath_them(heights):
 def test_what_is_wedged_in_does_not_push_on(heights):
     """A cube that a plate leaves half a millimetre cannot rebound: after 16 substeps of trying it is 1 mm inside."""
     assert heights[:, 3].max() < SIDE / 2 + 5e-4 + 1e-4
+
+
+def test_a_round_foot_stands_on_a_few_of_its_corners(run):
+    """Contacts of a pair of bodies are solved one after another, so that each costs time."""
+    heights, solver = run
+    f = solver.contacts.rigid_search
+    group = 5 * (MAX_BODIES + 1) + WORLD
+    begin, size = f.group_begin[group], f.size[group]
+    at = f.position.to_numpy()[f.entry.to_numpy()[begin : begin + size]] - solver.bodies()[5].centroid
+    angle = np.linspace(0, 2 * np.pi, 100)
+    support = (at[:, [0, 2]] @ np.stack([np.cos(angle), np.sin(angle)])).max(0)
+    assert size <= FOOT_SIDES / 2 and support.min() > 0.97 * SIDE
+    assert np.ptp(heights[:, 5]) < 1e-4

@@ -317,7 +317,7 @@ class RoomMaking:
                 from prepare.inpaint.lama_network import LamaNetwork
 
                 painter = LamaNetwork(a.lama)
-            write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, painter))
+            write_gaussians(folder / "background.ply", inpainted(room, self.stages.part, self.say, painter))
 
         done = self.stages.run("inpaint", inputs, make, self.source)
         return read_gaussians(done / "background.ply", self.say)

@@ -27,6 +27,10 @@ CONTEXT = 48  # texels around a hole that the painter sees
 SEEN_MIN = 50  # pixels of the object in all views; with fewer it counts as unseen
 
 
+class NoSurface(BadInput):
+    """An object touches no surface that what is behind it could belong to."""
+
+
 @dataclass(frozen=True)
 class Hole:
     """The hole that an object leaves behind.
@@ -163,7 +167,7 @@ def find_hole(
         views = draw_views(kept, concatenate(hiding), cameras, ball, no_progress, **options)
     textures = textures_around(views, removed, ball, photographed=photographed)
     if not textures:
-        raise BadInput(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
+        raise NoSurface(f"{name}: no surface was found that it stands on or leans at; nothing tells what is behind it")
     holes = [t for k, t in enumerate(textures) if t.hole.any() and (k == 0 or t.rim > RIM_KNOWN)]
     progress("hole", 1.0)
     return Hole(kept, dropped, removed, ball, views, textures[0], holes)

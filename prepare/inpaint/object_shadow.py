@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from scipy.optimize import nnls
+from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
@@ -31,6 +32,7 @@ MAP_SIDE = 96  # [px]
 BIAS = 0.05  # radii in front of a surface that do not shade it: it is thick and noisy, too
 TEXELS = 2500  # that the light is found from
 EVEN = 0.1  # weight of small b_j
+NEIGHBOURS = 16  # of a texel, whose differences must show the shadow that was found
 ROUNDS = 6  # of least squares, with weights that leave out marks and other things on the surface
 DARKEST = 0.2  # of the light that the object leaves: beyond, colours are noise
 REACH = 5.0  # radii from the object's middle: where its shadow is taken away
@@ -109,7 +111,7 @@ def find_shadow(
 
 
 def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """Non-negative b (J,) in shown (N,) = e (1 - hidden b), hidden (N, J).
+    """Non-negative b (J,) in shown (N,) = e (1 - hidden b), hidden (N, J), as far as it is `confirmed`.
 
     e >= 0 is linear in the place `across` (N, 2), -0.5 to 0.5.
     """
@@ -125,7 +127,24 @@ def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.n
         off = values - rows @ found
         weights = 1.0 / np.sqrt(1.0 + (off / (1.48 * np.median(np.abs(off)) + 1e-6)) ** 2)
     open_light = float((tilts @ found[:columns]).mean())
-    return found[columns:] / max(open_light, 1e-9)
+    lost = found[columns:] / max(open_light, 1e-9)
+    return lost * confirmed(shown, 1.0 - hidden @ lost, across)
+
+
+def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:
+    """How much of a shadow shows between neighbours, 0..1: the median of their difference in the logarithm of what is
+    shown (N,), as a share of that in the light `left` (N,), both at places (N, 2).
+
+    Seen as a whole, dark wood around the foot before a white wall looks like a shadow; its edge is few neighbours.
+    """
+    near = cKDTree(across).query(across, k=min(NEIGHBOURS + 1, len(across)))[1]
+    color = np.log(np.maximum(shown, DARKEST * np.median(shown)))
+    light = np.log(np.maximum(left, DARKEST))[near].mean(axis=1)  # without the steps of light from few directions
+    steps, seen = ((x[near[:, 1:]] - x[:, None]).ravel() for x in (light, color))
+    steps, seen = steps[steps != 0.0], seen[steps != 0.0]
+    order = np.argsort(seen / steps)
+    weight = np.cumsum(np.abs(steps)[order])
+    return float((seen / steps)[order][np.searchsorted(weight, 0.5 * weight[-1])].clip(0.0, 1.0)) if len(steps) else 0.0
 
 
 def half_sphere(count: int) -> np.ndarray:

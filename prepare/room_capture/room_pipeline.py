@@ -184,17 +184,23 @@ def too_little(thing: Gaussians, share: float) -> str:
     return "the photographs hardly show it; mark more of it, or leave it out" if share < OBJECT_SHARE else ""
 
 
-def inpainted(room: PlacedRoom, progress: Callable[[str, int, int], Progress], painter=None) -> Gaussians:
-    """The background with the places of its objects closed, one after the other. Raises BadInput."""
+def inpainted(
+    room: PlacedRoom, progress: Callable[[str, int, int], Progress], say: Callable[[str], None], painter=None
+) -> Gaussians:
+    """The background with the places of its objects closed, one after the other; left open where there is no surface
+    to go on with, as a line to `say` tells. Raises BadInput."""
     things, rest = room.parts()
     if things:
-        from prepare.inpaint.inpaint_pipeline import inpaint
+        from prepare.inpaint.inpaint_pipeline import NoSurface, inpaint
     how = {} if painter is None else {"painter": painter}
     for k, (name, thing) in enumerate(zip(room.names, things, strict=True)):
         others = [other for other in things if other is not thing]  # what they hid was not seen either
         how["others"] = concatenate(others) if others else None
         how["standing"] = concatenate(things[k + 1 :]) if things[k + 1 :] else None  # those before took their shadow
-        rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
+        try:
+            rest = inpaint(rest, thing, room.view.cameras, name=name, progress=progress(name, k, len(things)), **how)
+        except NoSurface as e:
+            say(f"what it hid stays open: {e}")
     return rest
 
 

@@ -58,6 +58,15 @@ def test_a_surface_without_a_shadow_stays(shaded):
     assert (hidden @ fit_light(shown, hidden, across)).max() < 0.045
 
 
+def test_another_material_around_the_foot_is_no_shadow(shaded):
+    """Wood on a white wall, as wide as the shadow would be; and where both are, only the shadow is found."""
+    shown, hidden, across, b = shaded
+    near, noise = (across**2).sum(axis=1) < 0.28**2, np.exp(0.02 * np.random.default_rng(2).normal(size=N))
+    assert (hidden @ fit_light(np.where(near, 0.25, 1.0) * noise, hidden, across)).max() < 0.05
+    found = fit_light(np.where(near, 0.5, 1.0) * shown, hidden, across)
+    assert np.abs(hidden @ found - hidden @ b).max() < 0.15
+
+
 def test_what_an_object_leaves():
     """Its own part of a common shadow, only on the side that faces the light, and DARKEST at least."""
     directions = half_sphere(J)

@@ -16,13 +16,15 @@ from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import MATERIALS
+from prepare.inpaint.inpaint_pipeline import NoSurface
 from prepare.own_weight import bent_by_weight
+from prepare.progress import no_progress
 from prepare.room_capture import stages as stages_module
 from prepare.room_capture.captured_background import RoomView, room_extent, view_of
 from prepare.room_capture.contributions import contributions, needed, weights_in_masks
 from prepare.room_capture.objects import liftable, object_files, steady, support_of
 from prepare.room_capture.program_source import source_digest
-from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, without_objects
+from prepare.room_capture.room_pipeline import PlacedRoom, held_objects, inpainted, without_objects
 from prepare.room_capture.seats import base_of, seated, without_solid
 from prepare.room_capture.stages import Stages
 from sim.contact.contact_samples import skin_depth, surface_points
@@ -81,6 +83,24 @@ def test_an_object_of_too_few_gaussians_or_in_the_air_stays_in_the_background():
     assert room.names == ["ball"] and len(held) == 1 and "dot stays in the background: touches nothing" in said[-1]
     with pytest.raises(BadInput, match="dot: only 5 opaque"):
         held_objects(room_of(dot), said.append)
+
+
+def test_what_an_object_hid_stays_open_where_no_surface_goes_on_behind_it(monkeypatch):
+    """The ball is on a thing of which no plane was found; the parcel's hole is closed all the same."""
+
+    def inpaint(rest, thing, cameras, *, name, **options):
+        if name == "ball":
+            raise NoSurface(f"{name}: no surface was found")
+        return concatenate([rest, ball((0.0, 0.0, 0.0))])
+
+    monkeypatch.setattr("prepare.inpaint.inpaint_pipeline.inpaint", inpaint)
+    rest, things = plane(1, 0.0), [ball((x, 0.15, 0.0)) for x in (0.0, 0.6)]
+    ids = np.repeat(np.arange(3), [len(rest), *map(len, things)]).astype(np.uint16)
+    g = replace(concatenate([rest, *things]), object_id=ids, objects=("ball", "parcel"))
+    room = PlacedRoom(g, np.ones(len(g)), RoomView(ring_of_cameras(1.4), np.full(12, 1.8), True), None)
+    said = []
+    assert len(inpainted(room, lambda *part: no_progress, said.append)) == len(rest) + len(things[0])
+    assert said == ["what it hid stays open: ball: no surface was found"]
 
 
 def test_what_no_photograph_needs_is_left_out(ti_cpu):

@@ -104,8 +104,11 @@ class BakedLight:
     ) -> np.ndarray:
         """Mean radiance (N, 3) incident at each point around the mirror direction towards `eye`.
 
-        `eye` is one point (3,) or one per point; `spread` (N,) [rad] is the width of the lobe.
+        `eye` is one point (3,) or one per point; `spread` (N,) [rad] is the width of the lobe. What leaves a room at a
+        joint, e.g. behind a skirting board, meets neither the sky nor darkness, which would be a bright or a black line
+        there, but as deep in a corner what is around it: the radiance of its own place.
         """
+        own = self._radiosity[self._tree.query(points + LOOKUP_OFFSET * normals)[1]]
         view = np.asarray(eye) - points
         view /= np.linalg.norm(view, axis=1, keepdims=True)
         mirror = 2 * (view * normals).sum(1, keepdims=True) * normals - view
@@ -115,11 +118,13 @@ class BakedLight:
             d /= np.linalg.norm(d, axis=1, keepdims=True)
             below = (d * normals).sum(1, keepdims=True)
             d -= 2 * np.minimum(below, 0) * normals
-            total += self.radiance(points + RAY_OFFSET * normals, d)
+            total += self.radiance(points + RAY_OFFSET * normals, d, own)
         return total / rays
 
-    def radiance(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Radiance (N, 3) that arrives at `origins` (N, 3) from `directions` (N, 3)."""
+    def radiance(self, origins: np.ndarray, directions: np.ndarray, unknown: np.ndarray | float = 0.0) -> np.ndarray:
+        """Radiance (N, 3) that arrives at `origins` (N, 3) from `directions` (N, 3); `unknown` (N, 3) where a ray meets
+        nothing or the back of a surface."""
+        unknown = np.broadcast_to(unknown, origins.shape)
         total = np.zeros((len(origins), 3))
 
         def look_up(s: slice) -> None:
@@ -130,8 +135,10 @@ class BakedLight:
             incident[~hit] = self._sources.sky_beyond(o[~hit], d[~hit])
             incident[hit] = self._emission[geometry[hit]]
             valid = hit & ((normal * d).sum(1) < 0)
-            near = self._tree.query((o + t[:, None] * d + LOOKUP_OFFSET * normal)[valid])[1]
-            incident[valid] += self._radiosity[near]
+            at = o[valid] + t[valid, None] * d[valid] + LOOKUP_OFFSET * normal[valid]
+            incident[valid] += self._radiosity[self._tree.query(at)[1]]
+            lost = ~valid & ~incident.any(axis=1)
+            incident[lost] = unknown[s][lost]
             total[s] = incident
 
         in_threads(look_up, batches(len(origins), RAY_BATCH))

@@ -92,7 +92,7 @@ class LightSources:
     def sky_beyond(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Radiance (N, 3) met by rays that hit nothing: the sky's, in a room only through its openings.
 
-        Elsewhere they left at a joint, e.g. behind a skirting board, which must be dark.
+        Elsewhere they left at a joint, e.g. behind a skirting board.
         """
         if self.openings is None:
             return self.sky(directions)

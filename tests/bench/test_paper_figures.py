@@ -98,6 +98,14 @@ def test_the_quick_page_is_whole(tmp_path):
     assert "PhysGaussian" in page and "PAC-NeRF" in page
 
 
+def test_of_many_lines_a_few_are_told():
+    told = []
+    tell = inpainting_figure.every(3, told.append)
+    for line in "abcdefgh":
+        tell(line)
+    assert told == ["a", "d", "g"]
+
+
 def test_without_open3d_the_page_says_that_inpainting_is_left_out(monkeypatch):
     def missing(user):
         raise BadInput(f"{user} needs the package open3d: install it")

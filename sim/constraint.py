@@ -90,8 +90,11 @@ class Constraint:
         """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
 
     @ti.func
-    def solve_group(self, phase, g, lane):
-        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py)."""
+    def solve_group(self, phase, last, g, lane):
+        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py).
+
+        last: no phase of this sweep follows.
+        """
 
     @ti.func
     def group_count(self):

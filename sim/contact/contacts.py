@@ -255,9 +255,9 @@ class Contacts(Constraint):
                     self.constraints.solve(r, phase, integrator)
 
     @ti.func
-    def solve_group(self, phase, g, lane):
+    def solve_group(self, phase, last, g, lane):
         if ti.static(self.coupled):
-            self.rigid.solve(self.rigid_search.group[g], phase, lane)
+            self.rigid.solve(self.rigid_search.group[g], phase, last, lane)
 
     @ti.func
     def group_count(self):

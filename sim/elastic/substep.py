@@ -1,10 +1,14 @@
 """Parts of a substep that all integrators share."""
 
+from functools import cache
+
 import taichi as ti
 
 from sim.constraint import Constraint
 from sim.lanes import lane_count
 from sim.state import State
+
+ALL_PASSES = 1 << 20  # more than there are
 
 
 @ti.func
@@ -46,16 +50,22 @@ def evaluate_candidates(integrator: ti.template(), thread):
 
 
 @ti.func
-def solve_phases(integrator: ti.template(), thread, rounds):
-    """Solve all phases of a persistent kernel's constraints, each followed by a barrier; `rounds` and those passed."""
+def solve_phases(integrator: ti.template(), thread, rounds, passes):
+    """Solve the phases of a persistent kernel's constraints, at most 1 + `passes` of each, and meet after each of them.
+
+    Returns `rounds` and the number of barriers passed.
+    """
     s, passed = integrator.state, rounds
     for c in ti.static(integrator.in_pairs):
         for later in ti.static(range(min(len(c.phase_sizes), 2))):
-            for turn in range(ti.static(len(c.phase_sizes) - 1 if later else 1)):
+            turns = 1
+            if ti.static(later):
+                turns = ti.min(ti.static(len(c.phase_sizes) - 1), passes)
+            for turn in range(turns):
                 if ti.static(later and c.max_groups > 0):
                     g = integrator.grid.warp_index(thread)
                     while g < c.group_count():
-                        c.solve_group(later + turn, g, thread % integrator.grid.warp)
+                        c.solve_group(later + turn, turn == turns - 1, g, thread % integrator.grid.warp)
                         g += integrator.grid.warps
                 k, end = integrator.grid.scattered(thread), c.phase_count(later)
                 while k < end:
@@ -74,13 +84,37 @@ def own_vertices(integrator: ti.template(), thread):
     return begin + thread % size, ti.min(begin + length, count)
 
 
-def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate: bool) -> list:
-    """The phases of constraint c as kernels of their own, after that of `evaluate` if it is wanted.
+def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, passes=(ALL_PASSES,)) -> list[list]:
+    """The phases of constraint c as kernels of their own: a list for each of `passes`, the most after the first phase.
 
     With rigid bodies a single kernel for a CPU would take minutes to compile.
     """
-
     lanes = lane_count()
+
+    @cache
+    def kernel(phase: int, last: bool):
+        @ti.kernel
+        def run():
+            if ti.static(phase > 0 and c.max_groups > 0):
+                ti.loop_config(serialize=s.serial)
+                for k in range(c.max_groups * lanes):
+                    if k // lanes < c.group_count():
+                        c.solve_group(phase, last, k // lanes, k % lanes)
+            ti.loop_config(serialize=s.serial)
+            for k in range(c.phase_sizes[phase]):
+                c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)
+
+        return run
+
+    lists = []
+    for most in passes:
+        end = min(1 + most, len(c.phase_sizes))
+        lists.append([kernel(phase, phase == end - 1) for phase in range(end)])
+    return lists
+
+
+def evaluation_kernel(s: State, c: Constraint):
+    """Kernel that evaluates all elements of constraint c."""
 
     @ti.kernel
     def evaluation():
@@ -88,21 +122,7 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, evaluate:
         for k in range(c.phase_sizes[0]):
             c.evaluate(k)
 
-    def kernel(phase: int):
-        @ti.kernel
-        def run():
-            if ti.static(phase > 0 and c.max_groups > 0):
-                ti.loop_config(serialize=s.serial)
-                for k in range(c.max_groups * lanes):
-                    if k // lanes < c.group_count():
-                        c.solve_group(phase, k // lanes, k % lanes)
-            ti.loop_config(serialize=s.serial)
-            for k in range(c.phase_sizes[phase]):
-                c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)
-
-        return run
-
-    return [evaluation] * evaluate + [kernel(phase) for phase in range(len(c.phase_sizes))]
+    return evaluation
 
 
 def block_size(s: State, n: int) -> int | None:

@@ -30,12 +30,13 @@ from sim.capacity import stacked
 from sim.constraint import Constraint
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.substep import block_size, commit, phase_kernels
+from sim.elastic.substep import ALL_PASSES, block_size, commit, phase_kernels
 from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
 MAX_COLORS = 64
+EARLY_PASSES = 1  # over rigid contacts in all sweeps but the last: the next sweep applies all impulses again
 COLLAPSING_I1 = 1.5  # tr F^T F; below 1 the energy has a further term, mu/2 (1 - I1)^2 ...
 COLLAPSING_STIFFNESS = 5.0  # ... whose second derivative along b is at most 4 mu |b|^2: mu + 4 mu in H never overshoots
 
@@ -233,10 +234,13 @@ class VBDSubsteps:
 
     def _record(self, substeps: int):
         if self.kernels is None:
-            phases = [self._phases()] if self.in_pairs else []
+            phases = [[self._phases()] if self.in_pairs else []] * 2  # of all sweeps but the last, and of that
             if self.descent.has_rigid:  # several kernels, as in sim/elastic/xpbd.py
-                rigid = (phase_kernels(self.state, self, c, first=True, evaluate=False) for c in self.in_pairs)
-                phases[:0] = [kernel for kernels in rigid for kernel in kernels]
+                rigid = [
+                    phase_kernels(self.state, self, c, first=True, passes=(EARLY_PASSES, ALL_PASSES))
+                    for c in self.in_pairs
+                ]
+                phases = [[k for kernels in rigid for k in kernels[n]] + phases[n] for n in range(2)]
             self.kernels = self._begin(), self._sweep(), phases, self.modal.kernels(), self._end()
         begin, sweep, phases, modal, end = self.kernels
         colors = [ti.graph.Arg(ti.graph.ArgKind.SCALAR, f"color{k}", ti.i32) for k in range(self.colors)]
@@ -246,7 +250,7 @@ class VBDSubsteps:
             for k in range(self.iterations):
                 for color in colors if k % 2 == 0 else reversed(colors):  # there and back: no direction is favoured
                     graph.dispatch(sweep, color)
-                for kernel in phases:
+                for kernel in phases[k == self.iterations - 1]:
                     graph.dispatch(kernel)
             for kernel in (*modal, end):
                 graph.dispatch(kernel)

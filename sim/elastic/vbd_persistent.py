@@ -13,8 +13,8 @@ from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.modal_warps import ModalWarps
 from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import any_active, evaluate_candidates, own_vertices, solve_phases
-from sim.elastic.vbd import MAX_COLORS, VertexDescent
+from sim.elastic.substep import ALL_PASSES, any_active, evaluate_candidates, own_vertices, solve_phases
+from sim.elastic.vbd import EARLY_PASSES, MAX_COLORS, VertexDescent
 from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -116,7 +116,7 @@ class PersistentVBD:
                             at += block
                         self.grid.sync()
                     if paired:
-                        rounds = self._pairs(thread, rounds)
+                        rounds = self._pairs(thread, rounds, sweep == self.iterations - 1)
                         self._stage(first, own, points, words)
                         self.grid.sync()
                 for trial in range(2):  # the residual before the step along the modes, then after it
@@ -244,10 +244,10 @@ class PersistentVBD:
                 self.warps.set_residual(p.vertex(at, words), f, trial)
 
     @ti.func
-    def _pairs(self, thread, rounds):
-        """All phases of all pairs, then each vertex's push; returns the number of barriers passed."""
+    def _pairs(self, thread, rounds, last):
+        """Phases of all pairs, in the last sweep all of them, and each vertex's push; returns as `solve_phases`."""
         s = self.state
-        passed = solve_phases(self, thread, rounds)
+        passed = solve_phases(self, thread, rounds, ALL_PASSES if last else EARLY_PASSES)
         i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):

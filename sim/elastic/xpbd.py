@@ -9,7 +9,7 @@ import taichi as ti
 
 from sim.constraint import Constraint
 from sim.elastic.energy import Elasticity
-from sim.elastic.substep import block_size, commit, phase_kernels
+from sim.elastic.substep import block_size, commit, evaluation_kernel, phase_kernels
 from sim.model import Model
 from sim.state import State
 
@@ -114,7 +114,10 @@ class XPBDSubsteps:
 
         if not self.has_rigid:
             return [sweep]
-        return [begin, *(k for c in in_pairs for k in phase_kernels(s, self, c, first=first, evaluate=first)), end]
+        kernels = [begin]
+        for c in in_pairs:
+            kernels += [evaluation_kernel(s, c)] * first + phase_kernels(s, self, c, first=first)[0]
+        return [*kernels, end]
 
     def _commit(self):
         """Kernel that commits, after the last of several sweeps."""

@@ -9,7 +9,7 @@ import taichi as ti
 from sim.constraint import Constraint
 from sim.elastic.patches import SHARED_WORDS, Patches
 from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import any_active, commit, evaluate_candidates, own_vertices, solve_phases
+from sim.elastic.substep import ALL_PASSES, any_active, commit, evaluate_candidates, own_vertices, solve_phases
 from sim.model import Model
 from sim.state import State
 
@@ -112,7 +112,7 @@ class PersistentXPBD:
     def _pairs(self, thread, rounds, parity):
         """All phases of all pairs, then each vertex's commit; returns the number of barriers passed."""
         s = self.state
-        passed = solve_phases(self, thread, self.grid.meet(thread, rounds, s.substep_index, 0))
+        passed = solve_phases(self, thread, self.grid.meet(thread, rounds, s.substep_index, 0), ALL_PASSES)
         i, end = own_vertices(self, thread)
         while i < end:
             if s.awake_vertex(i):

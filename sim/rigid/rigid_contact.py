@@ -138,8 +138,8 @@ class RigidContacts:
         return e
 
     @ti.func
-    def solve(self, g, j, lane):
-        """Pass j over group g: sweeps over its constraints, on copies of its bodies with their parts of mass.
+    def solve(self, g, j, last, lane):
+        """Pass j over group g, maybe the last: sweeps over it, on copies of its bodies with their parts of mass.
 
         The lanes of a warp hold a constraint each; one after the other takes a step, which all learn of.
         """
@@ -209,7 +209,7 @@ class RigidContacts:
                 m.add_impulse(a, impulse, moment_a, j)
                 if b != WORLD:
                     m.add_impulse(b, -impulse, -moment_b, j)
-                f.active[g] = 0 if j == m.passes else size
+                f.active[g] = 0 if last else size
 
     @ti.func
     def _list_loaded(self, g, lane):

@@ -65,8 +65,10 @@ def test_the_sums_are_those_of_the_plain_loops():
         SoftBody("hard", 0.7 * x, tets, surface, Material(5e7, 0.45, 500.0), position=(0, 1, 1), pinned=left),
     ]
     solver = Solver(given, contacts=False, integrator="vbd")
-    patches, plain = ColorPatches(solver.state, 3), solver.integrator
-    patches.load(Model([BodyModel.of(b, []) for b in given]))
+    patches = ColorPatches(solver.state, 3)
+    plain = VBDSubsteps(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
+    for part in (patches, plain):
+        part.load(Model([BodyModel.of(b, []) for b in given]))
     start = np.concatenate([b.start() for b in given])
     s, n, rng = solver.state, len(start), np.random.default_rng(1)
     f, H = ([ti.field(ti.f32, (n, k)) for _ in range(2)] for k in (3, 9))

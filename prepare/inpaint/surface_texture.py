@@ -8,7 +8,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 from scipy.interpolate import RBFInterpolator
-from scipy.ndimage import binary_dilation, binary_opening, distance_transform_edt, label
+from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, distance_transform_edt, label
 
 from core.threads import in_threads
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings, image_positions, nearest_pixels
@@ -19,7 +19,9 @@ TEXELS = (96, 384)  # least and most along a side
 NEAR_SURFACE = 0.04  # radii: a pixel whose depth is this near shows the surface
 GRAZING = 0.12  # cosine of the steepest angle from which a surface is sampled
 SEEN_SHARE = 0.05  # share of the views that must show a texel; fewer are glimpses or noise of the depth
-EMPTY_SHARE = 0.25  # share of the views that must see through it; fewer graze a dent in the surface
+EMPTY_SHARE = (
+    0.25  # share of the views that must see through it, of those past the object beside such texels; fewer graze a dent
+)
 COVERED_SHARE = 0.3  # share of the views in which the object must cover it; else something else hides it
 LEAK, RIM = 2, 6  # texels repainted around a hole, and compared for its known share
 SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foot, not the end of the surface
@@ -176,6 +178,8 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
         color[better], best[better] = drawn[better], look.merit[better]
     known = (shown > through) & (shown > SEEN_SHARE * looking)
     empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
+    past = binary_opening(~known & (through > EMPTY_SHARE * (looking - covered)), iterations=SLIVER)
+    empty = binary_propagation(empty, mask=empty | past)  # beside a plinth most views show the object before the air
     height = heights / np.maximum(shown, 1)
     return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, height, color)
 

@@ -19,7 +19,7 @@ from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
-from prepare.inpaint.support_surface import part_of_surface, support_surfaces, unproject
+from prepare.inpaint.support_surface import SupportSurface, part_of_surface, support_surfaces, unproject
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
@@ -243,6 +243,16 @@ def test_an_object_stands_on_the_plinth_that_it_touches():
     views = [noisy_view(k, c, noise=0.002, plinth=(RADIUS, 0.2 * RADIUS)) for k, c in enumerate(cameras())]
     top, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
     assert top.axes[2][1] > 0.99 and abs(top.local(np.zeros(3))[2]) < 0.06 * RADIUS
+
+
+def test_what_stands_on_a_narrow_plinth_leaves_no_hole_beside_it():
+    """Most views of the air there show the ball before it; the few that look past it tell."""
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    views = [noisy_view(k, c, noise=0.002, plinth=(0.4 * RADIUS, RADIUS)) for k, c in enumerate(cameras()[:5])]
+    top = SupportSurface(np.zeros(3), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), 0.002)
+    texture = texture_of(top, [], views, sphere, photographed=True)
+    away = np.linalg.norm(texture.surface.points(texture.places())[..., [0, 2]], axis=-1)
+    assert texture.hole[away < 0.25 * RADIUS].all() and not texture.hole[away > 0.5 * RADIUS].any()
 
 
 def test_a_part_of_the_surface_that_went_with_the_object_is_told_from_it():

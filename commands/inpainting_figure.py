@@ -32,7 +32,7 @@ class Effort:
     objects: tuple[str, ...] | None = None
 
 
-FULL = Effort(40, (320, 240), 2500)
+FULL = Effort(32, (320, 240), 1500)
 QUICK = Effort(20, (160, 120), 400, ("teddy",))
 
 
@@ -49,7 +49,9 @@ def inpainting_section(effort: Effort, results: dict, report: Callable[[str], No
         report(f"left out: {e}")
         results["inpainting"] = None
         return Section(TITLE, text, note=f"Not made: {e}.")
-    with tempfile.TemporaryDirectory(prefix="vrgs-figures-") as folder:
+    from prepare.inpaint.hole_views import kept_drawings
+
+    with tempfile.TemporaryDirectory(prefix="vrgs-figures-") as folder, kept_drawings():
         rows = _measured(Path(folder) / "capture", effort, report)
     refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
     closed = {name: row for name, row in rows.items() if "refused" not in row}

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -12,8 +15,13 @@ from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from prepare.progress import Progress
 
+if TYPE_CHECKING:
+    from render.renderer import Renderer
+    from render.splats import Splats
+
 REACH = 2.2  # radius of the surroundings that are processed, in radii of the object
 SIDE = 400  # [px] longer side of a view at most
+SPARE = 1.25  # capacity of what draws several splats in turn, over the first one's count
 SIDE_MIN = 12  # [px] a view that shows less of the surroundings is not used
 WIDE = 1.4  # [rad] off the optical axis; points farther out are outside any picture
 SOLID = 0.5  # opacity from which a pixel shows a surface
@@ -176,16 +184,58 @@ def cut_out_camera(camera: Camera, ball: Surroundings) -> Camera | None:
     )
 
 
+_kept: list[tuple[tuple, Splats, Renderer]] | None = None  # of Drawings that were destroyed, by their options
+
+
+@contextmanager
+def kept_drawings() -> Iterator[None]:
+    """While active, a Drawing draws with what an earlier one was made of, if its Gaussians fit.
+
+    Each renderer's kernels are compiled anew, which takes longer than the pictures of a small capture.
+    """
+    global _kept
+    _kept = []
+    try:
+        yield
+    finally:
+        for _, splats, renderer in _kept:
+            renderer.destroy()
+            splats.destroy()
+        _kept = None
+
+
 class Drawing:
     """Draws Gaussians for cameras of several sizes."""
 
     def __init__(self, gaussians: Gaussians, cameras: list[Camera], *, antialias: bool, sort: str):
+        self._options = (antialias, sort, gaussians.sh.shape[1])
+        size = max(c.width for c in cameras), max(c.height for c in cameras)
+        fitting = [k for k in _kept or [] if self._fits(*k, len(gaussians), size)]
+        if fitting:
+            kept = min(fitting, key=lambda k: k[1].capacity)
+            _kept.remove(kept)
+            _, self._splats, self.renderer = kept
+            self._splats.replace(gaussians)
+            self.renderer.forget()
+        else:
+            self._splats, self.renderer = self._new(gaussians, size)
+
+    def _fits(self, options: tuple, splats: Splats, renderer: Renderer, count: int, size: tuple[int, int]) -> bool:
+        _, height, width = renderer.rgb.shape
+        return options == self._options and splats.capacity >= count and width >= size[0] and height >= size[1]
+
+    def _new(self, gaussians: Gaussians, size: tuple[int, int]) -> tuple[Splats, Renderer]:
         from render.renderer import Renderer
         from render.splats import Splats
 
-        size = max(c.width for c in cameras), max(c.height for c in cameras)
-        self._splats = Splats(gaussians)
-        self.renderer = Renderer(self._splats, *size, outputs="float", antialias=antialias, sort=sort)
+        antialias, sort, coefficients = self._options
+        if _kept is None:
+            splats = Splats(gaussians)
+        else:
+            splats = Splats(gaussians, capacity=round(SPARE * len(gaussians)))
+            splats.sh_range = (0, splats.capacity if coefficients > 1 else 0)
+            size = (max(size[0], SIDE), max(size[1], SIDE))
+        return splats, Renderer(splats, *size, outputs="float", antialias=antialias, sort=sort)
 
     def draw(self, camera: Camera) -> None:
         """Draw into the first rows and columns of the renderer's fields."""
@@ -202,7 +252,10 @@ class Drawing:
         return tuple(np.ascontiguousarray(f.to_numpy()[0, : camera.height, : camera.width]) for f in fields)
 
     def destroy(self) -> None:
-        """Free the device memory."""
+        """Free the device memory, or keep it for the next (`kept_drawings`)."""
+        if _kept is not None:
+            _kept.append((self._options, self._splats, self.renderer))
+            return
         self.renderer.destroy()
         self._splats.destroy()
 

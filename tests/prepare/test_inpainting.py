@@ -15,7 +15,7 @@ from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views
+from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views, kept_drawings
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
@@ -55,6 +55,36 @@ def ball(height: float = RADIUS) -> Gaussians:
 def cameras():
     eyes = [(0.9 * np.cos(a), 0.35 + 0.25 * (k % 2), 0.9 * np.sin(a)) for k, a in enumerate(np.arange(8) * np.pi / 4)]
     return [perspective(112, 84, 0.75, look_at(eye, (0, 0.08, 0))) for eye in eyes]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def same_kernels(ti_cpu):
+    """Kernels are compiled for a few renderers, which all tests share."""
+    with kept_drawings():
+        yield
+
+
+def test_a_drawing_draws_with_what_an_earlier_one_was_made_of():
+    view, options = cameras()[0], {"antialias": False, "sort": "radial"}
+    small = perspective(60, 40, 0.75, look_at((0.0, 0.5, 0.9), (0, 0.08, 0)))
+    fresh = Drawing(ball(), [small], **options)
+    expected = fresh(small)
+    first = Drawing(table(), [view], **options)
+    first(view)
+    renderer = first.renderer
+    assert renderer is not fresh.renderer
+    first.destroy()
+    second = Drawing(ball(), [small], **options)
+    assert second.renderer is renderer
+    for found, there in zip(second(small), expected, strict=True):
+        assert_array_equal(found, there)
+    second.destroy()
+    fresh.destroy()
+    large = perspective(500, 40, 0.75, look_at((0.0, 0.5, 0.9), (0, 0.08, 0)))
+    for g, camera in ((ball(), large), (concatenate([table()] * 3), view)):
+        other = Drawing(g, [camera], **options)
+        assert other.renderer is not renderer
+        other.destroy()
 
 
 def shadowed_table() -> Gaussians:

@@ -19,8 +19,8 @@ from core.errors import BadInput
 from prepare.room_capture.program_source import source_digest
 from prepare.room_capture.stages import Stages, file_key
 from prepare.segment.marks import Marks, read_marks
-from prepare.segment.mask_files import photograph_size
-from prepare.segment.object_ids import masks_of
+from prepare.segment.mask_files import photograph_size, read_masks
+from prepare.segment.object_ids import masks_beside
 from prepare.train.capture import Capture, View, checked, read_capture
 from prepare.train.colmap_model import read_colmap
 from prepare.train.lens import Lens
@@ -116,8 +116,10 @@ def objects_of(args: argparse.Namespace, capture: Capture, place: Path, say: Say
     marks = args.marks or (place if args.masks is None and place.is_file() else None)
     if marks is not None:
         return read_marks(marks, sizes), None
-    if masks_of(capture, args.masks, say)[1] is not None:
-        return None, args.masks or capture.folder / "masks"
+    masks = args.masks or masks_beside(capture, say)
+    if masks is not None:
+        read_masks(masks, capture.views)
+        return None, masks
     check_can_ask()
     return marked_photographs(capture, sizes, place), None
 

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from assets.gaussians import Gaussians, Report
 from core.errors import BadInput
-from prepare.segment.mask_files import VIEWS_MIN, Masks, mask_file, read_masks
+from prepare.segment.mask_files import VIEWS_MIN, Masks, read_masks
 from prepare.train.capture import Capture
 from prepare.train.object_labels import nearest_label
 from prepare.train.photographs import Photograph
@@ -21,27 +21,37 @@ BACKGROUND = "background"  # name of the part that belongs to no object
 NEIGHBOURS = 16  # that vote on a Gaussian
 
 
+def masks_beside(capture: Capture, report: Report) -> Path | None:
+    """The folder masks/ of a capture with files in it, None if there is none.
+
+    None, too, if transforms.json names it for the pixels that count; `report` takes a line then.
+    """
+    beside = capture.folder / "masks"
+    if not beside.is_dir() or not any(p.is_file() for p in beside.iterdir()):
+        return None
+    if any(v.mask is not None and v.mask.parent == beside for v in capture.views):
+        report(f"{beside}: used as the pixels that count, as transforms.json says; as objects: --masks {beside}")
+        return None
+    return beside
+
+
 def masks_of(capture: Capture, folder: Path | None, report: Report) -> tuple[Capture, Masks | None]:
     """The capture, and the masks of its objects: those in `folder`, or in masks/ of the capture if they are such.
 
     Masks that transforms.json names select the pixels that count; they are object masks only if their folder is given,
     and then all pixels count. `report` takes a line if masks/ is not used. Raises BadInput, for a given folder only.
     """
-    beside = capture.folder / "masks"
-    if folder is None:
-        if not beside.is_dir() or not any(mask_file(beside, v).is_file() for v in capture.views):
-            return capture, None
-        if any(v.mask is not None and v.mask.parent == beside for v in capture.views):
-            report(f"{beside}: used as the pixels that count, as transforms.json says; as objects: --masks {beside}")
-            return capture, None
+    found = folder or masks_beside(capture, report)
+    if found is None:
+        return capture, None
     try:
-        masks = read_masks(folder or beside, capture.views)
+        masks = read_masks(found, capture.views)
     except BadInput as e:
         if folder is not None:
             raise
         report(f"masks/ is not used: {e}")
         return capture, None
-    where = (folder or beside).resolve()
+    where = found.resolve()
     views = [replace(v, mask=None) if v.mask and v.mask.resolve().parent == where else v for v in capture.views]
     return replace(capture, views=views), masks
 
@@ -54,7 +64,7 @@ def check_learned(names: list[str], photographs: list[Photograph]) -> None:
         if count < VIEWS_MIN:
             raise BadInput(
                 f"{name!r} is seen in {count} of the photographs that are learned from, {VIEWS_MIN} are needed; "
-                "--test-every 0 learns from all"
+                "mask it in more (vrgs.py train --test-every 0 learns from all)"
             )
 
 

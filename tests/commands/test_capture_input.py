@@ -1,6 +1,7 @@
 """Photographs of `vrgs.py capture`: objects are asked for, or refused, before poses are found."""
 
 import argparse
+import shutil
 import sys
 from types import SimpleNamespace
 
@@ -97,11 +98,17 @@ def test_what_is_wrong_with_the_objects_is_said_before_the_poses_are_found(tmp_p
     write_marks(tmp_path / "marks.json", Marks({"ball": {"9.png": BALL.objects["ball"]["1.png"]}}))
     with pytest.raises(BadInput, match=r"in 9\.png: no such photograph"):
         run.of(tmp_path / "toys", marks=tmp_path / "marks.json")
-    (tmp_path / "masks").mkdir()
+    masks = tmp_path / "toys" / "masks"  # beside the photographs: they are meant
+    masks.mkdir()
+    (masks / "0.jpg").touch()
+    with pytest.raises(BadInput, match=r"no mask in it; a mask is called as its photograph, with the ending \.png"):
+        run.of(tmp_path / "toys")
     for name in NAMES:
-        cv2.imwrite(str(tmp_path / "masks" / name), np.zeros((48, 64), np.uint8))
-    with pytest.raises(BadInput, match="no object in any mask"):
-        run.of(tmp_path / "toys", masks=tmp_path / "masks")
+        cv2.imwrite(str(masks / name), np.zeros((48, 64), np.uint8))
+    for given in (None, masks):
+        with pytest.raises(BadInput, match="no object in any mask"):
+            run.of(tmp_path / "toys", masks=given)
+    shutil.rmtree(masks)
     monkeypatch.setattr("display.window.gl_window.has_display", lambda: False)
     with pytest.raises(BadInput, match=r"no display to mark them on: give --marks MARKS\.json"):
         run.of(tmp_path / "toys")

@@ -184,7 +184,10 @@ class Session:
             k = body_with([np.array(request.start), np.array(request.end)], self.world.bodies())
             if k is not None:
                 self.world.apply([Rescale(k, factor)])
+                self.world.tell(f"{factor:.3g} times as large. Ctrl+K keeps that in its file.")
                 return
+            if self.world.room.own is None:
+                raise BadInput("Both points on one body set its size; a room must be your own (--stage) for that.")
             path, write = room_writer(self.world, factor)
             write()
             print(f"{path}: {factor:.3g} times as large", file=sys.stderr, flush=True)

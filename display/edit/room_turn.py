@@ -18,11 +18,14 @@ SAME = 1e-6  # of a rotation's entries
 
 
 def own_room(scene: Scene) -> Body | None:
-    """The static body that is the user's room; None: there is none, or one that cannot be turned."""
+    """The static body that is the user's room: the first, beside which there may be the play's own things, as a bottle.
+
+    None: there is none, or one that cannot be turned.
+    """
     still = [body for body in scene.bodies if body.material is None]
     shipped = SHIPPED_FOLDER.resolve()
     own = [b for b in still if not find_asset(b.asset).resolve().is_relative_to(shipped)]
-    return own[0] if len(own) == len(still) == 1 and not any(isinstance(c, Box) for c in scene.colliders) else None
+    return own[0] if own == still[:1] and own and not any(isinstance(c, Box) for c in scene.colliders) else None
 
 
 class RoomTurn:

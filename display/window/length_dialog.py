@@ -13,7 +13,7 @@ from display.user_commands import Command, Measure
 from display.window.panel.theme import ACCENT, QUIET
 from display.window.panel.widgets import button_grid, pixels
 
-WIDTH, FOOT = 300.0, 16.0  # [px] of the dialog, and under it
+WIDTH, FOOT = 300.0, 60.0  # [px] of the dialog, and under it, where hints stand
 CROSS = 0.02  # of the distance of the points, or of the eye from the first: half the length of a cross
 COLOUR = (1.0, 0.78, 0.25)
 

@@ -126,7 +126,8 @@ def test_only_a_room_of_the_users_turns(folder):
     light = Light((0.0, 2.0, 0.0))
     assert own_room(Scene([own], light, (0, 1, 1), (0, 0, 0))) is own
     assert own_room(Scene([Body("study")], light, (0, 1, 1), (0, 0, 0))) is None
-    assert own_room(Scene([own, Body("study")], light, (0, 1, 1), (0, 0, 0))) is None
+    assert own_room(Scene([own, Body("bottle")], light, (0, 1, 1), (0, 0, 0))) is own
+    assert own_room(Scene([Body("study"), own], light, (0, 1, 1), (0, 0, 0))) is None
 
 
 def test_a_manifest_moves_as_a_whole(folder):

@@ -12,12 +12,12 @@ import numpy as np
 
 from scenes.garden import ANIMALS, animals, garden_scene
 from scenes.roles import bounds
-from scenes.scene import BodyState, Hand, Role, Scene, Spot, Vec3
+from scenes.scene import Body, BodyState, Hand, Role, Scene, Spot, Vec3
 from scenes.scripted_carry import PLACING_TIME, placing_hands
 
 PLACE_RADIUS, SIZE_TOLERANCE = 0.35, 0.15  # [m], relative
 PLACES = tuple((x, 0.0, z) for *_, (x, z) in ANIMALS.values())
-NEAR = 0.02  # [m] of a way that is not worth telling
+FLOWERS = dict(zip(ANIMALS, ("orange", "violet", "pink", "white", "yellow"), strict=True))  # around its place
 FOOT = 0.8  # of half an animal's extent, within which its feet stand
 STROKED, STROKE_SPEED = 0.3, 0.01  # [s] and [m/s] of an animal that is stroked
 SCRIPT = (("bear", 1 / 0.62), ("rabbit", 1 / 1.45), ("fox", 1.0))  # whom the scripted hands move, and by which factor
@@ -26,14 +26,12 @@ SETTLE_TIME = 1.2  # [s] between the last of these and the first stroke
 
 @dataclass
 class Guest:
-    """An animal: height as modelled [m], y of its axis when it stands, for how long it was stroked [s], if at home, and
-    the way there, x and z [m]."""
+    """An animal: height as modelled [m], y of its axis when it stands, for how long it was stroked [s], if at home."""
 
     height: float
     upright: float
     stroked: float = 0.0
     placed: bool = False
-    way: tuple[float, float] = (0.0, 0.0)
 
     def stands(self, body: BodyState) -> bool:
         """Test if it is as upright as it was at first."""
@@ -43,17 +41,16 @@ class Guest:
 class AnimalCrossing:
     """An animal scores when it stands in its place in its own size, and once more when it is petted there.
 
-    places   of the animals on the ground [m], in their order
-    size     of animals and places: 1 as they are in the garden
-    flowers  whether a ring of flowers shows each place, as in the garden
+    places  of the animals on the ground [m], in their order
+    size    of animals and places: 1 as they are in the garden
     """
 
     moved = PLACING_TIME * len(SCRIPT)
     duration = moved + SETTLE_TIME + 1.6
     goal = 2 * len(ANIMALS)
 
-    def __init__(self, places: Sequence[Vec3] = PLACES, size: float = 1.0, flowers: bool = True):
-        self.places, self.size, self.flowers = dict(zip(ANIMALS, places, strict=True)), size, flowers
+    def __init__(self, places: Sequence[Vec3] = PLACES, size: float = 1.0):
+        self.places, self.size = dict(zip(ANIMALS, places, strict=True)), size
         self.reset()
 
     def reset(self) -> None:
@@ -66,8 +63,7 @@ class AnimalCrossing:
             for body, (_, _, size, _) in zip(bodies, ANIMALS.values(), strict=True):
                 self.guests.append(Guest((body.high[1] - body.low[1]) / size, abs(body.axis[1])))
         for guest, body, (x, _, z) in zip(self.guests, bodies, self.places.values(), strict=True):
-            guest.way = (float(x - body.centroid[0]), float(z - body.centroid[2]))
-            at_home = np.hypot(*guest.way) < self.size * PLACE_RADIUS
+            at_home = np.hypot(x - body.centroid[0], z - body.centroid[2]) < self.size * PLACE_RADIUS
             size = (body.high[1] - body.low[1]) / guest.height
             guest.placed = bool(at_home and guest.stands(body) and abs(size - 1) < SIZE_TOLERANCE)
             if guest.placed and body.held and np.linalg.norm(body.velocity) > STROKE_SPEED:
@@ -101,7 +97,7 @@ class AnimalCrossing:
             return "All are at home, and petted. Press R to play again."
         for name, guest in zip(ANIMALS, self.guests, strict=False):
             if not guest.placed:
-                home = "to its ring of flowers" if self.flowers else f"home, {way_in_words(guest.way)}"
+                home = f"to its ring of {FLOWERS[name]} flowers"
                 return f"Bring the {name} {home}, as large as it should be: two hands draw it larger."
             if guest.stroked < STROKED:
                 return f"The {name} is at home: pet it."
@@ -115,17 +111,10 @@ class AnimalCrossing:
         assert all(map(Guest.stands, self.guests, bodies)), "an animal has fallen"
 
 
-def way_in_words(way: tuple[float, float]) -> str:
-    """A way along x and z [m] for a player who looks along -z: "40 cm to the left, 20 cm nearer to you"."""
-    parts = (way[0], "to the right", "to the left"), (way[1], "nearer to you", "farther away")
-    told = [f"{100 * abs(x):.0f} cm {more if x > 0 else less}" for x, more, less in parts if abs(x) > NEAR]
-    return ", ".join(told) or "here"
-
-
 def game_at(spots: Sequence[Spot], size: float) -> AnimalCrossing:
     """The game in another room: of these spots the first are where the animals wait, the others their places."""
     homes = spots[len(ANIMALS) :]
-    return AnimalCrossing([(s.at[0], s.top, s.at[1]) for s in homes], size, flowers=False)
+    return AnimalCrossing([(s.at[0], s.top, s.at[1]) for s in homes], size)
 
 
 def stations() -> tuple[Vec3, ...]:
@@ -147,4 +136,5 @@ def build() -> Scene:
         game=AnimalCrossing(),
         roles=(Role("animal", tuple(ANIMALS), resize=False),),
     )
-    return replace(scene, room=replace(scene.room, stations=stations(), game_at=game_at))
+    marks = tuple(Body(f"flower_ring_{k}", position=at) for k, at in enumerate(PLACES))
+    return replace(scene, room=replace(scene.room, stations=stations(), game_at=game_at, marks=marks))

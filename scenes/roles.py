@@ -118,7 +118,7 @@ def in_room(scene: Scene, stage: str) -> Scene:
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
     angles = facing + TURNS if own.on_floor and environment.target is None else facing[None]
-    played = [b for b in scene.bodies if b.asset not in own.assets]
+    played = [*(b for b in scene.bodies if b.asset not in own.assets), *own.marks]
     best = None
     # The widest view, of what was photographed, then the fewest bodies in the way, then nearest to where its user stood
     for angle in angles:
@@ -197,6 +197,9 @@ def set_out(scene: Scene, stage: str, environment: Environment, grids: list[Dist
             k = station(np.array(body.position))
             on = spots[k].ground if body.material is None else spots[k].top
             bodies.append(replace(body, position=there(body.position, on, k), scale=size * body.scale))
+    for mark in own.marks:
+        k = station(np.array(mark.position))
+        bodies.append(replace(mark, position=there(mark.position, spots[k].top, k), scale=size * mark.scale))
     for box in scene.colliders:
         if box not in own.colliders:  # of what stands on a station: a box
             k = station(np.array(box.center))

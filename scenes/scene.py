@@ -182,6 +182,7 @@ class Room:
     stations   discs of ground (x, z, radius) [m], each with what stands there: where the radius is not free they are
                laid out one by one, all of them smaller if they must be; none: the play takes the ground that there is
     game_at    makes the game of a play that was laid out so, from the spots of the stations and its size (1: as it is)
+    marks      static bodies that mark places in another room, as this one does by itself
     """
 
     assets: tuple[str, ...]
@@ -191,6 +192,7 @@ class Room:
     on_floor: bool = False
     stations: tuple[Vec3, ...] = ()
     game_at: Callable[[Sequence[Spot], float], Game] | None = None
+    marks: tuple[Body, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ MODELS: dict[str, tuple] = {
     "rabbit": ("studio.creatures.creature_asset:creature", "rabbit:rabbit", 22_000, 480),
     # animal crossing: garden
     "garden": ("studio.garden.garden_model:garden",),
+    **{f"flower_ring_{k}": ("studio.garden.flower_ring:flower_ring", k) for k in range(5)},
     #
     # table brick game
     "study": ("studio.study.study_model:study",),

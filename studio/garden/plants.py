@@ -178,19 +178,25 @@ def flower_beds() -> list[Surface]:
 
 def flower_rings() -> list[Surface]:
     """A ring of low flowers round each animal's place."""
-    rng, surfaces = np.random.default_rng(631), []
-    for (x, z), colour in RINGS:
-        a = 2 * np.pi * np.arange(RING_FLOWERS) / RING_FLOWERS + rng.normal(size=RING_FLOWERS) * 0.03
-        r = RING_RADIUS + 0.015 * rng.normal(size=RING_FLOWERS)
-        head = np.stack([x + r * np.cos(a), 0.055 + 0.01 * rng.random(RING_FLOWERS), z + r * np.sin(a)], 1)
-        up = np.array([0.0, 1.0, 0.25]) + 0.2 * rng.normal(size=head.shape)
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
-        surfaces.append(blossoms(colour, [petals(rng, head, up, 0.036)]))
-        side = np.cross(up, (1.0, 0.0, 0.3))
-        heart = leaf_mesh(head + 0.006 * up, 0.024 * side, 0.024 * np.cross(up, side))
-        tone = "7a4a1c" if colour != "f6f0e4" else "f2b93b"
-        surfaces.append(Surface("hearts", heart, plain(tone, 0.05, 0.05), 0.05, translucency=0.3, leaves=True))
-    return surfaces
+    rng = np.random.default_rng(631)
+    return [surface for at, colour in RINGS for surface in ring_of_flowers(rng, at, colour)]
+
+
+def ring_of_flowers(
+    rng, at: tuple[float, float], colour: str, *, count: int = RING_FLOWERS, size: float = 0.036, height: float = 0.055
+) -> list[Surface]:
+    """A ring of low flowers around x, z [m], with petals of about `size` [m] at a height [m]."""
+    a = 2 * np.pi * np.arange(count) / count + rng.normal(size=count) * 0.03
+    r = RING_RADIUS + 0.015 * rng.normal(size=count)
+    y = height + 0.01 * rng.random(count)
+    head = np.stack([at[0] + r * np.cos(a), y, at[1] + r * np.sin(a)], 1)
+    up = np.array([0.0, 1.0, 0.25]) + 0.2 * rng.normal(size=head.shape)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    flowers = blossoms(colour, [petals(rng, head, up, size)])
+    side = np.cross(up, (1.0, 0.0, 0.3))
+    heart = leaf_mesh(head + size / 6 * up, size / 1.5 * side, size / 1.5 * np.cross(up, side))
+    tone = "7a4a1c" if colour != "f6f0e4" else "f2b93b"
+    return [flowers, Surface("hearts", heart, plain(tone, 0.05, 0.05), 0.05, translucency=0.3, leaves=True)]
 
 
 def petals(rng, heads: np.ndarray, up: np.ndarray, size: float) -> tuple:

@@ -70,15 +70,11 @@ def test_all_parts_of_each_animal_are_pulled(animal, ti_cpu):
     assert scene.game.score == scene.game.goal == 3
 
 
-def test_where_no_flowers_grow_the_way_home_is_told():
-    assert animal_crossing.way_in_words((-0.404, 0.2)) == "40 cm to the left, 20 cm nearer to you"
-    assert animal_crossing.way_in_words((0.01, -1.0)) == "100 cm farther away"
+def test_the_message_names_the_flowers_around_an_animal_s_place():
     zero, up = np.zeros(3), np.array([0.0, 1.0, 0.0])
-    bodies = [BodyState(n, zero, zero, zero, up, up, False) for n in animal_crossing.ANIMALS]
-    for flowers, told in ((True, "to its ring of flowers, as large"), (False, "home, 95 cm to the left, 15 cm nearer")):
-        game = animal_crossing.AnimalCrossing(flowers=flowers)
-        game.update(0.0, bodies)
-        assert told in game.message
+    game = animal_crossing.AnimalCrossing()
+    game.update(0.0, [BodyState(n, zero, zero, zero, up, up, False) for n in animal_crossing.ANIMALS])
+    assert "Bring the fox to its ring of orange flowers, as large" in game.message
 
 
 def test_only_animals_that_are_known():

@@ -76,6 +76,8 @@ def test_each_station_has_level_free_ground_in_view(name, stage):
         radii = [size * r for *_, r in STATIONS]
     else:
         radii = [size * r for *_, r in own.room.stations]
+        rings, homes = [b for b in bodies if b.asset.startswith("flower_ring")], list(scene.game.places.values())
+        np.testing.assert_allclose([b.position for b in rings], homes, atol=1e-6)
     assert len(pads) == len(radii)
     centres = [np.array(pad.center) for pad in pads]
     for (a, r), (b, s) in combinations(zip(centres, radii, strict=True), 2):

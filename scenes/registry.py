@@ -182,7 +182,8 @@ def load(
     for key, given in options.items():
         if given is not None:
             if key not in known:
-                raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}")
+                instead = "; a room to play in is its --stage" if key == "capture" else ""
+                raise BadInput(f"the scene {name} takes no --{key.replace('_', '-')}{instead}")
             values[key] = known[key].value(given, name)
     assets = [body] if isinstance(body, str) else list(body or ())
     played = []  # by what `build` does itself

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from assets.file_access import check_space, reason_of
 from core.errors import BadInput
 
 PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".webp")
@@ -16,6 +17,7 @@ VIDEOS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi")
 FRAMES = 120  # of a video
 SIDE_MAX = 1600  # [px] of images in which features are searched
 FEATURES_MAX = 4096  # in an image
+FEATURE_BYTES = 450  # on the disk: three times a descriptor of 128 and a place of 24, for the matches and a log
 EXHAUSTIVE_MAX = 120  # up to this many photographs every pair is matched; beyond, only neighbours in the sequence
 Progress = Callable[[str], None]
 
@@ -47,6 +49,14 @@ def find_poses(images: Path, model: Path, *, names: list[str], in_order: bool, p
     """
     pycolmap = load_pycolmap()
     pycolmap.logging.minloglevel = 3  # it would print what is reported here
+    check_space(model, len(names) * FEATURES_MAX * FEATURE_BYTES)  # else its library ends the program
+    try:
+        _find_poses(pycolmap, images, model, names, in_order, progress)
+    except (OSError, RuntimeError) as e:  # its own, as where the disk is full
+        raise BadInput(f"{model.parent}: poses cannot be found and written here ({reason_of(e)})") from e
+
+
+def _find_poses(pycolmap, images: Path, model: Path, names: list[str], in_order: bool, progress: Progress) -> None:
     one_camera = len({_size(images / name) for name in names}) == 1
     with tempfile.TemporaryDirectory(prefix="poses-", dir=model.parent) as work:
         database, cpu = Path(work) / "database.db", pycolmap.Device.cpu

@@ -4,6 +4,8 @@ import json
 import shutil
 import struct
 import sys
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -275,6 +277,19 @@ def test_photographs_without_poses_need_pycolmap(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     names = photographs_in(folder / "images")
     with pytest.raises(BadInput, match=r"requirements-poses\.txt"):
+        find_poses(folder / "images", folder / "poses", names=names, in_order=False, progress=print)
+
+
+def test_a_failure_of_pycolmap_is_told_in_one_line(folder, monkeypatch):
+    """Where the disk is full, its database is no more than a RuntimeError."""
+    module = MagicMock(**{"extract_features.side_effect": RuntimeError("No database.\nAt all.")})
+    monkeypatch.setitem(sys.modules, "pycolmap", module)
+    names = photographs_in(folder / "images")
+    with pytest.raises(BadInput, match=r"poses cannot be found and written here \(No database\. At all\.\)$"):
+        find_poses(folder / "images", folder / "poses", names=names, in_order=False, progress=print)
+    assert not any(p.name.startswith("poses") for p in folder.iterdir())
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=3e6))
+    with pytest.raises(BadInput, match=r"the disk has 3 MB left, about \d+ MB are needed"):  # it may abort there
         find_poses(folder / "images", folder / "poses", names=names, in_order=False, progress=print)
 
 

@@ -131,8 +131,8 @@ class SplatSubject:
 
     def close(self) -> None:
         """Free the device memory."""
-        self._drawn.destroy()
-        self._weights.destroy()
+        for drawn in (self._drawn, self._weights, self._selection):
+            drawn.destroy()
 
 
 class PhotographSubject:

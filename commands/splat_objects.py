@@ -63,7 +63,6 @@ def marked_splats(args: argparse.Namespace) -> SplatMarks:
     new = not args.out.exists()
     make_folder(args.out)
     start_taichi(args.arch)
-    progress(f"looking for the neighbours of {len(gaussians):,} Gaussians")
     subject = SplatSubject(gaussians, before, None)
     try:
         state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)

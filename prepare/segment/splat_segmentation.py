@@ -40,9 +40,7 @@ def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str
 
     Raises BadInput for marks without a Gaussian under them, and for an object that ends up empty.
     """
-    start = perf_counter()
     selection = SplatSelection(gaussians)
-    report(f"neighbours of {len(gaussians):,} Gaussians: {perf_counter() - start:.1f} s")
     weights = BlendingWeights(gaussians)
     names = list(marks.marks.objects)
     seeds = [Seeds(gaussians, weights, marks.cameras, marks.marks.objects[name]) for name in names]
@@ -55,6 +53,7 @@ def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str
         if count < SMALLEST:
             raise BadInput(f"{name!r}: only {count} Gaussians are left of it; mark more of it")
         report(f"{name}: {count:,} Gaussians, {perf_counter() - start:.1f} s")
+    selection.destroy()
     return with_ids(gaussians, ids, names)
 
 

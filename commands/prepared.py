@@ -68,7 +68,11 @@ def prepared_capture(args: argparse.Namespace) -> None:
     if capture is None or is_room_folder(capture):
         return
     from commands.capture_room import make_room, room_arguments
+    from scenes.registry import demo
 
+    found = demo(args.scene)
+    if found is None or all(option.name != "capture" for option in found.options):
+        return  # it is refused later, with the reason
     path = Path(capture)
     if not path.exists():
         raise BadInput(f"{capture}: no such file or folder")

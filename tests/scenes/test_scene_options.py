@@ -68,6 +68,7 @@ def test_parameters_of_build_become_options(zoo, capsys):
         (["--scene", "zoo", "--how-many", "few"], "--how-many of the scene zoo is a number, not 'few'"),
         (["--scene", "zoo", "--lit", "maybe"], "--lit of the scene zoo is yes or no"),
         (["--scene", "ring_toss", "--animal", "fox"], "the scene ring_toss takes no --animal"),
+        (["--scene", "ring_toss", "--capture", "photographs"], "takes no --capture; a room to play in is its --stage"),
         (["--scene", "zoo", "--animl", "fox"], "there is no option --animl; --animal?"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from prepare.onnx_network import SIDE, OnnxNetwork
 
-LEVELS = 255.0  # some exports give 0..1, some 0..255
+LEVELS = 255.0  # the published exports give 0..255, others 0..1
 
 
 class LamaNetwork:
@@ -26,7 +26,8 @@ class LamaNetwork:
     def __call__(self, picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:
         """The picture (H, W, 3) float32, 0..1, with its unknown part (H, W) bool filled. Raises BadInput."""
         size = unknown.shape[::-1]
-        mask = cv2.resize(unknown.astype(np.uint8), (SIDE, SIDE), interpolation=cv2.INTER_NEAREST).astype(np.float32)
+        share = cv2.resize(unknown.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
+        mask = (share > 0).astype(np.float32)  # all that the interpolation mixes with what is unknown
         image = cv2.resize(picture.astype(np.float32), (SIDE, SIDE), interpolation=cv2.INTER_LINEAR)
         image *= 1.0 - mask[..., None]
         found = self._net.run(image=image.transpose(2, 0, 1), mask=mask[None]).transpose(1, 2, 0)

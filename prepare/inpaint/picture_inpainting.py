@@ -19,9 +19,7 @@ PATCH = 7  # [px] side of a patch
 COARSEST = 5  # [px] approximate width of the hole in the coarsest picture
 ROUNDS = 4  # of searching and voting on each level
 COMPONENTS = 12  # principal components of a patch that are compared
-SLACK = 0.5  # relative tolerance of the nearest-neighbour search
-SAMPLE = 3000  # patches from which the components are computed
-SOURCES = 12_000  # patches searched
+SOURCES = 12_000  # patches searched at most
 
 
 def paint_from_patches(picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:
@@ -32,8 +30,8 @@ def paint_from_patches(picture: np.ndarray, unknown: np.ndarray) -> np.ndarray:
     """
     if not unknown.any() or unknown.all():
         return picture.copy()
-    size = np.sqrt(unknown.sum())
     sizes = [(picture.astype(np.float32), unknown)]
+    size = np.sqrt(unknown.sum())
     while size > 2 * COARSEST and min(sizes[-1][1].shape) > 8 * PATCH:
         sizes.append(_halved(*sizes[-1]))
         size /= 2
@@ -67,12 +65,10 @@ def _vote(known: np.ndarray, hole: np.ndarray, filled: np.ndarray) -> np.ndarray
         return filled
     sources = sources[:: -(-len(sources) // SOURCES)]
     patches = _patches(known, sources)
-    mean = patches.mean(axis=0)
-    sample = (patches - mean)[:: -(-len(patches) // SAMPLE)]
-    axes = np.linalg.svd(sample, full_matrices=False)[2][:COMPONENTS].T
-    tree = cKDTree((patches - mean) @ axes)
+    axes = np.linalg.eigh(np.cov(patches, rowvar=False))[1][:, -COMPONENTS:].astype(np.float32)
+    tree = cKDTree(patches @ axes)
     for _ in range(ROUNDS):
-        distance, match = tree.query((_patches(filled, wanted) - mean) @ axes, eps=SLACK, workers=-1)
+        distance, match = tree.query(_patches(filled, wanted) @ axes, workers=-1)
         trust = np.exp(-0.5 * (distance / (np.percentile(distance, 75) + 1e-6)) ** 2).astype(np.float32)
         total, weight = np.zeros_like(filled), np.zeros(hole.shape, np.float32)
         for dy in range(-r, r + 1):

@@ -17,14 +17,12 @@ from core.spherical_harmonics import C0
 from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views, kept_drawings
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
-from prepare.inpaint.lama_network import LamaNetwork
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import SupportSurface, part_of_surface, support_surfaces, unproject
 from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
 from prepare.train.photographs import Photograph
-from tests.support.onnx_network import Network
 from vrgs import main
 
 RADIUS, SPACING = 0.12, 0.02  # [m] of the ball, and between the table's Gaussians
@@ -123,15 +121,6 @@ def truths(hole) -> list[Photograph]:
     pictures = [(drawing(c)[0].clip(0, 1) * 255).round().astype(np.uint8) for c in cameras()]
     drawing.destroy()
     return [Photograph(p, np.ones(p.shape[:2], bool), c) for p, c in zip(pictures, cameras(), strict=True)]
-
-
-def write_lama(path, color=(0.2, 0.4, 0.6), *, levels: float = 255.0, image: str = "image") -> None:
-    """A network like LaMa, output = levels * (image + mask * color): the hole in one colour."""
-    network = Network(inputs={image: (1, 3, 512, 512), "mask": (1, 1, 512, 512)})
-    painted = network.node("Mul", "mask", network.constant("color", np.reshape(color, (1, 3, 1, 1))))
-    filled = network.node("Add", image, painted)
-    output = network.node("Mul", filled, network.constant("levels", np.full((1, 1, 1, 1), levels)))
-    network.write(path, output, (1, 3, 512, 512))
 
 
 def test_a_texture_is_sampled_at_any_number_of_places():
@@ -352,37 +341,6 @@ def test_cut_out_cameras_show_the_same_rays():
             assert 0 < cut.cx + cut.fx * x / z < cut.width
     behind = perspective(112, 84, 0.75, look_at((0.0, 0.1, 3.0), (0.0, 0.1, 9.0)))
     assert cut_out_camera(behind, sphere) is None
-
-
-def test_patches_continue_a_pattern():
-    y, x = np.mgrid[:96, :96]
-    checks = np.repeat((0.3 + 0.4 * ((x // 12 + y // 12) % 2))[..., None], 3, axis=2).astype(np.float32)
-    hole = (x - 50) ** 2 + (y - 47) ** 2 < 14**2
-    filled = paint_from_patches(np.where(hole[..., None], 0, checks), hole)
-    assert_array_equal(filled[~hole], checks[~hole])
-    assert ((filled - checks)[hole] ** 2).mean() < 0.002  # a smooth fill: 0.04
-    assert_array_equal(paint_from_patches(checks, np.zeros_like(hole)), checks)
-
-
-@pytest.mark.parametrize("levels", [1.0, 255.0])
-def test_a_lama_network_fills_the_hole(tmp_path, levels):
-    write_lama(tmp_path / "lama.onnx", (0.2, 0.4, 0.6), levels=levels)
-    picture, hole = np.full((90, 100, 3), 0.5, np.float32), np.zeros((90, 100), bool)
-    hole[30:60, 40:70] = True
-    filled = LamaNetwork(tmp_path / "lama.onnx")(picture, hole)
-    assert np.abs(filled[35:55, 45:65] - (0.2, 0.4, 0.6)).max() < 1e-4
-    assert_array_equal(filled[~hole], picture[~hole])
-
-
-def test_other_networks_and_files_are_refused(tmp_path):
-    (tmp_path / "bad.onnx").write_bytes(b"not a network at all")
-    with pytest.raises(BadInput, match="cannot read it as an ONNX network"):
-        LamaNetwork(tmp_path / "bad.onnx")
-    with pytest.raises(BadInput, match=r"is an \.onnx file"):
-        LamaNetwork(tmp_path / "bad.pth")
-    write_lama(tmp_path / "other.onnx", image="picture")
-    with pytest.raises(BadInput, match="inputs `image` and `mask`"):
-        LamaNetwork(tmp_path / "other.onnx")(np.zeros((8, 8, 3), np.float32), np.ones((8, 8), bool))
 
 
 def write_scene(folder):

@@ -25,6 +25,7 @@ import taichi as ti
 
 from core.fields import FieldGroup, Upload, round_up_capacity, two_sum
 from sim.capacity import MAX_BODIES, Capacity, Sizes, fit
+from sim.elastic.time_step import STABILITY_LIMIT
 
 if TYPE_CHECKING:
     from sim.model import Model
@@ -81,7 +82,8 @@ class State:
         self.prescribed_mass = g.scalar(B)  # of the prescribed vertices [kg]
         self.friction = g.scalar(B)  # static coefficient
         self.sliding_friction = g.scalar(B)  # kinetic coefficient
-        self.max_step = g.scalar(B)  # the farthest that a vertex may move in a substep [m]
+        self.max_step = g.scalar(B)  # the farthest that a vertex may move in a stable substep of XPBD [m]
+        self.speed_limit = g.scalar(B)  # of this frame's substeps [m/s]
         self.untangling = g.scalar(B, dtype=ti.i32)  # 1 while it is led to its rest shape, through itself
         self.inverted = g.scalar(B, dtype=ti.i32)  # bit 0 is set by elasticity where a tet is inverted
         self.stress_lag = g.scalar(B)  # time [s] of this frame's substeps whose motion the stress does not see
@@ -171,7 +173,7 @@ class State:
         """
         dt, w = self.dt[None], self.inv_mass[i]
         v, v_lo, x_lo, predicted = self.v[i], self.v_lo[i], self.x_lo[i], self.dx_predicted[i]
-        x, limit = self.x[i], self.max_step[self.body_of_vertex[i]] / dt
+        x, limit = self.x[i], self.speed_limit[self.body_of_vertex[i]]
         if w > 0.0:
             v, v_lo = two_sum(v, v_lo + (dt * self.gravity[None] + (d - predicted) / dt))
             speed = v.norm()
@@ -191,6 +193,9 @@ class State:
         self.dt[None], self.detect_dt[None], self.gravity[None] = dt, detect_dt, gravity
         self.substeps[None], self.substep_index[None] = substeps, -1
         for b in range(MAX_BODIES):
+            # A longer substep, of VBD, makes no body slower: its own elements do not limit how fast it may fly
+            stable = STABILITY_LIMIT / ti.sqrt(ti.max(self.kappa[b], 1e-12))
+            self.speed_limit[b] = self.max_step[b] / ti.min(dt, stable)
             converges = dt * ti.sqrt(self.kappa[b]) <= MAX_LAGGING_STABILITY
             self.stress_lag[b] = ti.max(dt - self.retardation[b], 0.0) if converges else 0.0
 

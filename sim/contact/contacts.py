@@ -240,7 +240,8 @@ class Contacts(Constraint):
     def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
         """Phase 0 activates the candidates that touch; then, pass by pass, all of these take steps.
 
-        In later passes those of rigid bodies alone: what soft bodies do to one another waits for the next substep.
+        In later passes those of rigid bodies alone: what soft bodies do to one another waits for the next substep. In
+        VBD all of soft bodies wait for the next sweep: what an impulse moves at once is but its own vertices.
         """
         if k < self.constraints.candidate_count[None]:
             r = self.constraints.candidate[k]
@@ -250,7 +251,8 @@ class Contacts(Constraint):
             elif ti.static(self.soft or self.has_fingers):
                 skipped = False
                 if ti.static(self.coupled):
-                    skipped = self._grouped(r) or (phase > 1 and self.constraints.body_count[r] == 0)
+                    waits = ti.static(integrator.warm_started) or self.constraints.body_count[r] == 0
+                    skipped = self._grouped(r) or (phase > 1 and waits)
                 if not skipped:
                     self.constraints.solve(r, phase, integrator)
 

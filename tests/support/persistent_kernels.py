@@ -36,7 +36,7 @@ def assert_blocks_slide_alike(
         at = {"position": x.mean(0), "velocity": lower.velocity}
         lower = RigidBody.box("lower", np.ptp(x, axis=0), density=1000.0, friction=0.3, **at)
         n = len(lower.vertices)
-    upper = SoftBody("upper", x, tets, surface, material, position=(0.05, 0.1, 0.0))
+    upper = SoftBody("upper", x, tets, surface, material, position=(0.045, 0.1, 0.01))
     solver = Solver([lower, upper], [Plane((0, 0, 0), (0, 1, 0))], **options)
     for make in forms:
         solver.integrator = make(solver)

@@ -12,6 +12,7 @@ from prepare.train.population import Population
 START, STOP, EVERY = 500, 15_000, 100  # steps of training
 RESET_EVERY = 3000  # steps between two resets of the opacities
 PULL_MIN = 2e-4  # [1/half picture] mean pull above which detail is missing
+FAR = 0.37  # of the extent: depth from which on a pull counts in full (Pixel-GS)
 SMALL = 0.01  # of the extent: smaller ones are cloned, larger ones split
 SPLIT_SHRINK = 1.6
 OPACITY_MIN, OPACITY_RESET = 0.005, 0.01

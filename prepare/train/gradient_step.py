@@ -86,9 +86,9 @@ class GradientStep:
         """A step of Adam for the labels with the gradients of the last `compute` with a mask."""
         self._passes.update_labels(self.population.frozen, self.population.count, *biases)
 
-    def update(self, camera: Camera, rates, biases, active: int, costs, sparse: bool = False) -> None:
+    def update(self, camera: Camera, rates, biases, active: int, far: float, costs, sparse: bool = False) -> None:
         """A step of Adam with the gradients of the last `compute`, see `Population.update`."""
-        numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, *costs, int(sparse))
+        numbers = (*rates, *biases, active, 0.5 * camera.width, 0.5 * camera.height, far, *costs, int(sparse))
         self._passes.update(self.population.frozen, self.population.count, *numbers)
 
     def camera_gradient(self) -> np.ndarray:
@@ -197,10 +197,10 @@ class _BackwardPass:
     def update(
         self, begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32, logit: ti.f32,
         color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32, half_width: ti.f32,
-        half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+        half_height: ti.f32, far: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
     ):  # fmt: skip
         self.population.update(
             self.gradients, begin, end, mean, quat, log_scale, logit, color, harmonics, bias1, bias2, active,
-            half_width, half_height, opacity_cost, scale_cost, sparse,
+            half_width, half_height, far, opacity_cost, scale_cost, sparse,
         )  # fmt: skip
         self.population.parameters.activate(begin, end)

@@ -24,7 +24,8 @@ class Population:
     first, second        moments of Adam of mean, quat, log_scale, logit, in this order
     first_sh, second_sh  those of the harmonics
     pull        sum over steps since the last clearing of the norm of the gradient with respect to the position in the
-                picture [1/half picture]; `pulls` counts those steps, in which the Gaussian was visible
+                picture [1/half picture], less near the camera (Pixel-GS, Zhang et al. 2024): else what hangs in the air
+                before one camera multiplies; `pulls` counts those steps, in which the Gaussian was visible
 
     labels      of their objects, if there are masks
 
@@ -108,13 +109,14 @@ class Population:
     def update(
         self, gradients: ti.template(), begin: ti.i32, end: ti.i32, mean: ti.f32, quat: ti.f32, log_scale: ti.f32,
         logit: ti.f32, color: ti.f32, harmonics: ti.f32, bias1: ti.f32, bias2: ti.f32, active: ti.i32,
-        half_width: ti.f32, half_height: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
+        half_width: ti.f32, half_height: ti.f32, far: ti.f32, opacity_cost: ti.f32, scale_cost: ti.f32, sparse: ti.i32,
     ):  # fmt: skip
         """A step of Adam for Gaussians [begin, end) with the gradients of this step; outermost level of a kernel.
 
         mean to harmonics      learning rates; bias1, bias2: 1 - beta^t of this step
         active                 number of coefficients of the harmonics that are learned by now
         half_width, half_height  of the picture [px]
+        far                    depth from which on a Gaussian's pull counts in full
         opacity_cost, scale_cost derivatives of the loss by each opacity and scale, over the number of Gaussians
         sparse                 1: Gaussians outside the picture are not updated, nor their moments
         """
@@ -124,7 +126,8 @@ class Population:
                 d = geometry(0.0)
                 if seen:
                     pull = gradients.blend.d_mean2d(g)
-                    self.pull[g] += ti.math.vec2(pull.x * half_width, pull.y * half_height).norm()
+                    share = ti.min(gradients.projection.mean2d[0, g][3] / far, 1.0) ** 2
+                    self.pull[g] += share * ti.math.vec2(pull.x * half_width, pull.y * half_height).norm()
                     self.pulls[g] += 1.0
                     d_mean = gradients.d_mean[g]
                     d_quat, d_log_scale, d_logit = self.parameters.backward(g, gradients)

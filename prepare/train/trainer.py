@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from assets.gaussians import SH_COUNTS, Gaussians
-from prepare.train.densification import AdaptiveDensity, MonteCarlo
+from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo
 from prepare.train.gradient_step import GradientStep
 from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label
 from prepare.train.optimizer import BETA1, BETA2, LearningRates
@@ -95,6 +95,7 @@ class Trainer:
             (mean_rate, r.quat, r.log_scale, r.logit, r.color, r.harmonics),
             biases,
             SH_COUNTS[degree] if self.done % o.harmonics_every == 0 else 1,
+            FAR * self.extent,
             (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
             o.sparse,
         )

@@ -78,6 +78,23 @@ def test_a_restored_trainer_goes_on_as_the_first_one(trained, tmp_path):
         read_checkpoint(tmp_path / "a.h5", {"degree": 1}, len(cameras()))
 
 
+def test_a_pull_counts_less_near_the_camera(trained):
+    trainer = trained[0]
+    p, view = trainer.population, trainer.views.at(0, 1.0)
+    kept, pulls = p.read(), []
+    depth = kept["mean"] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
+    far = float(np.median(depth))
+    for full in (1e-6, far):
+        p.write(kept | {"pull": np.zeros(p.count, np.float32)})
+        trainer.gradients.compute(view.image, view.camera, 1.0 / (3 * view.counted))
+        trainer.gradients.update(view.camera, (0.0,) * 6, (1.0, 1.0), 1, full, (0.0, 0.0))
+        pulls.append(p.pull.to_numpy()[: p.count])
+    p.write(kept)
+    seen = pulls[0] > 0
+    assert (depth[seen] < far).any() and (depth[seen] > far).any()
+    assert_allclose(pulls[1][seen], (pulls[0] * np.minimum(depth / far, 1.0) ** 2)[seen], rtol=1e-4)
+
+
 def test_what_is_pulled_is_cloned_or_split_and_what_is_faint_dies(trained):
     p = trained[0].population
     kept, n = p.read(), p.count

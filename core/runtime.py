@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import signal
 import textwrap
+import threading
 import weakref
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -24,6 +26,23 @@ KERNEL_CACHE = {"offline_cache": True, "offline_cache_max_size_of_files": 1 << 3
 COMPILER_OPTIONS = {**KERNEL_CACHE, "opt_level": 0}
 
 
+@contextlib.contextmanager
+def interrupts_held() -> Iterator[None]:
+    """Let a Ctrl-C act after the block: bare `except:` clauses, as in the start of Taichi, would swallow it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came and callable(before):
+        before(signal.SIGINT, None)
+
+
+@interrupts_held()
 def start_taichi(arch: str | None = None, seed: int = 0) -> None:
     """Start Taichi once: on CUDA if there is a GPU or `arch` is "cuda", else on the CPU. Raises BadInput."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")

@@ -168,7 +168,7 @@ def object_number(scene, name: str, path: Path) -> int:
 
 def _measured(name, removed, hole, textures, before, after, truths, painter, options) -> dict:
     """Numbers of an object's hole, and under "pictures" a picture for the report."""
-    from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+    from prepare.inpaint.hole_quality import compare, inconsistency, psnr_by_view, uncovered_psnr
 
     views = compare(hole, textures, before, after, truths, **options)
     views = [v for v in views if v.covered.any()]
@@ -177,6 +177,7 @@ def _measured(name, removed, hole, textures, before, after, truths, painter, opt
     numbers["surfaces"] = [{"normal": t.surface.axes[2].tolist(), "area": t.area} for t in textures]
     if truths:
         numbers["psnr"] = uncovered_psnr(views)
+        numbers["psnr_by_view"] = psnr_by_view(views)
     if textures:
         numbers["inconsistency"] = {"after": inconsistency(views, textures, [v.after for v in views])}
     if textures and truths:
@@ -206,6 +207,10 @@ def _report(path: Path, objects: list[dict], whole: dict) -> None:
         rows = [("area of the hole [m^2]", f"{numbers['area']:.4g}"), ("new Gaussians", str(numbers["new"]))]
         for where, psnr in numbers.get("psnr", {}).items():
             rows += [(f"PSNR, pixels of the {where}, {when} [dB]", f"{value:.2f}") for when, value in psnr.items()]
+        if numbers.get("psnr_by_view"):
+            rows.append(
+                ("PSNR, pixels of the object, after, in the worst view [dB]", f"{min(numbers['psnr_by_view']):.2f}")
+            )
         for when, value in numbers.get("inconsistency", {}).items():
             rows.append((f"deviation between views, {when.replace('_', ' ')} [of 255]", f"{value:.2f}"))
         sections.append(Section(numbers["object"], columns, shown, Table(("", ""), rows)))

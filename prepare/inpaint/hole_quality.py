@@ -73,9 +73,19 @@ def uncovered_psnr(views: list[Comparison]) -> dict[str, dict[str, float]]:
             squares = [(getattr(v, when) - v.truth)[getattr(v, pixels)] ** 2 for v in views if v.truth is not None]
             squares = np.concatenate([np.zeros((0, 3)), *squares])
             if len(squares):
-                error[when] = float(min(PSNR_MAX, -10 * np.log10(max(squares.mean(), 1e-12))))
+                error[when] = _psnr(squares)
         found[name] = error
     return found
+
+
+def psnr_by_view(views: list[Comparison]) -> list[float]:
+    """PSNR [dB] after, over the pixels that the object covered, of each view with a truth that shows some."""
+    shown = [v for v in views if v.truth is not None and v.covered.any()]
+    return [_psnr((v.after - v.truth)[v.covered] ** 2) for v in shown]
+
+
+def _psnr(squares: np.ndarray) -> float:
+    return float(min(PSNR_MAX, -10 * np.log10(max(squares.mean(), 1e-12))))
 
 
 def inconsistency(views: list[Comparison], textures: list[SurfaceTexture], pictures: Sequence[np.ndarray]) -> float:

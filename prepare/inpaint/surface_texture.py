@@ -115,7 +115,8 @@ def texture_of(
     known &= ~hole
     around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
     rim = float(known[around].mean()) if around.any() else 1.0
-    color = _seen(texture, points, views, tolerance).color  # where the relief is
+    again = _seen(texture, points, views, tolerance)  # where the relief is
+    known, color = known & again.known, again.color
     color = np.where(known[..., None], color, 0.0).clip(0.0, 1.0).astype(np.float32)
     return replace(texture, surface=surface, color=color, known=known, hole=hole, rim=rim)
 
@@ -173,7 +174,8 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
         covered += look.covered
         lacking += look.lacks
         heights += np.where(look.shows, look.height, 0.0)
-        drawn = cv2.remap(view.color, look.at[..., 0], look.at[..., 1], cv2.INTER_LINEAR)
+        x, y = look.at[..., 0], look.at[..., 1]
+        drawn = cv2.remap(view.color, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         better = look.merit > best
         color[better], best[better] = drawn[better], look.merit[better]
     known = (shown > through) & (shown > SEEN_SHARE * looking)

@@ -14,7 +14,7 @@ from assets.splat_files import read_gaussians, write_gaussians
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.spherical_harmonics import C0
-from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
+from prepare.inpaint.hole_quality import compare, inconsistency, psnr_by_view, uncovered_psnr
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_camera, draw_views, kept_drawings
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.picture_inpainting import paint_from_patches
@@ -152,7 +152,8 @@ def test_only_what_no_camera_saw_is_a_hole(closed):
 
 def test_the_hole_is_closed_as_the_table_was_and_the_same_from_all_sides(closed, views):
     _, textures, _ = closed
-    psnr = uncovered_psnr(views)
+    psnr, each = uncovered_psnr(views), psnr_by_view(views)
+    assert len(each) == len(views) and min(each) > 23.0 and min(each) < psnr["object"]["after"] < max(each)
     assert psnr["hole"]["before"] < 15.0 and psnr["hole"]["after"] > 22.0 and psnr["object"]["after"] > 25.0
     assert inconsistency(views, textures, [v.after for v in views]) < 8.0
     flat_grey = [np.random.default_rng(0).random(v.after.shape, np.float32) for v in views]
@@ -254,6 +255,16 @@ def test_a_small_object_on_a_noisy_surface_has_one_hole():
     away = np.linalg.norm(places[..., [0, 2]], axis=-1)
     assert texture.hole[away < 0.3 * RADIUS].all()
     assert texture.hole[np.abs(away - 0.55 * RADIUS) < 0.05 * RADIUS].mean() > 0.9  # the dent's inner half
+
+
+def test_known_texels_have_the_colour_of_the_surface():
+    """None is dark: not those at a picture's edge, nor those that only the plane shows, not its relief."""
+    sphere = Surroundings(np.array([0.0, RADIUS, 0.0]), RADIUS)
+    cuts = [cut_out_camera(c, sphere) for c in cameras()]
+    views = [noisy_view(k, c, noise=0.004) for k, c in enumerate(cuts)]
+    surface, *_ = support_surfaces(views, ball().means, sphere, np.random.default_rng(0))
+    texture = texture_of(surface, [], views, sphere, photographed=True)
+    assert texture.known.any() and np.abs(texture.color[texture.known] - 0.5).max() < 1e-3
 
 
 def test_an_object_stands_on_the_plinth_that_it_touches():

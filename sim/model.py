@@ -12,7 +12,7 @@ from sim.body_model import BodyModel, RestShape
 from sim.capacity import Sizes, offsets, stacked
 from sim.elastic.time_step import lame
 
-MAX_STEP = 0.5  # edge lengths; a vertex that crosses more in a substep has lost its elements (5e4 Pa: at 30-100 m/s)
+MAX_STEP = 0.5  # edge lengths in a substep of XPBD; a faster vertex has lost its elements (5e4 Pa: at 30-100 m/s)
 
 
 class Model:

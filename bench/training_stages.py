@@ -38,7 +38,7 @@ class StagedStep:
                 "backward of blend": lambda: self._backward.blend(population.count),
                 "backward of projection": lambda: self._backward.project(*rows),
                 "Adam": lambda: step.update(
-                    camera, of_all, biases, population.splats.coefficients, (0.0, 0.0), options.sparse
+                    camera, of_all, biases, population.splats.coefficients, trainer.extent, (0.0, 0.0), options.sparse
                 ),
             }
         )

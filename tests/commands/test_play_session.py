@@ -178,7 +178,7 @@ def test_a_length_in_the_room_is_written_to_its_file_and_the_scene_begins_anew(s
     assert after.environment.clear_radius == pytest.approx(1.2 * before.environment.clear_radius)
     monkeypatch.setattr(EmptyWorld, "room", SimpleNamespace(own=None), raising=False)
     (world, *_) = worlds_of(session([Measure((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), 0.6)], []))
-    assert world.told == ["Only a room of your own can be changed: --stage ROOM."]
+    assert world.told == ["Both points on one body set its size; a room must be your own (--stage) for that."]
 
 
 @pytest.mark.parametrize("output", ["recording", "study"])

@@ -144,7 +144,7 @@ def test_the_window_turns_with_the_mouse_measures_and_closes(file, tmp_path):
             screen.drag((330, 250), (190, 250))
             assert becomes(120, lambda c: c[0] - c[1] > 80), "its red side did not come round"
             screen.key("k")
-            for y in (90, 160):
+            for y in (90, 125):  # above the dialog
                 screen.click(200, y)
                 assert crossed(y, True), "no cross where it was clicked"
             screen.key("2")  # the two points are 2 m apart
@@ -159,4 +159,4 @@ def test_the_window_turns_with_the_mouse_measures_and_closes(file, tmp_path):
         finally:
             process.kill()
     size = np.ptp(read_gaussians(out).means[:-1], axis=0).max()  # but for the speck
-    assert 5.0 < size < 12.0  # the ball of 0.8 m: the points are a third of the picture apart, on its near side
+    assert 12.0 < size < 30.0  # the ball of 0.8 m: the points are an eighth of the picture apart, on its near side

@@ -129,7 +129,8 @@ def assert_sound(asset: Asset, vertices: int) -> None:
     assert len(non_manifold_vertices(cage.surface)) == 0
     assert face_components(cage.tets).max() == 0
     opaque = g.means[g.opacities > 0.5].astype(np.float64)
-    assert (TetLocator(cage.vertices, cage.tets).find(opaque) >= 0).mean() >= 0.99
+    outside = (TetLocator(cage.vertices, cage.tets).find(opaque) < 0).sum() - asset.provenance["counts"]["flap"]
+    assert outside <= 0.01 * len(opaque)
     low, high = cage.vertices.min(0), cage.vertices.max(0)
     assert_allclose([low[0] + high[0], low[1], low[2] + high[2]], 0, atol=1e-6)
     assert len(asset.embedding.host) == len(g)

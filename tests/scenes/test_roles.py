@@ -94,6 +94,7 @@ def test_every_demo_moves_into_a_room_of_the_users(name, tmp_path):
     around, *rest = scene.bodies
     assert around.asset == stage and scene.cast[-1][0] == stage and scene.cast[-1][1].startswith("the room")
     played = [b for b in own.bodies if b.asset not in own.room.assets]
+    rest = rest[: len(rest) - len(own.room.marks)]  # which mark places in another room only
     assert [replace(b, position=o.position) for b, o in zip(rest, played, strict=True)] == played
     assert len(rest) < len(own.bodies)
     assert any(c in own.room.colliders for c in own.colliders)

@@ -9,13 +9,14 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.errors import BadInput
+from core.spherical_harmonics import C0
 from core.threads import in_threads
 from prepare.inpaint.hole_patch import HOLE_PIXELS, VIEWS_MAX, seed_patch, target, train_patch
 from prepare.inpaint.hole_views import HoleView, Surroundings, cameras_around, draw_views, within_object
 from prepare.inpaint.object_shadow import find_shadow, textures_without_shadow, views_of, without_shadow
 from prepare.inpaint.picture_inpainting import Painter, paint_from_patches
 from prepare.inpaint.support_surface import part_of_surface, support_surfaces
-from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
+from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of
 from prepare.progress import Progress, no_progress
 from prepare.train.photographs import Photograph
 
@@ -122,7 +123,10 @@ def in_support(
     hiding = removed if others is None else concatenate([removed, others])
     views = draw_views(background, hiding, cameras, ball, progress, **options)
     textures = textures_around(views, removed, ball, photographed=photographed)
-    return part_of_surface(removed.means, textures[0].surface, ball) if textures else none
+    if not textures:
+        return none
+    like = shows_colors(textures[0], removed.sh[:, 0] * C0 + 0.5)
+    return part_of_surface(removed.means, textures[0].surface, ball, like)
 
 
 def without_support(

@@ -110,15 +110,19 @@ def _nearness(points: np.ndarray, others: np.ndarray, ball: Surroundings) -> np.
     return (1.0 + (cKDTree(others).query(points)[0] / (CONTACT * ball.radius)) ** 2) ** -2.0
 
 
-def part_of_surface(means: np.ndarray, surface: SupportSurface, ball: Surroundings) -> np.ndarray:
+def part_of_surface(
+    means: np.ndarray, surface: SupportSurface, ball: Surroundings, like: np.ndarray | bool = True
+) -> np.ndarray:
     """Mask (N,) of an object's Gaussians that lie in the surface that it stands on: its masks took them along.
 
-    None if most of it does, as it is flat itself, or little, as that is its own underside.
+    None if most of it lies there, as it is flat itself, or little does, as that is its own underside. `like`: those of
+    the surface's colours (N,); flat feet have others.
     """
     points = means.astype(np.float64)
-    part = np.abs(surface.local(points)[:, 2]) < FLAT * ball.radius
-    part &= np.abs(normals_of(points) @ surface.axes[2]) > PARALLEL
-    return part & (PART_SHARE[0] < part.mean() < PART_SHARE[1])
+    lying = np.abs(surface.local(points)[:, 2]) < FLAT * ball.radius
+    lying &= np.abs(normals_of(points) @ surface.axes[2]) > PARALLEL
+    part = lying & like
+    return part & (PART_SHARE[0] < part.mean() and lying.mean() < PART_SHARE[1])
 
 
 def normals_of(points: np.ndarray) -> np.ndarray:

@@ -28,6 +28,9 @@ SLIVER = 2  # texels: half the width of a gap that is a dent at the object's foo
 ROW = 1024  # texels sampled per row (cv2.remap limits rows)
 HOLE_MIN = 4  # texels of a connected hole; smaller ones are noise of the depth
 EDGE_POINTS = 50, 400  # least and most from which a surface's edge is continued
+HUE = 0.15  # largest distance of RGB, 0..1, from a shade of a surface's colour
+COLORS = 500  # texels that colours are compared with
+COMMON = 0.05  # share of the texels that have a colour of the surface; fewer are of things on it
 SURE = 0.5  # share of the views past the object that must show no surface, where there are no photographs
 
 
@@ -233,6 +236,17 @@ def projected(view: HoleView, points: np.ndarray, normal: np.ndarray) -> tuple[n
 def _footprint(view: HoleView, ball: Surroundings) -> float:
     """Size [m] of a pixel at the object's distance."""
     return float(np.linalg.norm(view.camera.position - ball.centre)) / view.camera.fx
+
+
+def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
+    """Mask (N,) of the RGB colours (N, 3) that a surface shows, in any shade."""
+    shown = texture.color[texture.known].astype(np.float64)
+    if not len(shown):
+        return np.zeros(len(colors), bool)
+    shown = shown[:: -(-len(shown) // COLORS)]
+    hues = shown / np.maximum(np.linalg.norm(shown, axis=1, keepdims=True), 1e-6)
+    off = (colors**2).sum(axis=1, keepdims=True) - (colors @ hues.T).clip(0.0) ** 2
+    return (off < HUE**2).mean(axis=1) > COMMON
 
 
 def _without_specks(hole: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import SupportSurface, part_of_surface, support_surfaces, unproject
-from prepare.inpaint.surface_texture import SurfaceTexture, texture_of
+from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
 from prepare.train.photographs import Photograph
@@ -302,13 +302,32 @@ def test_a_part_of_the_surface_that_went_with_the_object_is_told_from_it():
     assert not part_of_surface(slab, top, sphere).any()  # a flat object is no part of what it lies on
 
 
-def test_a_body_does_not_carry_away_what_its_masks_took_of_the_table(ti_cpu):
+def test_a_surface_shows_its_colours_in_any_shade():
+    """Of a table in checks on which an orange thing was left."""
+    surface = SupportSurface(np.zeros(3), np.eye(3), 0.0)
+    checks, orange = np.array([[0.45, 0.5, 0.4], [0.7, 0.5, 0.3]]), np.array([[0.7, 0.35, 0.05]])
+    color = checks[np.add.outer(np.arange(48) // 6, np.arange(48) // 6) % 2]
+    color[10:16, 10:16] = orange  # 2% of it
+    known = np.ones((48, 48), bool)
+    texture = SurfaceTexture(surface, np.zeros(2), 0.01, color.astype(np.float32), known, ~known)
+    noise = np.random.default_rng(0).normal(scale=0.05, size=(200, 3))
+    for shade in (1.0, 0.5, 0.0):
+        assert shows_colors(texture, np.repeat(shade * checks, 100, axis=0) + noise).mean() > 0.9
+    assert shows_colors(texture, np.repeat(orange, 200, axis=0) + noise).mean() < 0.1
+
+
+@pytest.mark.parametrize("feet", [False, True])
+def test_a_body_does_not_carry_away_what_its_masks_took_of_the_table(ti_cpu, feet):
+    """But flat feet of its own, as wide, of another colour."""
     whole, thing = table(), ball()
     taken = np.linalg.norm(whole.means[:, [0, 2]], axis=1) < RADIUS
+    if feet:
+        whole.sh[taken, 0] = (np.array([0.7, 0.35, 0.05]) - 0.5) / C0
     ids = np.concatenate([taken, np.ones(len(thing))]).astype(np.uint16)
     capture = SimpleNamespace(views=[SimpleNamespace(camera=lambda c=c: c) for c in cameras()])
     told = without_supports(replace(concatenate([whole, thing]), object_id=ids, objects=("ball",)), capture).object_id
-    assert told[: len(whole)][taken].mean() < 0.3 and told[len(whole) :].mean() > 0.9
+    share = told[: len(whole)][taken].mean()
+    assert (share > 0.9 if feet else share < 0.3) and told[len(whole) :].mean() > 0.9
 
 
 def test_a_far_background_seen_through_the_table_does_not_spoil_its_depth(ti_cpu):

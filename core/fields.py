@@ -106,11 +106,13 @@ def keep_compiled_kernels() -> Iterator[None]:
     was compiled for, and neither is used again, so that all kernels may stay.
     """
     runtime = impl.get_runtime()
+    outermost = "clear_compiled_functions" not in vars(runtime)
     runtime.clear_compiled_functions = lambda: None  # shadows the method
     try:
         yield
     finally:
-        del runtime.clear_compiled_functions
+        if outermost:
+            del runtime.clear_compiled_functions
 
 
 @ti.func

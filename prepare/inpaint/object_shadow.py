@@ -132,7 +132,7 @@ def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.n
 
 
 def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:
-    """How much of a shadow shows between neighbours, 0..1: the median of their difference in the logarithm of what is
+    """Share of a shadow that shows between neighbours, 0..1: the median of their difference in the logarithm of what is
     shown (N,), as a share of that in the light `left` (N,), both at places (N, 2).
 
     Seen as a whole, dark wood around the foot before a white wall looks like a shadow; its edge is few neighbours.

@@ -281,7 +281,7 @@ def test_photographs_without_poses_need_pycolmap(folder, monkeypatch):
 
 
 def test_a_failure_of_pycolmap_is_told_in_one_line(folder, monkeypatch):
-    """Where the disk is full, its database is no more than a RuntimeError."""
+    """Its database says no more than a RuntimeError when the disk is full."""
     module = MagicMock(**{"extract_features.side_effect": RuntimeError("No database.\nAt all.")})
     monkeypatch.setitem(sys.modules, "pycolmap", module)
     names = photographs_in(folder / "images")

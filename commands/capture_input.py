@@ -58,7 +58,7 @@ def stages_before(capture: Path) -> tuple[str, ...]:
 def photographed(
     args: argparse.Namespace, stages: Stages, say: Say, check: Callable[[list[View]], None]
 ) -> Photographed:
-    """The capture that `args.capture` names. `check` takes the photographs before their poses are found. Raises BadInput."""
+    """The capture that `args.capture` names; `check` takes its photographs before poses are found. Raises BadInput."""
     if is_posed(args.capture):
         capture = read_capture(args.capture)
         check(capture.views)

@@ -75,16 +75,8 @@ def inpainting_section(effort: Effort, results: dict, report: Callable[[str], No
 
 def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> dict[str, dict]:
     """Numbers and the picture of each object."""
+    from prepare.inpaint import inpaint_pipeline as pipeline
     from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
-    from prepare.inpaint.inpaint_pipeline import (
-        STEPS,
-        close_hole,
-        find_hole,
-        order_of,
-        paint_hole,
-        take_shadow,
-        without_support,
-    )
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
@@ -94,23 +86,23 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
     options = CaptureOptions(views=effort.views, size=effort.size)
     write_procedural_capture(folder, options, every(effort.views // 4, report))
     capture, photographs, gaussians = _trained(folder, effort.steps, report)
-    options, found = {"antialias": False, "sort": order_of(gaussians)}, {}
+    options, found = {"antialias": False, "sort": pipeline.order_of(gaussians)}, {}
     for number, name in enumerate(gaussians.objects, 1):
         if effort.objects is not None and name not in effort.objects:
             continue
         report(f"without the {name}")
         own = gaussians.object_id == number
         cameras = [p.camera for p in photographs]
-        before, removed = without_support(gaussians.select(~own), gaussians.select(own), cameras)
+        before, removed = pipeline.without_support(gaussians.select(~own), gaussians.select(own), cameras)
         told = options | {"progress": no_progress}
         try:
-            hole = take_shadow(find_hole(before, removed, cameras, name=name, **told), **told)
+            hole = pipeline.take_shadow(pipeline.find_hole(before, removed, cameras, name=name, **told), **told)
         except BadInput as e:  # a small capture's splat is rough
             report(str(e))
             found[name] = {"refused": str(e)}
             continue
-        textures = paint_hole(hole, paint_from_patches)
-        after = close_hole(hole, textures, steps=STEPS, **told)
+        textures = pipeline.paint_hole(hole, paint_from_patches)
+        after = pipeline.close_hole(hole, textures, steps=pipeline.STEPS, **told)
         behind = [replace(v, image=folder / "behind" / name / v.image.name, mask=None) for v in capture.views]
         truths = [load_photograph(v) for v in behind]
         views = [v for v in compare(hole, textures, before, after, truths, **options) if v.covered.any()]

@@ -28,9 +28,10 @@ def furniture() -> list[Body]:
 
 
 def toys() -> list[Body]:
-    """The plush toys, strewn about."""
+    """The plush toys, strewn about, at rest."""
     return [
-        Body(name, PLUSH, position=at, rotation=_turned(turn, forwards)) for name, (at, turn, forwards) in TOYS.items()
+        Body(name, PLUSH, position=at, rotation=_turned(turn, forwards), asleep=True)
+        for name, (at, turn, forwards) in TOYS.items()
     ]
 
 

@@ -94,7 +94,7 @@ def in_place_of(body: Body, asset: str, role: Role, name: str, material: str | N
     if height is not None:
         made_of = made_of.animated(scale * height)
     position = tuple(map(float, np.subtract(foot, np.multiply(scale, its_foot))))
-    return replace(body, asset=asset, material=made_of, scale=scale, position=position)
+    return replace(body, asset=asset, material=made_of, scale=scale, position=position, asleep=False)
 
 
 def bounds(asset: str, placed: Body) -> tuple[np.ndarray, np.ndarray]:
@@ -118,7 +118,8 @@ def in_room(scene: Scene, stage: str) -> Scene:
     floor = own.spot[1] - (at[1] - environment.floor_height)
     facing = angle_between(np.subtract(environment.eye_position, at), np.subtract(scene.eye, own.spot))
     angles = facing + TURNS if own.on_floor and environment.target is None else facing[None]
-    played = [*(b for b in scene.bodies if b.asset not in own.assets), *own.marks]
+    kept = (replace(b, asleep=False) for b in scene.bodies if b.asset not in own.assets)  # nothing need be under them
+    played = [*kept, *own.marks]
     best = None
     # The widest view, of what was photographed, then the fewest bodies in the way, then nearest to where its user stood
     for angle in angles:

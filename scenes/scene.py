@@ -22,7 +22,7 @@ class Body:
     `asset` is a name under assets/ or a path. With a material it is simulated; without one it
     is static and its signed distance grid collides. `velocity` [m/s] is the initial one. `kind` is "soft", "rigid", or
     "kinematic": rigid, and moved by nothing but the program. What of a soft body lies below `fixed_below` [m] in the
-    asset's frame stays where it is. A soft body that starts `asleep` is not simulated until something reaches it.
+    asset's frame stays where it is. A body that starts `asleep` is not simulated until something reaches it.
     """
 
     asset: str

@@ -72,8 +72,8 @@ def tower_height() -> float:
 def toys() -> list[Body]:
     """The bear of jelly on top of the tower, and the ball in its ring."""
     (x, y, z), _, _ = BALL_RING
-    bear = Body("jelly_bear", JELLY, position=(TOWER[0], tower_height() + 0.001, TOWER[2]))
-    return [bear, Body("rubber_ball", RUBBER, position=(x, y + BALL_HEIGHT, z))]
+    bear = Body("jelly_bear", JELLY, position=(TOWER[0], tower_height(), TOWER[2]), asleep=True)
+    return [bear, Body("rubber_ball", RUBBER, position=(x, y + BALL_HEIGHT, z), asleep=True)]
 
 
 def lamp(target: Vec3 = (0.0, TABLE_TOP, 0.0)) -> Light:
@@ -82,4 +82,4 @@ def lamp(target: Vec3 = (0.0, TABLE_TOP, 0.0)) -> Light:
 
 
 def _brick(asset: str, position: Vec3, rotation: Quat) -> Body:
-    return Body(asset, BRICK, position=position, rotation=rotation, kind="rigid")
+    return Body(asset, BRICK, position=position, rotation=rotation, kind="rigid", asleep=True)

@@ -90,11 +90,17 @@ class Constraint:
         """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
 
     @ti.func
-    def solve_group(self, phase, last, g, lane):
-        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py).
+    def solve_group(self, phase, g, lane):
+        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py)."""
 
-        last: no phase of this sweep follows.
-        """
+    @ti.func
+    def release_group(self, g):
+        """End the sweep for group g, after the last phase that solves it."""
+
+    @ti.func
+    def continues(self, phase):
+        """Return whether a later phase has anything to do; if it has not, those after it have not either."""
+        return True
 
     @ti.func
     def group_count(self):

@@ -314,7 +314,7 @@ class Solver:
         """Put all bodies, or these instead, back at their starts; grasps and contacts are forgotten."""
         models = self._model.bodies if body_models is None else tuple(body_models)
         self._change(MovingBodies(models, tuple(m.start for m in models), None))
-        self._sleeping.restore(np.array([not m.body.rigid and m.body.asleep for m in models], bool))
+        self._sleeping.restore(np.array([m.body.asleep for m in models], bool))
         self.untangling.reset()
 
     def snapshot(self) -> dict:

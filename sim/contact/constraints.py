@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 STEPS_PER_METER = 2.0**44  # of the integer sums: 6e-14 m, and 5e5 m before overflow
 STEPS_PER_COEFFICIENT = 2.0**20  # of the integer sums of coefficients
 MAX_VERTICES = 7  # of a constraint: a triangle's and a tet's
+SETTLED = 1e-3  # relative change of an impulse in a pass, after which no further pass is needed
 FORCE_STEP = 1e-6  # [N] of the integer sums of forces, which do not depend on the order of summation
 NOT_CHECKED, NO_DISTANCE, VALID = range(3)  # `status` of a constraint
 
@@ -45,6 +46,7 @@ class ContactConstraints:
     vertex_count i32[R], vertex i32[R,7], coefficient f32[R,7]: the vertices of a constraint
     candidate i32[R], candidate_count: the rows in use until the next search;   listed_count: with those that sleep
     split_count i32[V] = B, in steps;   last_correction vec3[V] [m]: of the last sweep
+    changed i32[1+passes]: 1 if a pass of this sweep changed an impulse by more than SETTLED
     corrections i64[V,1+passes,3], in steps: what the impulses of the last substep move a vertex by, and their changes
     in each pass over the constraints, of which there is one without rigid bodies
     body_count i32[R], body i32[R,2], lever_arm vec3[R,2] [m], sign f32[R,2]: its rigid bodies and their coefficients
@@ -70,6 +72,7 @@ class ContactConstraints:
             self.vertex, self.coefficient = group.scalar(dtype=ti.i32), group.scalar()
         self.split_count, self.last_correction = group.scalar(state.V, dtype=ti.i32), group.vector(state.V)
         self.corrections = group.vector(state.V, 1 + self.passes, dtype=ti.i64)
+        self.changed = group.scalar(1 + self.passes, dtype=ti.i32)
         if self.coupled:
             self.body_count = group.scalar(capacity, dtype=ti.i32)
             with group.interleaved(capacity, 2):
@@ -148,6 +151,16 @@ class ContactConstraints:
                 self.postpone(r, self.phi[r], self.closing_speed[r])
 
     @ti.func
+    def continues(self, j):
+        """Return whether pass j is needed: it is the first, or the one before it has changed something."""
+        return j == 1 or self.changed[j - 1] != 0
+
+    @ti.func
+    def begin_passes(self):
+        for j in range(1 + self.passes):
+            self.changed[j] = 0
+
+    @ti.func
     def solve(self, r, j, integrator: ti.template()):
         """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (`contact_impulse`)."""
         if self.active[r]:
@@ -178,6 +191,9 @@ class ContactConstraints:
                 new = contact_impulse(held, n, n, inv_mass_t, self.friction[r], dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
+                if ti.static(self.coupled):  # noqa: SIM102
+                    if self.body_count[r] > 0 and (new - old).norm_sqr() > SETTLED**2 * new.norm_sqr():
+                        self.changed[j] = 1  # all writers write the same
 
     @ti.func
     def apply(self, i):

@@ -246,20 +246,31 @@ class Contacts(Constraint):
         if k < self.constraints.candidate_count[None]:
             r = self.constraints.candidate[k]
             if ti.static(not later):
+                if k == 0:
+                    self.constraints.begin_passes()
                 if self.constraints.status[r] != NOT_CHECKED:
                     self._activate(r, self.constraints.status[r] == VALID, first, integrator)
             elif ti.static(self.soft or self.has_fingers):
                 skipped = False
                 if ti.static(self.coupled):
                     waits = ti.static(integrator.warm_started) or self.constraints.body_count[r] == 0
-                    skipped = self._grouped(r) or (phase > 1 and waits)
+                    skipped = self._grouped(r) or (phase > 1 and (waits or not self.constraints.continues(phase)))
                 if not skipped:
                     self.constraints.solve(r, phase, integrator)
 
     @ti.func
-    def solve_group(self, phase, last, g, lane):
+    def solve_group(self, phase, g, lane):
         if ti.static(self.coupled):
-            self.rigid.solve(self.rigid_search.group[g], phase, last, lane)
+            self.rigid.solve(self.rigid_search.group[g], phase, lane)
+
+    @ti.func
+    def release_group(self, g):
+        if ti.static(self.coupled):
+            self.rigid.release(self.rigid_search.group[g])
+
+    @ti.func
+    def continues(self, phase):
+        return self.constraints.continues(phase)
 
     @ti.func
     def group_count(self):

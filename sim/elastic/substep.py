@@ -61,17 +61,27 @@ def solve_phases(integrator: ti.template(), thread, rounds, passes):
             turns = 1
             if ti.static(later):
                 turns = ti.min(ti.static(len(c.phase_sizes) - 1), passes)
-            for turn in range(turns):
+            turn = 0
+            while turn < turns:
                 if ti.static(later and c.max_groups > 0):
                     g = integrator.grid.warp_index(thread)
                     while g < c.group_count():
-                        c.solve_group(later + turn, turn == turns - 1, g, thread % integrator.grid.warp)
+                        c.solve_group(later + turn, g, thread % integrator.grid.warp)
                         g += integrator.grid.warps
                 k, end = integrator.grid.scattered(thread), c.phase_count(later)
                 while k < end:
                     c.solve_phase(integrator, later, later + turn, k, True)
                     k += integrator.grid.threads
                 passed = integrator.grid.meet(thread, passed, s.substep_index, 0)
+                turn += 1
+                if ti.static(later):  # noqa: SIM102
+                    if turn < turns and not c.continues(later + turn):
+                        turn = turns
+            if ti.static(later and c.max_groups > 0):
+                g = integrator.grid.warp_index(thread)
+                while g < c.group_count():
+                    c.release_group(g)
+                    g += integrator.grid.warps
     return passed
 
 
@@ -99,7 +109,9 @@ def phase_kernels(s: State, integrator, c: Constraint, *, first: bool, passes=(A
                 ti.loop_config(serialize=s.serial)
                 for k in range(c.max_groups * lanes):
                     if k // lanes < c.group_count():
-                        c.solve_group(phase, last, k // lanes, k % lanes)
+                        c.solve_group(phase, k // lanes, k % lanes)
+                        if ti.static(last):
+                            c.release_group(k // lanes)
             ti.loop_config(serialize=s.serial)
             for k in range(c.phase_sizes[phase]):
                 c.solve_phase(integrator, ti.static(phase > 0), phase, k, first)

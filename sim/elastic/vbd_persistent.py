@@ -1,6 +1,6 @@
 """VBD substeps on CUDA as one kernel that stays (sim/elastic/persistent_grid.py): the equations of sim/elastic/vbd.py.
 
-A colour is a barrier. Each block moves the vertices of its own patch (sim/elastic/color_patches.py), several threads
+A colour is a barrier. Each block moves the vertices of its patches (sim/elastic/color_patches.py), several threads
 each; then come the phases of the constraints, and the modal correction (sim/elastic/modal_warps.py).
 """
 
@@ -8,13 +8,13 @@ import taichi as ti
 
 from sim.capacity import MAX_BODIES
 from sim.constraint import Constraint
-from sim.elastic.color_patches import COLOR, LAG, LAM, MU, POINTS, WORDS, ColorPatches
+from sim.elastic.color_patches import LAG, LAM, MU, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
 from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.modal_warps import ModalWarps
 from sim.elastic.persistent_grid import PersistentGrid
 from sim.elastic.substep import ALL_PASSES, any_active, evaluate_candidates, own_vertices, solve_phases
-from sim.elastic.vbd import EARLY_PASSES, MAX_COLORS, VertexDescent
+from sim.elastic.vbd import EARLY_PASSES, VertexDescent
 from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
@@ -72,6 +72,7 @@ class PersistentVBD:
                 self.descent.release(i)
         for b in range(MAX_BODIES):
             self.warps.begin(b)
+        self.patches.list_awake()
         ti.loop_config(block_dim=self.grid.block)
         for thread in range(self.grid.threads):
             if ti.static(self.grid.on_cuda):
@@ -87,14 +88,17 @@ class PersistentVBD:
         """All substeps of one thread."""
         s, p, w, block = self.state, self.patches, self.warps, ti.static(self.grid.block)
         own, first, rounds, paired = thread % block, thread // block, 0, any_active(self)
-        several = p.count[None] > self.grid.blocks  # patches a block, which then have to be fetched again and again
-        self._enter(first, own, colors, points, words)
+        mine = (p.awake_count[None] - first + self.grid.blocks - 1) // self.grid.blocks  # patches of this block
+        several = p.awake_count[None] > RESIDENT * self.grid.blocks  # then they have to be fetched again and again
+        resident = ti.min(mine, RESIDENT)
+        self._enter(first, resident, own, colors, points, words)
         for n in range(substeps + 1):
             w.turn(thread, n > 0, n < substeps)
             rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
             if n < substeps:
-                self._stage(first, own, points, words)
-                self._find_contacts(first, own)
+                self._find_contacts(first, mine, own)
+                if not several:
+                    self._stage(resident, own, points, words)
                 if paired:
                     evaluate_candidates(self, thread)
                 w.fit_rotations(thread)
@@ -102,30 +106,26 @@ class PersistentVBD:
                 for sweep in range(self.iterations):
                     for turn in range(colors):
                         color = turn if sweep % 2 == 0 else colors - 1 - turn
-                        patch = first
-                        while patch < p.count[None]:
-                            if several:
-                                self._enter(patch, own, colors, points, words)
-                            self._sweep(own, color, points, words)
-                            patch += self.grid.blocks
+                        k = 0
+                        while k < mine:
+                            here = self._turn_to(k, mine, several, first, own, colors, points, words)
+                            self._sweep(here, own, color, points, words)
+                            k += RESIDENT
                         rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        at = p.own_end[first] - p.local_begin[first] + own
-                        while at < p.local_begin[first + 1] - p.local_begin[first] and not several:
-                            if p.color_of(at, words) == color:
-                                p.stage(at, points, words)
-                            at += block
+                        if not several:
+                            self._stage_color(resident, own, color, colors, points, words)
                         self.grid.sync()
                     if paired:
                         rounds = self._pairs(thread, rounds, sweep == self.iterations - 1)
-                        self._stage(first, own, points, words)
+                        if not several:
+                            self._stage(resident, own, points, words)
                         self.grid.sync()
                 for trial in range(2):  # the residual before the step along the modes, then after it
-                    patch = first
-                    while patch < p.count[None]:
-                        if several:
-                            self._enter(patch, own, colors, points, words)
-                        self._residual(own, p.own_end[patch] - p.local_begin[patch], trial, points, words)
-                        patch += self.grid.blocks
+                    k = 0
+                    while k < mine:
+                        here = self._turn_to(k, mine, several, first, own, colors, points, words)
+                        self._residual(here, own, colors, trial, points, words)
+                        k += RESIDENT
                     rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                     if trial == 0:
                         w.project(thread)
@@ -136,112 +136,140 @@ class PersistentVBD:
                         rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         w.move(thread)
                         rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
-                        self._stage(first, own, points, words)
+                        if not several:
+                            self._stage(resident, own, points, words)
                         self.grid.sync()
                     else:
                         w.measure(thread)
                         rounds = self.grid.meet(thread, rounds, s.substep_index, 1)
 
     @ti.func
-    def _enter(self, patch, own, colors, points: ti.template(), words: ti.template()):
-        """Fetch all of a patch to shared memory."""
+    def _turn_to(self, k, mine, several, first, own, colors, points: ti.template(), words: ti.template()):
+        """Go on to the block's patches from number k on, and fetch them unless they are here; returns their number."""
+        resident = ti.min(mine - k, RESIDENT)
+        if several:
+            self._enter(first + k * self.grid.blocks, resident, own, colors, points, words)
+        return resident
+
+    @ti.func
+    def _enter(self, first, resident, own, colors, points: ti.template(), words: ti.template()):
+        """Fetch all of so many awake patches to shared memory: the first one, and others one from each round."""
         p = self.patches
-        first = p.local_begin[patch]
-        count, mine = p.local_begin[patch + 1] - first, p.own_end[patch] - first
         self.grid.sync()
-        at = own
-        while at < count:
-            p.stage_constants(first + at, first, words)
-            p.stage(at, points, words)
-            at += self.grid.block
-        if own == 0:
-            last = p.slot_begin[first + mine]
-            p.set_slot(mine, last, words)
-        at = own
-        while at <= colors:
-            words[COLOR + at] = ti.bit_cast(p.color_begin[patch * (MAX_COLORS + 1) + at], ti.f32)
-            at += self.grid.block
+        for r in range(resident):
+            p.enter(p.awake[first + r * self.grid.blocks], r, own, self.grid.block, colors, points, words)
         self.grid.sync()
 
     @ti.func
-    def _stage(self, patch, own, points: ti.template(), words: ti.template()):
-        """Fetch the positions of all vertices of the patch that was entered last, if it is the only one."""
-        p = self.patches
-        at, count = own, p.local_begin[patch + 1] - p.local_begin[patch]
-        while at < count and p.count[None] <= self.grid.blocks:
-            p.stage(at, points, words)
-            at += self.grid.block
+    def _stage(self, resident, own, points: ti.template(), words: ti.template()):
+        """Fetch the positions of all vertices of the resident patches. Each has an equal share of the threads."""
+        p, share = self.patches, self._share(self.grid.block, resident, 1)
+        r = own // share
+        while r < resident:
+            at, end = r * PLACES + own % share, r * PLACES + p.count_of(r, words)
+            while at < end:
+                p.stage(at, points, words)
+                at += share
+            r += self.grid.block // share
 
     @ti.func
-    def _find_contacts(self, first, own):
-        """Evaluate static contacts of the block's own vertices."""
-        p = self.patches
-        patch = first
-        while patch < p.count[None]:
-            begin = p.local_begin[patch]
-            at = own
-            while at < p.own_end[patch] - begin:
-                i = p.local[begin + at]
-                if self.state.awake_vertex(i):
-                    self.descent.find_contacts(i)
-                at += self.grid.block
-            patch += self.grid.blocks
+    def _stage_color(self, resident, own, color, colors, points: ti.template(), words: ti.template()):
+        """Fetch the positions of those of this colour that belong to other patches."""
+        p, share = self.patches, self._share(self.grid.block, resident, 1)
+        r = own // share
+        while r < resident:
+            _begin, own_end = p.color_range(r, colors - 1, words)
+            at, end = own_end + own % share, r * PLACES + p.count_of(r, words)
+            while at < end:
+                if p.color_of(at, words) == color:
+                    p.stage(at, points, words)
+                at += share
+            r += self.grid.block // share
 
     @ti.func
-    def _sweep(self, own, color, points: ti.template(), words: ti.template()):
-        """Move the patch's own vertices of a colour."""
-        p = self.patches
-        begin = ti.bit_cast(words[COLOR + color], ti.i32)
-        end = ti.bit_cast(words[COLOR + color + 1], ti.i32)
-        together, lane = ti.static(self.grid.block // self.lanes), own % self.lanes
-        for turn in range((end - begin + together - 1) // together):  # as many for all threads of a warp
-            at = begin + turn * together + own // self.lanes
-            f, xx, yy = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
-            i, mass = 0, 0.0
-            x, v, dx, target, prior = f, f, f, f, f
-            moves = at < end and words[MU + ti.min(at, end - 1)] >= 0.0
-            if moves:
-                i = p.vertex(at, words)
-                x, v = self.state.x[i], self.state.v[i]
-                dx, target, prior, mass = self.descent.load(i)  # before the tets: the loads take a while
-                mu, lam = words[MU + at], words[LAM + at]
-                slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
-                while slot < last:
-                    force, diagonal, c, _dJ, stiffness = p.terms(slot, mu, lam, points)
-                    f += force
-                    xx += diagonal + stiffness * c * c  # of H: xx, yy, zz, then xy, yz, zx
-                    yy += stiffness * ti.Vector([c.x * c.y, c.y * c.z, c.z * c.x])
-                    slot += self.lanes
-            for c in ti.static(range(3)):
-                f[c] = self.grid.sum_lanes(f[c], self.lanes)
-                xx[c], yy[c] = self.grid.sum_lanes(xx[c], self.lanes), self.grid.sum_lanes(yy[c], self.lanes)
-            if lane == 0 and moves:
-                H = ti.Matrix([[xx[0], yy[0], yy[2]], [yy[0], xx[1], yy[1]], [yy[2], yy[1], xx[2]]])
-                d = self.descent.descend(i, dx, target, prior, mass, f, H)
-                p.put(at, x, d - words[LAG + at] * v, points)
+    def _share(self, workers, resident, together: ti.template()):
+        """Number of workers for each resident patch, a multiple of `together`."""
+        return ti.max(workers // ti.max(resident, 1) // together, 1) * together
 
     @ti.func
-    def _residual(self, own, mine, trial, points: ti.template(), words: ti.template()):
-        """Residual force of each of the patch's own vertices."""
-        s, p = self.state, self.patches
-        together, lane = ti.static(self.grid.block // self.residual_lanes), own % self.residual_lanes
-        for turn in range((mine + together - 1) // together):
-            at = turn * together + own // self.residual_lanes
-            f = ti.Vector([0.0, 0.0, 0.0])
-            moves = at < mine and words[MU + ti.min(at, mine - 1)] >= 0.0
-            if moves:
-                mu, lam = words[MU + at], words[LAM + at]
-                slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
-                while slot < last:
-                    force, _diagonal, _c, dJ, _stiffness = p.terms(slot, mu, lam, points)
-                    if dJ < -1.0:
-                        s.inverted[s.body_of_vertex[p.vertex(at, words)]] = 1
-                    f += force
-                    slot += self.residual_lanes
-            for c in ti.static(range(3)):
-                f[c] = self.grid.sum_lanes(f[c], self.residual_lanes)
-            if lane == 0 and moves:
-                self.warps.set_residual(p.vertex(at, words), f, trial)
+    def _find_contacts(self, first, mine, own):
+        """Evaluate static contacts of the vertices of the block's own patches."""
+        p, k = self.patches, 0
+        while k < mine:
+            resident = ti.min(mine - k, RESIDENT)
+            share = self._share(self.grid.block, resident, 1)
+            r = own // share
+            while r < resident:
+                patch = p.awake[first + (k + r) * self.grid.blocks]
+                at = p.local_begin[patch] + own % share
+                while at < p.own_end[patch]:
+                    self.descent.find_contacts(p.local[at])
+                    at += share
+                r += self.grid.block // share
+            k += RESIDENT
+
+    @ti.func
+    def _sweep(self, resident, own, color, points: ti.template(), words: ti.template()):
+        """Move the resident patches' own vertices of a colour."""
+        p, groups = self.patches, ti.static(self.grid.block // self.lanes)
+        share = self._share(groups, resident, ti.static(self.grid.warp // self.lanes))  # a warp has one patch
+        group, lane = own // self.lanes, own % self.lanes
+        r = group // share
+        while r < resident:
+            begin, end = p.color_range(r, color, words)
+            for turn in range((end - begin + share - 1) // share):  # as many for all threads of a warp
+                at = begin + turn * share + group % share
+                f, xx, yy = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
+                i, mass = 0, 0.0
+                x, v, dx, target, prior = f, f, f, f, f
+                if at < end:
+                    i = p.vertex(at, words)
+                    x, v = self.state.x[i], self.state.v[i]
+                    dx, target, prior, mass = self.descent.load(i)  # before the tets: the loads take a while
+                    mu, lam = words[MU + at], words[LAM + at]
+                    slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
+                    while slot < last:
+                        force, diagonal, c, _dJ, stiffness = p.terms(slot, r, mu, lam, points)
+                        f += force
+                        xx += diagonal + stiffness * c * c  # of H: xx, yy, zz, then xy, yz, zx
+                        yy += stiffness * ti.Vector([c.x * c.y, c.y * c.z, c.z * c.x])
+                        slot += self.lanes
+                for c in ti.static(range(3)):
+                    f[c] = self.grid.sum_lanes(f[c], self.lanes)
+                    xx[c], yy[c] = self.grid.sum_lanes(xx[c], self.lanes), self.grid.sum_lanes(yy[c], self.lanes)
+                if lane == 0 and at < end:
+                    H = ti.Matrix([[xx[0], yy[0], yy[2]], [yy[0], xx[1], yy[1]], [yy[2], yy[1], xx[2]]])
+                    d = self.descent.descend(i, dx, target, prior, mass, f, H)
+                    p.put(at, x, d - words[LAG + at] * v, points)
+            r += groups // share
+
+    @ti.func
+    def _residual(self, resident, own, colors, trial, points: ti.template(), words: ti.template()):
+        """Residual force of each of the resident patches' own vertices."""
+        s, p, groups = self.state, self.patches, ti.static(self.grid.block // self.residual_lanes)
+        share = self._share(groups, resident, ti.static(self.grid.warp // self.residual_lanes))
+        group, lane = own // self.residual_lanes, own % self.residual_lanes
+        r = group // share
+        while r < resident:
+            begin = r * PLACES
+            _begin, end = p.color_range(r, colors - 1, words)
+            for turn in range((end - begin + share - 1) // share):
+                at = begin + turn * share + group % share
+                f = ti.Vector([0.0, 0.0, 0.0])
+                if at < end:
+                    mu, lam = words[MU + at], words[LAM + at]
+                    slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
+                    while slot < last:
+                        force, _diagonal, _c, dJ, _stiffness = p.terms(slot, r, mu, lam, points)
+                        if dJ < -1.0:
+                            s.inverted[s.body_of_vertex[p.vertex(at, words)]] = 1
+                        f += force
+                        slot += self.residual_lanes
+                for c in ti.static(range(3)):
+                    f[c] = self.grid.sum_lanes(f[c], self.residual_lanes)
+                if lane == 0 and at < end:
+                    self.warps.set_residual(p.vertex(at, words), f, trial)
+            r += groups // share
 
     @ti.func
     def _pairs(self, thread, rounds, last):

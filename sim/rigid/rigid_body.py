@@ -30,6 +30,7 @@ class RigidBody:
     rotation, position       x = R(rotation) rest + position
     velocity [m/s]           of the centre of mass;   angular_velocity [rad/s] in the world
     sdf                      signed distance in the body frame [m]; None: it is made from the cage
+    asleep                   starts asleep: nothing moves it until something reaches it
     kinematic                moves only as it is driven (sim/kinematic_targets.py), whatever pushes it
     boxed                    it is exactly the box that its vertices span, about the body frame's origin
     """
@@ -47,6 +48,7 @@ class RigidBody:
     velocity: Vec3 = (0.0, 0.0, 0.0)
     angular_velocity: Vec3 = (0.0, 0.0, 0.0)
     sdf: DistanceGrid | None = None
+    asleep: bool = False
     kinematic: bool = False
     boxed: bool = False
     rigid: ClassVar[bool] = True
@@ -79,6 +81,7 @@ class RigidBody:
             cls(
                 soft.name, soft.vertices, soft.tets, soft.surface, m.density, m.friction, m.kinetic_friction,
                 rotation=soft.rotation, position=soft.position, velocity=soft.velocity, sdf=soft.sdf,
+                asleep=soft.asleep,
             ),
             **options,
         )  # fmt: skip

@@ -12,16 +12,17 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
+from sim.contact.constraints import SETTLED
 from sim.contact.response import (
     UNBOUNDED,
-    angular_inv_mass,
     contact_impulse,
     holding_impulse,
+    inverse_mass_matrix,
     min_normal_motion,
 )
 from sim.contact.signed_distance import known
 from sim.contact.static_shapes import MAX_SHAPES
-from sim.lanes import from_lane, lane_count, rank_lanes, sync_lanes
+from sim.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes
 from sim.rigid.rigid_broad_phase import WORLD
 from sim.rigid.rigid_motion import SOFT
 
@@ -138,14 +139,14 @@ class RigidContacts:
         return e
 
     @ti.func
-    def solve(self, g, j, last, lane):
-        """Pass j over group g, maybe the last: sweeps over it, on copies of its bodies with their parts of mass.
+    def solve(self, g, j, lane):
+        """Pass j over group g: sweeps over it until it has settled, on copies of its bodies with their parts of mass.
 
         The lanes of a warp hold a constraint each; one after the other takes a step, which all learn of.
         """
         m, table, f = self.rigid_bodies, self.constraints, self.search
         lanes = ti.static(self.lanes)
-        if f.active[g] != 0:
+        if f.active[g] != 0 and table.continues(j):
             a, b = g // (MAX_BODIES + 1), g % (MAX_BODIES + 1)
             dt = self.state.dt[None]
             splits = m.splits(a)
@@ -162,9 +163,10 @@ class RigidContacts:
                 size = self._list_loaded(g, lane)
             impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
             r, sign, n, old, r_a, r_b = -1, 1.0, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
-            friction, least, w_n = ti.Vector([0.0, 0.0]), 0.0, 0.0
-            for sweep in range(GROUP_SWEEPS):
-                first = 0
+            friction, least, A = ti.Vector([0.0, 0.0]), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
+            sweep, settled = 0, 0.0
+            while sweep < GROUP_SWEEPS and settled == 0.0:
+                first, change, load = 0, 0.0, 0.0
                 while first < size:
                     if sweep == 0 or size > lanes:
                         r = -1
@@ -179,17 +181,20 @@ class RigidContacts:
                                     r_a, r_b = r_b, r_a
                             n, old, friction = table.normal[r], table.impulse[r], table.friction[r]
                             least = self._min_normal_motion(r, q, restitution)
-                            w_n = w_a + w_b + angular_inv_mass(r_a, n, I_a) + angular_inv_mass(r_b, n, I_b)
+                            A = inverse_mass_matrix(r_a, w_a, I_a) + inverse_mass_matrix(r_b, w_b, I_b)
                     for k in range(ti.min(lanes, size - first)):
                         c, moment, counter = vec3(0.0), vec3(0.0), vec3(0.0)
                         if lane == k:
                             y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
                             y_t = y - n.dot(y) * n
-                            u = y_t / ti.max(y_t.norm(), 1e-20)
-                            w_t = w_a + w_b + angular_inv_mass(r_a, u, I_a) + angular_inv_mass(r_b, u, I_b)
+                            w_n, slip_sqr = n.dot(A @ n), y_t.norm_sqr()
+                            w_t = w_n
+                            if slip_sqr > 1e-30:
+                                w_t = y_t.dot(A @ y_t) / slip_sqr
                             held = holding_impulse(old, n, y, least, w_n, w_t, 0.0, 1.0, UNBOUNDED)
                             new = contact_impulse(held, n, n, w_t, friction, dt)
                             c = sign * (new - old)
+                            change, load = ti.max(change, c.norm_sqr()), ti.max(load, new.norm_sqr())
                             moment, counter, old = r_a.cross(c), r_b.cross(c), new
                         for axis in ti.static(range(3)):
                             c[axis] = from_lane(c[axis], k, lanes)
@@ -205,11 +210,21 @@ class RigidContacts:
                     if r >= 0:
                         table.impulse[r] = old
                     first += lanes
+                settled = 1.0 if max_lanes(change, lanes) <= SETTLED**2 * max_lanes(load, lanes) else 0.0
+                settled = from_lane(settled, 0, lanes)
+                if sweep == 0 and settled == 0.0:
+                    table.changed[j] = 1  # all writers write the same
+                sweep += 1
             if lane == 0:
                 m.add_impulse(a, impulse, moment_a, j)
                 if b != WORLD:
                     m.add_impulse(b, -impulse, -moment_b, j)
-                f.active[g] = 0 if last else size
+                f.active[g] = size
+
+    @ti.func
+    def release(self, g):
+        """Forget which constraints of group g carried a load: the sweep is over."""
+        self.search.active[g] = 0
 
     @ti.func
     def _list_loaded(self, g, lane):

@@ -9,7 +9,7 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from sim.body_model import BodyModel, RestShape
-from sim.elastic.color_patches import MAX_LOCAL, POINTS, WORDS, ColorPatches, divide_by_color
+from sim.elastic.color_patches import PLACES, POINTS, RESIDENT, WORDS, ColorPatches, divide_by_color, patch_begins
 from sim.elastic.patches import compact_order
 from sim.elastic.vbd import VBDSubsteps, color_vertices
 from sim.elastic.vbd_persistent import PersistentVBD
@@ -21,17 +21,21 @@ from tests.support.persistent_kernels import assert_blocks_slide_alike
 pytestmark = pytest.mark.usefixtures("ti_cpu")
 
 
-@pytest.mark.parametrize("blocks", [2, 5, 40])
+@pytest.mark.parametrize("blocks", [6, 10, 40])
 def test_each_vertex_has_its_tets_and_its_colour(blocks):
+    """Two boxes of 343 vertices."""
     x, tets, surface = box((1.0, 1.0, 1.0), (6, 6, 6))
     order = compact_order(RestShape(x, tets, surface, None))
-    color = color_vertices(tets, np.arange(len(x)) % 9 != 0)
-    t = divide_by_color(tets, order, color, blocks, blocks)
+    order, tets = np.r_[order, order + len(x)], np.concatenate([tets, tets + len(x)])
+    color = color_vertices(tets, np.arange(2 * len(x)) % 9 != 0)
+    t = divide_by_color(tets, order, color, [0, len(x), 2 * len(x)], blocks, blocks)
+    assert len(t["own_end"]) == blocks
     owned = []
     for patch in range(blocks):
         first, own_end, end = t["local_begin"][patch], t["own_end"][patch], t["local_begin"][patch + 1]
         local = t["local"][first:end]
-        assert len(set(local)) == len(local) < MAX_LOCAL
+        assert len(set(local)) == len(local) < PLACES
+        assert len(set(local // len(x))) == 1  # of one body
         for c in range(t["colors"]):
             mine = local[t["color_begin"][patch, c] : t["color_begin"][patch, c + 1]]
             assert (color[mine] == c).all() and len(mine) == (color[local[: own_end - first]] == c).sum()
@@ -43,17 +47,23 @@ def test_each_vertex_has_its_tets_and_its_colour(blocks):
             assert (local[t["corners"][slots]] == corners).all()
             assert len(corners) == (tets == t["local"][k]).sum()
         owned += local[: own_end - first].tolist()
-    assert sorted(owned) == list(range(len(x)))
+    assert sorted(owned) == list(range(2 * len(x)))
 
 
 def test_a_large_mesh_gets_several_patches_a_block():
     x, tets, surface = box((1.0, 1.0, 1.0), (10, 10, 10))
     order = compact_order(RestShape(x, tets, surface, None))
     color = color_vertices(tets, np.ones(len(x), bool))
-    t = divide_by_color(tets, order, color, 1, 8)
-    assert len(t["own_end"]) > 1 and np.diff(t["local_begin"]).max() < MAX_LOCAL
+    t = divide_by_color(tets, order, color, [0, len(x)], 4, 64)
+    assert len(t["own_end"]) > 4 and np.diff(t["local_begin"]).max() < PLACES
     with pytest.raises(BadInput, match="1331 vertices"):
-        divide_by_color(tets, order, color, 1, 1)
+        divide_by_color(tets, order, color, [0, len(x)], 4, 4)
+
+
+def test_patches_are_about_equal_and_of_one_body_each():
+    assert patch_begins(np.array([0, 90, 100]), 10).tolist() == [0, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100]
+    assert np.diff(patch_begins(np.array([0, 300, 333, 1000]), 12)).max() <= 100
+    assert patch_begins(np.array([0, 5, 9, 12]), 2) is None
 
 
 def test_the_sums_are_those_of_the_plain_loops():
@@ -69,6 +79,7 @@ def test_the_sums_are_those_of_the_plain_loops():
     plain = VBDSubsteps(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
     for part in (patches, plain):
         part.load(Model([BodyModel.of(b, []) for b in given]))
+    patches_colors = patches.colors
     start = np.concatenate([b.start() for b in given])
     s, n, rng = solver.state, len(start), np.random.default_rng(1)
     f, H = ([ti.field(ti.f32, (n, k)) for _ in range(2)] for k in (3, 9))
@@ -87,19 +98,16 @@ def test_the_sums_are_those_of_the_plain_loops():
             force, stiffness = plain.local(i)
             put(0, i, force, stiffness)
         ti.loop_config(serialize=True)
-        for patch in range(3):
-            first = patches.local_begin[patch]
-            count, mine = patches.local_begin[patch + 1] - first, patches.own_end[patch] - first
-            for at in range(count):
-                patches.stage_constants(first + at, first, words)
-                patches.stage(at, points, words)
-            patches.set_slot(mine, patches.slot_begin[first + mine], words)
-            for at in range(mine):
+        for patch in range(patches.count[None]):
+            r = patch % RESIDENT
+            patches.enter(patch, r, 0, 1, patches_colors, points, words)
+            _begin, end = patches.color_range(r, patches_colors - 1, words)
+            for at in range(r * PLACES, end):
                 i = patches.vertex(at, words)
                 b = s.body_of_vertex[i]
                 force, stiffness = ti.Vector([0.0, 0.0, 0.0]), ti.Matrix.zero(ti.f32, 3, 3)
                 for slot in range(patches.slot(at, words), patches.slot(at + 1, words)):
-                    own, diagonal, c, _dJ, along = patches.terms(slot, s.mu[b], s.lam[b], points)
+                    own, diagonal, c, _dJ, along = patches.terms(slot, r, s.mu[b], s.lam[b], points)
                     force += own
                     stiffness += diagonal * ti.Matrix.identity(ti.f32, 3) + along * c.outer_product(c)
                 put(1, i, force, stiffness)
@@ -149,7 +157,7 @@ def test_several_patches_a_block_move_as_one(ti_cpu):
     solver, moved = Solver([body], contacts=False, integrator="vbd"), []
     persistent = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
     persistent.load(Model([BodyModel.of(body, [])]))
-    assert len(x) > MAX_LOCAL and (persistent.patches.count[None] > 1 or persistent.grid.on_cuda)
+    assert len(x) > PLACES and (persistent.patches.count[None] > RESIDENT or persistent.grid.on_cuda)
     for form in (persistent, solver.integrator):
         solver.restore({"x": start, "v": np.zeros_like(x)})
         solver.state.begin_frame(1e-3, 1e-2, 3, ti.Vector((0.0, -9.81, 0.0)))

@@ -26,7 +26,13 @@ def random_contacts(seed: int = 3) -> dict[str, np.ndarray]:
 def device(ti_cpu):
     """The law on the device: impulse(n, holding, A, mu_s, mu_k), and held(n, y, old, w, least, spring)."""
     ti = ti_cpu
-    from sim.contact.response import contact_impulse, fingertip_spring, holding_impulse, min_normal_motion
+    from sim.contact.response import (
+        contact_impulse,
+        fingertip_spring,
+        holding_impulse,
+        inverse_mass_matrix,
+        min_normal_motion,
+    )
 
     n, vector, other, out = (ti.Vector.field(3, ti.f32, N) for _ in range(4))
     matrix, pair = ti.Matrix.field(3, 3, ti.f32, N), ti.Vector.field(2, ti.f32, N)
@@ -63,6 +69,11 @@ def device(ti_cpu):
         for k in range(N):
             scalar[k] = min_normal_motion(scalar[k], DT)
 
+    @ti.kernel
+    def mass_matrix(inv_mass: ti.f32):
+        for k in range(N):
+            matrix[k] = inverse_mass_matrix(vector[k], inv_mass, matrix[k])
+
     def take(**values):
         fields = {"n": n, "vector": vector, "other": other, "matrix": matrix, "pair": pair, "scalar": scalar}
         for name, value in values.items():
@@ -88,6 +99,12 @@ def device(ti_cpu):
             out.fill(0.0)
             press(steps)
             return out.to_numpy().astype(np.float64).T
+
+        @staticmethod
+        def inverse_mass(arm, inv_mass, inverse_inertia):
+            take(vector=arm, matrix=inverse_inertia)
+            mass_matrix(inv_mass)
+            return matrix.to_numpy().astype(np.float64)
 
         @staticmethod
         def least_motion(phi):
@@ -223,6 +240,15 @@ def test_contacts_recover_and_slip_as_fast_as_they_should(device):
     n = np.tile([0.0, 1.0, 0.0], (N, 1))
     holding = np.tile([0.5e-3 + 0.01 * DT, 1e-3, 0.0], (N, 1))
     assert_allclose(device.impulse(n, holding, np.tile(np.eye(3), (N, 1, 1)), 0.5, 0.2)[:, 0], 0.35e-3, rtol=0.15)
+
+
+def test_the_inverse_mass_matrix_is_the_motion_for_a_unit_impulse(device):
+    """dx = p / m and rotation I^-1 (r x p), so the point at r moves by dx + rotation x r."""
+    c, m = random_contacts(), 0.7
+    got = device.inverse_mass(c["y"], m, c["A"])
+    p = c["old"]
+    expected = m * p + np.cross(np.einsum("kij,kj->ki", c["A"], np.cross(c["y"], p)), c["y"])
+    assert_allclose(np.einsum("kij,kj->ki", got, p), expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
 def test_a_finger_pushes_out_slowly_whatever_it_meets(device):

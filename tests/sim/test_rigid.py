@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from bench import physics_contact
 from bench.setups import SIDE, playground
 from core.errors import BadInput
-from scenes.scene import Hand
+from scenes.scene import Hand, Plane
 from sim.capacity import MAX_BODIES
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_body import RigidBody
@@ -180,6 +180,27 @@ def test_contact_forces_carry_the_weights(place):
         assert_allclose(box.centroid, (0, (k + 0.5) * SIDE, 22), atol=1e-4)
     group = where["sliding"].start * (MAX_BODIES + 1) + WORLD
     assert 4 <= solver.contacts.rigid_search.size[group] <= 8  # between its corners a box needs no contacts
+
+
+def test_a_stack_at_rest_takes_one_pass_over_its_contacts(ti_cpu):
+    boxes = [RigidBody.box("box", (SIDE,) * 3, density=500.0, position=(0, (k + 0.5) * SIDE, 0)) for k in range(3)]
+    solver = Solver(boxes, [Plane((0, 0, 0), (0, 1, 0), 0.5)], sleep=False, substep=5e-4)
+    table, needed = solver.contacts.constraints, []
+    for _ in range(40):
+        solver.step(FRAME)
+        needed.append(table.changed.to_numpy().sum())
+    assert table.passes == 4 and max(needed) > 0 and needed[-10:] == [0] * 10
+
+
+def test_a_box_that_starts_asleep_stays_until_something_reaches_it(ti_cpu):
+    still, falling = ((0.0, 1.0, 0.0), True), ((0.0, 1.15, 0.0), False)
+    boxes = [RigidBody.box("box", (SIDE,) * 3, density=500.0, position=p, asleep=a) for p, a in (still, falling)]
+    solver = Solver(boxes, [Plane((0, 0, 0), (0, 1, 0), 0.5)])
+    solver.step(FRAME)
+    assert solver.bodies()[0].centroid[1] > 0.99999 and solver.stats["asleep"] == 1
+    for _ in range(20):
+        solver.step(FRAME)
+    assert solver.stats["asleep"] == 0 and solver.bodies()[0].centroid[1] < 0.95
 
 
 def test_the_contacts_between_two_boxes_are_at_the_corners_of_what_touches(place):

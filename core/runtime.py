@@ -16,6 +16,7 @@ from types import SimpleNamespace
 
 from core.errors import BadInput
 from core.kernel_cache import mend_kernel_cache
+from core.kernel_methods import bind_kernels_of_all_classes
 
 # Compiled kernels are kept between runs, in files of this many bytes in all. Taichi's default of 100 MB is less than a
 # few scenes and a preparation compile, and kernels that were pushed out are compiled again, for half a minute.
@@ -89,6 +90,7 @@ def hasten_front_end() -> None:
 
     Functions are inlined, and their source text is searched and unwrapped at each call: here once. And locations in
     the source are described for each expression, in case an error message should need them: here in one line.
+    Attributes of classes with kernels are accessed directly, which saves time in every frame as well.
     """
     from taichi.lang import kernel_impl
 
@@ -98,6 +100,7 @@ def hasten_front_end() -> None:
     kernel_impl.getsourcelines = cached_by_code(kernel_impl.getsourcelines)
     kernel_impl.textwrap = SimpleNamespace(dedent=textwrap.dedent, fill=cache(textwrap.fill))
     shorten_source_locations()
+    bind_kernels_of_all_classes()
 
 
 def cached_by_code(look_up: Callable) -> Callable:

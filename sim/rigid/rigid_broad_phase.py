@@ -37,6 +37,7 @@ WORLD = MAX_BODIES  # the one body that all static shapes are
 GROUPS = MAX_BODIES * (MAX_BODIES + 1)
 STRAIGHT = 1e-3  # [rad] by which normals of one plane may differ
 DIRECTIONS = 16  # in a plane, in each of which the farthest contact is kept: of a round foot 2% of the radius is lost
+STEEPEST = 1e30  # inclination of a plane
 
 
 def slot_count(samples: "ContactSamples") -> int:
@@ -53,13 +54,33 @@ def tangents(n):
     return vec3(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), vec3(b, sign + n.y * n.y * a, -n.y)
 
 
+@ti.func
+def below(ahead, beside, rise, least, most):
+    """The inclinations of least..most at which a plane passes below a point so far ahead, beside, and higher by `rise`.
+
+    Lengths in m. Of two points as far ahead, the one on the left counts as farther. A point that coincides
+    with the plane's does not count.
+    """
+    low, high = least, most
+    if ahead > CONTACT_SLOP:
+        high = ti.min(high, rise / ahead)
+    elif ahead < -CONTACT_SLOP:
+        low = ti.max(low, rise / ahead)
+    elif rise < 0.0 and beside > CONTACT_SLOP:
+        high = 0.0
+    elif rise < 0.0 and beside < -CONTACT_SLOP:
+        low = ti.max(low, 0.5 * STEEPEST)
+    return low, high
+
+
 @ti.data_oriented
 class RigidBroadPhase:
     """Slot q = slot P + p of sample p is constraint begin + q.
 
     shape i32[4P]: a static shape, or MAX_SHAPES + a body; -1 none;   distance f32[4P] [m], at the last search
     bounce_speed f32[4P] [m/s]: speed that an impact still asks for
-    gap f32 [m], normal vec3 from the group's second body to its first, position vec3 [m], all [4P]: at the last search
+    gap f32 [m], normal vec3 from the group's second body to its first, position vec3 [m] on its
+    surface, all [4P]: at the last search
     size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P], in the order of their slots
     group i32[G], group_count: the groups that have constraints
     listed, spare i32[4P]: the entries before they are sorted; whether one is left out
@@ -229,8 +250,14 @@ class RigidBroadPhase:
         p = q % self.samples.capacity
         x = self.samples.blend(p, self.state.x)
         phi, n = self.surface_at(q, x)
-        self.gap[q], self.position[q] = phi + self.samples.skin[p], x
-        self.normal[q] = n if self.samples.body[p] == g // (MAX_BODIES + 1) else -n
+        skin = self.samples.skin[p]
+        self.gap[q], self.position[q] = phi + skin, x + skin * n
+        self.normal[q] = self._side(q, g) * n
+
+    @ti.func
+    def _side(self, q, g):
+        """1 if slot q is a sample of the first body of group g, -1 if of the second."""
+        return 1.0 if self.samples.body[q % self.samples.capacity] == g // (MAX_BODIES + 1) else -1.0
 
     @ti.func
     def _sort(self, q):
@@ -242,46 +269,34 @@ class RigidBroadPhase:
 
     @ti.func
     def _is_spare(self, e):
-        """Test if entry e lies between others over the same plane, of its face or no higher than itself.
+        """Test if entry e touches no sooner than others over the same plane, however the body tilts.
 
-        What all others hold then, it would hold as well. `left` and `lower`: directions, as bits, in which none of
-        its face and none so low is farther.
+        It is needed if a plane through it, inclined in one of DIRECTIONS, lies below all others: if it is a corner of
+        their lower hull. What all others hold then, it would hold as well.
         """
-        q = self.entry[e]
+        q, k, needed = self.entry[e], 0, False
         g = self.group_of(q)
-        x, n, facing = self.position[q], self.normal[q], self.shapes.normal(q % self.samples.capacity)
+        n = self._side(q, g) * self.normal[q]  # along which its own gap widens
         s, t = tangents(n)
-        left = lower = (1 << DIRECTIONS) - 1
-        f, end = self.group_begin[g], self.group_begin[g] + self.size[g]
-        while f < end and left != 0 and lower != 0:
-            other = self.entry[f]
-            v = self.position[other] - x
-            height = n.dot(v)
-            if (
-                abs(self.gap[other] - self.gap[q] - height) < CONTACT_SLOP
-                and n.cross(self.normal[other]).norm() < STRAIGHT
-                and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
-            ):
-                behind = self._directions_of(v.dot(s), v.dot(t))
-                if abs(facing.dot(v)) < CONTACT_SLOP:
-                    left &= ~behind
-                if height < CONTACT_SLOP:
-                    lower &= ~behind
-            f += 1
-        spare = (left == 0 or lower == 0) and self.bounce_speed[q] == 0.0  # what bounces is not to be forgotten
-        return ti.cast(spare, ti.i32)
-
-    @ti.func
-    def _directions_of(self, x, y):
-        """Directions, as bits, in which x, y [m] is farther than the origin, or as far but more to the left."""
-        result = 0
-        for k in range(DIRECTIONS):
+        begin, end = self.group_begin[g], self.group_begin[g] + self.size[g]
+        while k < DIRECTIONS and not needed:
             angle = (k + 0.5) * (2.0 * math.pi / DIRECTIONS)
-            c, s = ti.cos(angle), ti.sin(angle)
-            ahead, beside = c * x + s * y, c * y - s * x
-            if ahead > CONTACT_SLOP or (ahead > -CONTACT_SLOP and beside > CONTACT_SLOP):
-                result |= 1 << k
-        return result
+            uphill = ti.cos(angle) * s + ti.sin(angle) * t
+            left, least, most = n.cross(uphill), 0.0, STEEPEST  # inclinations that are left
+            f = begin
+            while f < end and least < most:
+                other = self.entry[f]
+                v, rise = self.position[other] - self.position[q], self.gap[other] - self.gap[q]
+                if (
+                    abs(rise - n.dot(v)) < CONTACT_SLOP
+                    and n.cross(self.normal[other]).norm() < STRAIGHT
+                    and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
+                ):
+                    least, most = below(v.dot(uphill), v.dot(left), rise - CONTACT_SLOP, least, most)
+                f += 1
+            needed = least < most
+            k += 1
+        return ti.cast(not needed and self.bounce_speed[q] == 0.0, ti.i32)  # what bounces is not to be forgotten
 
     @ti.func
     def _thin_out(self, g):

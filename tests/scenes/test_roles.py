@@ -88,12 +88,12 @@ def test_a_body_takes_the_place_the_size_and_the_material_of_what_it_replaces(na
 
 @pytest.mark.parametrize("name", DEMOS)
 def test_every_demo_moves_into_a_room_of_the_users(name, tmp_path):
-    """Its own room goes, the other one stands around the play; all that is played with stays as it is."""
+    """Its own room goes, the other one stands around the play; all that is played with stays as it is, but awake."""
     stage = room(tmp_path, table=True)
     own, scene = registry.load(name), registry.load(name, stage=stage)
     around, *rest = scene.bodies
     assert around.asset == stage and scene.cast[-1][0] == stage and scene.cast[-1][1].startswith("the room")
-    played = [b for b in own.bodies if b.asset not in own.room.assets]
+    played = [replace(b, asleep=False) for b in own.bodies if b.asset not in own.room.assets]
     rest = rest[: len(rest) - len(own.room.marks)]  # which mark places in another room only
     assert [replace(b, position=o.position) for b, o in zip(rest, played, strict=True)] == played
     assert len(rest) < len(own.bodies)

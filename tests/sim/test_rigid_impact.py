@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bench.sample_meshes import box
+from core.distance_grid import DistanceGrid
 from core.material import Material
 from scenes.scene import Plane
 from sim.capacity import MAX_BODIES
@@ -88,3 +89,24 @@ def test_what_slides_under_an_elastic_load_is_braked_by_no_more_than_friction(ru
     """Substeps of 1e-4 s leave 0.32 of 0.5 m/s after a frame; where each pass pushed elastic vertices anew, 0.25."""
     slider, load = run[1].bodies()[6:]
     assert 0.27 < slider.velocity[0] < 0.36 and 0.03 < load.velocity[0] < 0.08
+
+
+def test_a_flat_foot_stands_on_its_corners_where_its_cage_is_vaulted(ti_cpu):
+    """The cage's bottom is up to 2 mm above the flat one that the distance grid holds; the body leans a little."""
+    x, tets, surface = box((0.4, SIDE, 0.4), (6, 1, 6))
+    x = x - [0.2, 0.0, 0.2]
+    low = x[:, 1] < 1e-9
+    x[low, 1] = 0.002 * (1 - (x[low][:, [0, 2]] ** 2).sum(1) / 0.08)
+    spacing, origin = 0.02, np.array([-0.3, -0.1, -0.3])
+    at = origin + spacing * np.stack(np.meshgrid(*(np.arange(n) for n in (31, 16, 31)), indexing="ij"), axis=-1)
+    q = np.abs(at - [0.0, SIDE / 2, 0.0]) - [0.2, SIDE / 2, 0.2]
+    distance = np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(-1), 0.0)
+    sdf = DistanceGrid(distance.astype(np.float32), origin, spacing)
+    lean = (np.cos(1e-4), 0.0, 0.0, np.sin(1e-4))
+    body = RigidBody("foot", x, tets, surface, 1000.0, sdf=sdf, rotation=lean, position=(0.0, 4e-5, 0.0))
+    solver = Solver([body], [Plane((0, 0, 0), (0, 1, 0), 0.5)], sleep=False)
+    solver.step(1e-3)
+    f = solver.contacts.rigid_search
+    kept = f.entry.to_numpy()[: f.size[WORLD]]
+    touching = f.position.to_numpy()[kept[f.gap.to_numpy()[kept] < 2e-4]]
+    assert len(touching) == 4 and (np.abs(np.abs(touching[:, [0, 2]]) - 0.2) < 1e-3).all()

@@ -20,16 +20,16 @@ from sim.state import State
 
 # 48 KB of shared memory, as much as every block may have: x + dx in double precision, and words
 RESIDENT = 4  # patches that a block holds at once
-PLACES = 272  # for vertices of a patch, own ones and others
+PLACES = 366  # for vertices of a patch, own ones and others
 INDEX_BITS = 9
 ALL_PLACES = RESIDENT * PLACES
-VERTEX, SLOT, MU, LAM, LAG = range(0, 5 * ALL_PLACES, ALL_PLACES)  # words, for each place
-COUNT = 5 * ALL_PLACES  # words: vertices of each resident patch
-COLOR = COUNT + RESIDENT  # words: begin of each colour of each resident patch, COLOR_PLACES each
+VERTEX, SLOT = 0, ALL_PLACES  # words, for each place
+MU, LAM, LAG, COUNT = range(2 * ALL_PLACES, 2 * ALL_PLACES + 4 * RESIDENT, RESIDENT)  # words, for each resident patch
 COLOR_PLACES = MAX_COLORS + 1
-POINTS, WORDS = 3 * ALL_PLACES, COLOR + RESIDENT * COLOR_PLACES
-VERTEX_BITS = 24  # of its index; its colour, plus one, in the others
-assert PLACES <= 1 << INDEX_BITS and 8 * POINTS + 4 * WORDS <= 48 << 10 and MAX_COLORS < 1 << 7
+OWN = 2 * ALL_PLACES + 4 * RESIDENT  # words: begin of each colour of each resident patch, COLOR_PLACES each ...
+OTHERS = OWN + RESIDENT * COLOR_PLACES  # ... and the same among the vertices that belong to other patches
+POINTS, WORDS = 3 * ALL_PLACES, OTHERS + RESIDENT * COLOR_PLACES
+assert PLACES <= 1 << INDEX_BITS and 8 * POINTS + 4 * WORDS <= 48 << 10
 
 
 @ti.data_oriented
@@ -37,9 +37,10 @@ class ColorPatches:
     """Tables of the patches. Fields over slots are one scalar each. Place `at` of vertex k of resident patch r is
     r PLACES + k.
 
-    local i32[]: vertices of each patch, its own ones by colour first, local_begin i32[P+1], own_end i32[P] in it
-    color_begin i32[P,COLOR_PLACES]: first own vertex of each colour, from the patch's first one on
-    slot_begin i32[]: first slot of each own vertex, at its place in `local`;   color i32[]: of each vertex of `local`
+    local i32[]: vertices of each patch, its own ones by colour first, then the others by colour
+    local_begin i32[P+1], own_end i32[P]: where they begin in `local`
+    own_begin, others_begin i32[P,COLOR_PLACES]: first of each colour, from the patch's first vertex on
+    slot_begin i32[]: first slot of each own vertex, at its place in `local`
     words i32[2][4T]: indices of a slot's corners in the patch, INDEX_BITS each, and which of them is the vertex
     gradient f32[9][4T]: D_m^-1 [1/m] of its tet
     awake i32[P], awake_count: the patches of bodies that are awake
@@ -51,9 +52,9 @@ class ColorPatches:
         self.max_count = blocks + MAX_BODIES + 16 * state.V // PLACES
         L = self.max_count * PLACES
         g = self._group = FieldGroup()
-        self.local, self.slot_begin, self.color = (g.scalar(L + 1, dtype=ti.i32) for _ in range(3))
+        self.local, self.slot_begin = (g.scalar(L + 1, dtype=ti.i32) for _ in range(2))
         self.local_begin, self.own_end = (g.scalar(self.max_count + 1, dtype=ti.i32) for _ in range(2))
-        self.color_begin = g.scalar(self.max_count * COLOR_PLACES, dtype=ti.i32)
+        self.own_begin, self.others_begin = (g.scalar(self.max_count * COLOR_PLACES, dtype=ti.i32) for _ in range(2))
         self.awake = g.scalar(self.max_count, dtype=ti.i32)
         self.count, self.awake_count = (g.scalar(dtype=ti.i32) for _ in range(2))
         self.words = [g.scalar(N, dtype=ti.i32) for _ in range(2)]
@@ -64,10 +65,10 @@ class ColorPatches:
                 *(
                     self.local,
                     self.slot_begin,
-                    self.color,
                     self.local_begin,
                     self.own_end,
-                    self.color_begin,
+                    self.own_begin,
+                    self.others_begin,
                     self.count,
                 ),
                 *(*self.words, *self.gradient),
@@ -88,8 +89,9 @@ class ColorPatches:
         gradients = stacked([s.inverse.reshape(-1, 9) for s in model.shapes], 9)[t["tet"]]
         c = t["corners"]
         words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS
-        local = t["local"], t["slot_begin"], t["color"], t["local_begin"], t["own_end"], t["color_begin"].ravel()
-        self._upload([*local, [len(t["own_end"])], *words, *gradients.T])
+        local = t["local"], t["slot_begin"], t["local_begin"], t["own_end"]
+        colors_begin = t["own_begin"].ravel(), t["others_begin"].ravel()
+        self._upload([*local, *colors_begin, [len(t["own_end"])], *words, *gradients.T])
         self.colors = t["colors"]
 
     @ti.func
@@ -103,19 +105,25 @@ class ColorPatches:
     @ti.func
     def enter(self, patch, r, own, block, colors, points: ti.template(), words: ti.template()):
         """Fetch all of a patch as resident r, by thread `own` of a block of so many."""
-        begin, at = self.local_begin[patch], own
-        count, mine = self.local_begin[patch + 1] - begin, self.own_end[patch] - begin
+        s, begin, at = self.state, self.local_begin[patch], own
+        count, lag = self.local_begin[patch + 1] - begin, s.stress_lag[s.body_of_vertex[self.local[begin]]]
         while at < count:
-            self.stage_constants(begin + at, r * PLACES + at, words)
-            self.stage(r * PLACES + at, points, words)
+            i, place = self.local[begin + at], r * PLACES + at
+            words[VERTEX + place] = ti.bit_cast(i, ti.f32)
+            words[SLOT + place] = ti.bit_cast(self.slot_begin[begin + at], ti.f32)
+            self.put(place, s.x[i], s.strain_increment(i, lag), points)
             at += block
         if own == 0:
+            b = s.body_of_vertex[self.local[begin]]
+            words[MU + r], words[LAM + r], words[LAG + r] = s.mu[b], s.lam[b], lag
             words[COUNT + r] = ti.bit_cast(count, ti.f32)
-            self.set_slot(r * PLACES + mine, self.slot_begin[begin + mine], words)
+            mine = self.own_end[patch] - begin  # the end of the last own vertex's slots
+            words[SLOT + r * PLACES + mine] = ti.bit_cast(self.slot_begin[begin + mine], ti.f32)
         at = own
         while at <= colors:
-            color_begin = self.color_begin[patch * COLOR_PLACES + at]
-            words[COLOR + r * COLOR_PLACES + at] = ti.bit_cast(color_begin, ti.f32)
+            k = patch * COLOR_PLACES + at
+            words[OWN + r * COLOR_PLACES + at] = ti.bit_cast(self.own_begin[k], ti.f32)
+            words[OTHERS + r * COLOR_PLACES + at] = ti.bit_cast(self.others_begin[k], ti.f32)
             at += block
 
     @ti.func
@@ -124,25 +132,16 @@ class ColorPatches:
         return ti.bit_cast(words[COUNT + r], ti.i32)
 
     @ti.func
-    def color_range(self, r, color, words: ti.template()):
-        """Own vertices of a colour of resident patch r: the first one's place, and the end."""
-        at = COLOR + r * COLOR_PLACES + color
+    def color_range(self, first: ti.template(), r, color, words: ti.template()):
+        """Vertices of a colour of resident patch r: the first one's place, and the end; `first` is OWN or OTHERS."""
+        at = first + r * COLOR_PLACES + color
         return r * PLACES + ti.bit_cast(words[at], ti.i32), r * PLACES + ti.bit_cast(words[at + 1], ti.i32)
 
     @ti.func
-    def stage_constants(self, k, at, words: ti.template()):
-        """Copy what does not change of vertex local[k] to place `at`."""
-        s, i = self.state, self.local[k]
-        b = s.body_of_vertex[i]
-        words[VERTEX + at] = ti.bit_cast(i | (self.color[k] + 1) << VERTEX_BITS, ti.f32)
-        self.set_slot(at, self.slot_begin[k], words)
-        words[MU + at], words[LAM + at], words[LAG + at] = s.mu[b], s.lam[b], s.stress_lag[b]
-
-    @ti.func
-    def stage(self, at, points: ti.template(), words: ti.template()):
-        """Copy the position in the substep in progress of the vertex at this place."""
+    def stage(self, at, r, points: ti.template(), words: ti.template()):
+        """Copy the position in the substep in progress of the vertex at this place of resident patch r."""
         i = self.vertex(at, words)
-        self.put(at, self.state.x[i], self.state.strain_increment(i, words[LAG + at]), points)
+        self.put(at, self.state.x[i], self.state.strain_increment(i, words[LAG + r]), points)
 
     @ti.func
     def put(self, at, x, d, points: ti.template()):
@@ -153,16 +152,7 @@ class ColorPatches:
     @ti.func
     def vertex(self, at, words: ti.template()):
         """Index of the vertex at this place."""
-        return ti.bit_cast(words[VERTEX + at], ti.i32) & ((1 << VERTEX_BITS) - 1)
-
-    @ti.func
-    def color_of(self, at, words: ti.template()):
-        """Colour of the vertex at this place, -1 if it does not move."""
-        return (ti.bit_cast(words[VERTEX + at], ti.i32) >> VERTEX_BITS) - 1
-
-    @ti.func
-    def set_slot(self, at, slot, words: ti.template()):
-        words[SLOT + at] = ti.bit_cast(slot, ti.f32)
+        return ti.bit_cast(words[VERTEX + at], ti.i32)
 
     @ti.func
     def slot(self, at, words: ti.template()):
@@ -198,7 +188,7 @@ def divide_by_color(
     order (V,) of the vertices, in which each body's begin at body_begin (B+1,); color (V,). There are `blocks` patches
     or the least multiple of that, or somewhat fewer; `most` at most (else BadInput).
     Returns colors, their number; local: vertices of the patches,
-    own ones first; local_begin (P+1,), own_end (P,) in it; color: of each of `local`; color_begin (P, COLOR_PLACES):
+    own ones first; local_begin (P+1,), own_end (P,) in it; own_begin, others_begin (P, COLOR_PLACES): of each colour,
     from a patch's first vertex on; slot_begin: of each own vertex, at its place in `local`, and one more;
     of each slot: tet, corner: which of its corners is the vertex; corners (4T, 4): their indices in the patch.
     """
@@ -239,8 +229,10 @@ def _divided(tets: np.ndarray, order: np.ndarray, color: np.ndarray, begin: np.n
     owner = patch_at[place[tets[tet, corner]]] if len(tet) else np.zeros(0, np.int64)
     at = place[tets[tet]]
     own = patch_at[at] == owner[:, None]
-    outside, index = np.unique((owner[:, None] * n + at)[~own], return_inverse=True)
-    outside_begin = np.searchsorted(outside, np.arange(blocks + 1) * n)
+    by_color = (owner[:, None] * COLOR_PLACES + color[order][at] + 1) * n + at
+    outside, index = np.unique(by_color[~own], return_inverse=True)
+    of, outside_color, outside = outside // (COLOR_PLACES * n), outside // n % COLOR_PLACES, outside % n
+    outside_begin = np.searchsorted(of, np.arange(blocks + 1))
     sizes = np.diff(begin) + np.diff(outside_begin)
     if sizes.max(initial=0) >= PLACES:
         return None
@@ -250,22 +242,20 @@ def _divided(tets: np.ndarray, order: np.ndarray, color: np.ndarray, begin: np.n
     mine = np.arange(n) - begin[patch_at] + local_begin[patch_at]
     local[mine], slot_begin[mine] = order, ends[:-1]
     slot_begin[own_end] = ends[begin[1:]]  # the place after a patch's last own vertex
-    of = outside // n
     theirs = np.arange(len(outside)) - outside_begin[of] + own_end[of]
-    local[theirs] = order[outside % n]
+    local[theirs] = order[outside]
     corners = at - begin[owner][:, None]
     corners[~own] = (theirs - local_begin[of])[index]
-    color_begin = np.zeros((blocks, COLOR_PLACES), np.int64)
-    counts = np.zeros((blocks, COLOR_PLACES), np.int64)
+    counts, others = (np.zeros((blocks, COLOR_PLACES), np.int64) for _ in range(2))  # of colour -1 first
     np.add.at(counts, (patch_at, color[order] + 1), 1)
-    color_begin[:] = np.cumsum(counts, axis=1)  # those of colour -1 come before the first
+    np.add.at(others, (of, outside_color), 1)
     return {
         "colors": int(color.max(initial=-1)) + 1,
         "local": local,
         "local_begin": local_begin,
         "own_end": own_end,
-        "color": color[local],
-        "color_begin": color_begin,
+        "own_begin": np.cumsum(counts, axis=1),
+        "others_begin": np.cumsum(others, axis=1) + (own_end - local_begin[:-1])[:, None],
         "slot_begin": slot_begin,
         "tet": tet,
         "corner": corner,

@@ -8,7 +8,7 @@ import taichi as ti
 
 from sim.capacity import MAX_BODIES
 from sim.constraint import Constraint
-from sim.elastic.color_patches import LAG, LAM, MU, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
+from sim.elastic.color_patches import LAG, LAM, MU, OTHERS, OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
 from sim.elastic.energy import Elasticity
 from sim.elastic.modal_correction import ModalCorrection
 from sim.elastic.modal_warps import ModalWarps
@@ -113,7 +113,7 @@ class PersistentVBD:
                             k += RESIDENT
                         rounds = self.grid.meet(thread, rounds, s.substep_index, 0)
                         if not several:
-                            self._stage_color(resident, own, color, colors, points, words)
+                            self._stage_color(resident, own, color, points, words)
                         self.grid.sync()
                     if paired:
                         rounds = self._pairs(thread, rounds, sweep == self.iterations - 1)
@@ -168,21 +168,20 @@ class PersistentVBD:
         while r < resident:
             at, end = r * PLACES + own % share, r * PLACES + p.count_of(r, words)
             while at < end:
-                p.stage(at, points, words)
+                p.stage(at, r, points, words)
                 at += share
             r += self.grid.block // share
 
     @ti.func
-    def _stage_color(self, resident, own, color, colors, points: ti.template(), words: ti.template()):
+    def _stage_color(self, resident, own, color, points: ti.template(), words: ti.template()):
         """Fetch the positions of those of this colour that belong to other patches."""
         p, share = self.patches, self._share(self.grid.block, resident, 1)
         r = own // share
         while r < resident:
-            _begin, own_end = p.color_range(r, colors - 1, words)
-            at, end = own_end + own % share, r * PLACES + p.count_of(r, words)
+            begin, end = p.color_range(OTHERS, r, color, words)
+            at = begin + own % share
             while at < end:
-                if p.color_of(at, words) == color:
-                    p.stage(at, points, words)
+                p.stage(at, r, points, words)
                 at += share
             r += self.grid.block // share
 
@@ -216,7 +215,7 @@ class PersistentVBD:
         group, lane = own // self.lanes, own % self.lanes
         r = group // share
         while r < resident:
-            begin, end = p.color_range(r, color, words)
+            begin, end = p.color_range(OWN, r, color, words)
             for turn in range((end - begin + share - 1) // share):  # as many for all threads of a warp
                 at = begin + turn * share + group % share
                 f, xx, yy = ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0]), ti.Vector([0.0, 0.0, 0.0])
@@ -226,7 +225,7 @@ class PersistentVBD:
                     i = p.vertex(at, words)
                     x, v = self.state.x[i], self.state.v[i]
                     dx, target, prior, mass = self.descent.load(i)  # before the tets: the loads take a while
-                    mu, lam = words[MU + at], words[LAM + at]
+                    mu, lam = words[MU + r], words[LAM + r]
                     slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
                     while slot < last:
                         force, diagonal, c, _dJ, stiffness = p.terms(slot, r, mu, lam, points)
@@ -240,7 +239,7 @@ class PersistentVBD:
                 if lane == 0 and at < end:
                     H = ti.Matrix([[xx[0], yy[0], yy[2]], [yy[0], xx[1], yy[1]], [yy[2], yy[1], xx[2]]])
                     d = self.descent.descend(i, dx, target, prior, mass, f, H)
-                    p.put(at, x, d - words[LAG + at] * v, points)
+                    p.put(at, x, d - words[LAG + r] * v, points)
             r += groups // share
 
     @ti.func
@@ -252,12 +251,12 @@ class PersistentVBD:
         r = group // share
         while r < resident:
             begin = r * PLACES
-            _begin, end = p.color_range(r, colors - 1, words)
+            _begin, end = p.color_range(OWN, r, colors - 1, words)
             for turn in range((end - begin + share - 1) // share):
                 at = begin + turn * share + group % share
                 f = ti.Vector([0.0, 0.0, 0.0])
                 if at < end:
-                    mu, lam = words[MU + at], words[LAM + at]
+                    mu, lam = words[MU + r], words[LAM + r]
                     slot, last = p.slot(at, words) + lane, p.slot(at + 1, words)
                     while slot < last:
                         force, _diagonal, _c, dJ, _stiffness = p.terms(slot, r, mu, lam, points)

@@ -9,7 +9,7 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from sim.body_model import BodyModel, RestShape
-from sim.elastic.color_patches import PLACES, POINTS, RESIDENT, WORDS, ColorPatches, divide_by_color, patch_begins
+from sim.elastic.color_patches import OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches, divide_by_color, patch_begins
 from sim.elastic.patches import compact_order
 from sim.elastic.vbd import VBDSubsteps, color_vertices
 from sim.elastic.vbd_persistent import PersistentVBD
@@ -37,9 +37,9 @@ def test_each_vertex_has_its_tets_and_its_colour(blocks):
         assert len(set(local)) == len(local) < PLACES
         assert len(set(local // len(x))) == 1  # of one body
         for c in range(t["colors"]):
-            mine = local[t["color_begin"][patch, c] : t["color_begin"][patch, c + 1]]
-            assert (color[mine] == c).all() and len(mine) == (color[local[: own_end - first]] == c).sum()
-        assert (t["color"][first:end] == color[local]).all()
+            for begin, of in (t["own_begin"], local[: own_end - first]), (t["others_begin"], local[own_end - first :]):
+                some = local[begin[patch, c] : begin[patch, c + 1]]
+                assert (color[some] == c).all() and sorted(some) == sorted(of[color[of] == c])
         for k in range(first, own_end):
             slots = slice(t["slot_begin"][k], t["slot_begin"][k + 1])
             corners = tets[t["tet"][slots]]
@@ -101,7 +101,7 @@ def test_the_sums_are_those_of_the_plain_loops():
         for patch in range(patches.count[None]):
             r = patch % RESIDENT
             patches.enter(patch, r, 0, 1, patches_colors, points, words)
-            _begin, end = patches.color_range(r, patches_colors - 1, words)
+            _begin, end = patches.color_range(OWN, r, patches_colors - 1, words)
             for at in range(r * PLACES, end):
                 i = patches.vertex(at, words)
                 b = s.body_of_vertex[i]

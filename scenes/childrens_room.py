@@ -16,7 +16,7 @@ TOYS = {  # name: (x, y, z) [m], turn about the vertical and forwards [degrees]
     "toy_teddy": ((-0.68, FLOOR, 0.48), 40, 0), "toy_rabbit": ((0.70, FLOOR, 0.45), -35, 0),
     "toy_elephant": ((-0.66, FLOOR, 0.02), 60, 0), "toy_cat": ((0.66, FLOOR, 0.02), -50, 0),
     "toy_duck": ((-0.24, FLOOR, -0.30), 20, 0), "toy_penguin": ((0.22, FLOOR, -0.34), -15, 0),
-    "toy_star": ((-0.62, FLOOR + 0.065, -0.46), 30, -90), "toy_frog": ((0.62, FLOOR, -0.42), -25, 0),
+    "toy_star": ((-0.62, FLOOR + 0.059, -0.46), 30, -90), "toy_frog": ((0.62, FLOOR, -0.42), -25, 0),
     "toy_octopus": ((0.0, FLOOR, -0.74), 0, 0), "toy_ladybird": ((1.02, FLOOR, 0.3), -70, 0),
     "toy_dinosaur": ((-1.33, BED_TOP + 0.005, -0.32), 60, 0), "toy_whale": ((-1.33, BED_TOP + 0.005, -0.85), 50, 0),
 }  # fmt: skip

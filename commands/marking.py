@@ -20,7 +20,6 @@ from prepare.segment.mask_files import check_name, object_colors
 from prepare.segment.mask_overlay import overlay
 from prepare.segment.picture_cut import grab_cut
 from prepare.segment.splat_marks import SplatMarks
-from prepare.segment.splat_segmentation import painted, selected
 from prepare.train.photographs import read_image
 
 ORIENTATION_SAMPLE = 30_000  # Gaussians from which the up axis is guessed
@@ -66,8 +65,7 @@ class SplatSubject:
 
     def __init__(self, gaussians: Gaussians, marks: SplatMarks, up: str | None):
         from display.viewer import FOV_Y, eye_around, middle_and_radius
-        from prepare.blending_weights import BlendingWeights
-        from prepare.segment.splat_selection import SplatSelection
+        from prepare.segment.live_selection import LiveSelection
 
         some = gaussians.select(np.arange(0, len(gaussians), -(-len(gaussians) // ORIENTATION_SAMPLE)))
         upright = np.eye(4)
@@ -76,10 +74,7 @@ class SplatSubject:
         middle, radius = middle_and_radius(turned)
         eye = eye_around(middle, radius, 0.0, aspect=PICTURE_SIZE[0] / PICTURE_SIZE[1])
         self.free = FreeView(OrbitCamera(eye, middle, FOV_Y), PICTURE_SIZE, upright, marks.cameras)
-        self.gaussians = gaussians
-        self._selection, self._weights = SplatSelection(gaussians), BlendingWeights(gaussians)
-        self._drawn = BlendingWeights(painted(replace(gaussians, object_id=np.zeros(len(gaussians), np.uint16)), 1))
-        self._seeds: dict[tuple, object] = {}
+        self._selection = LiveSelection(gaussians)
 
     @property
     def views(self) -> list[str]:
@@ -92,8 +87,7 @@ class SplatSubject:
 
     def picture(self) -> np.ndarray:
         """As Subject.picture."""
-        rgb = self._drawn.picture(self.free.camera)[0]
-        return (rgb.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        return self._selection.picture(self.free.camera)
 
     def view_shown(self) -> str | None:
         """As Subject.view_shown."""
@@ -105,23 +99,9 @@ class SplatSubject:
 
     def select(self, state: MarkState) -> str:
         """As Subject.select."""
-        from prepare.segment.splat_seeds import Seeds
-
-        marks = marks_of_state(state)
-        names = [n for n, views in marks.objects.items() if any(m.inside or m.boxes for m in views.values())]
-        seeds = []
-        for name in names:
-            key = tuple(m for m in state.marks if m.object == name)
-            if key not in self._seeds:
-                self._seeds[key] = Seeds(self.gaussians, self._weights, self.free.cameras, marks.objects[name])
-            seeds.append(self._seeds[key])
-        ids = np.zeros(len(self.gaussians), np.uint16)
-        for name, own in zip(names, seeds, strict=True):
-            number = state.objects.index(name) + 1
-            ids[selected(self._selection, name, own, seeds, ids, state.rings(name))] = number
-        self._drawn.replace(painted(replace(self.gaussians, object_id=ids), len(state.objects)))
-        counts = [f"{name}: {int((ids == state.objects.index(name) + 1).sum()):,}" for name in names]
-        return ", ".join(counts) + " Gaussians" if counts else ""
+        marks, numbers = marks_of_state(state), {name: k for k, name in enumerate(state.objects, 1)}
+        counts = self._selection.select(SplatMarks(self.free.cameras, marks, dict(state.grow)), numbers)
+        return ", ".join(f"{name}: {count:,}" for name, count in counts.items()) + " Gaussians" if counts else ""
 
     def marks(self, state: MarkState) -> SplatMarks:
         """The marks with the cameras of their views."""
@@ -131,8 +111,7 @@ class SplatSubject:
 
     def close(self) -> None:
         """Free the device memory."""
-        for drawn in (self._drawn, self._weights, self._selection):
-            drawn.destroy()
+        self._selection.destroy()
 
 
 class PhotographSubject:

@@ -8,6 +8,7 @@ import taichi as ti
 from assets.gaussians import Gaussians
 from core.camera import Camera
 from render.blend_gradients import GEOMETRY, BlendGradients
+from render.projection import camera_values
 from render.renderer import Renderer
 from render.splats import Splats
 
@@ -21,15 +22,22 @@ class BlendingWeights:
     dL/dC, the backward pass of blending sums the weights over the map.
     """
 
-    def __init__(self, gaussians: Gaussians, *, sort: str = "z"):
-        self._splats, self._sort = Splats(gaussians), sort
+    def __init__(self, gaussians: Gaussians, *, sort: str = "z", capacity: int = 0):
+        """`capacity`: for at least so many Gaussians."""
+        self._splats, self._sort = Splats(gaussians, capacity=capacity), sort
         self._size = (0, 0)  # of the largest picture until now, for which there is room
         self._renderer: Renderer | None = None
         self._backward: _BackwardPass | None = None
+        self._camera: tuple | None = None  # of the last picture, if it shows the Gaussians where they are
 
     def replace(self, gaussians: Gaussians) -> None:
-        """Draw other Gaussians from now on, as many and of the same SH degree."""
+        """Draw other Gaussians from now on, of the same SH degree, and no more than there is room for."""
         self._splats.replace(gaussians)
+        self._camera = None
+
+    def recolour(self, sh: np.ndarray) -> None:
+        """Draw the Gaussians with these spherical harmonics (N, K, 3) from now on."""
+        self._splats.sh.from_numpy(self._splats.padded(sh))
 
     def picture(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Picture for a camera on black: rgb (H, W, 3), depth [m] and opacity (H, W), float32."""
@@ -43,7 +51,8 @@ class BlendingWeights:
 
     def sums(self, camera: Camera, maps: Sequence[np.ndarray]) -> np.ndarray:
         """Sum of each Gaussian's weights over each of up to three maps of pixels (H, W): (N, len(maps)) [px]."""
-        self._draw(camera)
+        if self._camera != numbers_of(camera):
+            self._draw(camera)
         bins = self._renderer.rasterizer.tile_pass.bins
         if self._backward is None or self._backward.bins is not bins:
             if self._backward is not None:
@@ -64,6 +73,7 @@ class BlendingWeights:
             renderer.rasterizer.resize(*size)
             renderer.width, renderer.height = size
         renderer.render([camera])
+        self._camera = numbers_of(camera)
 
     def _release(self) -> None:
         for part in (self._backward, self._renderer):
@@ -77,13 +87,18 @@ class BlendingWeights:
         self._splats.destroy()
 
 
+def numbers_of(camera: Camera) -> tuple[float, ...]:
+    """All that the picture of a camera depends on."""
+    return (camera.width, camera.height, *camera_values(camera))
+
+
 @ti.data_oriented
 class _BackwardPass:
     """The backward pass through the bins of a picture."""
 
     def __init__(self, bins, picture):
         self.bins = bins
-        self.gradients = BlendGradients(bins, picture, with_depth=False)
+        self.gradients = BlendGradients(bins, picture, with_depth=False, with_geometry=False)
 
     def destroy(self) -> None:
         """Free the device memory."""
@@ -94,11 +109,19 @@ class _BackwardPass:
         self.gradients.d_rgb.from_numpy(maps)
         self._clear(count)
         self._add()
-        return self.gradients.sums.to_numpy()[:count, GEOMETRY:].astype(np.float64)
+        sums = np.empty((count, CHANNELS), np.float32)
+        self._read(sums)
+        return sums.astype(np.float64)
 
     @ti.kernel
     def _clear(self, count: ti.i32):
         self.gradients.clear(0, count)
+
+    @ti.kernel
+    def _read(self, out: ti.types.ndarray(ti.f32, 2)):
+        for g in range(out.shape[0]):
+            for c in ti.static(range(CHANNELS)):
+                out[g, c] = self.gradients.sums[g, GEOMETRY + c]
 
     @ti.kernel
     def _add(self):  # a kernel of its own, as it shares arrays

@@ -15,6 +15,7 @@ from render.tile_batch import (
     BATCH,
     CELL,
     CELL_BITS,
+    CHECK_INTERVAL,
     CPU_TILE,
     GPU_TILE,
     MIN_TRANSMITTANCE,
@@ -39,7 +40,7 @@ class BlendGradients:
 
     In, fields of shape (height, width): `d_rgb` vec3, `d_alpha`, `d_depth`, derivatives with respect to the picture of
     a FloatImages sink, which has been drawn from the same bins. `with_depth=False`: the loss depends on colours alone,
-    and the last two do not exist.
+    and the last two do not exist. `with_geometry=False`: d_color is wanted alone, which takes half the time on the CPU.
 
     Out, functions of a Gaussian, zero for those that are not in the picture:
     d_mean2d   (x, y [1/px], log2 opacity, camera z [1/m])
@@ -62,11 +63,12 @@ class BlendGradients:
     """
 
     def __init__(
-        self, bins: TileBins, picture, *, with_depth: bool = True, color=None, into: "BlendGradients | None" = None,
-        buffer_size: int = BUFFER_SIZE,
+        self, bins: TileBins, picture, *, with_depth: bool = True, with_geometry: bool = True, color=None,
+        into: "BlendGradients | None" = None, buffer_size: int = BUFFER_SIZE,
     ):  # fmt: skip
         self.bins, self.projection, self.picture = bins, bins.projection, picture
         self.color, self.other_color, self.adds = color, color is not None, into is not None
+        self.with_geometry = with_geometry
         self.with_depth, self.on_gpu = with_depth, ti.cfg.arch == ti.cuda
         self.by_pixel, self.buffer_size = self.projection.with_slope, buffer_size
         if self.projection.views != 1:
@@ -154,14 +156,16 @@ class BlendGradients:
                 behind[q] = total
             else:
                 T[q] = -1.0
-        for i in range(self.bins.begin[tile], self.bins.end[tile]):
+        top, bottom = 0, CPU_TILE - 1  # rows that are not finished
+        begin, end = self.bins.begin[tile], self.bins.end[tile]
+        for i in range(begin, end):
             g = value_of(self.bins.members[i])
             mean2d, conic, color = self.projection.mean2d[0, g], self.projection.conic[0, g], splat_color(self, 0, g)
             half_height = self.projection.box[0, g][1]
             A, B, C = conic[0], conic[1], conic[2]
             dx0, dy0 = x0 + 0.5 - mean2d.x, y0 + 0.5 - mean2d.y
-            first = ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32)
-            last = ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32)
+            first = ti.max(top, ti.cast(ti.ceil(ti.max(-dy0 - half_height, 0.0)), ti.i32))
+            last = ti.min(bottom, ti.cast(ti.floor(ti.min(half_height - dy0, CPU_TILE - 1.0)), ti.i32))
             sums = ti.Vector([0.0] * SUMS)
             for row in range(first, last + 1):
                 dy = dy0 + row
@@ -177,25 +181,39 @@ class BlendGradients:
                     visible = after > MIN_TRANSMITTANCE
                     weight = ti.select(visible, alpha * before, 0.0)
                     T[q] = ti.select(visible, after, -ti.abs(before))
-                    value = red[q] * color.r + green[q] * color.g + blue[q] * color.b + depth[q] * mean2d.w + opaque[q]
-                    behind[q] -= weight * value
-                    d_alpha = before * value - behind[q] / (1.0 - alpha)
-                    p = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
-                    sums[0] += p
-                    sums[1] += p * dx
-                    sums[2] += p * dy
-                    sums[3] += p * dx * dx
-                    sums[4] += p * dx * dy
-                    sums[5] += p * dy * dy
-                    sums[6] += weight * depth[q]
+                    if ti.static(self.with_geometry):
+                        value = (
+                            red[q] * color.r + green[q] * color.g + blue[q] * color.b + depth[q] * mean2d.w + opaque[q]
+                        )
+                        behind[q] -= weight * value
+                        d_alpha = before * value - behind[q] / (1.0 - alpha)
+                        p = ti.select(visible and exact < ALPHA_MAX, LN2 * alpha * d_alpha, 0.0)
+                        sums[0] += p
+                        sums[1] += p * dx
+                        sums[2] += p * dy
+                        sums[3] += p * dx * dx
+                        sums[4] += p * dx * dy
+                        sums[5] += p * dy * dy
+                        sums[6] += weight * depth[q]
                     sums[7] += weight * red[q]
                     sums[8] += weight * green[q]
                     sums[9] += weight * blue[q]
             if last >= first:
-                for k in ti.static(range(GEOMETRY)):
-                    self.geometry[g, k] += sums[k]
+                if ti.static(self.with_geometry):
+                    for k in ti.static(range(GEOMETRY)):
+                        self.geometry[g, k] += sums[k]
                 for k in ti.static(range(GEOMETRY, SUMS)):
                     self.sums[g, k] += sums[k]
+            if (i - begin) % CHECK_INTERVAL == CHECK_INTERVAL - 1:
+                top, bottom = CPU_TILE, -1
+                for row in range(CPU_TILE):
+                    alive = 0
+                    for column in range(CPU_TILE):
+                        alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
+                    if alive > 0:
+                        top, bottom = ti.min(top, row), row
+                if bottom < 0:
+                    break
 
     @ti.func
     def _backward_gpu(self):

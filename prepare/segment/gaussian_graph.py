@@ -63,19 +63,27 @@ def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np
     k = min(NEIGHBOURS, n - 1)
     if k < 1:
         return np.zeros(0, np.int32), np.zeros(0, np.int32), np.ones(n)
-    octave = np.floor(width / np.log(2.0))
-    octave = np.minimum(octave, np.partition(octave, n - k - 1)[n - k - 1])  # the widest have enough neighbours, too
-    index, spacing = np.empty((n, k), np.int32), np.empty(n)
-    for least in np.unique(octave):
-        there, own = np.flatnonzero(octave >= least), np.flatnonzero(octave == least)
-        distance, near = cKDTree(points[there]).query(points[own], k + 1, workers=-1)
-        itself = near == np.searchsorted(there, own)[:, None]
-        itself[~itself.any(1), -1] = True  # of more points at one place than are found, one is left out
-        index[own] = there[near[~itself].reshape(-1, k)]
-        spacing[own] = np.maximum(distance[:, -1], 1e-9) / np.sqrt(k / np.pi)  # of a surface: k in a disc so large
+    near, distance = nearest_as_wide(points, width, np.arange(n, dtype=np.int32), k + 1)
     rows = np.arange(n, dtype=np.int32)[:, None]
+    itself = near == rows
+    itself[~itself.any(1), -1] = True  # of more points at one place than are found, one is left out
+    index = near[~itself].reshape(n, k)
+    spacing = np.maximum(distance[:, -1], 1e-9) / np.sqrt(k / np.pi)  # of a surface: k in a disc so large
     once = (rows < index) | ~np.stack([(index[index[:, j]] == rows).any(1) for j in range(k)], axis=1)
     return np.nonzero(once)[0].astype(np.int32), index[once], spacing
+
+
+def nearest_as_wide(points: np.ndarray, width: np.ndarray, some: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """The k nearest to each point (N, 3) of `some` (M,) of them that are about as wide or wider than it is, `width`
+    (N,) being logarithms: their indices among all, int32, and distances, (N, k) each. The widest have k, too."""
+    octave = np.floor(width / np.log(2.0))
+    octave = np.minimum(octave, np.partition(octave[some], len(some) - k)[len(some) - k])
+    index, distance = np.empty((len(points), k), np.int32), np.empty((len(points), k))
+    for least in np.unique(octave):
+        there, own = some[octave[some] >= least], np.flatnonzero(octave == least)
+        distance[own], near = cKDTree(points[there]).query(points[own], np.arange(1, k + 1), workers=-1)
+        index[own] = there[near]
+    return index, distance
 
 
 def mahalanobis(d: np.ndarray, sigma: np.ndarray, added: np.ndarray) -> np.ndarray:

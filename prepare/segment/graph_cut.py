@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-from scipy.sparse.linalg import cg
 
 WALK_TOLERANCE = 1e-4  # relative residual
 WALK_STEPS = 5000
@@ -26,8 +23,34 @@ def random_walk(graph: csr_matrix, inside: np.ndarray, outside: np.ndarray) -> n
     degree = np.asarray(graph.sum(1)).ravel() + ISOLATED
     laplacian = (diags(degree) - graph).tocsr()[free]
     within = laplacian[:, free].tocsr()
-    p[free] = cg(within, -(laplacian @ p), rtol=WALK_TOLERANCE, maxiter=WALK_STEPS, M=diags(1.0 / within.diagonal()))[0]
+    p[free] = solved(within, -(laplacian @ p))
     return p.clip(0.0, 1.0)
+
+
+def solved(matrix: csr_matrix, right: np.ndarray) -> np.ndarray:
+    """Solution (N,) of a symmetric positive definite system: conjugate gradients, preconditioned by the diagonal.
+
+    SciPy's took 10 to 40 times as long for 30,000 unknowns: its products of vectors wait for the threads of BLAS.
+    """
+    x, r, scale = np.zeros(len(right)), right.copy(), 1.0 / matrix.diagonal()
+    way = scale * r
+    now, least = inner(r, way), WALK_TOLERANCE**2 * inner(r, r)
+    for _ in range(WALK_STEPS):
+        if inner(r, r) <= least:
+            break
+        ahead = matrix @ way
+        step = now / inner(way, ahead)
+        x += step * way
+        r -= step * ahead
+        z = scale * r
+        before, now = now, inner(r, z)
+        way = z + now / before * way
+    return x
+
+
+def inner(a: np.ndarray, b: np.ndarray) -> float:
+    """Inner product of vectors (N,), by one thread."""
+    return float(np.einsum("i,i", a, b))
 
 
 def clearest_level(graph: csr_matrix, p: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
@@ -63,17 +86,12 @@ def most_alike(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, cut: np.
     """
     n, free = len(cut), ~(fixed[low] & fixed[high])
     own, nodes = n + (~cut[fixed]).astype(np.int64), np.flatnonzero(fixed)  # a root for each side joins its fixed nodes
-    cost = np.concatenate([2.0 - likeness[free], np.full(len(nodes), 0.5)])
-    edges = np.concatenate([low[free], nodes]), np.concatenate([high[free], own])
+    # The roots are joined at the least cost, so that each tree holds one of them when that edge is gone.
+    cost = np.concatenate([2.0 - likeness[free], np.full(len(nodes), 0.5), [0.25]])
+    edges = np.concatenate([low[free], nodes, [n]]), np.concatenate([high[free], own, [n + 1]])
     tree = minimum_spanning_tree(csr_matrix((cost, edges), (n + 2, n + 2)))
-    tree = (tree + tree.T).tolil()
-    before = breadth_first_order(tree.tocsr(), n, directed=False)[1]
-    if before[n + 1] >= 0:  # one tree holds both roots: it is cut where its path between them is weakest
-        path = [n + 1]
-        while path[-1] != n:
-            path.append(int(before[path[-1]]))
-        weakest = max(pairwise(path), key=lambda edge: tree[edge])
-        tree[weakest] = tree[weakest[::-1]] = 0.0
+    tree[n, n + 1] = 0.0
+    tree.eliminate_zeros()
     reached = np.zeros(n + 2, bool)
-    reached[breadth_first_order(tree.tocsr(), n, directed=False, return_predecessors=False)] = True
+    reached[breadth_first_order(tree, n, directed=False, return_predecessors=False)] = True
     return np.where(fixed, cut, reached[:n])

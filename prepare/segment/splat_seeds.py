@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,22 +17,41 @@ BOX_MIDDLE = 1 / 3  # fraction of a box's sides: this middle part is taken for t
 CLEARLY = 2.0  # a Gaussian under strokes of both sides is a seed of one if its weight there is this many times larger
 
 
+@dataclass(frozen=True)
+class ViewSeeds:
+    """Seeds by the marks of one view: indices of those inside and outside, and what no box holds, (N,) bool."""
+
+    inside: np.ndarray
+    outside: np.ndarray
+    barred: np.ndarray | None
+
+
 class Seeds:
     """Seeds (N,) bool of an object: `inside`, `outside`, and `barred`, which no box around it holds."""
 
-    def __init__(self, gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]):
-        """`weights` are BlendingWeights of the Gaussians."""
-        n = len(gaussians)
-        self.inside, self.outside, self.barred = (np.zeros(n, bool) for _ in range(3))
-        for name, mark in marks.items():
-            camera = cameras[name]
-            under = stroke_weights(weights, camera, mark)
-            inside, outside = (strongest(w) for w in under)
-            self.inside |= inside & (under[0] > CLEARLY * under[1])
-            self.outside |= outside & (under[1] > CLEARLY * under[0])
-            if mark.boxes:
-                self.barred |= ~in_boxes(gaussians, camera, mark.boxes)
+    def __init__(self, count: int, views: Iterable[ViewSeeds]):
+        self.inside, self.outside, self.barred = (np.zeros(count, bool) for _ in range(3))
+        for view in views:
+            self.inside[view.inside] = self.outside[view.outside] = True
+            if view.barred is not None:
+                self.barred |= view.barred
         self.inside &= ~self.outside
+
+
+def seeds_of(gaussians: Gaussians, weights, cameras: Mapping[str, Camera], marks: Mapping[str, ViewMarks]) -> Seeds:
+    """Seeds of an object by its marks in all views; `weights` are BlendingWeights of the Gaussians."""
+    return Seeds(len(gaussians), [view_seeds(gaussians, weights, cameras[name], mark) for name, mark in marks.items()])
+
+
+def view_seeds(gaussians: Gaussians, weights, camera: Camera, marks: ViewMarks) -> ViewSeeds:
+    """Seeds of an object by its marks in a view."""
+    under = stroke_weights(weights, camera, marks)
+    inside, outside = (strongest(w) for w in under)
+    return ViewSeeds(
+        inside[under[0][inside] > CLEARLY * under[1][inside]],
+        outside[under[1][outside] > CLEARLY * under[0][outside]],
+        ~in_boxes(gaussians, camera, marks.boxes) if marks.boxes else None,
+    )
 
 
 def stroke_weights(weights, camera: Camera, marks: ViewMarks) -> tuple[np.ndarray, np.ndarray]:
@@ -47,12 +67,11 @@ def stroke_weights(weights, camera: Camera, marks: ViewMarks) -> tuple[np.ndarra
 
 
 def strongest(weights: np.ndarray) -> np.ndarray:
-    """The Gaussians (N,) bool of the largest weights that make up SEED_SHARE of their sum."""
-    order = np.argsort(-weights)
+    """Indices of the Gaussians of the largest weights (N,) that make up SEED_SHARE of their sum."""
+    some = np.flatnonzero(weights)
+    order = some[np.argsort(-weights[some])]
     total = np.cumsum(weights[order], dtype=np.float64)
-    out = np.zeros(len(weights), bool)
-    out[order[: int(np.searchsorted(total, SEED_SHARE * total[-1])) + 1]] = True
-    return out & (weights > 0)
+    return order[: int(np.searchsorted(total, SEED_SHARE * total[-1])) + 1] if len(order) else order
 
 
 def in_boxes(gaussians: Gaussians, camera: Camera, boxes: list[np.ndarray]) -> np.ndarray:

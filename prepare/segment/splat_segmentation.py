@@ -18,7 +18,7 @@ from prepare.blending_weights import BlendingWeights
 from prepare.segment.mask_files import object_colors
 from prepare.segment.object_ids import split
 from prepare.segment.splat_marks import SplatMarks
-from prepare.segment.splat_seeds import Seeds
+from prepare.segment.splat_seeds import Seeds, seeds_of
 from prepare.segment.splat_selection import SplatSelection
 from prepare.segment.trimming import trimmed
 
@@ -43,7 +43,7 @@ def segment_splat(gaussians: Gaussians, marks: SplatMarks, report: Callable[[str
     selection = SplatSelection(gaussians)
     weights = BlendingWeights(gaussians)
     names = list(marks.marks.objects)
-    seeds = [Seeds(gaussians, weights, marks.cameras, marks.marks.objects[name]) for name in names]
+    seeds = [seeds_of(gaussians, weights, marks.cameras, marks.marks.objects[name]) for name in names]
     weights.destroy()
     ids = np.zeros(len(gaussians), np.uint16)
     for k, (name, own) in enumerate(zip(names, seeds, strict=True), 1):

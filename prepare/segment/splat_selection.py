@@ -4,15 +4,20 @@ A random walk on the graph of neighbours says how easily each Gaussian is reache
 that are reached more easily than others, the object is the one that is joined to the rest by the clearest border: by
 the least weight of edges for its size. Borders that no view shows cost next to nothing, so that an object that lies on
 its whole bottom is cut off as easily as one on three feet. Gaussians that no view shows then go with those most alike.
+
+In a large splat this is done twice: with some of the Gaussians, and with all of those along the border found.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from assets.gaussians import Gaussians
+from core.morton import morton_order
 from prepare.segment.gaussian_graph import graph_of, log_widths, neighbour_edges, neighbours_of
 from prepare.segment.graph_cut import clearest_level, most_alike, random_walk
+from prepare.segment.thinning import thinned
 from prepare.segment.views_around import ViewsAround
 
 NEARBY = 2.5  # radii of the strokes around the inner ones within which an object may lie
@@ -21,6 +26,8 @@ RIM = 1.2  # of these radii: Gaussians between there and here lie outside
 NEARLY_ALL = 95.0  # [%] of the seeds lie within one radius: some shine through from far behind
 SEEN = 0.4  # share of a Gaussian that counts as all of it: those of a surface overlap, and hide one another
 UNSEEN = 1e-3  # factor for an edge that no view shows
+MORTON_BITS = 21  # of a coordinate: few Gaussians far away leave the others in few cells of 10 bits
+NODES = 1 << 15  # of a graph, which takes a second: of more, some stand for the others until the border is found
 WEAKEST = 1e-3  # least likeness along a border: none is free
 
 
@@ -31,8 +38,10 @@ class SplatSelection:
     """
 
     def __init__(self, gaussians: Gaussians, views: ViewsAround | None = None):
-        self._gaussians = gaussians.with_sh_degree(0)
+        self._order = morton_order(gaussians.means, bits=MORTON_BITS)  # trees are searched in it in half the time
+        self._gaussians = gaussians.select(self._order).with_sh_degree(0)
         self._views = ViewsAround() if views is None else views
+        self._rim: tuple | None = None  # of the selection that was grown last
         self._kept: dict[tuple, np.ndarray] = {}  # what was selected, packed in bits: undo, grow and shrink are fast
 
     def select(self, inside: np.ndarray, outside: np.ndarray, barred: np.ndarray | None = None) -> np.ndarray:
@@ -47,43 +56,103 @@ class SplatSelection:
             return inside
         key = tuple(np.packbits(each).tobytes() for each in (inside, outside, barred))
         if key not in self._kept:
-            self._kept[key] = np.packbits(self._selected(inside, outside, barred))
+            found = np.zeros(len(inside), bool)
+            found[self._order] = self._selected(*(each[self._order] for each in (inside, outside, barred)))
+            self._kept[key] = np.packbits(found)
         return np.unpackbits(self._kept[key], count=len(inside)) > 0
 
     def _selected(self, inside: np.ndarray, outside: np.ndarray, barred: np.ndarray) -> np.ndarray:
-        points = self._gaussians.means.astype(np.float64)
-        middle = np.median(points[inside], axis=0)
-        distance = np.linalg.norm(points - middle, axis=1)
+        points = self._gaussians.means
+        distance = np.linalg.norm(points - np.median(points[inside], axis=0), axis=1)
         reach = np.percentile(distance[inside | outside], NEARLY_ALL) * (NEARBY if outside.any() else NEARBY_ALONE)
         index = np.flatnonzero((distance < RIM * reach) | inside)
-        near, own = self._gaussians.select(index), inside[index]
+        others = ~inside & (barred | (distance > reach))
+        out = np.zeros(len(inside), bool)
+        out[index] = self._cut(self._gaussians.select(index), inside[index], others[index])
+        return out
+
+    def _cut(self, near: Gaussians, own: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """The cut (N,) bool among some Gaussians by seeds (N,) bool.
+
+        Of many it is that of a thinned splat at first; then the Gaussians are cut whose cells it touches, with seeds
+        all over the next cells.
+        """
+        if len(near) <= NODES:
+            return self._whole_cut(near, own, others)[0]
+        thin = thinned(near, NODES)
+        count = len(thin.some)
+        held = np.bincount(thin.cell, own, count)
+        lead = held - np.bincount(thin.cell, others, count)
+        firm = lead > 0
+        firm[np.where(held > 0, lead, -np.inf).argmax()] = True  # else nothing of what is smaller than a cell is left
+        coarse, low, high, shares = self._whole_cut(thin.gaussians, firm, ~firm & (lead < 0))
+        at = touched(low, high, coarse[low] != coarse[high], count)
+        beside = touched(low, high, at[low] | at[high], count) & ~at
+        found = (coarse[thin.cell] | own) & ~others
+        free, rim = at[thin.cell], beside[thin.cell]
+        index = np.flatnonzero(free | rim)
+        found[index] = self._whole_cut(
+            near.select(index),
+            own[index] | (found & rim)[index],
+            others[index] | (~found & rim)[index],
+            shares[:, thin.cell[index]],
+        )[0]
+        return found
+
+    def _whole_cut(self, near: Gaussians, own: np.ndarray, others: np.ndarray, shares=None):
+        """The cut (N,) bool among all of these Gaussians, the edges (E,), (E,) between them, and the `shares` of them
+        that views show, (V, N), which need not be given."""
         low, high, likeness = neighbour_edges(near)
-        shares = self._views.shares(near, middle, distance[index].max()) / SEEN
+        if shares is None:
+            shares = self._views.shares(near) / SEEN
         together = np.zeros(len(low), np.float32)
         for view in shares:
             np.maximum(together, np.minimum(view[low], view[high]), out=together)
-        graph = graph_of(low, high, np.maximum(likeness, WEAKEST) * together.clip(UNSEEN, 1.0), len(index))
-        others = ~own & (barred[index] | (distance[index] > reach))
+        graph = graph_of(low, high, np.maximum(likeness, WEAKEST) * together.clip(UNSEEN, 1.0), len(near))
         cut = clearest_level(graph, random_walk(graph, own, others), own, others)
-        out = np.zeros(len(inside), bool)
-        out[index] = most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0))
-        return out
+        return most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0)), low, high, shares
 
     def grown(self, cut: np.ndarray, rings: int) -> np.ndarray:
         """The selection (N,) bool grown by so many rings of neighbours, or shrunk if negative."""
         if not rings or not cut.any():
             return cut
-        points = self._gaussians.means.astype(np.float64)
-        distance = np.linalg.norm(points - points[cut].mean(axis=0), axis=1)
-        index = np.flatnonzero(distance <= 2.0 * distance[cut].max())
-        one, two, _ = neighbours_of(points[index], log_widths(self._gaussians)[index])
-        links, part = graph_of(one, two, np.ones(len(one)), len(index)), cut[index]
+        key = np.packbits(cut).tobytes()
+        if self._rim is None or self._rim[0] != key or self._rim[1] < abs(rings):
+            index, links = self._rim_of(cut[self._order], 2 * abs(rings))
+            self._rim = key, 2 * abs(rings), self._order[index], links
+        index, links = self._rim[2:]
+        part = cut[index]
         for _ in range(abs(rings)):
             part = part | (links @ part > 0) if rings > 0 else part & ~(links @ ~part > 0)
-        out = np.zeros_like(cut)
+        out = cut.copy()
         out[index] = part
         return out
+
+    def _rim_of(self, cut: np.ndarray, rings: int) -> tuple[np.ndarray, csr_matrix]:
+        """Indices (R,) of Gaussians within so many rings of the border of a selection (N,) bool, at least, and the
+        graph of these."""
+        points = self._gaussians.means
+        distance = np.linalg.norm(points - points[cut].mean(axis=0, dtype=np.float64), axis=1)
+        index = np.flatnonzero(distance <= 2.0 * distance[cut].max())
+        if len(index) > NODES:
+            thin, part = thinned(self._gaussians.select(index), NODES), cut[index]
+            low, high, _ = neighbours_of(thin.gaussians.means.astype(np.float64), log_widths(thin.gaussians))
+            here, there = (np.bincount(thin.cell, side, len(thin.some)) > 0 for side in (part, ~part))
+            near = touched(low, high, here[low] & there[high] | there[low] & here[high], len(here)) | (here & there)
+            for _ in range(rings):
+                near |= touched(low, high, near[low] | near[high], len(near))
+            index = index[near[thin.cell]]
+        near = self._gaussians.select(index)
+        low, high, _ = neighbours_of(near.means.astype(np.float64), log_widths(near))
+        return index, graph_of(low, high, np.ones(len(low)), len(index))
 
     def destroy(self) -> None:
         """Free the device memory."""
         self._views.destroy()
+
+
+def touched(low: np.ndarray, high: np.ndarray, edges: np.ndarray, count: int) -> np.ndarray:
+    """Nodes (count,) bool at an end of some of the edges (E,), (E,)."""
+    out = np.zeros(count, bool)
+    out[low[edges]] = out[high[edges]] = True
+    return out

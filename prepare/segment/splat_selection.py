@@ -62,9 +62,7 @@ class SplatSelection:
         return np.unpackbits(self._kept[key], count=len(inside)) > 0
 
     def _selected(self, inside: np.ndarray, outside: np.ndarray, barred: np.ndarray) -> np.ndarray:
-        points = self._gaussians.means
-        distance = np.linalg.norm(points - np.median(points[inside], axis=0), axis=1)
-        reach = np.percentile(distance[inside | outside], NEARLY_ALL) * (NEARBY if outside.any() else NEARBY_ALONE)
+        distance, reach = distances(self._gaussians.means, inside, outside)
         index = np.flatnonzero((distance < RIM * reach) | inside)
         others = ~inside & (barred | (distance > reach))
         out = np.zeros(len(inside), bool)
@@ -105,10 +103,7 @@ class SplatSelection:
         low, high, likeness = neighbour_edges(near)
         if shares is None:
             shares = self._views.shares(near) / SEEN
-        together = np.zeros(len(low), np.float32)
-        for view in shares:
-            np.maximum(together, np.minimum(view[low], view[high]), out=together)
-        graph = graph_of(low, high, np.maximum(likeness, WEAKEST) * together.clip(UNSEEN, 1.0), len(near))
+        graph = graph_of(low, high, border_costs(low, high, likeness, shares), len(near))
         cut = clearest_level(graph, random_walk(graph, own, others), own, others)
         return most_alike(low, high, likeness, cut, own | others | (shares.max(0) > 1.0)), low, high, shares
 
@@ -149,6 +144,25 @@ class SplatSelection:
     def destroy(self) -> None:
         """Free the device memory."""
         self._views.destroy()
+
+
+def distances(points: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> tuple[np.ndarray, float]:
+    """Distances (N,) of points (N, 3) from the middle of the seeds (N,) bool inside, and that up to which an object may
+    lie."""
+    distance = np.linalg.norm(points - np.median(points[inside], axis=0), axis=1)
+    strokes = float(np.percentile(distance[inside | outside], NEARLY_ALL))
+    return distance, strokes * (NEARBY if outside.any() else NEARBY_ALONE)
+
+
+def border_costs(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """What edges (E,) between Gaussians cost that a border cuts: their likeness, if any of the views shows both.
+
+    `shares` (V, N) are 1 for what a view shows.
+    """
+    together = np.zeros(len(low), np.float32)
+    for view in shares:
+        np.maximum(together, np.minimum(view[low], view[high]), out=together)
+    return np.maximum(likeness, WEAKEST) * together.clip(UNSEEN, 1.0)
 
 
 def touched(low: np.ndarray, high: np.ndarray, edges: np.ndarray, count: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from prepare.segment.marks import Marks, ViewMarks
 from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
 from prepare.segment.splat_seeds import seeds_of
 from prepare.segment.splat_segmentation import segment_splat, write_segmented
-from prepare.segment.splat_selection import SplatSelection
+from prepare.segment.splat_selection import SEEN, SplatSelection, border_costs, distances
 from prepare.segment.trimming import full_matrices, halves, straddlers, trimmed
 from prepare.segment.views_around import ViewsAround
 
@@ -196,6 +196,40 @@ def test_likeness_falls_with_the_gap_the_colour_and_the_ratio_of_widths():
     assert 0.8 < near < 0.95
     assert 0.5 < likeness(row(0.2)) / near < 0.8
     assert 0.2 < likeness(row(0.1, size=0.2)) / near < 0.35
+
+
+def test_an_object_may_be_larger_than_the_strokes_on_it():
+    """Of strokes with a radius of 1 cm: four times as large, and twice with strokes outside that say where it ends."""
+    turn = np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    points = 0.01 * np.concatenate([0.3 * ring, ring[::2], [[50.0, 0.0, 0.0]], ring])
+    inside = np.arange(len(points)) <= 90  # the last of them shines through from far behind
+    nothing, outside = np.zeros(len(points), bool), ~inside
+    assert 0.04 < distances(points, inside, nothing)[1] < 0.07
+    assert 0.02 < distances(points, inside, outside)[1] < 0.04
+
+
+def test_what_lies_beyond_an_objects_reach_is_outside_and_far_from_it_left_out(scene, views, monkeypatch):
+    g, true = scene
+    near, seen = (true == 1) & (g.means[:, 1] > 0.2), []
+    monkeypatch.setattr(SplatSelection, "_cut", lambda self, near, own, others: seen.append((near, others)) or own)
+    foot = (true == 0) & (np.hypot(g.means[:, 0] + 0.17, g.means[:, 2]) < 0.1)
+    SplatSelection(g, views).select(near, foot)
+    distance, reach = distances(g.means, near, foot)
+    around, outside = seen[0]
+    beyond = np.linalg.norm(around.means - np.median(g.means[near], axis=0), axis=1) / reach
+    assert 1.1 < beyond.max() < 1.6 < distance.max() / reach
+    assert outside[beyond > 1.0].all()
+
+
+def test_a_border_costs_the_likeness_across_it_where_a_view_shows_it():
+    """Two fifths of a surface's Gaussians that overlap are all that can be seen; 200 hidden edges are less than one."""
+    shares = np.array([[0.45, 0.45, 0.1, 0.0, 0.0], [0.0, 0.0, 0.6, 0.0, 0.0]])
+    low, high = np.arange(4), np.arange(1, 5)
+    cost = border_costs(low, high, np.full(4, 0.6), shares / SEEN)
+    np.testing.assert_allclose(cost[0], 0.6)
+    assert 0.1 < cost[1] / cost[0] < 0.45
+    assert 0.0 < 200 * cost[3] < 0.3 * cost[0]
 
 
 def test_what_was_selected_once_is_kept(scene, views, monkeypatch):

@@ -235,9 +235,10 @@ class RoomMaking:
             return Contributions(file["weight"], file["views"], file["depth"])
 
     def segment(self) -> None:
-        """Objects of the Gaussians: by masks, by masks made from marks, or none."""
+        """Objects of the Gaussians: by masks, given or made from marks, or none."""
         from assets.splat_files import read_gaussians, write_gaussians
         from prepare.room_capture.room_pipeline import labelled, without_supports
+        from prepare.segment.mask_files import read_masks
 
         g, progress = self.gaussians, self.stages.progress
         if self.args.no_objects:
@@ -245,8 +246,9 @@ class RoomMaking:
             self.gaussians = replace(g, object_id=np.zeros_like(g.object_id), objects=())
             return
 
-        def make(into: Path) -> None:  # the ids of masks have been learned with the Gaussians
-            made = g if self.marks is None else labelled(g, self.capture, self.masks_from_marks(), progress)
+        def make(into: Path) -> None:  # of masks also if ids were learned: crumbs at an object's rim are told better
+            masks = self.masks_from_marks() if self.masks is None else read_masks(self.masks, self.capture.views)
+            made = labelled(g, self.capture, masks, progress)
             write_gaussians(into / "objects.ply", without_supports(made, self.capture, progress))
 
         inputs = {"marks": None if self.marks is None else marks_json(self.marks)}

@@ -190,9 +190,12 @@ def textures_around(
 
 
 def with_hole_first(textures: list[SurfaceTexture]) -> list[SurfaceTexture]:
-    """The textures, those with a hole first: a remainder of the object's own side in the background touches it more
-    than what it stands on does, but hides nothing."""
-    return sorted(textures, key=lambda t: not t.hole.any())
+    """The textures in the order in which they may carry the object: those with a hole, and with its rim known, first.
+
+    A remainder of the object's own side in the background touches it more than what it stands on does, but hides
+    nothing, or ends beside it.
+    """
+    return sorted(textures, key=lambda t: (not t.hole.any(), -min(t.rim, RIM_KNOWN)))
 
 
 def take_shadow(

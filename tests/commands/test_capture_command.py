@@ -8,12 +8,16 @@ import pytest
 
 from assets.asset import Asset
 from assets.environment import Environment
+from assets.gaussians import Gaussians
 from bench.html_page import html_page
 from commands.capture_input import stages_before
 from commands.capture_report import played, spent
-from commands.capture_room import STAGES, check_points
+from commands.capture_room import STAGES, RoomMaking, check_points
 from commands.parser import parse
 from core.errors import BadInput
+from prepare.room_capture.stages import Stages
+from prepare.segment.mask_files import read_masks
+from prepare.train.capture import read_capture
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
 ROOM = "--reduce 1 --steps 400 --vertices 60"
@@ -43,6 +47,21 @@ def test_a_modelled_capture_becomes_a_room(tmp_path, ti_cpu, capsys):
     assert np.isfinite(background.gaussians.means).all() and (out / "report.html").stat().st_size > 10_000
     run(f"capture {toys} --out {out} {ROOM}")
     assert capsys.readouterr().err.count("kept from an earlier run") == 6
+
+
+def test_given_masks_tell_the_object_of_each_gaussian(tmp_path, ti_cpu):
+    toys = tmp_path / "toys"
+    write_procedural_capture(toys, CaptureOptions(views=8, size=(96, 72)), lambda line: None)
+    args = parse(f"capture {toys} --masks {toys / 'masks'} --out {tmp_path / 'room'}".split(), "", print)
+    making = RoomMaking(args, Stages(tmp_path / "work", STAGES))
+    making.capture, making.masks, making.marks = read_capture(toys), args.masks, None
+    points = making.capture.points
+    still, log_scales = np.tile([1.0, 0.0, 0.0, 0.0], (len(points), 1)), np.full((len(points), 3), np.log(0.01))
+    making.gaussians = Gaussians.of(points, still, log_scales, np.full(len(points), 4.0), np.zeros((len(points), 1, 3)))
+    making.segment()
+    assert making.gaussians.objects == tuple(read_masks(args.masks, making.capture.views).names)
+    counts = np.bincount(making.gaussians.object_id, minlength=6)
+    assert counts[0] > counts[1:].sum() and (counts[1:] > 10).all(), counts
 
 
 @pytest.mark.parametrize(

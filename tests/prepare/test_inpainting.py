@@ -133,11 +133,11 @@ def test_a_texture_is_sampled_at_any_number_of_places():
 
 
 def test_what_an_object_stands_on_has_the_hole():
-    def texture(hole: bool) -> SurfaceTexture:
-        return SurfaceTexture(None, np.zeros(2), 0.5, None, np.full((3, 4), not hole), np.full((3, 4), hole))
+    def texture(hole: bool, rim: float = 1.0) -> SurfaceTexture:
+        return SurfaceTexture(None, np.zeros(2), 0.5, None, np.full((3, 4), not hole), np.full((3, 4), hole), rim)
 
-    side, table, wall = texture(False), texture(True), texture(True)
-    assert [id(t) for t in with_hole_first([side, table, wall])] == [id(t) for t in (table, wall, side)]
+    side, table, wall, fur = texture(False), texture(True, 0.8), texture(True, 0.9), texture(True, 0.3)
+    assert [id(t) for t in with_hole_first([fur, side, table, wall])] == [id(t) for t in (table, wall, fur, side)]
 
 
 def test_only_what_no_camera_saw_is_a_hole(closed):

@@ -45,9 +45,10 @@ def quaternions_from_matrices(matrices) -> np.ndarray:
 
 
 def best_fit_rotation(A: np.ndarray) -> np.ndarray:
-    """Rotation R (3, 3) that maximises tr(R^T A), for A = sum m x (rest - its centre)^T (Kabsch 1976)."""
+    """Rotations R (..., 3, 3) that maximise tr(R^T A), for A = sum m x (rest - its centre)^T (Kabsch 1976)."""
     U, _, Vt = np.linalg.svd(A)
-    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    U[..., 2] *= np.sign(np.linalg.det(U @ Vt))[..., None]
+    return U @ Vt
 
 
 def multiply_quaternions(a, b) -> np.ndarray:

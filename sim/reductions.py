@@ -122,9 +122,13 @@ class Reductions:
 
     def _states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
         total, states = total[: len(self.names)].astype(np.float64), []
-        for name, t, n, holds, driven in zip(self.names, total, self.flattest, held, self.driven, strict=True):
-            axis = best_fit_rotation(t[6:15].reshape(3, 3)) @ n if t[21] else n
-            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], axis, holds, driven))
+        finite = total[:, 21] > 0
+        rotations = np.broadcast_to(np.eye(3), (len(total), 3, 3)).copy()
+        rotations[finite] = best_fit_rotation(total[finite, 6:15].reshape(-1, 3, 3))
+        for name, t, R, n, holds, driven in zip(
+            self.names, total, rotations, self.flattest, held, self.driven, strict=True
+        ):
+            states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], R @ n, holds, driven))
         return states
 
     def observe(self, held: list[bool]) -> tuple[bool, list[BodyState]]:

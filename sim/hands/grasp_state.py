@@ -87,22 +87,30 @@ def find_grasp(hand: Hand, x: np.ndarray, offsets: np.ndarray, ids: np.ndarray, 
     x (V, 3) are all vertices [m], of body b those from offsets[b] to offsets[b+1]; ids, weights (P, 3) the samples of
     the surfaces. A coarse mesh may have few vertices within reach, or none of the triangle that is touched.
     """
-    if len(x) == 0:
+    position, nearest = np.asarray(hand.position, np.float64), (np.inf, -1)
+    offsets = np.asarray(offsets)
+    filled = np.flatnonzero(np.diff(offsets))
+    if len(filled) == 0:
         return None
-    position = np.asarray(hand.position, np.float64)
-    distance = np.linalg.norm(x - position, axis=1)
-    surface = np.linalg.norm((x[ids] * weights[..., None]).sum(1) - position, axis=1)
-    first = int(np.argmin(surface))
-    touched = int(np.argmin(distance)) if distance.min() <= surface[first] else int(ids[first, 0])
-    if min(distance.min(), surface[first]) > hand.reach:
+    low, high = (extreme.reduceat(x, offsets[filled], axis=0) for extreme in (np.minimum, np.maximum))
+    outside = np.linalg.norm(np.maximum(np.maximum(low - position, position - high), 0.0), axis=1)
+    for body in filled[outside <= hand.reach]:
+        mine = x[offsets[body] : offsets[body + 1]]
+        distance = np.linalg.norm(mine - position, axis=1)
+        of_body = (ids[:, 0] >= offsets[body]) & (ids[:, 0] < offsets[body + 1])
+        own = ids[of_body] - offsets[body]
+        surface = np.linalg.norm((mine[own] * weights[of_body][..., None]).sum(1) - position, axis=1)
+        least = min(distance.min(), surface.min(initial=np.inf))
+        if least <= hand.reach and least < nearest[0]:
+            nearest = least, body, mine, distance, own, surface
+    if nearest[1] < 0:
         return None
-    body = int(np.searchsorted(offsets, touched, side="right")) - 1
-    mine = np.arange(offsets[body], offsets[body + 1])
-    taken = mine[distance[mine] <= hand.reach]
+    _, body, mine, distance, own, surface = nearest
+    taken = np.flatnonzero(distance <= hand.reach)
     if len(taken) < MIN_GRASP_VERTICES:
-        nearest = mine[np.argsort(distance[mine], kind="stable")][:MIN_GRASP_VERTICES]
-        taken = nearest[distance[nearest] <= MAX_WIDENING * hand.reach]
+        taken = np.argsort(distance, kind="stable")[:MIN_GRASP_VERTICES]
+        taken = taken[distance[taken] <= MAX_WIDENING * hand.reach]
     if len(taken) == 0:
-        taken = np.unique(ids[first])
-    positions = (x[taken] - position) @ matrices_from_quaternions(unit(hand.rotation))
-    return Grasp(body, taken - int(offsets[body]), positions)
+        taken = np.unique(own[np.argmin(surface)])
+    positions = (mine[taken] - position) @ matrices_from_quaternions(unit(hand.rotation))
+    return Grasp(int(body), taken, positions)

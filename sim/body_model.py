@@ -83,17 +83,23 @@ class RestShape:
     @cached_property
     def inverse(self) -> np.ndarray:
         """D_m^-1 of each tet [1/m], (T, 3, 3)."""
+        if self.root is not self:
+            return self.root.inverse / self.factor
         x = self.vertices[self.tets]
         return np.linalg.inv(np.swapaxes(x[:, 1:] - x[:, :1], 1, 2))
 
     @cached_property
     def volumes(self) -> np.ndarray:
         """Volume of each tet [m^3], (T,)."""
+        if self.root is not self:
+            return self.root.volumes * self.factor**3
         return tet_volumes(self.vertices, self.tets)
 
     @cached_property
     def vertex_volumes(self) -> np.ndarray:
         """Volume that each vertex stands for [m^3], (V,)."""
+        if self.root is not self:
+            return self.root.vertex_volumes * self.factor**3
         volumes = tet_volumes(self.vertices, self.solid)
         return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
 
@@ -105,6 +111,8 @@ class RestShape:
     @cached_property
     def edge(self) -> float:
         """Median edge length of the tets [m]."""
+        if self.root is not self:
+            return self.root.edge * self.factor
         x = self.vertices[self.solid]
         return float(np.median(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1)))
 
@@ -116,6 +124,8 @@ class RestShape:
     @cached_property
     def flattest(self) -> np.ndarray:
         """Unit direction of the smallest spread of the mass, its largest component positive, (3,)."""
+        if self.root is not self:
+            return self.root.flattest
         r = self.vertices - self.center
         n = np.linalg.eigh((r * self.vertex_volumes[:, None]).T @ r)[1][:, 0]
         return n * np.sign(n[np.argmax(np.abs(n))])
@@ -160,7 +170,8 @@ class BodyModel:
     @cached_property
     def kappa(self) -> np.ndarray:
         """Stiffness bound of each tet [1/s^2], (T,)."""
-        return stiffness_bounds(self.shape.vertices, self.shape.tets, self.inv_mass, self.material)
+        s = self.shape
+        return stiffness_bounds(s.inverse, s.volumes, self.inv_mass[s.tets], self.material)
 
     @cached_property
     def start(self) -> np.ndarray:

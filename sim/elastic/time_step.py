@@ -54,7 +54,7 @@ def stiffness_bounds(inverse: np.ndarray, volumes: np.ndarray, inv_mass: np.ndar
     """kappa = (lambda_L + 2 mu) V sum_a w_a |grad N_a|^2 of each tet [1/s^2], (T,) float64.
 
     It bounds the tet's squared frequency if its corners moved with their inverse masses alone. inverse = D_m^-1
-    (T, 3, 3) [1/m], its rows the gradients of corners 1 to 3; volumes (T,) [m^3]; inv_mass (T, 4) of the corners [1/kg].
+    (T, 3, 3) [1/m], its rows the gradients of corners 1 to 3; volumes (T,) [m^3]; inv_mass (T, 4) [1/kg].
     """
     mu, lam = lame(material)
     gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)

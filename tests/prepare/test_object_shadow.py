@@ -13,6 +13,7 @@ from prepare.inpaint.support_surface import SupportSurface
 from prepare.inpaint.surface_texture import SurfaceTexture, goes_on
 
 N, J = 600, 24
+ONE = np.zeros(N, int)  # surface
 
 
 class Screen:
@@ -39,15 +40,24 @@ def shaded():
 
 def test_light_is_found_from_its_shadow(shaded):
     shown, hidden, across, b = shaded
-    found = fit_light(shown, hidden, across)
+    found = fit_light(shown, hidden, across, ONE)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.05
+
+
+def test_light_is_found_on_surfaces_of_different_brightness(shaded):
+    """A corner of pale and dark walls whose light falls off in different ways."""
+    shown, hidden, across, b = shaded
+    surface = np.arange(N) % 3
+    shown = shown * np.array([1.0, 0.3, 0.6])[surface] * (1.0 + np.array([0.2, -0.3, 0.0])[surface] * across[:, 1])
+    assert np.abs(hidden @ fit_light(shown, hidden, across, surface) - hidden @ b).max() < 0.05
+    assert np.abs(hidden @ fit_light(shown, hidden, across, ONE) - hidden @ b).max() > 0.1  # as one surface
 
 
 def test_marks_on_the_surface_are_no_shadow(shaded):
     """A dark spot of a twelfth of the surface."""
     shown, hidden, across, b = shaded
     spot = (across[:, 0] + 0.3) ** 2 + (across[:, 1] - 0.3) ** 2 < 0.15**2
-    found = fit_light(np.where(spot, 0.25 * shown, shown), hidden, across)
+    found = fit_light(np.where(spot, 0.25 * shown, shown), hidden, across, ONE)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.08
 
 
@@ -55,15 +65,15 @@ def test_a_surface_without_a_shadow_stays(shaded):
     """Neither noise nor light that falls off is a shadow."""
     _, hidden, across, _ = shaded
     shown = 0.5 * (1.0 + 0.4 * across[:, 1]) * (1.0 + 0.1 * np.random.default_rng(1).normal(size=N))
-    assert (hidden @ fit_light(shown, hidden, across)).max() < 0.045
+    assert (hidden @ fit_light(shown, hidden, across, ONE)).max() < 0.045
 
 
 def test_another_material_around_the_foot_is_no_shadow(shaded):
     """Wood on a white wall, as wide as the shadow would be; and where both are, only the shadow is found."""
     shown, hidden, across, b = shaded
     near, noise = (across**2).sum(axis=1) < 0.28**2, np.exp(0.02 * np.random.default_rng(2).normal(size=N))
-    assert (hidden @ fit_light(np.where(near, 0.25, 1.0) * noise, hidden, across)).max() < 0.05
-    found = fit_light(np.where(near, 0.5, 1.0) * shown, hidden, across)
+    assert (hidden @ fit_light(np.where(near, 0.25, 1.0) * noise, hidden, across, ONE)).max() < 0.05
+    found = fit_light(np.where(near, 0.5, 1.0) * shown, hidden, across, ONE)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.15
 
 
@@ -111,7 +121,7 @@ def plate(monkeypatch):
     texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
     turn = np.arange(100) * 0.02 * np.pi
     thing = SimpleNamespace(means=np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
-    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
+    return find_shadow(thing, None, [texture], Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
 
 
 def test_a_noisy_surface_does_not_shade_itself_but_what_is_close_behind(plate):

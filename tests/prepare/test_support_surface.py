@@ -45,7 +45,7 @@ def clutter() -> np.ndarray:
 def planes(monkeypatch):
     """Support surfaces of the ball among points, for each of some seeds."""
 
-    def of(*points, eyes=ABOVE, seeds=(0,)) -> list[list[SupportSurface]]:
+    def of(*points, eyes=ABOVE, seeds=(0,), thing=None) -> list[list[SupportSurface]]:
         seen = np.concatenate(points)
         normals = normals_of(seen)
         monkeypatch.setattr("prepare.inpaint.support_surface.rim_points", lambda *_: (seen, normals))
@@ -53,7 +53,8 @@ def planes(monkeypatch):
             [SimpleNamespace(camera=SimpleNamespace(position=e)) for e in eyes],
             Surroundings(np.zeros(3), 1),
         )
-        return [support_surfaces(views, ball(), around, np.random.default_rng(seed)) for seed in seeds]
+        thing = ball() if thing is None else thing
+        return [support_surfaces(views, thing, around, np.random.default_rng(seed)) for seed in seeds]
 
     return of
 
@@ -87,6 +88,21 @@ def test_a_floor_that_was_not_seen_close_to_an_object_carries_it_beside_a_wall_t
     floor = floor[(floor[:, 0] > -1.0) & (np.linalg.norm(floor, axis=1) > 1.12)]
     (found,) = planes(floor, wall[wall[:, 1] > -1.0], eyes=IN_CORNER)
     assert len(found) == 2 and height(found[1]) == pytest.approx(-1.0, abs=0.02)
+
+
+def test_a_corner_of_which_little_was_seen_near_the_object_has_three_supports(planes):
+    """The camera saw nothing within a third of a radius, and of one wall a tenth of the points."""
+    floor = level(3000, -1.0)
+    floor = floor[(floor[:, 0] > -1.0) & (floor[:, 2] > -1.0) & (np.linalg.norm(floor, axis=1) > 1.33)]
+    (found,) = planes(floor, floor[:, [1, 0, 2]], floor[::6, [0, 2, 1]], eyes=IN_CORNER)
+    assert len(found) == 3 and min(s.axes[2].max() for s in found) > 0.999
+    assert [s.axes[2] @ s.origin for s in found] == pytest.approx([-1.0] * 3, abs=0.03)
+
+
+def test_an_object_whose_underside_was_not_seen_stands_on_the_floor_below(planes):
+    """A gap of 0.3 radii is no reason to tilt the plane until it touches what was seen."""
+    ((floor,),) = planes(level(3000, -1.3), thing=ball()[ball()[:, 1] > -1.0 + 1e-9])
+    assert height(floor) == pytest.approx(-1.3, abs=0.02) and floor.axes[2][1] > 0.999
 
 
 def test_the_ground_below_does_not_tilt_the_top_of_a_plinth(planes):

@@ -12,13 +12,11 @@ from scipy.spatial import cKDTree
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
-POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
+POINTS = 6000  # sampled on the background around the object, from all views
 TRIALS = 400  # tangent planes of points that are tried
 REFITS = 8  # of the best plane
 NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
-CONTACT = 0.08  # radii from the object at which a point's weight is a quarter, where any were seen so near,
-NEAREST = 0.01  # else at this quantile of their distances
-GAP = 0.3  # radii below the object at which a plane counts half: the underside that no camera saw is missing
+NEAREST = 0.01  # quantile of the points' distances from the object at which a point's weight is a quarter
 FLAT = 0.06  # radii: largest distance of a plane's points from it
 SHARE = 0.1  # of the weight of all points, and of those that are left: the geometric mean that a plane needs
 PARALLEL = 0.85  # cosine between a point's normal and its plane's
@@ -65,7 +63,7 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
         y, x = np.nonzero(seen)
         at = unproject(view, x, y)
         near = np.flatnonzero(np.linalg.norm(at - ball.centre, axis=1) < NEAR * ball.radius)
-        found.append(at[near[rng.permutation(len(near))[: max(50, 4 * POINTS // len(views))]]])
+        found.append(at[near[rng.permutation(len(near))[: -(-4 * POINTS // len(views))]]])
     points = np.concatenate(found)
     points = points[rng.permutation(len(points))[:POINTS]]
     if len(points) < NEIGHBOURS:
@@ -89,10 +87,10 @@ def support_surfaces(
     Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
     """
     points, normals = rim_points(views, ball, rng)
-    near = _nearness(points, removed_means, ball)
+    near = _nearness(points, removed_means)
     eyes = np.array([v.camera.position for v in views])
     found, total = [], near.sum()
-    while len(points) >= POINTS_MIN:
+    while len(points) >= NEIGHBOURS:
         plane = _supporting_plane(points, normals, near, removed_means, eyes, ball, rng)
         if plane is None:
             break
@@ -107,10 +105,10 @@ def support_surfaces(
     return found
 
 
-def _nearness(points: np.ndarray, others: np.ndarray, ball: Surroundings) -> np.ndarray:
-    """Weights (N,) of points by how near they are to others; a quarter at CONTACT or NEAREST, soon nothing beyond."""
+def _nearness(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Weights (N,) of points by how near they are to others; a quarter at the NEAREST, and soon nothing beyond."""
     distance = cKDTree(others).query(points)[0]
-    return (1.0 + (distance / max(CONTACT * ball.radius, np.quantile(distance, NEAREST))) ** 2) ** -2.0
+    return (1.0 + (distance / max(float(np.quantile(distance, NEAREST)), 1e-6)) ** 2) ** -2.0
 
 
 def part_of_surface(
@@ -144,7 +142,7 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
     """
     flat = FLAT * ball.radius
     some = object_points[:: -(-len(object_points) // POINTS)]
-    beside = _nearness(some, points, ball)
+    beside = _nearness(some, points)
     chosen = rng.choice(len(points), TRIALS, p=near / near.sum())
     normals, origins = own_normals[chosen].copy(), points[chosen]
     normals *= np.sign(((ball.centre - origins) * normals).sum(axis=1))[:, None]
@@ -153,8 +151,7 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
     facing = (eyes @ normals.T > offsets).mean(axis=0)
     carries = (lowest > -2.0 * flat) & (facing > SOLID)
     own = (1.0 - ((points @ normals.T - offsets) / flat) ** 2).clip(0.0) * (np.abs(own_normals @ normals.T) > PARALLEL)
-    touching = 1.0 / (1.0 + (lowest / (GAP * ball.radius)) ** 2)
-    score = np.where(carries, (near @ own) * touching, 0.0)
+    score = np.where(carries, near @ own, 0.0)
     if not score.size or not score.max():
         return None
     best = int(score.argmax())

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from assets.gaussians import Gaussians
 from prepare.inpaint.hole_views import Surroundings
-from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
+from prepare.inpaint.object_shadow import ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
 from prepare.inpaint.support_surface import SupportSurface
 from prepare.inpaint.surface_texture import SurfaceTexture, goes_on
 
@@ -78,7 +78,7 @@ def test_another_material_around_the_foot_is_no_shadow(shaded):
 
 
 def test_what_an_object_leaves():
-    """Its own part of a common shadow, only on the side that faces the light, and DARKEST at least."""
+    """Its own part of a common shadow, only on the side that faces the light, and a fifth of it at least."""
     directions = half_sphere(J)
     up, down, lost = [[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]], np.full(J, 0.8) / directions[:, 2].sum()
     half = np.arange(J) % 2 == 0
@@ -91,7 +91,7 @@ def test_what_an_object_leaves():
     assert left(own, None, up) == pytest.approx(0.6, abs=0.02)
     assert left(own, Screen(half), up) == pytest.approx(0.2 / 0.6, abs=0.02)  # the others have the other half
     assert left(own, own, up) == pytest.approx(1.0)  # they shade all of it anyhow
-    assert left(all_of_it, None, up, share=2.0) == DARKEST
+    assert left(all_of_it, None, up, share=2.0) == 0.2
 
 
 class PlateDrawing:
@@ -136,6 +136,21 @@ def test_the_light_of_a_shadow_map_is_nearly_parallel(plate):
     inside, outside = (s * edge / np.linalg.norm(edge) - 2.0 * toward for s in (0.9, 1.35))
     assert plate.own.passing(inside[None], plate.bias)[0, 0] < 0.1
     assert plate.own.passing(outside[None], plate.bias)[0, 0] > 0.9
+
+
+def test_the_edge_of_a_shadow_is_sharp(plate):
+    toward, turn = plate.directions[0], np.arange(60) * np.pi / 30
+    edge = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
+    inside, outside = (plate.own.passing(s * edge - 0.2 * toward, plate.bias)[:, 0] for s in (0.95, 1.07))
+    assert inside.mean() < 0.1 and outside.mean() > 0.9
+
+
+def test_a_plate_takes_its_form_factor_of_the_light(plate):
+    """At h below a disk of radius 1, 1 / (1 + h^2) of even light; to an eye 12 away the disk widens by h / 12."""
+    heights = np.linspace(0.4, 2.0, 33)
+    points, cosine = np.stack([0.0 * heights, 0.0 * heights, -heights], axis=1), plate.directions[:, 2]
+    taken = ((1.0 - plate.own.passing(points, plate.bias)) * cosine).sum(axis=1) / cosine.sum()
+    assert np.abs(taken - 1.0 / (1.0 + (heights / (1.0 + heights / 12.0)) ** 2)).mean() < 0.016
 
 
 def test_a_shadow_is_taken_from_the_surroundings_only():

@@ -105,6 +105,21 @@ def test_an_object_whose_underside_was_not_seen_stands_on_the_floor_below(planes
     assert height(floor) == pytest.approx(-1.3, abs=0.02) and floor.axes[2][1] > 0.999
 
 
+def test_the_noise_of_a_floor_does_not_tilt_it(planes):
+    noise = np.random.default_rng(5).normal(scale=0.03, size=2000)[:, None] * [0.0, 1.0, 0.0]
+    ((floor,),) = planes(level(2000, -1.0) + noise)
+    assert floor.axes[2][1] > 0.99995
+
+
+def test_a_wall_that_leans_over_is_another_support(planes):
+    """By 60 degrees."""
+    c, s = 0.5, np.sqrt(0.75)
+    floor, wall = level(3000, -1.0), level(1500, -1.0) @ [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]
+    floor, wall = floor[(floor @ [-s, c, 0.0] > -1.04) & (floor[:, 0] > -1.0)], wall[wall[:, 1] > -1.04]
+    (found,) = planes(floor, wall, eyes=[(-2.0, 3.0, z) for z in (-1.0, 0.0, 1.0)])
+    assert sorted(s.axes[2][1] for s in found) == pytest.approx([c, 1.0], abs=0.02)
+
+
 def test_the_ground_below_does_not_tilt_the_top_of_a_plinth(planes):
     ((top,),) = planes(ring(300, 0.5, 0.8, -1.0), ring(5000, 0.85, 1.2, -1.18))
     assert height(top) == pytest.approx(-1.0, abs=0.02) and top.axes[2][1] > 0.998
@@ -140,3 +155,10 @@ def test_a_relief_is_of_the_surface_and_not_of_its_noise():
         return fit_relief(plane, at, heights, 1.0).heights(places) - dish(places)
 
     assert off(0.04).std() < 0.015 and np.abs(off(0.0)).max() < 0.0022
+
+
+@pytest.mark.parametrize(("count", "bent"), [(10, False), (40, True)])
+def test_a_few_points_are_no_relief(count, bent):
+    at = np.random.default_rng(1).uniform(-1.0, 1.0, (count, 2))
+    fitted = fit_relief(SupportSurface(np.zeros(3), np.eye(3), 0.0), at, 0.1 * at[:, 0] ** 2, 1.0)
+    assert (fitted.relief is not None) == bent

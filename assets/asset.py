@@ -13,7 +13,7 @@ from assets.animation import Animation, read_animation, write_animation
 from assets.environment import Environment, read_environment, write_environment
 from assets.file_access import atomic_write
 from assets.gaussians import ROWS, Gaussians
-from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
 from assets.images import check_thumbnail
 from assets.integers import read_grid, write_grid
 from assets.quantisation import (
@@ -183,7 +183,7 @@ class Asset:
         """
         self.check(str(path))
         libver = ("v110", "v110") if quantised else None  # 20 kB less, but HDF5 of before 2016 cannot read it
-        with atomic_write(path) as beside, h5py.File(beside, "w", libver=libver) as file:
+        with atomic_write(path) as beside, new_hdf5(beside, libver) as file:
             file.attrs["format"] = FORMAT
             file.attrs["version"] = QUANTISED if quantised else LOSSLESS
             file.attrs["provenance"] = json.dumps(self.provenance)

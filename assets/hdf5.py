@@ -230,6 +230,19 @@ def open_hdf5(path: Path) -> Iterator[Hdf5Reader]:
         raise BadInput(f"{path}: not a readable HDF5 file ({reason or type(e).__name__})") from e
 
 
+@contextmanager
+def new_hdf5(path: Path, libver: tuple[str, str] | None = None) -> Iterator[h5py.File]:
+    """A new HDF5 file, kept in memory and written to `path` at the end.
+
+    HDF5 itself, after it fails to write to a full disk, tries again whenever the process ends, and crashes it.
+    """
+    with h5py.File(path.name, "w", driver="core", backing_store=False, libver=libver) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    path.write_bytes(image)
+
+
 def write_dataset(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:
     """Write a compressed dataset."""
     file.create_dataset(name, data=np.asarray(values, dtype), compression="gzip", shuffle=True)

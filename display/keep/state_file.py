@@ -38,7 +38,7 @@ import numpy as np
 
 from assets.file_access import atomic_write
 from assets.gaussians import MAGNITUDE_MAX
-from assets.hdf5 import Hdf5Reader, open_hdf5, write_dataset
+from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
 from core.errors import BadInput
 from core.material import Material
 from display.record.codec import checked_value
@@ -283,7 +283,7 @@ def write_state(path: str | Path, state: SceneState) -> None:
     settings = {f.name: getattr(s, f.name) for f in fields(s)} | {"material_names": [b.material_name for b in bodies]}
     settings["light"] = None if s.light is None else asdict(s.light)
     materials = [[getattr(b.material, name) for name in MATERIAL_FIELDS] for b in bodies]
-    with atomic_write(path) as beside, h5py.File(beside, "w") as file:
+    with atomic_write(path) as beside, new_hdf5(beside) as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         for name in ("about", "assets", "added"):
             file.attrs[name] = json.dumps(getattr(state, name))

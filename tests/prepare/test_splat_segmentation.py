@@ -16,7 +16,7 @@ from prepare.segment.gaussian_graph import graph_of, neighbour_edges
 from prepare.segment.graph_cut import clearest_level, most_alike, random_walk
 from prepare.segment.marks import Marks, ViewMarks
 from prepare.segment.splat_marks import SplatMarks, read_splat_marks, write_splat_marks
-from prepare.segment.splat_seeds import seeds_of
+from prepare.segment.splat_seeds import seeds_of, stroke_weights
 from prepare.segment.splat_segmentation import segment_splat, write_segmented
 from prepare.segment.splat_selection import SEEN, SplatSelection, border_costs, distances
 from prepare.segment.trimming import full_matrices, halves, straddlers, trimmed
@@ -223,13 +223,15 @@ def test_what_lies_beyond_an_objects_reach_is_outside_and_far_from_it_left_out(s
 
 
 def test_a_border_costs_the_likeness_across_it_where_a_view_shows_it():
-    """Two fifths of a surface's Gaussians that overlap are all that can be seen; 200 hidden edges are less than one."""
+    """Two fifths of Gaussians that overlap are all that a view can show. A thousand edges that none shows, or between
+    Gaussians that are not alike at all, cost about as much as one."""
     shares = np.array([[0.45, 0.45, 0.1, 0.0, 0.0], [0.0, 0.0, 0.6, 0.0, 0.0]])
     low, high = np.arange(4), np.arange(1, 5)
     cost = border_costs(low, high, np.full(4, 0.6), shares / SEEN)
     np.testing.assert_allclose(cost[0], 0.6)
     assert 0.1 < cost[1] / cost[0] < 0.45
-    assert 0.0 < 200 * cost[3] < 0.3 * cost[0]
+    assert 0.6 < 1000 * cost[3] / cost[0] < 1.7
+    assert 0.6 < 1000 * border_costs(low, high, np.zeros(4), np.ones((1, 5)))[0] < 1.7
 
 
 def test_what_was_selected_once_is_kept(scene, views, monkeypatch):
@@ -290,6 +292,22 @@ def test_a_gaussian_under_strokes_of_both_sides_seeds_the_side_that_clearly_has_
     seeds = seeds_of(g, Weights(), {"view": CAMERA}, {"view": mark})
     assert seeds.inside.tolist() == [True, False, False, True, False]
     assert seeds.outside.tolist() == [False, True, False, False, False]
+
+
+def test_a_stroke_is_a_thin_pen_and_of_a_box_the_middle_third_counts_as_one():
+    class Weights:
+        """Keeps the maps of pixels that it is asked for."""
+
+        def sums(self, camera, maps):
+            self.maps = [np.array(each, float) for each in maps]
+            return np.ones((1, 2))
+
+    weights, camera = Weights(), perspective(900, 1000, 0.9, np.eye(4))
+    stroke_weights(weights, camera, ViewMarks(inside=[np.array([[100.0, 500.0], [600.0, 500.0]])]))
+    assert 2500 < weights.maps[0].sum() < 5500 and not weights.maps[1].any()  # of 500 px, 8 px wide
+    stroke_weights(weights, camera, ViewMarks(boxes=[np.array([100.0, 200.0, 700.0, 800.0])]))
+    y, x = np.nonzero(weights.maps[0])
+    assert 180 < np.ptp(x) < 220 and 180 < np.ptp(y) < 220 and abs(x.mean() - 400) < 2 and abs(y.mean() - 500) < 2
 
 
 def chain(weights) -> csr_matrix:

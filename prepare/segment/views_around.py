@@ -15,7 +15,7 @@ from prepare.segment.gaussian_graph import adjugate, quadratic_form
 from render.projection import DILATION
 
 VIEWS = 24  # 40 degrees apart
-PICTURE = 100  # [px] across that ball
+PICTURE = 200  # [px] across that ball
 ROOM = 1 << 18  # least number of Gaussians for which there is room: another needs other kernels
 DISTANCE = 4.0  # radii of a ball that holds the Gaussians: so far away that parallel rays describe the views
 

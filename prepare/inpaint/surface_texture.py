@@ -115,7 +115,7 @@ def texture_of(
     hole = ~known & ~empty & seen.covered & ~beyond & there
     if not photographed:
         hole &= seen.lacking
-    hole = _without_specks(hole)
+    hole = without_specks(hole)
     if hole.any():  # its rim is repainted, as the object's colour leaks there
         hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
     known &= ~hole & ~blended
@@ -254,7 +254,8 @@ def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
     return (off < HUE**2).mean(axis=1) > COMMON
 
 
-def _without_specks(hole: np.ndarray) -> np.ndarray:
+def without_specks(hole: np.ndarray) -> np.ndarray:
+    """The mask of a hole (H, W) without its connected parts of less than HOLE_MIN texels."""
     labels, _ = label(hole)
     sizes = np.bincount(labels.ravel())
     return hole & (sizes[labels] >= HOLE_MIN)

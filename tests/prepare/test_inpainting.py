@@ -19,7 +19,7 @@ from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, cut_out_
 from prepare.inpaint.inpaint_pipeline import close_hole, find_hole, inpaint, paint_hole, take_shadow, with_hole_first
 from prepare.inpaint.picture_inpainting import paint_from_patches
 from prepare.inpaint.support_surface import SupportSurface, part_of_surface, support_surfaces, unproject
-from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of
+from prepare.inpaint.surface_texture import SurfaceTexture, shows_colors, texture_of, without_specks
 from prepare.progress import no_progress
 from prepare.room_capture.room_pipeline import without_supports
 from prepare.train.photographs import Photograph
@@ -339,6 +339,21 @@ def test_a_surface_shows_its_colours_in_any_shade():
     for shade in (1.0, 0.5, 0.0):
         assert shows_colors(texture, np.repeat(shade * checks, 100, axis=0) + noise).mean() > 0.9
     assert shows_colors(texture, np.repeat(orange, 200, axis=0) + noise).mean() < 0.1
+
+
+def test_a_surface_shows_the_colour_of_its_seams():
+    """Blue on a ninth of a brown floor."""
+    color = np.tile(np.array([0.5, 0.35, 0.2], np.float32), (48, 48, 1))
+    color[:, ::9] = (0.1, 0.2, 0.6)
+    known = np.ones((48, 48), bool)
+    texture = SurfaceTexture(SupportSurface(np.zeros(3), np.eye(3), 0.0), np.zeros(2), 0.01, color, known, ~known)
+    assert shows_colors(texture, np.array([[0.1, 0.2, 0.6], [0.5, 0.35, 0.2]])).all()
+
+
+def test_a_hole_is_more_than_a_few_texels():
+    hole = np.zeros((20, 20), bool)
+    hole[3, 3:6] = hole[10:13, 10:12] = True
+    assert without_specks(hole).sum() == 6
 
 
 @pytest.mark.parametrize("feet", [False, True])

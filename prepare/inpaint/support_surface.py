@@ -87,6 +87,8 @@ def support_surfaces(
     Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
     """
     points, normals = rim_points(views, ball, rng)
+    if not len(points):
+        return []
     near = _nearness(points, removed_means)
     eyes = np.array([v.camera.position for v in views])
     found, total = [], near.sum()

@@ -20,7 +20,7 @@ from prepare.segment.mask_files import read_masks
 from prepare.train.capture import read_capture
 from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
-ROOM = "--reduce 1 --steps 400 --vertices 60"
+ROOM = "--reduce 1 --steps 400 --vertices 200"
 
 
 def run(words: str) -> None:
@@ -31,7 +31,7 @@ def run(words: str) -> None:
 @pytest.mark.long
 def test_a_modelled_capture_becomes_a_room(tmp_path, ti_cpu, capsys):
     toys, out = tmp_path / "toys", tmp_path / "room"
-    write_procedural_capture(toys, CaptureOptions(views=10, size=(160, 120)), lambda line: None)
+    write_procedural_capture(toys, CaptureOptions(views=16, size=(200, 150)), lambda line: None)
     run(f"capture {toys} --out {out} {ROOM}")
     said = capsys.readouterr().err
     room = json.loads((out / "room.json").read_text())

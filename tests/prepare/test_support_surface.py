@@ -65,6 +65,12 @@ def height(surface: SupportSurface) -> float:
     return surface.origin[1]
 
 
+def test_in_the_air_nothing_carries(monkeypatch):
+    nowhere = np.zeros((0, 3))
+    monkeypatch.setattr("prepare.inpaint.support_surface.rim_points", lambda *_: (nowhere, nowhere))
+    assert support_surfaces([], ball(), Surroundings(np.zeros(3), 1), np.random.default_rng(0)) == []
+
+
 def test_an_object_sinks_into_a_carpet(planes):
     ((carpet,),) = planes(level(2000, -0.86))
     assert height(carpet) == pytest.approx(-0.86, abs=0.02)

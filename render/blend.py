@@ -115,13 +115,7 @@ class Blend:
                         if ti.static(self.with_depth):
                             depth[q] += weight * mean2d.w
                 if (i - begin) % CHECK_INTERVAL == CHECK_INTERVAL - 1:
-                    top, bottom = CPU_TILE, -1
-                    for row in range(CPU_TILE):
-                        alive = 0
-                        for column in range(CPU_TILE):
-                            alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
-                        if alive > 0:
-                            top, bottom = ti.min(top, row), row
+                    top, bottom = unfinished_rows(T)
                     if bottom < 0:
                         break
             for q in range(CPU_TILE * CPU_TILE):
@@ -205,6 +199,19 @@ def splat_words(mean2d, conic, color):
     """Numbers of a splat in shared memory: x, y, log2 opacity, z, A, 2 B, C, r, g, b."""
     x, y, log_opacity, z = mean2d[0], mean2d[1], mean2d[2], mean2d[3]
     return ti.Vector([x, y, log_opacity, z, conic[0], 2 * conic[1], conic[2], color[0], color[1], color[2]])
+
+
+@ti.func
+def unfinished_rows(T: ti.template()):
+    """First and last row of a CPU tile with an unfinished pixel, by its transmittances; the last is -1 without one."""
+    top, bottom = CPU_TILE, -1
+    for row in range(CPU_TILE):
+        alive = 0
+        for column in range(CPU_TILE):
+            alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
+        if alive > 0:
+            top, bottom = ti.min(top, row), row
+    return top, bottom
 
 
 @ti.func

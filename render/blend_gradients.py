@@ -4,7 +4,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from render.binning import TileBins
-from render.blend import BLEND_THREADS, PIXELS, ROW_STEP, splat_color, splat_words
+from render.blend import BLEND_THREADS, PIXELS, ROW_STEP, splat_color, splat_words, unfinished_rows
 from render.footprint import CUTOFF_BITS
 from render.per_pixel_gradients import LN2, add_by_pixel
 from render.per_pixel_sort import BUFFER_SIZE
@@ -205,13 +205,7 @@ class BlendGradients:
                 for k in ti.static(range(GEOMETRY, SUMS)):
                     self.sums[g, k] += sums[k]
             if (i - begin) % CHECK_INTERVAL == CHECK_INTERVAL - 1:
-                top, bottom = CPU_TILE, -1
-                for row in range(CPU_TILE):
-                    alive = 0
-                    for column in range(CPU_TILE):
-                        alive += ti.cast(T[row * CPU_TILE + column] > 0, ti.i32)
-                    if alive > 0:
-                        top, bottom = ti.min(top, row), row
+                top, bottom = unfinished_rows(T)
                 if bottom < 0:
                     break
 

@@ -74,8 +74,11 @@ def neighbours_of(points: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np
 
 
 def nearest_as_wide(points: np.ndarray, width: np.ndarray, some: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """The k nearest to each point (N, 3) of `some` (M,) of them that are about as wide or wider than it is, `width`
-    (N,) being logarithms: their indices among all, int32, and distances, (N, k) each. The widest have k, too."""
+    """The k nearest of `some` (M,) of the points that are about as wide as a point or wider, for each point.
+
+    points (N, 3); width (N,), as a logarithm. Returns their indices among all, int32, and distances, (N, k) each. For
+    the widest points narrower ones count, so that they have k, too.
+    """
     octave = np.floor(width / np.log(2.0))
     octave = np.minimum(octave, np.partition(octave[some], len(some) - k)[len(some) - k])
     index, distance = np.empty((len(points), k), np.int32), np.empty((len(points), k))

@@ -98,8 +98,10 @@ class SplatSelection:
         return found
 
     def _whole_cut(self, near: Gaussians, own: np.ndarray, others: np.ndarray, shares=None):
-        """The cut (N,) bool among all of these Gaussians, the edges (E,), (E,) between them, and the `shares` of them
-        that views show, (V, N), which need not be given."""
+        """Cut all of these Gaussians at once.
+
+        Returns the cut (N,) bool, both ends of the edges (E,), and `shares` (V, N), which the views tell if not given.
+        """
         low, high, likeness = neighbour_edges(near)
         if shares is None:
             shares = self._views.shares(near) / SEEN
@@ -124,8 +126,10 @@ class SplatSelection:
         return out
 
     def _rim_of(self, cut: np.ndarray, rings: int) -> tuple[np.ndarray, csr_matrix]:
-        """Indices (R,) of Gaussians within so many rings of the border of a selection (N,) bool, at least, and the
-        graph of these."""
+        """Indices (R,) of all Gaussians within so many rings of a selection's border, at least, and their graph.
+
+        cut  (N,) bool: the selection
+        """
         points = self._gaussians.means
         distance = np.linalg.norm(points - points[cut].mean(axis=0, dtype=np.float64), axis=1)
         index = np.flatnonzero(distance <= 2.0 * distance[cut].max())
@@ -147,17 +151,19 @@ class SplatSelection:
 
 
 def distances(points: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> tuple[np.ndarray, float]:
-    """Distances (N,) of points (N, 3) from the middle of the seeds (N,) bool inside, and that up to which an object may
-    lie."""
+    """Distances (N,) of points (N, 3) from the middle of the inner seeds, and the largest that an object may have.
+
+    inside, outside  (N,) bool: the seeds
+    """
     distance = np.linalg.norm(points - np.median(points[inside], axis=0), axis=1)
     strokes = float(np.percentile(distance[inside | outside], NEARLY_ALL))
     return distance, strokes * (NEARBY if outside.any() else NEARBY_ALONE)
 
 
 def border_costs(low: np.ndarray, high: np.ndarray, likeness: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """What edges (E,) between Gaussians cost that a border cuts: their likeness, if any of the views shows both.
+    """Costs (E,) of cutting the edges between Gaussians: their likeness, if any of the views shows both ends.
 
-    `shares` (V, N) are 1 for what a view shows.
+    `shares` (V, N) are 1 for a Gaussian that a view shows.
     """
     together = np.zeros(len(low), np.float32)
     for view in shares:

@@ -20,8 +20,10 @@ class Thinned:
 
 
 def thinned(gaussians: Gaussians, most: int) -> Thinned:
-    """At most so many of the Gaussians, which lie in Morton order, spread evenly. For each stands the nearest of these
-    that is about as wide or wider."""
+    """At most so many of the Gaussians, evenly spread; the given ones lie in Morton order.
+
+    For each of these stands the nearest of those that is about as wide or wider.
+    """
     step = -(-len(gaussians) // most)
     points = gaussians.means.astype(np.float64)
     some = np.arange(step // 2, len(points), step, dtype=np.int32)

@@ -157,6 +157,7 @@ class ContactConstraints:
 
     @ti.func
     def begin_passes(self):
+        """Forget what the passes of the last sweep changed."""
         for j in range(1 + self.passes):
             self.changed[j] = 0
 

@@ -210,7 +210,7 @@ def take_shadow(
     options = {"antialias": antialias, "sort": sort}
     progress("shadow", 0.0)
     others = [hole.background.select(hole.background.object_id > 0), *([] if standing is None else [standing])]
-    shadow = find_shadow(hole.removed, concatenate(others), hole.textures or [hole.support], hole.ball, **options)
+    shadow = find_shadow(hole.removed, concatenate(others), hole.support, hole.ball, **options)
     if shadow is None:
         return hole
     background = without_shadow(hole.background, shadow, hole.ball, hole.views)

@@ -22,7 +22,7 @@ from assets.gaussians import Gaussians
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
 from prepare.inpaint.hole_views import Drawing, HoleView, Surroundings, image_positions, nearest_pixels
-from prepare.inpaint.support_surface import frame, normals_of
+from prepare.inpaint.support_surface import normals_of
 from prepare.inpaint.surface_texture import SurfaceTexture
 from prepare.progress import Progress
 
@@ -84,57 +84,43 @@ class ObjectShadow:
 def find_shadow(
     removed: Gaussians,
     others: Gaussians | None,
-    textures: list[SurfaceTexture],
+    texture: SurfaceTexture,
     ball: Surroundings,
     *,
     antialias: bool,
     sort: str,
 ) -> ObjectShadow | None:
-    """The shadow of an object among others on surfaces; None where more of them is hidden than seen."""
-    seen = sum(int(t.known.sum()) for t in textures)
-    if seen <= sum(int(t.hole.sum()) for t in textures):
+    """The shadow of an object among others on a surface; None where more of the surface is hidden than seen."""
+    y, x = np.nonzero(texture.known)
+    if len(y) <= texture.hole.sum():
         return None
-    normals = np.stack([t.surface.axes[2] for t in textures])
-    middle = normals.sum(axis=0) + 1e-3 * normals[0]  # of opposite walls: the first one's
-    directions = half_sphere(DIRECTIONS) @ frame(middle / np.linalg.norm(middle))
+    chosen = np.unique(np.linspace(0, len(y) - 1, TEXELS).round().astype(int))
+    y, x = y[chosen], x[chosen]
+    points = texture.surface.points(texture.places()[y, x])
+    directions = half_sphere(DIRECTIONS) @ texture.surface.axes
     options, bias = {"antialias": antialias, "sort": sort}, BIAS * ball.radius
     own = ShadowMaps(removed, directions, **options)
     maps = ShadowMaps(others, directions, **options) if others is not None and len(others) else None
-    cosines = (normals @ directions.T).clip(0.0)
-    whole = cosines.sum(axis=1).mean()
-    shown, dark, across, surface = [], [], [], []
-    for k, texture in enumerate(textures):
-        y, x = np.nonzero(texture.known)
-        if not len(y):
-            continue
-        chosen = np.unique(np.linspace(0, len(y) - 1, round(TEXELS * len(y) / seen)).round().astype(int))
-        y, x = y[chosen], x[chosen]
-        points = texture.surface.points(texture.places()[y, x])
-        passing = own.passing(points, bias)
-        if maps is not None:
-            passing = passing * maps.passing(points, bias)
-        shown.append(texture.color[y, x].mean(axis=1))
-        dark.append(cosines[k] * (1.0 - passing) / whole)
-        across.append(np.stack([x / texture.hole.shape[1], y / texture.hole.shape[0]], axis=1) - 0.5)
-        surface.append(np.full(len(y), k))
-    lost = fit_light(*(np.concatenate(rows) for rows in (shown, dark, across, surface)))
-    return ObjectShadow(directions, lost / whole, own, maps, bias)
+    passing = own.passing(points, bias)
+    if maps is not None:
+        passing = passing * maps.passing(points, bias)
+    cosines = directions @ texture.surface.axes[2]
+    across = np.stack([x / texture.hole.shape[1], y / texture.hole.shape[0]], axis=1) - 0.5
+    lost = fit_light(texture.color[y, x].mean(axis=1), cosines * (1.0 - passing) / cosines.sum(), across)
+    return ObjectShadow(directions, lost / cosines.sum(), own, maps, bias)
 
 
-def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray, surface: np.ndarray) -> np.ndarray:
+def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Non-negative b (J,) in shown (N,) = e (1 - hidden b), hidden (N, J), as far as it is `confirmed`.
 
-    e >= 0 is linear in the place `across` (N, 2), -0.5 to 0.5, of each surface, numbered 0, 1... (N,).
+    e >= 0 is linear in the place `across` (N, 2), -0.5 to 0.5.
     """
     n, count = hidden.shape
     tilts = np.concatenate([np.ones((n, 1)), 0.5 + across, 0.5 - across], axis=1)  # each >= 0, as their weights are
-    tilts = np.concatenate([tilts * (surface == k)[:, None] for k in range(surface.max() + 1)], axis=1)
     columns, zeros = tilts.shape[1], np.zeros((count, tilts.shape[1]))
     small = np.concatenate([zeros, EVEN * np.sqrt(n) / count * np.eye(count)], axis=1)
     rows = np.concatenate([tilts, -hidden], axis=1)
-    values, weights = shown.astype(np.float64), np.ones(n)
-    for k in np.unique(surface):
-        values[surface == k] /= np.median(values[surface == k])
+    values, weights = shown / np.median(shown), np.ones(n)
     for _ in range(ROUNDS):
         weighted = np.concatenate([rows * weights[:, None], small])
         found, _ = nnls(weighted, np.concatenate([values * weights, np.zeros(count)]))
@@ -142,7 +128,7 @@ def fit_light(shown: np.ndarray, hidden: np.ndarray, across: np.ndarray, surface
         weights = 1.0 / np.sqrt(1.0 + (off / (1.48 * np.median(np.abs(off)) + 1e-6)) ** 2)
     open_light = float((tilts @ found[:columns]).mean())
     lost = found[columns:] / max(open_light, 1e-9)
-    return lost * confirmed(values, 1.0 - hidden @ lost, across + 2.0 * surface[:, None])
+    return lost * confirmed(shown, 1.0 - hidden @ lost, across)
 
 
 def confirmed(shown: np.ndarray, left: np.ndarray, across: np.ndarray) -> float:

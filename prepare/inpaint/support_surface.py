@@ -12,13 +12,14 @@ from scipy.spatial import cKDTree
 
 from prepare.inpaint.hole_views import SOLID, TRACE, HoleView, Surroundings
 
-POINTS = 6000  # sampled on the background around the object, from all views
-TRIALS = 400  # tangent planes of points that are tried
+POINTS, POINTS_MIN = 6000, 50  # sampled on the background around the object, from all views
+OBJECT_POINTS = 2000  # sampled on the object
+TRIALS = 400  # RANSAC planes through three points
 REFITS = 8  # of the best plane
 NEAR = 1.7  # radii from the object's middle: the rim on which planes are fitted
-NEAREST = 0.01  # quantile of the points' distances from the object at which a point's weight is a quarter
+CONTACT = 0.08  # radii from the object at which a point's weight is a quarter
 FLAT = 0.06  # radii: largest distance of a plane's points from it
-SHARE = 0.1  # of the weight of all points, and of those that are left: the geometric mean that a plane needs
+SHARE = 0.08  # of all points' weight that a plane needs
 PARALLEL = 0.85  # cosine between a point's normal and its plane's
 NEIGHBOURS = 32  # points from which a normal is estimated
 PART_SHARE = 0.06, 0.5  # least and most of an object that may be a part of its support
@@ -63,7 +64,7 @@ def rim_points(views: list[HoleView], ball: Surroundings, rng: np.random.Generat
         y, x = np.nonzero(seen)
         at = unproject(view, x, y)
         near = np.flatnonzero(np.linalg.norm(at - ball.centre, axis=1) < NEAR * ball.radius)
-        found.append(at[near[rng.permutation(len(near))[: -(-4 * POINTS // len(views))]]])
+        found.append(at[near[rng.permutation(len(near))[: max(50, 4 * POINTS // len(views))]]])
     points = np.concatenate(found)
     points = points[rng.permutation(len(points))[:POINTS]]
     if len(points) < NEIGHBOURS:
@@ -87,30 +88,26 @@ def support_surfaces(
     Points count by how near they are to the object: it stands on the slab at its feet, not on the larger ground below.
     """
     points, normals = rim_points(views, ball, rng)
-    if not len(points):
-        return []
-    near = _nearness(points, removed_means)
+    near = _nearness(points, removed_means, ball)
     eyes = np.array([v.camera.position for v in views])
     found, total = [], near.sum()
-    while len(points) >= NEIGHBOURS:
+    while len(points) >= POINTS_MIN:
         plane = _supporting_plane(points, normals, near, removed_means, eyes, ball, rng)
         if plane is None:
             break
         origin, normal, spread = plane
         along = np.abs(normals @ normal) > PARALLEL
-        close = np.abs((points - origin) @ normal) < FLAT * ball.radius
-        if near[along & close].sum() < SHARE * np.sqrt(total * near.sum()):
+        on = along & (np.abs((points - origin) @ normal) < FLAT * ball.radius)
+        if near[on].sum() < SHARE * total:
             break
-        found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), frame(normal), spread))
-        left = ~(along | close)  # parallel ones are the same with noise, close ones the edge to another surface
-        points, normals, near = points[left], normals[left], near[left]
+        found.append(SupportSurface(ball.centre - normal * (normal @ (ball.centre - origin)), _frame(normal), spread))
+        points, normals, near = points[~along], normals[~along], near[~along]  # parallel ones: the same with noise
     return found
 
 
-def _nearness(points: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Weights (N,) of points by how near they are to others; a quarter at the NEAREST, and soon nothing beyond."""
-    distance = cKDTree(others).query(points)[0]
-    return (1.0 + (distance / max(float(np.quantile(distance, NEAREST)), 1e-6)) ** 2) ** -2.0
+def _nearness(points: np.ndarray, others: np.ndarray, ball: Surroundings) -> np.ndarray:
+    """Weights (N,) of points by how near they are to others; a quarter at CONTACT, and soon nothing beyond."""
+    return (1.0 + (cKDTree(others).query(points)[0] / (CONTACT * ball.radius)) ** 2) ** -2.0
 
 
 def part_of_surface(
@@ -138,22 +135,27 @@ def normals_of(points: np.ndarray) -> np.ndarray:
 def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surroundings, rng):
     """Origin, normal towards the object, and spread of the plane that explains most; None if no plane carries it.
 
-    Sample consensus with a truncated square (MSAC) of the tangent planes of points; of parallel ones, that which is
-    nearest below the object counts most. Then weighted least squares, to the object's points as well: its masks may
-    have taken along most of the surface that it stands on.
+    Sample consensus with a truncated square (MSAC), of planes through three points and planes like these that the
+    object touches; a plane counts by the share of the object's contact at it, too. Then weighted least squares,
+    to the object's points as well: its masks may have taken along most of the surface that it stands on.
     """
     flat = FLAT * ball.radius
-    some = object_points[:: -(-len(object_points) // POINTS)]
-    beside = _nearness(some, points)
-    chosen = rng.choice(len(points), TRIALS, p=near / near.sum())
-    normals, origins = own_normals[chosen].copy(), points[chosen]
+    some = object_points[:: max(1, len(object_points) // OBJECT_POINTS)]
+    beside = _nearness(some, points, ball)
+    corners = points[rng.choice(len(points), (TRIALS, 3), p=near / near.sum())]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    wide = length > 1e-3 * ball.radius**2
+    normals, origins = normals[wide] / length[wide, None], corners[wide, 0]
     normals *= np.sign(((ball.centre - origins) * normals).sum(axis=1))[:, None]
-    offsets = (origins * normals).sum(axis=1)
-    lowest = np.percentile(some @ normals.T, 3, axis=0) - offsets
+    lowest = np.percentile(some @ normals.T, 3, axis=0)
+    offsets = np.concatenate([(origins * normals).sum(axis=1), lowest])
+    normals, lowest = np.concatenate([normals, normals]), np.concatenate([lowest, lowest]) - offsets
     facing = (eyes @ normals.T > offsets).mean(axis=0)
-    carries = (lowest > -2.0 * flat) & (facing > SOLID)
+    carries = (lowest >= 0.0) & (facing > SOLID)
     own = (1.0 - ((points @ normals.T - offsets) / flat) ** 2).clip(0.0) * (np.abs(own_normals @ normals.T) > PARALLEL)
-    score = np.where(carries, near @ own, 0.0)
+    touching = beside @ (1.0 - ((some @ normals.T - offsets) / flat) ** 2).clip(0.0) / beside.sum()
+    score = np.where(carries, (near @ own) * touching, 0.0)
     if not score.size or not score.max():
         return None
     best = int(score.argmax())
@@ -172,7 +174,7 @@ def _supporting_plane(points, own_normals, near, object_points, eyes, ball: Surr
     return origin, normal, 1.48 * float(np.median(off[off < flat]))
 
 
-def frame(normal: np.ndarray) -> np.ndarray:
+def _frame(normal: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) whose last row is `normal`."""
     across = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
     across /= np.linalg.norm(across)

@@ -106,20 +106,17 @@ def texture_of(
     known, empty = seen.known, seen.empty
     surface = fit_relief(surface, places[known], seen.height[known], ball.radius)
     points = surface.points(places)
-    beyond, blended = np.zeros_like(known), np.zeros_like(known)  # behind another surface; in its colours, too
+    beyond = np.zeros_like(known)
     for other in others:
-        over = other.local(points)[..., 2]
-        beyond |= over < 0.5 * texel
-        blended |= over < tolerance + texel
-    there = goes_on(known, empty)
-    hole = ~known & ~empty & seen.covered & ~beyond & there
+        beyond |= other.local(points)[..., 2] < 0.5 * texel
+    hole = ~known & ~empty & seen.covered & ~beyond & goes_on(known, empty)
     if not photographed:
         hole &= seen.lacking
-    hole = without_specks(hole)
+    hole = _without_specks(hole)
     if hole.any():  # its rim is repainted, as the object's colour leaks there
         hole = binary_dilation(hole, iterations=LEAK) & ~empty & ~beyond
-    known &= ~hole & ~blended
-    around = binary_dilation(hole, iterations=RIM) & ~hole & ~blended
+    known &= ~hole
+    around = binary_dilation(hole, iterations=RIM) & ~hole & ~beyond
     rim = float(known[around].mean()) if around.any() else 1.0
     again = _seen(texture, points, views, tolerance)  # where the relief is
     known, color = known & again.known, again.color
@@ -185,11 +182,9 @@ def _seen(texture: SurfaceTexture, points: np.ndarray, views: list[HoleView], to
         better = look.merit > best
         color[better], best[better] = drawn[better], look.merit[better]
     known = (shown > through) & (shown > SEEN_SHARE * looking)
-    empty = ~known & (through > EMPTY_SHARE * looking)
-    past = ~known & (through > EMPTY_SHARE * (looking - covered))  # beside a plinth most views show the object first
-    border = np.ones_like(known)
-    border[1:-1, 1:-1] = False
-    empty = binary_propagation(empty & border, mask=empty | past)  # enclosed, it is a dent at the object's foot
+    empty = binary_opening(~known & (through > EMPTY_SHARE * looking), iterations=SLIVER)
+    past = binary_opening(~known & (through > EMPTY_SHARE * (looking - covered)), iterations=SLIVER)
+    empty = binary_propagation(empty, mask=empty | past)  # beside a plinth most views show the object before the air
     height = heights / np.maximum(shown, 1)
     return _Seen(known, empty, covered > COVERED_SHARE * looking, lacking > SURE * covered, height, color)
 
@@ -254,8 +249,7 @@ def shows_colors(texture: SurfaceTexture, colors: np.ndarray) -> np.ndarray:
     return (off < HUE**2).mean(axis=1) > COMMON
 
 
-def without_specks(hole: np.ndarray) -> np.ndarray:
-    """The mask of a hole (H, W) without its connected parts of less than HOLE_MIN texels."""
+def _without_specks(hole: np.ndarray) -> np.ndarray:
     labels, _ = label(hole)
     sizes = np.bincount(labels.ravel())
     return hole & (sizes[labels] >= HOLE_MIN)

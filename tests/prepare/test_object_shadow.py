@@ -8,12 +8,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from assets.gaussians import Gaussians
 from prepare.inpaint.hole_views import Surroundings
-from prepare.inpaint.object_shadow import ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
+from prepare.inpaint.object_shadow import DARKEST, ObjectShadow, find_shadow, fit_light, half_sphere, without_shadow
 from prepare.inpaint.support_surface import SupportSurface
 from prepare.inpaint.surface_texture import SurfaceTexture, goes_on
 
 N, J = 600, 24
-ONE = np.zeros(N, int)  # surface
 
 
 class Screen:
@@ -40,24 +39,15 @@ def shaded():
 
 def test_light_is_found_from_its_shadow(shaded):
     shown, hidden, across, b = shaded
-    found = fit_light(shown, hidden, across, ONE)
+    found = fit_light(shown, hidden, across)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.05
-
-
-def test_light_is_found_on_surfaces_of_different_brightness(shaded):
-    """A corner of pale and dark walls whose light falls off in different ways."""
-    shown, hidden, across, b = shaded
-    surface = np.arange(N) % 3
-    shown = shown * np.array([1.0, 0.3, 0.6])[surface] * (1.0 + np.array([0.2, -0.3, 0.0])[surface] * across[:, 1])
-    assert np.abs(hidden @ fit_light(shown, hidden, across, surface) - hidden @ b).max() < 0.05
-    assert np.abs(hidden @ fit_light(shown, hidden, across, ONE) - hidden @ b).max() > 0.1  # as one surface
 
 
 def test_marks_on_the_surface_are_no_shadow(shaded):
     """A dark spot of a twelfth of the surface."""
     shown, hidden, across, b = shaded
     spot = (across[:, 0] + 0.3) ** 2 + (across[:, 1] - 0.3) ** 2 < 0.15**2
-    found = fit_light(np.where(spot, 0.25 * shown, shown), hidden, across, ONE)
+    found = fit_light(np.where(spot, 0.25 * shown, shown), hidden, across)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.08
 
 
@@ -65,20 +55,20 @@ def test_a_surface_without_a_shadow_stays(shaded):
     """Neither noise nor light that falls off is a shadow."""
     _, hidden, across, _ = shaded
     shown = 0.5 * (1.0 + 0.4 * across[:, 1]) * (1.0 + 0.1 * np.random.default_rng(1).normal(size=N))
-    assert (hidden @ fit_light(shown, hidden, across, ONE)).max() < 0.045
+    assert (hidden @ fit_light(shown, hidden, across)).max() < 0.045
 
 
 def test_another_material_around_the_foot_is_no_shadow(shaded):
     """Wood on a white wall, as wide as the shadow would be; and where both are, only the shadow is found."""
     shown, hidden, across, b = shaded
     near, noise = (across**2).sum(axis=1) < 0.28**2, np.exp(0.02 * np.random.default_rng(2).normal(size=N))
-    assert (hidden @ fit_light(np.where(near, 0.25, 1.0) * noise, hidden, across, ONE)).max() < 0.05
-    found = fit_light(np.where(near, 0.5, 1.0) * shown, hidden, across, ONE)
+    assert (hidden @ fit_light(np.where(near, 0.25, 1.0) * noise, hidden, across)).max() < 0.05
+    found = fit_light(np.where(near, 0.5, 1.0) * shown, hidden, across)
     assert np.abs(hidden @ found - hidden @ b).max() < 0.15
 
 
 def test_what_an_object_leaves():
-    """Its own part of a common shadow, only on the side that faces the light, and a fifth of it at least."""
+    """Its own part of a common shadow, only on the side that faces the light, and DARKEST at least."""
     directions = half_sphere(J)
     up, down, lost = [[0.0, 0.0, 1.0]], [[0.0, 0.0, -1.0]], np.full(J, 0.8) / directions[:, 2].sum()
     half = np.arange(J) % 2 == 0
@@ -91,7 +81,7 @@ def test_what_an_object_leaves():
     assert left(own, None, up) == pytest.approx(0.6, abs=0.02)
     assert left(own, Screen(half), up) == pytest.approx(0.2 / 0.6, abs=0.02)  # the others have the other half
     assert left(own, own, up) == pytest.approx(1.0)  # they shade all of it anyhow
-    assert left(all_of_it, None, up, share=2.0) == 0.2
+    assert left(all_of_it, None, up, share=2.0) == DARKEST
 
 
 class PlateDrawing:
@@ -121,7 +111,7 @@ def plate(monkeypatch):
     texture = SurfaceTexture(floor, np.full(2, -1.7), 0.085, np.full((40, 40, 3), 0.5), seen, ~seen)
     turn = np.arange(100) * 0.02 * np.pi
     thing = SimpleNamespace(means=np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1))
-    return find_shadow(thing, None, [texture], Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
+    return find_shadow(thing, None, texture, Surroundings(np.zeros(3), 1.0), antialias=False, sort="radial")
 
 
 def test_a_noisy_surface_does_not_shade_itself_but_what_is_close_behind(plate):
@@ -136,21 +126,6 @@ def test_the_light_of_a_shadow_map_is_nearly_parallel(plate):
     inside, outside = (s * edge / np.linalg.norm(edge) - 2.0 * toward for s in (0.9, 1.35))
     assert plate.own.passing(inside[None], plate.bias)[0, 0] < 0.1
     assert plate.own.passing(outside[None], plate.bias)[0, 0] > 0.9
-
-
-def test_the_edge_of_a_shadow_is_sharp(plate):
-    toward, turn = plate.directions[0], np.arange(60) * np.pi / 30
-    edge = np.stack([np.cos(turn), np.sin(turn), 0.0 * turn], axis=1)
-    inside, outside = (plate.own.passing(s * edge - 0.2 * toward, plate.bias)[:, 0] for s in (0.95, 1.07))
-    assert inside.mean() < 0.1 and outside.mean() > 0.9
-
-
-def test_a_plate_takes_its_form_factor_of_the_light(plate):
-    """At h below a disk of radius 1, 1 / (1 + h^2) of even light; to an eye 12 away the disk widens by h / 12."""
-    heights = np.linspace(0.4, 2.0, 33)
-    points, cosine = np.stack([0.0 * heights, 0.0 * heights, -heights], axis=1), plate.directions[:, 2]
-    taken = ((1.0 - plate.own.passing(points, plate.bias)) * cosine).sum(axis=1) / cosine.sum()
-    assert np.abs(taken - 1.0 / (1.0 + (heights / (1.0 + heights / 12.0)) ** 2)).mean() < 0.016
 
 
 def test_a_shadow_is_taken_from_the_surroundings_only():

@@ -66,7 +66,7 @@ class DeviceScene:
         reserve: Sequence[str] = (),
     ):
         self.scene, self.light, self.picture_size, self.views = scene, scene.light, picture_size, views
-        static, moving, animated = load_bodies(scene)
+        static, moving, animated, captured = load_bodies(scene)
         reserved = [piece for asset in reserve for piece in pieces_of(asset)]
         still = concatenate([g for g, _ in static]) if static else NO_GAUSSIANS
         still = still.select(morton_order(still.means))
@@ -102,6 +102,10 @@ class DeviceScene:
         ]
         casters = (first_caster, self.splats.count)
         self.shadow = None if self.light is None else ShadowMap(self.splats, self.light, casters)
+        if self.shadow is not None and captured:
+            self.deform()  # from the bodies' own frames to where they stand
+            begins = (self.first + np.cumsum([0, *self.gaussian_counts])).tolist()
+            self.shadow.keep_captured_shadows([(begins[k], begins[k + 1]) for k in captured])
         self.renderer = Renderer(
             self.splats,
             *picture_size,

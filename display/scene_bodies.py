@@ -28,12 +28,13 @@ def load_bodies(
     list[tuple[Gaussians, list[StaticGrid]]],
     list[tuple[SoftBody | RigidBody, EmbeddedBody]],
     dict[int, tuple[Body, Animation]],
+    list[int],
 ]:
     """Read each asset once and place it: static ones in the world, simulated ones scaled in their own frame.
 
     The pieces of an asset are bodies of their own: its largest in the scene's order, all others after those.
 
-    Out.  static bodies, simulated bodies, and the animated ones among the latter
+    Out.  static bodies, simulated bodies, and the animated ones and the indices of the captured ones among the latter
     """
     library: dict[str, Asset] = {}
     pieces: dict[str, list[Asset]] = {}
@@ -55,7 +56,8 @@ def load_bodies(
         for k, (asset, body) in enumerate(placed)
         if asset.animation is not None and body.kind == "soft"
     }
-    return static, [place_soft(asset, body) for asset, body in placed], animated
+    captured = [k for k, (_, body) in enumerate(placed) if body.captured]
+    return static, [place_soft(asset, body) for asset, body in placed], animated, captured
 
 
 def place_static(asset: Asset, body: Body) -> tuple[Gaussians, list[StaticGrid]]:

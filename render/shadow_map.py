@@ -3,6 +3,8 @@
 VR-GS, Sec. 4.5: the map is drawn by the same alpha blending; Gaussians behind it are darkened.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import taichi as ti
 
@@ -17,6 +19,9 @@ from scenes.scene import Light
 STATIC, DYNAMIC = 0, 1  # layers of the map, by kind of caster
 MAX_TANGENT = 1.2  # of half the light's largest cone; what lies outside is lit
 DIRECTIONAL_DISTANCE = 40.0  # [scene radii] of a directional light: its rays differ by less than 1.5 degrees
+# Relative widths of the cone, at each of which a captured shadow is drawn; the darkest counts. Bodies that move apart,
+# and hands, widen it, and a coarser map shades more: what nobody touched would darken.
+CAPTURED_WIDTHS = (1.0, 2.0, 4.0, 8.0)
 TAPS = 4  # per side of the filter
 MAX_FILTER_RADIUS = 12.0  # [texels]; wider taps would be too far apart to blend
 OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves
@@ -63,8 +68,13 @@ class ShadowMap:
     a fixed cone around the light's target; that of dynamic ones at each cast, in a cone fitted to
     them on the device. Dynamic Gaussians are shadowed by both. Static ones keep the shadows that
     were captured with them and are darkened by dynamic casters alone, and only where the light
-    reached them before. Static Gaussians near the light, such as its own lamp or, for a directional
-    light, the ceiling, cast nothing.
+    reached them before (`splats.exposed`). Static Gaussians near the light, such as its own lamp or,
+    for a directional light, the ceiling, cast nothing.
+
+    Captured dynamic Gaussians, those of `keep_captured_shadows`, had the shade 1 - exposed when they
+    were photographed. They are darkened by what exceeds it, to (1 - strength * shade) / (1 - strength *
+    (1 - exposed)), under whichever light. Where the shade is less they stay as they were photographed:
+    a shadow cannot be divided out of colours, as the photographs do not tell which light cast it.
     """
 
     def __init__(
@@ -89,7 +99,6 @@ class ShadowMap:
         self.fields = f = FieldGroup()
         self.camera = f.vector(2, 4, n=4)  # of each layer, as Projection.camera
         self.low, self.high = f.vector(), f.vector()  # box of the dynamic Gaussians [m]
-        self.exposed = f.scalar(splats.capacity)  # 1 where nothing static hides a static Gaussian from the light
         f.build()
         self._unfinished = False
         self.set_light(light)
@@ -123,20 +132,10 @@ class ShadowMap:
 
         The result is final after `finish`, to be called when waiting does no harm.
         """
-        light, distance = self.light, self._distance
-        if not self._static_is_drawn:
-            half = 0.5 * self.resolution
-            focal = half / min(self._radius / distance, MAX_TANGENT)
-            view = look_at(self._eye, light.target)
-            camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
-            self.rasterizer.projection.set_camera(0, camera_values(camera))
-            self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
-            self.rasterizer.draw(STATIC, 0, self.begin)
-            self.map.join(STATIC)
-            self._expose(light.softness)
-            self._static_is_drawn = True
+        light = self.light
+        self._draw_static()
         if self.begin < self.end:
-            self._aim_dynamic(*self._eye.tolist(), light.softness, self.end)
+            self._aim_dynamic(*self._eye.tolist(), light.softness, self.end, 1.0)
             self.rasterizer.draw(DYNAMIC, self.begin, self.end, wait=False)
             self._unfinished = True
             self.map.join(DYNAMIC)
@@ -156,6 +155,36 @@ class ShadowMap:
             self._receive(self.light.strength, self.light.softness, self.end)
         return again
 
+    def keep_captured_shadows(self, spans: Sequence[tuple[int, int]]) -> None:
+        """Take the shadows that now fall on dynamic Gaussians, [begin, end) each, for those in their colours.
+
+        To be called once, before the first cast. All dynamic Gaussians cast them: a body of the user's that replaces a
+        captured one stands where that stood.
+        """
+        softness = self.light.softness
+        self._draw_static()
+        for width in CAPTURED_WIDTHS:
+            self._aim_dynamic(*self._eye.tolist(), softness, self.end, width)
+            self.rasterizer.draw(DYNAMIC, self.begin, self.end)
+            self.map.join(DYNAMIC)
+            for begin, end in spans:
+                self._keep_captured_shadows(begin, end, softness)
+
+    def _draw_static(self) -> None:
+        """Draw the map of static casters and expose the static Gaussians, unless that was done for this light."""
+        if self._static_is_drawn:
+            return
+        half, distance = 0.5 * self.resolution, self._distance
+        focal = half / min(self._radius / distance, MAX_TANGENT)
+        view = look_at(self._eye, self.light.target)
+        camera = Camera(self.resolution, self.resolution, focal, focal, half, half, view)
+        self.rasterizer.projection.set_camera(0, camera_values(camera))
+        self._aim_static(distance - CASTING_FRACTION * min(distance, self._radius))
+        self.rasterizer.draw(STATIC, 0, self.begin)
+        self.map.join(STATIC)
+        self._expose(self.light.softness)
+        self._static_is_drawn = True
+
     @ti.kernel
     def _aim_static(self, near: ti.f32):
         """Keep the rasterizer's camera as that of the static layer, which draws from `near` [m] on."""
@@ -164,8 +193,13 @@ class ShadowMap:
         self.rasterizer.projection.near[0] = near
 
     @ti.kernel
-    def _aim_dynamic(self, eye_x: ti.f32, eye_y: ti.f32, eye_z: ti.f32, softness: ti.f32, end: ti.i32):
-        """Fit the cone to the box of the dynamic Gaussians and two sigmas; no texel is finer than the filter needs."""
+    def _aim_dynamic(
+        self, eye_x: ti.f32, eye_y: ti.f32, eye_z: ti.f32, softness: ti.f32, end: ti.i32, width: ti.f32
+    ):  # fmt: skip
+        """Fit the cone to the box of the dynamic Gaussians and two sigmas, `width` times as wide as that.
+
+        No texel is finer than the filter needs.
+        """
         self.low[None] = vec3(1e6)
         self.high[None] = vec3(-1e6)
         for chunk in range(self.box_chunks):  # each reduces its own box first: atomics on one box would serialise
@@ -206,7 +240,7 @@ class ShadowMap:
                     tangent = MAX_TANGENT
             self.rasterizer.projection.near[0] = NEAR_PLANE
             t = -(ti.Matrix.rows([right, down, forward]) @ eye)
-            half, focal = 0.5 * self.resolution, 0.5 * self.resolution / clamp(tangent, 1e-3, MAX_TANGENT)
+            half, focal = 0.5 * self.resolution, 0.5 * self.resolution / clamp(width * tangent, 1e-3, MAX_TANGENT)
             self._set_camera_row(DYNAMIC, 0, vec4(right, t[0]))
             self._set_camera_row(DYNAMIC, 1, vec4(down, t[1]))
             self._set_camera_row(DYNAMIC, 2, vec4(forward, t[2]))
@@ -248,19 +282,39 @@ class ShadowMap:
     def _expose(self, softness: ti.f32):
         """Set the exposure of static Gaussians to the light past the static scene."""
         for g in range(self.begin):
-            self.exposed[g] = 1.0 - self._shade(STATIC, self.splats.mean[g], softness, STATIC_BIAS, STATIC_BIAS)
+            shade = self._shade(STATIC, self.splats.mean[g], softness, STATIC_BIAS, STATIC_BIAS)
+            self.splats.exposed[g] = 1.0 - shade
+
+    @ti.func
+    def _light_on_dynamic(self, g: ti.i32, softness: ti.f32) -> ti.f32:
+        """Fraction of the light that reaches a dynamic Gaussian past both layers, 0..1."""
+        mean = self.splats.mean[g]
+        # a filter as wide as `softness` reaches that much deeper on a slope of 45 degrees
+        bias, ramp = OWN_BIAS + softness + 2.0 * self._size(g), OWN_BIAS + 0.5 * softness
+        light = 1.0 - self._shade(DYNAMIC, mean, softness, bias, ramp)
+        return light * (1.0 - self._shade(STATIC, mean, softness, bias, ramp))
+
+    @ti.func
+    def _size(self, g: ti.i32) -> ti.f32:
+        """Root mean square of a Gaussian's sigmas [m]."""
+        s = self.splats.cov[g]
+        return ti.sqrt(ti.max((s[0] + s[3] + s[5]) / 3.0, 0.0))
+
+    @ti.kernel
+    def _keep_captured_shadows(self, begin: ti.i32, end: ti.i32, softness: ti.f32):
+        for g in range(begin, end):
+            self.splats.exposed[g] = ti.min(self.splats.exposed[g], self._light_on_dynamic(g, softness))
 
     @ti.kernel
     def _receive(self, strength: ti.f32, softness: ti.f32, end: ti.i32):
         """Set the visibility of all Gaussians from the maps."""
         for g in range(end):
-            mean, s = self.splats.mean[g], self.splats.cov[g]
-            size = ti.sqrt(ti.max((s[0] + s[3] + s[5]) / 3.0, 0.0))
-            darkness = 0.0
+            exposed, visibility = self.splats.exposed[g], 1.0
             if g < self.begin:
-                darkness = self._shade(DYNAMIC, mean, softness, OWN_BIAS + size, OWN_BIAS) * self.exposed[g]
-            else:  # a filter as wide as `softness` reaches that much deeper on a slope of 45 degrees
-                bias = OWN_BIAS + softness + 2.0 * size
-                seen = 1.0 - self._shade(DYNAMIC, mean, softness, bias, OWN_BIAS + 0.5 * softness)
-                darkness = 1.0 - seen * (1.0 - self._shade(STATIC, mean, softness, bias, OWN_BIAS + 0.5 * softness))
-            self.splats.visibility[g] = 1.0 - strength * darkness
+                shade = self._shade(DYNAMIC, self.splats.mean[g], softness, OWN_BIAS + self._size(g), OWN_BIAS)
+                visibility = 1.0 - strength * shade * exposed
+            else:
+                light = self._light_on_dynamic(g, softness)
+                if light < exposed:
+                    visibility = (1.0 - strength + strength * light) / (1.0 - strength + strength * exposed)
+            self.splats.visibility[g] = visibility

@@ -21,6 +21,8 @@ class Splats:
     sh          spherical harmonics, vec3, (capacity, coefficients)
     rotation    quaternion wxyz that turns the frame of `sh` into the world; identity at the start
     visibility  of the light, 0..1: factor of the colour; 1 at the start
+    exposed     fraction of the light that reached it when its colours were captured, 0..1; 1 at the start, and for what
+                has no captured shadows
 
     `sh_range` = [begin, end) contains all Gaussians whose colour depends on the view: a room of degree 0 that was
     padded to the degree of a shiny body is not evaluated to it. `capacity`: for at least this many Gaussians.
@@ -36,6 +38,7 @@ class Splats:
         self.opacity = f.scalar(self.capacity)
         self.rotation = f.vector(self.capacity, n=4)
         self.visibility = f.scalar(self.capacity)
+        self.exposed = f.scalar(self.capacity)
         on_gpu = ti.cfg.arch == ti.cuda  # neighbouring threads read neighbouring words
         self.sh = f.vector(self.capacity, self.coefficients, column_major=on_gpu)
         f.build()
@@ -46,6 +49,7 @@ class Splats:
             self.sh_range = (self.sh_range[0], self.capacity)
         self.rotation.fill(ti.Vector([1.0, 0.0, 0.0, 0.0]))
         self.visibility.fill(1.0)
+        self.exposed.fill(1.0)
 
     def replace(self, gaussians: Gaussians) -> None:
         """Hold other Gaussians, at most `capacity`, of as many coefficients. Kernels know `sh_range` from their first
@@ -72,17 +76,18 @@ class Splats:
             return 1.0
         return max(1e-3, float(np.percentile(np.linalg.norm(self._initial_means - np.asarray(center), axis=1), 95)))
 
-    def read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Opacities (count,) and harmonics (count, coefficients, 3) of the Gaussians from `first` on, on the host."""
-        opacity = np.zeros(max(count, 1), np.float32)  # Taichi takes no empty arrays
+    def read(self, first: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Opacities (count,), harmonics (count, coefficients, 3) and `exposed` (count,) of the Gaussians from `first`
+        on, on the host."""
+        opacity, exposed = np.zeros((2, max(count, 1)), np.float32)  # Taichi takes no empty arrays
         sh = np.zeros((max(count, 1), self.coefficients, 3), np.float32)
-        self._read(first, count, opacity, sh)
-        return opacity[:count], sh[:count]
+        self._read(first, count, opacity, sh, exposed)
+        return opacity[:count], sh[:count], exposed[:count]
 
-    def write(self, first: int, opacity: np.ndarray, sh: np.ndarray) -> None:
+    def write(self, first: int, opacity: np.ndarray, sh: np.ndarray, exposed: np.ndarray) -> None:
         """Write the result of `read` to the Gaussians from `first` on; the embedding writes the other fields."""
         if len(opacity):
-            self._write(first, opacity, sh)
+            self._write(first, opacity, sh, exposed)
 
     def set_count(self, count: int) -> None:
         """Use the first `count` entries, up to `capacity`."""
@@ -90,18 +95,22 @@ class Splats:
 
     @ti.kernel
     def _read(
-        self, first: ti.i32, count: ti.i32, opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3)
-    ):
+        self, first: ti.i32, count: ti.i32,
+        opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3), exposed: ti.types.ndarray(ti.f32, 1),
+    ):  # fmt: skip
         for i in range(count):
-            opacity[i] = self.opacity[first + i]
+            opacity[i], exposed[i] = self.opacity[first + i], self.exposed[first + i]
             for k in range(self.coefficients):
                 for c in ti.static(range(3)):
                     sh[i, k, c] = self.sh[first + i, k][c]
 
     @ti.kernel
-    def _write(self, first: ti.i32, opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3)):
+    def _write(
+        self, first: ti.i32,
+        opacity: ti.types.ndarray(ti.f32, 1), sh: ti.types.ndarray(ti.f32, 3), exposed: ti.types.ndarray(ti.f32, 1),
+    ):  # fmt: skip
         for i in range(opacity.shape[0]):
-            self.opacity[first + i] = opacity[i]
+            self.opacity[first + i], self.exposed[first + i] = opacity[i], exposed[i]
             for k in range(self.coefficients):
                 for c in ti.static(range(3)):
                     self.sh[first + i, k][c] = sh[i, k, c]

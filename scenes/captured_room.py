@@ -117,7 +117,7 @@ def object_body(folder: Path, thing: RoomObject) -> Body:
     """An object at its captured place, where it stays until it is touched."""
     asset = str(folder / thing.asset)
     placed = Body(asset, default_material(asset), position=thing.position, rotation=thing.rotation)
-    return replace(placed, fixed_below=thing.fixed_below, asleep=True)
+    return replace(placed, fixed_below=thing.fixed_below, asleep=True, captured=True)
 
 
 def light_over(target: Vec3) -> Light:

@@ -94,7 +94,7 @@ def in_place_of(body: Body, asset: str, role: Role, name: str, material: str | N
     if height is not None:
         made_of = made_of.animated(scale * height)
     position = tuple(map(float, np.subtract(foot, np.multiply(scale, its_foot))))
-    return replace(body, asset=asset, material=made_of, scale=scale, position=position, asleep=False)
+    return replace(body, asset=asset, material=made_of, scale=scale, position=position, asleep=False, captured=False)
 
 
 def bounds(asset: str, placed: Body) -> tuple[np.ndarray, np.ndarray]:

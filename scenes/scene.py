@@ -22,7 +22,8 @@ class Body:
     `asset` is a name under assets/ or a path. With a material it is simulated; without one it
     is static and its signed distance grid collides. `velocity` [m/s] is the initial one. `kind` is "soft", "rigid", or
     "kinematic": rigid, and moved by nothing but the program. What of a soft body lies below `fixed_below` [m] in the
-    asset's frame stays where it is. A body that starts `asleep` is not simulated until something reaches it.
+    asset's frame stays where it is. A body that starts `asleep` is not simulated until something reaches it. The
+    colours of a `captured` one hold the shadows on it at the start: they are not drawn a second time.
     """
 
     asset: str
@@ -34,6 +35,7 @@ class Body:
     kind: str = "soft"
     fixed_below: float | None = None
     asleep: bool = False
+    captured: bool = False
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class BodyRegistry:
         self.scene_models = device.solver.body_models
         self._scene_members = self.members = tuple(Member(k) for k in range(len(self.scene_models)))
         self._packed: list[PackedBody] | None = None
-        self._looks: list[tuple[np.ndarray, np.ndarray]] = []
+        self._looks: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []  # see Splats.read
         self._animated = {a.body: a for a in device.animations}  # of each source that moves by itself
         self.source_models = list(self.scene_models)  # of all that a body can look like: the scene's, then those added
         self.added: dict[str, list[int]] = {}  # sources of the assets that joined, after those of the scene
@@ -132,7 +132,8 @@ class BodyRegistry:
             for piece in pieces:
                 self._packed.append(device.embedding.packed(piece.part))
                 sh = fitted_harmonics(piece.part.gaussians, device.splats.coefficients)
-                self._looks.append((piece.part.gaussians.opacities.astype(np.float32), sh))
+                opacity = piece.part.gaussians.opacities.astype(np.float32)
+                self._looks.append((opacity, sh, np.ones_like(opacity)))
                 device.gaussian_counts.append(len(piece.part.gaussians))
                 if piece.animation is not None:
                     led = piece.placed, piece.animation, piece.body.vertices

@@ -73,7 +73,7 @@ class ShownGaussians:
         which = np.concatenate([np.arange(*span) for span in spans])
         if len(which) == 0:
             raise BadInput("there is nothing to export: the scene has no Gaussians")
-        opacity, sh = splats.read(0, splats.count)
+        opacity, sh, _ = splats.read(0, splats.count)
         fields = (splats.mean, splats.cov, splats.rotation, splats.visibility)
         mean, cov, rotation, visibility = (field.to_numpy()[which] for field in fields)
         return cls(mean, cov, opacity[which], sh[which], rotation, visibility)

@@ -32,7 +32,7 @@ def clearest(gaussians: Gaussians, eyes: list[np.ndarray], target: np.ndarray) -
     renderer = Renderer(splats, WIDTH, HEIGHT, outputs="float", sort="radial")
     shares = []
     for eye in eyes:
-        splats.write(0, gaussians.opacities, fog_colours(gaussians, eye, target))
+        splats.write(0, gaussians.opacities, fog_colours(gaussians, eye, target), np.ones(len(gaussians), np.float32))
         renderer.render([perspective(WIDTH, HEIGHT, FOV_Y, look_at(eye, target))])
         fog, alpha, depth = (f.to_numpy()[0] for f in (renderer.rgb, renderer.alpha, renderer.depth))
         clear = (alpha > SOLID) & (depth > NEAR * np.linalg.norm(target - eye)) & (fog[..., 0] < FOG_SHARE)

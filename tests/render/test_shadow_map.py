@@ -1,5 +1,7 @@
 """Shadows: the floor under a blob darkens with a soft edge, the blob's lit side does not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -167,3 +169,105 @@ def test_a_cast_beyond_the_capacity_is_repeated_when_it_is_finished(stage):
     assert (splats.visibility.to_numpy()[: len(floor)] == 1.0).all()  # nothing was drawn
     assert shadow.finish() and not shadow.finish()
     np.testing.assert_array_equal(splats.visibility.to_numpy()[: splats.count], expected)
+
+
+N, PLACES = (
+    1500,
+    np.array([[-0.5, 0.4, 0.0], [0.5, 0.4, 0.0]]),
+)  # Gaussians of a ball; of the captured, the modelled one
+BETWEEN = 0.5 * (np.array(LIGHT.position) + PLACES[0])  # the captured ball and the light
+
+
+@pytest.fixture(scope="module")
+def photographed(ti_cpu):
+    """A captured ball and a modelled one, side by side over a floor; the splats and their shadow map."""
+    from render.shadow_map import ShadowMap
+    from render.splats import Splats
+
+    splats = Splats(concatenate([sheet(2.0, 0.0, 0.02), *(ball(at, BLOB_RADIUS, N) for at in PLACES)]))
+    shadow = ShadowMap(splats, LIGHT, (splats.count - 2 * N, splats.count))
+    shadow.keep_captured_shadows([(shadow.begin, shadow.begin + N)])
+    return splats, shadow
+
+
+def lit(photographed, light: Light = LIGHT, modelled_at=PLACES[1]):
+    """Visibility of the floor, the captured ball and the modelled one, with that one at a place."""
+    splats, shadow = photographed
+    means = splats.mean.to_numpy()
+    moved = means.copy()
+    moved[shadow.begin + N : splats.count] += modelled_at - PLACES[1]
+    splats.mean.from_numpy(moved)
+    shadow.set_light(light)
+    shadow.cast()
+    splats.mean.from_numpy(means)
+    return np.split(splats.visibility.to_numpy()[: splats.count], [shadow.begin, shadow.begin + N])
+
+
+def facing_light(center) -> np.ndarray:
+    """Cosine of the angle between the normal of each Gaussian of a ball and the direction to the light."""
+    to_light = np.array(LIGHT.position) - center
+    return ball(0.0, 1.0, N).means @ to_light / np.linalg.norm(to_light)
+
+
+def test_a_captured_ball_in_its_place_is_as_photographed_and_shadows_the_floor(photographed):
+    on_floor, captured, modelled = lit(photographed)
+    np.testing.assert_allclose(captured, 1, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(modelled[facing_light(PLACES[1]) < -0.7], 1 - LIGHT.strength, atol=0.05)
+    right = sheet(2.0, 0.0, 0.02).means[:, 0] > 0
+    assert (1 - on_floor)[~right].sum() == pytest.approx((1 - on_floor)[right].sum(), rel=0.02)
+    assert on_floor[~right].min() == pytest.approx(1 - LIGHT.strength, abs=0.02)
+
+
+def test_a_new_shadow_darkens_what_was_lit_when_photographed_and_nothing_twice(photographed):
+    _, captured, modelled = lit(photographed, modelled_at=BETWEEN)
+    facing = facing_light(PLACES[0])
+    np.testing.assert_allclose(captured[facing > 0.5], 1 - LIGHT.strength, atol=0.02)
+    np.testing.assert_allclose(captured[facing < -0.7], 1, atol=0.05)
+    assert modelled[facing_light(BETWEEN) < -0.7].max() < 1 - 0.9 * LIGHT.strength
+
+
+def test_what_was_half_in_shadow_loses_the_other_half_of_the_light(photographed):
+    """With colours c (1 - s) in full shadow and c (1 - s + s e) as photographed it ends with the former, for any s."""
+    splats, shadow = photographed
+    e = splats.exposed.to_numpy()[shadow.begin : shadow.begin + N].astype(np.float64)
+    half = (e > 0.3) & (e < 0.7)
+    assert half.sum() > 20
+    for s in (0.3, 0.6, 1.0):
+        _, captured, _ = lit(photographed, replace(LIGHT, strength=s), BETWEEN)
+        np.testing.assert_allclose(captured[half], (1 - s) / (1 - s + s * e[half]), atol=0.02)
+        assert np.isfinite(captured).all() and captured.min() >= 0 and captured.max() <= 1
+
+
+def test_another_light_shadows_another_side_of_a_captured_ball_and_lights_none_up(photographed):
+    before = photographed[0].exposed.to_numpy()[photographed[1].begin :]
+    _, captured, _ = lit(photographed, Light(position=(-2.5, 0.4, 0.0), target=tuple(PLACES[0]), softness=0.02))
+    x, y, _ = ball(0.0, 1.0, N).means.T
+    np.testing.assert_allclose(captured[(x > 0.7) & (y > 0.3)], 0.45, atol=0.05)
+    np.testing.assert_allclose(captured[x < -0.3], 1, atol=1e-3)
+    assert captured.max() <= 1
+    _, captured, _ = lit(photographed, replace(LIGHT, strength=0.9))
+    np.testing.assert_allclose(captured, 1, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(photographed[0].exposed.to_numpy()[photographed[1].begin :], before)
+
+
+@pytest.mark.parametrize("far", [0.5, 1.0, 2.0])
+def test_a_coarser_map_does_not_darken_what_was_captured_and_nobody_touched(ti_cpu, far):
+    """As when a hand widens the cone of the light: a captured ball on a captured board, and one Gaussian far away.
+
+    At soft edges a few Gaussians may darken; with a map of one width alone 2 to 8% of all do.
+    """
+    from render.shadow_map import ShadowMap
+    from render.splats import Splats
+
+    board, mote = sheet(0.3, 0.0, 0.005), ball([0.0, 0.05, 0.0], 0.001, 1)
+    splats = Splats(concatenate([ball([0.0, 0.05, 0.0], 0.05, N), board, mote]))
+    shadow = ShadowMap(splats, Light((1.0, 2.0, 0.5), kind="directional", softness=0.01), (0, splats.count))
+    shadow.keep_captured_shadows([(0, splats.count - 1)])
+    means = splats.mean.to_numpy()
+    means[splats.count - 1] += [far, 0.0, 0.0]
+    splats.mean.from_numpy(means)
+    shadow.cast()
+    dark = 1 - splats.visibility.to_numpy()[: splats.count - 1]
+    shadow.destroy()
+    splats.destroy()
+    assert (dark > 0.05).mean() < 0.0035 * far

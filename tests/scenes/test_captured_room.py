@@ -3,9 +3,11 @@
 import json
 import os
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from assets.asset import Asset
 from assets.environment import Environment
@@ -18,12 +20,15 @@ from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from display.world import World
 from scenes import registry
 from scenes.manipulation import pointed_parts
-from scenes.scene import BodyState
+from scenes.roles import cast_bodies
+from scenes.scene import BodyState, Light
 from tests.support.scripted_play import play
 
 EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)
+SMALL = {"width": 16, "height": 16}
 
 
 def link(source, target):
@@ -82,6 +87,38 @@ def test_the_scripted_hand_takes_one_object_after_the_other(folder):
     assert set(game.farthest) == {0, 1}
     game.reset()
     assert not game.starts and not game.farthest
+
+
+def test_a_shadow_in_the_photographs_is_not_drawn_again(folder, ti_cpu):
+    """The wreath is between the light and the red ring: as photographed, but drawn if they were modelled."""
+    scene = registry.load(str(folder))
+    red, wreath = (np.array(b.position) for b in scene.bodies[1:])
+    light = Light(tuple(red + 10 * (wreath - red)), tuple(red), kind="directional", strength=0.6, softness=0.01)
+
+    def visibility(world, k):
+        begin, end = world.registry.gaussian_span(k)
+        return world.device.splats.visibility.to_numpy()[begin:end]
+
+    modelled = World(replace(scene, light=light, bodies=[replace(b, captured=False) for b in scene.bodies]), **SMALL)
+    shadow = visibility(modelled, 0) < 1 - 0.9 * light.strength
+    assert shadow.mean() > 0.2
+    modelled.close()
+    world = World(replace(scene, light=light), **SMALL)
+    assert_allclose(np.concatenate([visibility(world, 0), visibility(world, 1)]), 1, rtol=0, atol=1e-6)
+    copy = world.registry.duplicate(0, np.array([0.0, 0.04, 0.0]))
+    world.refresh()
+    assert_allclose(visibility(world, copy)[shadow], 1, rtol=0, atol=0.05)
+    world.registry.remove(0)  # the others' Gaussians move to other indices
+    world.refresh()
+    assert_allclose(visibility(world, 1)[shadow], 1, rtol=0, atol=0.05)
+    world.reset()
+    assert_allclose(np.concatenate([visibility(world, 0), visibility(world, 1)]), 1, rtol=0, atol=1e-6)
+    world.close()
+
+
+def test_what_plays_the_role_of_a_captured_object_is_not_captured(folder):
+    bodies = cast_bodies(registry.load(str(folder)), (), ["ball"], None).bodies
+    assert [b.captured for b in bodies[1:]] == [False, True]
 
 
 @pytest.mark.long

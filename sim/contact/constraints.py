@@ -22,7 +22,13 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
-from sim.contact.response import UNBOUNDED, contact_impulse, fingertip_spring, holding_impulse, min_normal_motion
+from sim.contact.response import (
+    UNBOUNDED,
+    fingertip_spring,
+    holding_impulse,
+    isotropic_contact_impulse,
+    min_normal_motion,
+)
 
 if TYPE_CHECKING:
     from sim.state import State
@@ -163,7 +169,7 @@ class ContactConstraints:
 
     @ti.func
     def solve(self, r, j, integrator: ti.template()):
-        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (`contact_impulse`)."""
+        """Pass j: change the impulse so that lambda_n >= 0 and |lambda_t| <= mu lambda_n (sim/contact/response.py)."""
         if self.active[r]:
             inv_mass = 0.0
             if ti.static(self.unrolled):
@@ -189,7 +195,7 @@ class ContactConstraints:
                         least, compliance, damping = fingertip_spring(self.phi[r], dt)
                         most = self.max_force[r - self.first_finger] * dt * dt
                 held = holding_impulse(old, n, y, least, inv_mass, inv_mass_t, compliance, damping, most)
-                new = contact_impulse(held, n, n, inv_mass_t, self.friction[r], dt)
+                new = isotropic_contact_impulse(held, n, inv_mass_t, self.friction[r], dt)
                 self.impulse[r] = new
                 self.add_impulse(r, new - old, j)
                 if ti.static(self.coupled):  # noqa: SIM102

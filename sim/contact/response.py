@@ -90,6 +90,22 @@ def contact_impulse(holding, n, A_n, w_t, friction, dt):
 
 
 @ti.func
+def isotropic_contact_impulse(holding, n, w_t, friction, dt):
+    """`contact_impulse` where a normal impulse causes no tangential motion: A n is along n."""
+    p_n = n.dot(holding)
+    p = ti.Vector([0.0, 0.0, 0.0])
+    if p_n > 0.0:
+        p = holding
+        tangential = holding - p_n * n
+        length = tangential.norm()
+        lacking = length - friction[0] * p_n
+        if lacking > 0.0:
+            mu = friction_coefficient(lacking * w_t, friction, dt)
+            p = p_n * (n + mu / length * tangential)
+    return p
+
+
+@ti.func
 def fingertip_spring(phi, dt):
     """Least motion [m], compliance [1/kg] and damping of the soft pad that a fingertip is (see `holding_impulse`).
 

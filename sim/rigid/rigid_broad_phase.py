@@ -21,6 +21,7 @@ from sim.contact.broad_phase import outside_box
 from sim.contact.response import CONTACT_SLOP
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
+from sim.lanes import lane_count, rank_lanes, sync_lanes
 from sim.rigid.rigid_motion import FREE, SOFT
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class RigidBroadPhase:
     surface, all [4P]: at the last search
     size, group_begin i32[G]: constraints of a group, and where they begin in entry i32[4P], in the order of their slots
     group i32[G], group_count: the groups that have constraints
-    listed, spare i32[4P]: the entries before they are sorted; whether one is left out
+    listed, spare i32[4P]: the entries before they are sorted; whether an entry is left out
     active i32[G], loaded i32[4P]: how many of a group carry a load, and which; 1 before they are listed
     """
 
@@ -100,6 +101,7 @@ class RigidBroadPhase:
     ):
         self.state, self.rigid_bodies, self.samples, self.bounds = state, rigid_bodies, samples, bounds
         self.static_shapes, self.shapes, self.constraints, self.begin = static_shapes, shapes, constraints, begin
+        self.lanes = lane_count()
         group, slots = FieldGroup(), slot_count(samples)
         with group.interleaved(slots):
             self.shape, self.entry = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
@@ -234,11 +236,12 @@ class RigidBroadPhase:
         for e in range(SLOTS * P):
             if e < self.total[None]:
                 self._sort(self.listed[e])
-        for e in range(SLOTS * P):
-            if e < self.total[None]:
-                self.spare[e] = self._is_spare(e)
-        for g in range(GROUPS):
-            self._thin_out(g)
+        for k in range(self.total[None] * DIRECTIONS):
+            e = k // DIRECTIONS
+            if self.spare[e] and self._is_corner(e, k % DIRECTIONS):
+                self.spare[e] = 0
+        for k in range(GROUPS * self.lanes):
+            self._thin_out(k // self.lanes, k % self.lanes)
 
     @ti.func
     def _in_use(self, q):
@@ -261,57 +264,62 @@ class RigidBroadPhase:
 
     @ti.func
     def _sort(self, q):
-        """Put slot q into its place in its group: they came in any order."""
+        """Put slot q into its place in its group: they came in any order. What bounces is not to be forgotten."""
         g, rank = self.group_of(q), 0
         for e in range(self.group_begin[g], self.group_begin[g] + self.size[g]):
             rank += ti.cast(self.listed[e] < q, ti.i32)
-        self.entry[self.group_begin[g] + rank] = q
+        e = self.group_begin[g] + rank
+        self.entry[e], self.spare[e] = q, ti.cast(self.bounce_speed[q] == 0.0, ti.i32)
 
     @ti.func
-    def _is_spare(self, e):
-        """Test if entry e touches no sooner than others over the same plane, however the body tilts.
+    def _is_corner(self, e, k):
+        """Test if entry e can touch sooner than all others over the same plane when the body tilts in direction k.
 
-        It is needed if a plane through it, inclined in one of DIRECTIONS, lies below all others: if it is a corner of
-        their lower hull. What all others hold then, it would hold as well.
+        It can if a plane through it, inclined in that direction, lies below all others. An entry that can in none of
+        DIRECTIONS is no corner of their lower hull: what all others hold, it would hold as well.
         """
-        q, k, needed = self.entry[e], 0, False
+        q = self.entry[e]
         g = self.group_of(q)
         n = self._side(q, g) * self.normal[q]  # along which its own gap widens
         s, t = tangents(n)
-        begin, end = self.group_begin[g], self.group_begin[g] + self.size[g]
-        while k < DIRECTIONS and not needed:
-            angle = (k + 0.5) * (2.0 * math.pi / DIRECTIONS)
-            uphill = ti.cos(angle) * s + ti.sin(angle) * t
-            left, least, most = n.cross(uphill), 0.0, STEEPEST  # inclinations that are left
-            f = begin
-            while f < end and least < most:
-                other = self.entry[f]
-                v, rise = self.position[other] - self.position[q], self.gap[other] - self.gap[q]
-                if (
-                    abs(rise - n.dot(v)) < CONTACT_SLOP
-                    and n.cross(self.normal[other]).norm() < STRAIGHT
-                    and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
-                ):
-                    least, most = below(v.dot(uphill), v.dot(left), rise - CONTACT_SLOP, least, most)
-                f += 1
-            needed = least < most
-            k += 1
-        return ti.cast(not needed and self.bounce_speed[q] == 0.0, ti.i32)  # what bounces is not to be forgotten
+        angle = (k + 0.5) * (2.0 * math.pi / DIRECTIONS)
+        uphill = ti.cos(angle) * s + ti.sin(angle) * t
+        left, least, most = n.cross(uphill), 0.0, STEEPEST  # inclinations that are left
+        f, end = self.group_begin[g], self.group_begin[g] + self.size[g]
+        while f < end and least < most:
+            other = self.entry[f]
+            v, rise = self.position[other] - self.position[q], self.gap[other] - self.gap[q]
+            if (
+                abs(rise - n.dot(v)) < CONTACT_SLOP
+                and n.cross(self.normal[other]).norm() < STRAIGHT
+                and (g % (MAX_BODIES + 1) != WORLD or self.shape[other] == self.shape[q])
+            ):
+                least, most = below(v.dot(uphill), v.dot(left), rise - CONTACT_SLOP, least, most)
+            f += 1
+        return least < most
 
     @ti.func
-    def _thin_out(self, g):
-        """Keep the entries of group g that are not to spare, and make them candidates."""
-        count, begin = 0, self.group_begin[g]
-        for e in range(begin, begin + self.size[g]):
-            q = self.entry[e]
-            r = self.begin + q
-            if self.spare[e]:
-                self.constraints.clear_impulse(r)
-                self.bounce_speed[q] = 0.0
-            else:
-                self.entry[begin + count] = q
-                count += 1
-                self.constraints.set_vertex_count(r, 0)
-                self.constraints.body_count[r] = 1 if self.shape[q] < MAX_SHAPES else 2
-                self.constraints.add_candidate(r)
-        self.size[g] = count
+    def _thin_out(self, g, lane):
+        """Keep the entries of group g that are not to spare, in their order, and make them candidates."""
+        count, first, begin, size = 0, 0, self.group_begin[g], self.size[g]
+        while first < size:
+            e, q, kept = begin + first + lane, 0, 0
+            if first + lane < size:
+                q = self.entry[e]
+                r = self.begin + q
+                if self.spare[e]:
+                    self.constraints.clear_impulse(r)
+                    self.bounce_speed[q] = 0.0
+                else:
+                    kept = 1
+                    self.constraints.set_vertex_count(r, 0)
+                    self.constraints.body_count[r] = 1 if self.shape[q] < MAX_SHAPES else 2
+                    self.constraints.add_candidate(r)
+            before, total = rank_lanes(kept, lane, ti.static(self.lanes))
+            if kept:
+                self.entry[begin + count + before] = q
+            count += total
+            first += ti.static(self.lanes)
+        sync_lanes(ti.static(self.lanes))
+        if lane == 0:
+            self.size[g] = count

@@ -13,13 +13,7 @@ from taichi.math import vec3
 from core.fields import FieldGroup
 from sim.capacity import MAX_BODIES
 from sim.contact.constraints import SETTLED
-from sim.contact.response import (
-    UNBOUNDED,
-    contact_impulse,
-    holding_impulse,
-    inverse_mass_matrix,
-    min_normal_motion,
-)
+from sim.contact.response import inverse_mass_matrix, isotropic_contact_impulse, min_normal_motion
 from sim.contact.signed_distance import known
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.lanes import from_lane, lane_count, max_lanes, rank_lanes, sync_lanes
@@ -163,7 +157,8 @@ class RigidContacts:
                 size = self._list_loaded(g, lane)
             impulse, moment_a, moment_b = vec3(0.0), vec3(0.0), vec3(0.0)
             r, sign, n, old, r_a, r_b = -1, 1.0, vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
-            friction, least, A = ti.Vector([0.0, 0.0]), 0.0, ti.Matrix.zero(ti.f32, 3, 3)
+            friction, least = ti.Vector([0.0, 0.0]), 0.0
+            A, w_n, mass = ti.Matrix.zero(ti.f32, 3, 3), 0.0, 0.0
             sweep, settled = 0, 0.0
             while sweep < GROUP_SWEEPS and settled == 0.0:
                 first, change, load = 0, 0.0, 0.0
@@ -182,17 +177,20 @@ class RigidContacts:
                             n, old, friction = table.normal[r], table.impulse[r], table.friction[r]
                             least = self._min_normal_motion(r, q, restitution)
                             A = inverse_mass_matrix(r_a, w_a, I_a) + inverse_mass_matrix(r_b, w_b, I_b)
+                            w_n = n.dot(A @ n)
+                            mass = 1.0 / ti.max(w_n, 1e-20)
                     for k in range(ti.min(lanes, size - first)):
                         c, moment, counter = vec3(0.0), vec3(0.0), vec3(0.0)
                         if lane == k:
                             y = sign * (d_a + t_a.cross(r_a) - d_b - t_b.cross(r_b))
-                            y_t = y - n.dot(y) * n
-                            w_n, slip_sqr = n.dot(A @ n), y_t.norm_sqr()
-                            w_t = w_n
+                            y_n = n.dot(y)
+                            y_t = y - y_n * n
+                            held, w_t, slip_sqr = old + mass * (least - y_n) * n, w_n, y_t.norm_sqr()
                             if slip_sqr > 1e-30:
-                                w_t = y_t.dot(A @ y_t) / slip_sqr
-                            held = holding_impulse(old, n, y, least, w_n, w_t, 0.0, 1.0, UNBOUNDED)
-                            new = contact_impulse(held, n, n, w_t, friction, dt)
+                                energy = y_t.dot(A @ y_t)
+                                w_t = energy / slip_sqr
+                                held -= slip_sqr / ti.max(energy, 1e-20 * slip_sqr) * y_t
+                            new = isotropic_contact_impulse(held, n, w_t, friction, dt)
                             c = sign * (new - old)
                             change, load = ti.max(change, c.norm_sqr()), ti.max(load, new.norm_sqr())
                             moment, counter, old = r_a.cross(c), r_b.cross(c), new

@@ -58,13 +58,22 @@ class Integrators:
             self.made[name] = self._make(name, iterations)
         return self.made[name]
 
+    def _make_persistent_vbd(self, iterations: int):
+        """The VBD kernel that stays, with two blocks for each multiprocessor where these run at once."""
+        from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
+
+        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies, self.blocks
+        made = PersistentVBD(*parts, iterations=iterations, per_multiprocessor=2)
+        if not made.fits():
+            made.destroy()
+            made = PersistentVBD(*parts, iterations=iterations)
+        return made
+
     def _make(self, name: str, iterations: int):
         parts = self.state, self.elasticity, self.constraints, self.rigid_bodies
         on_cuda = ti.cfg.arch == ti.cuda
         if name == "vbd" and on_cuda:
-            from sim.elastic.vbd_persistent import PersistentVBD  # needs the CUDA driver
-
-            return PersistentVBD(*parts, self.blocks, iterations=iterations)
+            return self._make_persistent_vbd(iterations)
         if name == "vbd":
             return VBDSubsteps(*parts, self.blocks, iterations=iterations)
         if on_cuda and iterations == 1:

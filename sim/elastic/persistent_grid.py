@@ -1,7 +1,7 @@
 """Grid of threads that stays on a CUDA device for many substeps: its blocks meet at barriers instead of ending.
 
-A launch costs about 5 us, a barrier among all blocks 1.2 us. All blocks must run at once: there is one for each
-multiprocessor, of a size that always fits.
+A launch costs about 5 us, a barrier among all blocks 1.2 us. All blocks must run at once, or the barrier would wait
+forever: one block always fits on a multiprocessor; whether more do is to be tried, see `probe`.
 """
 
 import ctypes
@@ -11,6 +11,11 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from sim.lanes import from_lane, sum_lanes
+
+# Threads of a block. Taichi compiles for two blocks on a multiprocessor (minnctapersm), so that a thread of a block of
+# 256 has 128 registers. With 512 threads it has 64, and the kernels keep most of their variables in memory.
+BLOCK = 256
+MAX_POLLS = 1 << 20  # of a probe: a second, in which all blocks that find a place have long begun
 
 
 def multiprocessors() -> int:
@@ -32,24 +37,39 @@ def multiprocessors() -> int:
 class PersistentGrid:
     """`blocks` blocks of `block` threads, and their barrier; `begin` must run in the same kernel before the loop.
 
-    On the CPU it is one block of one thread, which is a warp of its own: for tests. What is shared memory on CUDA,
-    f32[words] and f64[points], then are `words` and `points`.
+    There are so many blocks for each multiprocessor. On the CPU it is one block of one thread, which is a warp of its
+    own: for tests. What is shared memory on CUDA, f32[words] and f64[points], then are `words` and `points`.
     """
 
-    def __init__(self, block: int, words: int, points: int = 0):
+    def __init__(self, words: int, points: int = 0, *, per_multiprocessor: int = 1):
         self.on_cuda = ti.lang.impl.current_cfg().arch == ti.cuda
-        self.block, self.blocks = (block, multiprocessors()) if self.on_cuda else (1, 1)
+        self.block, self.blocks = (BLOCK, per_multiprocessor * multiprocessors()) if self.on_cuda else (1, 1)
         self.warp = min(32, self.block)
         self.threads = self.blocks * self.block
         self.warps = self.threads // self.warp
         g = self._group = FieldGroup()
         self.arrived, self.released = (g.scalar(32, dtype=ti.i32) for _ in range(2))  # a cache line each
+        self.missing = g.scalar(dtype=ti.i32)  # 1 if some blocks had to wait for others to end in a probe
         self.words, self.points = g.scalar(words), g.scalar(max(points, 1), dtype=ti.f64)
         g.build()
 
     @ti.func
     def begin(self):
         self.arrived[0], self.released[0] = 0, 0
+
+    @ti.func
+    def probe(self, thread):
+        """Find out if all blocks run at once, on CUDA; nothing else may be done in that run.
+
+        Whether they do depends on the registers and the shared memory of the kernel that calls this.
+        """
+        if thread % self.block == 0:
+            ti.atomic_add(self.arrived[0], 1)
+            polls = 0
+            while polls < MAX_POLLS and ti.atomic_add(self.arrived[0], 0) < self.blocks:
+                polls += 1
+            if polls == MAX_POLLS:
+                self.missing[None] = 1
 
     @ti.func
     def sync(self):

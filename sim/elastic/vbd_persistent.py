@@ -19,14 +19,12 @@ from sim.model import Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 
-BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
-LANES, FEWER_LANES = 16, 8  # threads that share the tets of a vertex, in small and in large meshes
-LARGE = 16384  # vertices: 9k take 132 us a substep with 16 lanes, 142 with 8; 24k take 211 and 185 (H200)
+LANES = 8  # threads that share the tets of a vertex
 
 
 @ti.data_oriented
 class PersistentVBD:
-    """`run(n)` makes n substeps of `iterations` sweeps each."""
+    """`run(n)` makes n substeps of `iterations` sweeps each, if the grid `fits`."""
 
     max_substeps = 64  # behind one call
     warm_started = True
@@ -40,10 +38,12 @@ class PersistentVBD:
         blocks: ReductionBlocks,
         *,
         iterations: int,
+        per_multiprocessor: int = 1,
     ):
-        self.state, self.iterations, self.grid = state, iterations, PersistentGrid(BLOCK, WORDS, POINTS)
-        self.lanes = min(LANES if state.V < LARGE else FEWER_LANES, self.grid.block)
-        self.residual_lanes = max(self.lanes // 2, 1)  # of all vertices at once, which keep more threads busy
+        """per_multiprocessor: blocks for each; see `fits`."""
+        self.state, self.iterations = state, iterations
+        self.grid = PersistentGrid(WORDS, POINTS, per_multiprocessor=per_multiprocessor)
+        self.lanes = min(LANES, self.grid.block)
         self.patches = ColorPatches(state, self.grid.blocks)
         self.descent = d = VertexDescent(state, constraints, rigid)
         self.in_pairs, self.effective_inv_mass = d.in_pairs, d.effective_inv_mass
@@ -54,6 +54,11 @@ class PersistentVBD:
         """Take other bodies."""
         self.patches.load(model)
         self.modal.load(model)
+
+    def fits(self) -> bool:
+        """Return whether all blocks run at once on this device; if not, `run` would never end."""
+        self._run(0, 0)
+        return self.grid.missing[None] == 0
 
     def run(self, substeps: int) -> None:
         self._run(substeps, self.patches.colors)
@@ -78,7 +83,10 @@ class PersistentVBD:
             if ti.static(self.grid.on_cuda):
                 points = ti.simt.block.SharedArray((POINTS,), ti.f64)
                 words = ti.simt.block.SharedArray((WORDS,), ti.f32)
-                self._stay(thread, substeps, colors, points, words)
+                if substeps == 0:
+                    self.grid.probe(thread)
+                else:
+                    self._stay(thread, substeps, colors, points, words)
             else:
                 self._stay(thread, substeps, colors, self.grid.points, self.grid.words)
         s.substep_index[None] -= 1
@@ -245,9 +253,9 @@ class PersistentVBD:
     @ti.func
     def _residual(self, resident, own, colors, trial, points: ti.template(), words: ti.template()):
         """Residual force of each of the resident patches' own vertices."""
-        s, p, groups = self.state, self.patches, ti.static(self.grid.block // self.residual_lanes)
-        share = self._share(groups, resident, ti.static(self.grid.warp // self.residual_lanes))
-        group, lane = own // self.residual_lanes, own % self.residual_lanes
+        s, p, groups = self.state, self.patches, ti.static(self.grid.block // self.lanes)
+        share = self._share(groups, resident, ti.static(self.grid.warp // self.lanes))
+        group, lane = own // self.lanes, own % self.lanes
         r = group // share
         while r < resident:
             begin = r * PLACES
@@ -263,9 +271,9 @@ class PersistentVBD:
                         if dJ < -1.0:
                             s.inverted[s.body_of_vertex[p.vertex(at, words)]] = 1
                         f += force
-                        slot += self.residual_lanes
+                        slot += self.lanes
                 for c in ti.static(range(3)):
-                    f[c] = self.grid.sum_lanes(f[c], self.residual_lanes)
+                    f[c] = self.grid.sum_lanes(f[c], self.lanes)
                 if lane == 0 and at < end:
                     self.warps.set_residual(p.vertex(at, words), f, trial)
             r += groups // share

@@ -13,8 +13,6 @@ from sim.elastic.substep import ALL_PASSES, any_active, commit, evaluate_candida
 from sim.model import Model
 from sim.state import State
 
-BLOCK = 512  # threads: at most 128 registers each, so that one block fits on any multiprocessor
-
 
 @ti.data_oriented
 class PersistentXPBD:
@@ -24,7 +22,7 @@ class PersistentXPBD:
     warm_started, iterations = False, 1
 
     def __init__(self, state: State, constraints: list[Constraint], rigid):
-        self.state, self.grid = state, PersistentGrid(BLOCK, SHARED_WORDS)
+        self.state, self.grid = state, PersistentGrid(SHARED_WORDS)
         self.rigid, self.has_rigid = rigid, rigid is not None
         self.patches = Patches(state, self.grid.blocks)
         self.on_vertex = [c for c in constraints if c.has_vertex]

@@ -149,6 +149,15 @@ def test_the_persistent_kernel_agrees_with_the_loops_on_a_rigid_body():
     assert_blocks_slide_alike(forms, 5e6, (4, 2, 2), (1e-5, 1e-4), rigid=True, integrator="vbd")
 
 
+def test_blocks_that_wait_for_others_to_end_are_noticed(ti_cpu):
+    """At a barrier they would hang. No multiprocessor holds 64 blocks of 256 threads; the CPU has one block."""
+    x, tets, surface = box((0.1, 0.1, 0.1), (2, 2, 2))
+    solver = Solver([SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))], contacts=False)
+    parts = solver.state, solver.elasticity, [], None, solver._blocks
+    most, one = (PersistentVBD(*parts, iterations=2, per_multiprocessor=n) for n in (64, 1))
+    assert one.fits() and most.fits() != one.grid.on_cuda
+
+
 def test_several_patches_a_block_move_as_one(ti_cpu):
     """More vertices than one block's shared memory holds, strained, without contact."""
     x, tets, surface = box((0.1, 0.1, 0.1), (10, 10, 10))

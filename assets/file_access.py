@@ -21,6 +21,8 @@ UNPACK_BASE = 64 << 20  # [bytes] that even the smallest file may unpack to
 UNPACK_RATIO = 200  # and this many times its own size: splats deflate 1.1 to 20 times, constant grids about 1,000
 LOCK_PATIENCE = 10.0  # [s] for which other programs that write the same file are waited for: a fraction of one is usual
 LOCK_PERIOD = 0.02  # [s] between two tries
+LOCKED_BYTE = 1 << 20  # on Windows: it cannot be read by others, those before it can
+FOLDER_LOCK = ".vrgs.lock"  # in a folder that is being written
 STALE_AGE = 600.0  # [s] since a temporary file was last written to; its program was killed
 
 
@@ -165,19 +167,35 @@ def locked(path: Path, *, patience: float | None = None) -> Iterator[None]:
     patience = LOCK_PATIENCE if patience is None else patience
     while (held := _try_lock(path, lock)) is None:
         if waited >= patience:
-            raise BadInput(f"{path}: another program has been writing it for {patience:g} s")
+            raise BadInput(f"{path}: another program{_holder(lock)} has been writing it for {patience:g} s")
         time.sleep(LOCK_PERIOD)
         waited += LOCK_PERIOD
     try:
         yield
     finally:
-        if sys.platform == "win32":  # where an open file cannot be removed
-            os.close(held)
-            with suppress(OSError):
-                lock.unlink()
-        else:
-            lock.unlink(missing_ok=True)
-            os.close(held)
+        _unlock(lock, held)
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Make the folder and keep other runs of the program from writing to it meanwhile. Raises BadInput at once if one
+    does.
+
+    The system holds the lock, and gives it back if the program is killed. A new folder that stays empty is removed.
+    """
+    new = [f for f in (folder, *folder.parents) if not f.exists()]
+    make_folder(folder)
+    lock = folder / FOLDER_LOCK
+    held = _try_lock(folder, lock)
+    if held is None:
+        raise BadInput(f"{folder} is being written by another run of vrgs{_holder(lock)}")
+    try:
+        yield
+    finally:
+        _unlock(lock, held)
+        with suppress(OSError):
+            for made in new:
+                made.rmdir()
 
 
 def _try_lock(path: Path, lock: Path) -> int | None:
@@ -194,17 +212,44 @@ def _try_lock(path: Path, lock: Path) -> int | None:
         if sys.platform == "win32":
             import msvcrt
 
+            os.lseek(descriptor, LOCKED_BYTE, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, 0, os.SEEK_SET)
         else:
             import fcntl
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.stat(lock).st_ino != os.fstat(descriptor).st_ino:
                 raise FileNotFoundError  # its last holder has removed it; there is another one by that name
-    except OSError:
+    except OSError as e:
         os.close(descriptor)
-        return None
+        if isinstance(e, (BlockingIOError, PermissionError, FileNotFoundError)):
+            return None
+        raise BadInput(f"{path}: cannot be locked ({e.strerror})") from e
+    with suppress(OSError):  # only to be told to others; the disk may be full
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, str(os.getpid()).encode())
     return descriptor
+
+
+def _unlock(lock: Path, held: int) -> None:
+    """Give a lock back and remove its file."""
+    if sys.platform == "win32":  # where an open file cannot be removed
+        os.close(held)
+        with suppress(OSError):
+            lock.unlink()
+    else:
+        lock.unlink(missing_ok=True)
+        os.close(held)
+
+
+def _holder(lock: Path) -> str:
+    """ " (process 1234)" of the program that holds a lock; "" if it is not known."""
+    try:
+        number = lock.read_bytes()[:20]
+    except OSError:
+        return ""
+    return f" (process {number.decode()})" if number.isdigit() else ""
 
 
 def unused_name(path: Path, taken: Container[Path] = ()) -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from assets.file_access import atomic_write, make_folder
+from assets.file_access import atomic_write, locked_folder, make_folder
 from commands import train
 from commands.capture_input import capture_key, photographed, stages_before
 from commands.conditions import Condition
@@ -82,11 +82,12 @@ def run(args: argparse.Namespace) -> None:
 
 
 def make_room(args: argparse.Namespace) -> None:
-    """Make the room of a capture in the folder `args.out`. Raises BadInput."""
+    """Make the room of a capture in the folder `args.out`. Raises BadInput, also if another run writes there."""
     check(args)
-    start_taichi(args.arch, args.seed)
-    stages = Stages(args.out / "work", (*stages_before(args.capture), *STAGES))
-    RoomMaking(args, stages).make()
+    with locked_folder(args.out):  # two runs would remove each other's stages
+        start_taichi(args.arch, args.seed)
+        stages = Stages(args.out / "work", (*stages_before(args.capture), *STAGES))
+        RoomMaking(args, stages).make()
 
 
 def room_arguments(capture: Path, room: Path, arch: str | None, seed: int) -> argparse.Namespace:

@@ -7,9 +7,9 @@ import sys
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from assets.file_access import make_folder
+from assets.file_access import locked_folder
 from assets.splat_files import read_gaussians
-from core.errors import BadInput, Cancelled
+from core.errors import BadInput
 from core.runtime import start_taichi
 
 if TYPE_CHECKING:
@@ -21,12 +21,18 @@ WINDOW_SIZE = (1200, 640)  # in screen coordinates
 
 def take_objects(args: argparse.Namespace) -> None:
     """Write a splat per object that `args.marks` mark in `args.capture` to the folder `args.out`. Raises BadInput."""
+    if args.out.exists() and not args.out.is_dir():
+        raise BadInput(f"{args.out}: is a file; --out is a folder")
+    with locked_folder(args.out):
+        take_objects_alone(args)
+
+
+def take_objects_alone(args: argparse.Namespace) -> None:
+    """As `take_objects`, in a folder that is there and to which no other run writes."""
     from display.picture import save_picture
     from prepare.segment.splat_marks import read_splat_marks, write_splat_marks
     from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented
 
-    if args.out.exists() and not args.out.is_dir():
-        raise BadInput(f"{args.out}: is a file; --out is a folder")
     if args.marks is None:
         marks = marked_splats(args)
     else:
@@ -36,7 +42,6 @@ def take_objects(args: argparse.Namespace) -> None:
     if args.capture.resolve() in [path.resolve() for path in outputs]:
         raise BadInput(f"{args.capture}: would be overwritten; choose another folder for --out")
     gaussians = read_gaussians(args.capture, progress)
-    make_folder(args.out)
     start_taichi(args.arch)
     segmented = segment_splat(gaussians, marks, progress)
     files = write_segmented(args.out, segmented)
@@ -60,16 +65,9 @@ def marked_splats(args: argparse.Namespace) -> SplatMarks:
     path = args.out / MARKS_FILE
     before = read_splat_marks(path) if path.is_file() else SplatMarks()
     gaussians = read_gaussians(args.capture, progress)
-    new = not args.out.exists()
-    make_folder(args.out)
     start_taichi(args.arch)
     subject = SplatSubject(gaussians, before, None)
-    try:
-        state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)
-    except Cancelled:
-        if new:
-            args.out.rmdir()
-        raise
+    state = marked_in_window(subject, edit_of(before.marks, before.grow), f"Mark {args.capture.name}", WINDOW_SIZE)
     marks = subject.marks(state)
     subject.close()
     write_splat_marks(path, marks)

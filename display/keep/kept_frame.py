@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from assets.asset import Asset, is_quantised
-from assets.file_access import atomic_write_all
+from assets.file_access import atomic_write_all, locked_folder
 from assets.library import SHIPPED_FOLDER, find_asset
 from assets.moved_room import moved_room
 from assets.reoriented import reoriented
@@ -78,19 +78,20 @@ def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> 
 
     Raises BadInput.
     """
-    changed, small = reoriented(Asset.load(path), rotation, factor), is_quantised(path)
-    if not is_room_folder(path.parent):
-        changed.save(path, quantised=small)
-        return
-    if factor != 1.0:
-        raise BadInput(
-            "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
-        )
-    room = read_room(path.parent)
-    moved = moved_room(room, rotation, np.array(changed.provenance["reoriented"][-1][2]))
-    with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):
-        changed.save(background, quantised=small)
-        write_manifest(manifest, moved)
+    with locked_folder(path.parent):  # vrgs.py capture may be making the room anew
+        changed, small = reoriented(Asset.load(path), rotation, factor), is_quantised(path)
+        if not is_room_folder(path.parent):
+            changed.save(path, quantised=small)
+            return
+        if factor != 1.0:
+            raise BadInput(
+                "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
+            )
+        room = read_room(path.parent)
+        moved = moved_room(room, rotation, np.array(changed.provenance["reoriented"][-1][2]))
+        with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):
+            changed.save(background, quantised=small)
+            write_manifest(manifest, moved)
 
 
 def file_writer(viewer: Viewer) -> tuple[Path, Callable[[], None]]:

@@ -1,6 +1,7 @@
 """`vrgs.py capture`: a modelled capture becomes a room that can be played, and goes on where it was cut."""
 
 import json
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from assets.asset import Asset
 from assets.environment import Environment
+from assets.file_access import FOLDER_LOCK, locked_folder
 from assets.gaussians import Gaussians
 from bench.html_page import html_page
 from commands.capture_input import stages_before
@@ -81,6 +83,32 @@ def test_what_is_wrong_is_said_before_anything_is_made(tmp_path, words, why):
     with pytest.raises(BadInput, match=why):
         run("capture " + words.format(tmp_path))
     assert not (tmp_path / "room").exists()
+
+
+def test_a_room_that_another_run_writes_is_left_alone(tmp_path, monkeypatch):
+    """So is a folder to which `segment` writes the objects of a splat."""
+    write_procedural_capture(tmp_path / "toys", CaptureOptions(views=3, size=(48, 36)), lambda line: None)
+    room = tmp_path / "room"
+    splat = f"segment {tmp_path}/toys.ply --marks {tmp_path}/marks.json --out {room}"
+    told = rf"room is being written by another run of vrgs \(process {os.getpid()}\)"
+    with locked_folder(room):
+        for words in (f"capture {tmp_path / 'toys'} --no-objects --out {room}", splat):
+            with pytest.raises(BadInput, match=told):
+                run(words)
+        assert [path.name for path in room.iterdir()] == [FOLDER_LOCK]
+    with pytest.raises(BadInput, match="no such file"):
+        run(splat)
+    assert not room.exists()
+
+    def held(making) -> None:
+        with pytest.raises(BadInput, match="another run"), locked_folder(making.args.out):
+            pass
+        (making.args.out / "made.txt").touch()
+
+    monkeypatch.setattr(RoomMaking, "make", held)
+    monkeypatch.setattr("commands.capture_room.start_taichi", lambda arch, seed: None)
+    run(f"capture {tmp_path / 'toys'} --no-objects --out {room}")
+    assert [path.name for path in room.iterdir()] == ["made.txt"]
 
 
 def test_the_report_tells_how_to_play_what_is_free_and_what_each_stage_took(tmp_path):

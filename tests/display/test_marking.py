@@ -127,8 +127,8 @@ def test_a_window_that_is_left_leaves_no_folder(tmp_path, monkeypatch):
     (tmp_path / "kept").mkdir()
     for out in ("new", "kept"):
         with pytest.raises(Cancelled):
-            args = SimpleNamespace(out=tmp_path / out, capture=tmp_path / "a.ply", arch="cpu")
-            splat_objects.marked_splats(args)
+            args = SimpleNamespace(out=tmp_path / out, capture=tmp_path / "a.ply", arch="cpu", marks=None)
+            splat_objects.take_objects(args)
     assert [path.name for path in tmp_path.iterdir()] == ["kept"]
 
 

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset
+from assets.file_access import locked_folder
 from assets.library import SHIPPED_FOLDER
 from assets.moved_room import moved_room
 from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
@@ -13,7 +14,7 @@ from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
 from display.edit.room_turn import own_room
 from display.keep.keeper import Keeper
-from display.keep.kept_frame import frame_writer
+from display.keep.kept_frame import frame_writer, write_room_turned
 from display.keep.scene_state import put_state, state_of
 from display.protocol import Frame
 from display.user_commands import KeepFrame, Pause, Reset, TurnRoom, Undo
@@ -119,6 +120,14 @@ def test_the_file_keeps_it_and_objects_and_cameras_go_along(world, folder):
         frame_writer(world, None)
     with pytest.raises(BadInput, match="has been turned since"):
         state_of(world, {"scene": "room"})
+
+
+def test_a_room_that_is_being_captured_anew_is_not_turned(folder):
+    """Before its manifest is back it is no room, and only half of it would be turned."""
+    before = (folder / "room.h5").read_bytes()
+    with locked_folder(folder), pytest.raises(BadInput, match="is being written by another run"):
+        write_room_turned(folder / "room.h5", TURN)
+    assert (folder / "room.h5").read_bytes() == before
 
 
 def test_only_a_room_of_the_users_turns(folder):

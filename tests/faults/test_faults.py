@@ -1,7 +1,9 @@
 """Writers whose program is killed, whose disk is full, or who are not alone: nothing that was finished is lost."""
 
 import os
+import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -9,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from assets.file_access import STALE_AGE, atomic_write, locked
+from assets.file_access import STALE_AGE, atomic_write, locked, locked_folder
 from core.errors import BadInput
 from display.headless.video import Video
 from display.record.recording import Recording
@@ -54,12 +56,48 @@ def test_what_a_killed_program_left_goes_with_the_next_writing(tmp_path):
 def test_a_lock_is_waited_for_and_given_back(tmp_path):
     path = tmp_path / "a.json"
     with locked(path):
-        with pytest.raises(BadInput, match="another program has been writing it"), locked(path, patience=0.05):
+        told = rf"another program \(process {os.getpid()}\) has been writing it"
+        with pytest.raises(BadInput, match=told), locked(path, patience=0.05):
             pass
         assert path.with_name(".a.json.lock").exists()
     with locked(path, patience=0.0):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+HOLDS = """
+import sys, time
+from pathlib import Path
+from assets.file_access import locked_folder
+with locked_folder(Path(sys.argv[1])):
+    print("locked", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_one_run_at_a_time_writes_to_a_folder(tmp_path):
+    """The second is told which process has it; once that one is killed, nothing is locked."""
+    folder = tmp_path / "made" / "room"
+    with subprocess.Popen([sys.executable, "-c", HOLDS, folder], cwd=ROOT, stdout=subprocess.PIPE, text=True) as other:
+        try:
+            assert other.stdout.readline() == "locked\n"
+            told = f"{folder} is being written by another run of vrgs (process {other.pid})"
+            with pytest.raises(BadInput, match=re.escape(told)), locked_folder(folder):
+                pass
+        finally:
+            other.send_signal(signal.SIGKILL)
+    with locked_folder(folder), pytest.raises(BadInput, match=rf"\(process {os.getpid()}\)"), locked_folder(folder):
+        pass
+    assert folder.is_dir() and not list(folder.iterdir()), "it was there before"
+
+
+def test_a_new_folder_that_stays_empty_goes_with_its_lock(tmp_path):
+    with pytest.raises(BadInput), locked_folder(tmp_path / "a" / "b"):
+        raise BadInput("the input is at fault")
+    assert not list(tmp_path.iterdir())
+    with locked_folder(tmp_path / "a" / "b"):
+        (tmp_path / "a" / "b" / "made.txt").touch()
+    assert [path.name for path in (tmp_path / "a" / "b").iterdir()] == ["made.txt"]
 
 
 def test_two_sessions_do_not_record_into_the_same_file(tmp_path):

@@ -91,7 +91,13 @@ def train_patch(
 
     start = concatenate([background, patch])
     options = TrainOptions(
-        steps=steps, cap=len(start), degree=start.sh_degree, antialias=antialias, sort=sort, frozen=len(background)
+        steps=steps,
+        cap=len(start),
+        degree=start.sh_degree,
+        antialias=antialias,
+        sort=sort,
+        frozen=len(background),
+        free_space=False,  # nobody stood where its views are drawn from
     )
     trainer = Trainer(targets, start, extent, options)
     for k in range(steps):

@@ -88,19 +88,9 @@ class AdaptiveDensity:
         p.clear_statistics()
 
     def prune(self) -> None:
-        """Remove faint Gaussians; the last rows take their places."""
+        """Remove faint Gaussians."""
         p = self.population
-        n = p.count
-        dead = p.parameters.logit.to_numpy()[:n] < logit(OPACITY_MIN)
-        dead[: p.frozen] = False
-        alive = max(1, n - int(dead.sum()))
-        if alive == n:
-            p.activate()
-            return
-        holes = np.flatnonzero(dead[:alive])
-        p.copy(alive + np.flatnonzero(~dead[alive:])[: len(holes)], holes, moments=True)
-        p.splats.set_count(alive)
-        p.activate()
+        p.remove(p.parameters.logit.to_numpy()[: p.count] < logit(OPACITY_MIN))
 
 
 @dataclass

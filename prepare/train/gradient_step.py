@@ -12,6 +12,8 @@ from render.blend_gradients import BlendGradients
 from render.projection_gradients import ProjectionGradients
 from render.renderer import FloatImages, Renderer
 
+DEPTH_PIXELS = 4  # that one depth stands for, along both axes: a sixteenth of them tells how far a view reaches
+
 
 @ti.data_oriented
 class GradientStep:
@@ -109,6 +111,12 @@ class GradientStep:
         sums = self.loss.sums.to_numpy().sum(axis=0)
         self.loss.sums.fill(0.0)
         return sums
+
+    def depths(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """Depth and opacity of every DEPTH_PIXELS-th pixel along both axes of the picture for a camera, float32."""
+        self.draw(camera)
+        part = 0, slice(0, camera.height, DEPTH_PIXELS), slice(0, camera.width, DEPTH_PIXELS)
+        return self.renderer.depth.to_numpy()[part], self.renderer.alpha.to_numpy()[part]
 
     def labels(self, camera: Camera) -> np.ndarray:
         """Picture of the labels for a camera, (H, W, 3) float32."""

@@ -196,6 +196,15 @@ class Population:
         if ti.static(self.labelled):
             self.labels.set_moments(a, b, keep)
 
+    def remove(self, dead: np.ndarray) -> None:
+        """Remove the Gaussians of a mask (count,) that are not frozen, all but one; the last rows take their places."""
+        dead = dead & (np.arange(self.count) >= self.frozen)
+        alive = max(1, self.count - int(dead.sum()))
+        holes = np.flatnonzero(dead[:alive])
+        self.copy(alive + np.flatnonzero(~dead[alive:])[: len(holes)], holes, moments=True)
+        self.splats.set_count(alive)
+        self.activate()
+
     def scatter(self, rows, normals: np.ndarray, shrink: float) -> None:
         """Move each of `rows` to a sample of its own Gaussian, and divide its scales by `shrink`.
 

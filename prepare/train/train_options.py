@@ -20,6 +20,7 @@ class TrainOptions:
     frozen     number of first Gaussians that are drawn but stay as they are, bit for bit
     exposure   also learn the exposure of each photograph (prepare/train/exposure.py)
     poses      also learn corrections of the poses
+    free_space Gaussians beside the cameras are removed as they come (prepare/train/free_space.py)
 
     Options that trade quality for time, see `fast`:
     coarse           fraction of the steps that use pictures of a quarter, then half, of the size
@@ -40,6 +41,7 @@ class TrainOptions:
     frozen: int = 0
     exposure: bool = False
     poses: bool = False
+    free_space: bool = True
     coarse: float = 0.0
     sparse: bool = False
     harmonics_every: int = 1

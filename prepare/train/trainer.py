@@ -8,6 +8,7 @@ import numpy as np
 
 from assets.gaussians import SH_COUNTS, Gaussians
 from prepare.train.densification import FAR, AdaptiveDensity, MonteCarlo
+from prepare.train.free_space import free_radii, in_free_space, near_depth
 from prepare.train.gradient_step import GradientStep
 from prepare.train.object_labels import SEGMENTATION_WEIGHT, label_colors, nearest_label
 from prepare.train.optimizer import BETA1, BETA2, LearningRates
@@ -17,6 +18,7 @@ from prepare.train.train_options import TrainOptions
 from prepare.train.training_views import TrainingViews, packed
 from prepare.train.view_corrections import Exposures, Poses
 
+CLEARED = 10  # equal parts of a training, between which the free space around the cameras is cleared
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
 
 
@@ -99,7 +101,15 @@ class Trainer:
             (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
             o.sparse,
         )
+        if o.free_space and self.done % max(1, o.steps // CLEARED) == 0 and self.done < o.steps:
+            self.clear_free_space()  # before opacities may be reset: depths are drawn
         self.strategy.after(self.done, o.steps, mean_rate)
+
+    def clear_free_space(self) -> None:
+        """Remove the Gaussians in the free space around the cameras."""
+        p, cameras = self.population, self.views.cameras
+        radii = free_radii(cameras, np.array([near_depth(*self.gradients.depths(c)) for c in cameras]))
+        p.remove(in_free_space(p.splats.mean.to_numpy()[: p.count], cameras, radii))
 
     def quality(self, photograph: Photograph) -> Quality:
         """Quality of the current rendering of a photograph."""

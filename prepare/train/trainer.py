@@ -18,7 +18,7 @@ from prepare.train.train_options import TrainOptions
 from prepare.train.training_views import TrainingViews, packed
 from prepare.train.view_corrections import Exposures, Poses
 
-CLEARED = 10  # equal parts of a training, between which the free space around the cameras is cleared
+CLEARED = (0.5, 0.6, 0.7, 0.8, 0.9)  # fractions of a training at which free space is cleared: growth has ended
 STRATEGIES = {"default": AdaptiveDensity, "mcmc": MonteCarlo}
 
 
@@ -101,9 +101,9 @@ class Trainer:
             (self.strategy.opacity_cost / learning, self.strategy.scale_cost / (3 * learning)),
             o.sparse,
         )
-        if o.free_space and self.done % max(1, o.steps // CLEARED) == 0 and self.done < o.steps:
-            self.clear_free_space()  # before opacities may be reset: depths are drawn
         self.strategy.after(self.done, o.steps, mean_rate)
+        if o.free_space and self.done in {round(part * o.steps) for part in CLEARED}:
+            self.clear_free_space()
 
     def clear_free_space(self) -> None:
         """Remove the Gaussians in the free space around the cameras."""

@@ -7,6 +7,7 @@ before a dataset is read.
 
 from __future__ import annotations
 
+import io
 import json
 import mmap
 import zlib
@@ -236,11 +237,10 @@ def new_hdf5(path: Path, libver: tuple[str, str] | None = None) -> Iterator[h5py
 
     HDF5 itself, after it fails to write to a full disk, tries again whenever the process ends, and crashes it.
     """
-    with h5py.File(path.name, "w", driver="core", backing_store=False, libver=libver) as file:
+    image = io.BytesIO()  # of HDF5's own driver for files in memory a copy would be needed
+    with h5py.File(image, "w", libver=libver) as file:
         yield file
-        file.flush()
-        image = file.id.get_file_image()
-    path.write_bytes(image)
+    path.write_bytes(image.getbuffer())
 
 
 def write_dataset(file: h5py.File, name: str, values: np.ndarray, dtype) -> None:

@@ -15,7 +15,7 @@ Root attributes: `format` "vrgs-recording", `version`, `about` (JSON: the scene,
 | states/centroids | (M, 3) float64 | [m] |
 
 It is written to FILE.part, appended once a second, and renamed at the end. The part of a session that ended abnormally
-is a complete recording up to there: `--replay FILE.h5.part` plays it.
+is a complete recording up to there: `--replay FILE.h5.part` plays it. A full disk ends it, and it gets its name.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ import h5py
 import numpy as np
 
 from assets.file_access import check_writable, reason_of
+from assets.growing_file import GrowingFile
 from core.camera import Camera
 from core.errors import BadInput
 from display.protocol import Frame
@@ -62,7 +63,7 @@ DATASETS = {
 
 class Recording:
     """`note` each frame before the world's step, `after` it; complete after `close`. Raises BadInput at once if the
-    file cannot be written; if that happens later, a line says so and the play goes on."""
+    file cannot be written; if that happens later, a line says so, what was recorded is kept, and the play goes on."""
 
     def __init__(self, path: str | Path):
         self.path = Path(path)
@@ -77,18 +78,24 @@ class Recording:
         self._new: dict[str, list] = {name: [] for name in DATASETS}
         self._since = self._written = 0.0  # [s] of recorded time
         self._writer, self._closed = ThreadPoolExecutor(1), False
+        self._kept = False  # whether a frame is in the file
         try:
-            self._file = h5py.File(self.part, "x")  # only if it is not there: another session may begin at this moment
+            self._growing = GrowingFile(self.part)  # not if it is there: another session may begin at this moment
         except FileExistsError as e:
             raise BadInput(f"{self.part} {why_it_is_there(self.part)}") from e
         except OSError as e:
-            self.part.unlink(missing_ok=True)
             raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
+        self._file = h5py.File(self._growing, "w")
         self._file.attrs["format"], self._file.attrs["version"] = FORMAT, VERSION
         for name, (shape, kind) in DATASETS.items():
             rows = next(n for prefix, n in CHUNK.items() if name.startswith(prefix))
             how = {"maxshape": (None, *shape), "chunks": (rows, *shape)}
             self._file.create_dataset(name, (0, *shape), kind, **how)
+        try:
+            self._commit()
+        except OSError as e:
+            self._end()
+            raise BadInput(f"{self.path}: cannot be written ({reason_of(e)})") from e
 
     def __enter__(self) -> Recording:
         return self
@@ -166,18 +173,35 @@ class Recording:
         """Append rows; the file is valid before and after."""
         if self._file is None:
             return
+        for key, text in texts.items():
+            self._file.attrs[key] = text
+        for name, rows in new.items():
+            if rows:
+                data = self._file[name]
+                data.resize(len(data) + len(rows), axis=0)
+                data[-len(rows) :] = np.array(rows, DATASETS[name][1])
         try:
-            for key, text in texts.items():
-                self._file.attrs[key] = text
-            for name, rows in new.items():
-                if rows:
-                    data = self._file[name]
-                    data.resize(len(data) + len(rows), axis=0)
-                    data[-len(rows) :] = np.array(rows, DATASETS[name][1])
-            self._file.flush()
-        except (OSError, RuntimeError) as e:
-            print(f"{self.path}: nothing more is recorded ({reason_of(e)})", file=sys.stderr)
-            self._file = None
+            self._commit()
+            self._kept = self.frames > 0
+        except OSError as e:
+            what = "the recording ends here" if self._kept else "nothing is recorded"
+            print(f"{self.path}: {what} ({reason_of(e)})", file=sys.stderr)
+            self._end()
+
+    def _commit(self) -> None:
+        """Write all that was appended to the disk, or nothing. Raises OSError."""
+        self._file.flush()
+        self._growing.commit()
+
+    def _end(self) -> None:
+        """Close the file, and give it its name, or remove it if it holds no frame."""
+        self._file.close()
+        self._growing.close()
+        self._file = None
+        if self._kept:
+            os.replace(self.part, self.path)
+        else:
+            self.part.unlink()
 
     def flush(self) -> None:
         """Wait until all data is written."""
@@ -192,12 +216,7 @@ class Recording:
         self._write()
         self._writer.shutdown()  # waits
         if self._file is not None:
-            self._file.close()
-            if self.frames:
-                os.replace(self.part, self.path)
-            else:  # nothing was played
-                self.part.unlink()
-            self._file = None
+            self._end()
 
     def _finish(self) -> None:
         """Record the last state; an incomplete frame is left out."""

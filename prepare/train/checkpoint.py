@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from assets.file_access import atomic_write
 from assets.gaussians import SH_COUNTS
-from assets.hdf5 import open_hdf5
+from assets.hdf5 import new_hdf5, open_hdf5
 
 FORMAT, VERSION = "vrgs-training", 1
 COLUMNS = {"mean": (3,), "quat": (4,), "log_scale": (3,), "logit": (), "first": (11,), "second": (11,)}
@@ -22,7 +21,7 @@ LABELS = ("label", "first_label", "second_label")  # if objects are learned
 
 def write_checkpoint(path: Path, state: dict[str, np.ndarray], options: dict) -> None:
     """Write the state of a trainer, atomically. Raises BadInput."""
-    with atomic_write(path) as beside, h5py.File(beside, "w") as file:
+    with atomic_write(path) as beside, new_hdf5(beside) as file:
         file.attrs["format"], file.attrs["version"] = FORMAT, VERSION
         file.attrs["options"] = json.dumps(options, sort_keys=True)
         for name, values in state.items():

@@ -66,21 +66,45 @@ def test_where_nothing_can_be_written_a_line_says_so_at_once(tmp_path):
         Recording(tmp_path)
 
 
-def test_a_disk_that_fills_up_does_not_end_the_play(tmp_path, capsys, monkeypatch):
-    recording = record(tmp_path / "play.h5", some_frames(100), close=False)
+FILLS = """
+import resource, sys
+from core.errors import BadInput
+from tests.display.test_recording import record, some_frames
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+try:
+    print(record(sys.argv[1], some_frames(3000)).frames, "frames played")
+except BadInput as e:
+    sys.exit(str(e))
+"""
 
-    def full():
-        raise OSError("No space left on device")
 
-    recording.flush()
-    monkeypatch.setattr(h5py.File, "flush", lambda self: full())
-    world = Ball()
-    for frame in some_frames(200):
-        world.step(recording.note(frame))
-        recording.after(world)
-    recording.close()
-    assert "nothing more is recorded (No space left" in capsys.readouterr().err
-    assert not (tmp_path / "play.h5").exists()
+def play_until_full(path: Path, limit: int) -> subprocess.CompletedProcess:
+    """A recorded play of 3000 frames, where a limit of the size of files [bytes] stands for the full disk."""
+    pytest.importorskip("resource")
+    words = [sys.executable, "-c", FILLS, path, str(limit)]
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+def test_a_disk_that_fills_up_ends_the_recording_and_not_the_play(tmp_path):
+    """What was recorded until then is a whole recording. HDF5 alone ends the program with a segmentation fault."""
+    path = tmp_path / "play.h5"
+    done = play_until_full(path, 1_000_000)
+    assert done.returncode == 0 and done.stdout.endswith("3000 frames played\n"), done.stderr
+    assert done.stderr == f"{path}: the recording ends here (File too large)\n"
+    replay = Replay.load(path)
+    assert 1000 < len(replay) < 2900 and len(replay) % 90 == 1
+    assert all(same(a, b) for a, b in zip(some_frames(len(replay)), replay.recorded, strict=True))
+    assert [p.name for p in tmp_path.iterdir()] == ["play.h5"]
+
+
+def test_a_disk_that_is_full_at_once_leaves_nothing(tmp_path):
+    """It is refused before the play where not even an empty recording has space, else a line tells of it."""
+    path = tmp_path / "play.h5"
+    done = play_until_full(path, 1000)
+    assert (done.returncode, done.stderr) == (1, f"{path}: cannot be written (File too large)\n")
+    done = play_until_full(path, 100_000)
+    assert (done.returncode, done.stderr) == (0, f"{path}: nothing is recorded (File too large)\n")
+    assert list(tmp_path.iterdir()) == []
 
 
 def spoil(path, change):

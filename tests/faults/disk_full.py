@@ -4,7 +4,7 @@ Each says so in one line (BadInput, or a line on stderr where the play must go o
 was there before is still there. Without --folder a limit of the size of files stands for the full disk; with it, the
 folder is filled first:
 
-    unshare -rm sh -c 'mount -t tmpfs -o size=256k tmpfs /mnt && python -m tests.faults.disk_full --folder /mnt'
+    unshare -rm sh -c 'mount -t tmpfs -o size=1m tmpfs /mnt && python -m tests.faults.disk_full --folder /mnt'
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def fill_once(name: str, folder: Path, *, small_disk: bool = False) -> None:
 def main(words: list[str] | None = None) -> int:
     """Run the command line; exit status 1 if a writer failed."""
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--folder", type=Path, help="on a disk of some 100 kB")
+    p.add_argument("--folder", type=Path, help="on a disk of 1 MB")
     p.add_argument("--writer", choices=WRITERS, action="append", help="only these")
     args = p.parse_args(words)
     os.environ |= {"ENABLE_TAICHI_HEADER_PRINT": "False", "OPENCV_FFMPEG_LOGLEVEL": "-8"}

@@ -181,6 +181,23 @@ def checkpoint_version(folder: Path) -> int | None:
     return last
 
 
+def write_training(folder: Path, k: int) -> None:
+    """The state of a training after k steps."""
+    from prepare.train.checkpoint import write_checkpoint
+
+    write_checkpoint(folder / "training.h5", {"done": np.array([k]), "mean": np.full((500, 3), k)}, {})
+
+
+def training_version(path: Path) -> int:
+    """By its number of steps."""
+    from assets.hdf5 import open_hdf5
+
+    with open_hdf5(path) as file:
+        k = int(file.indices("done", (1,))[0])
+        assert (file.array("mean", "iu", (500, 3)) == k).all()
+    return k
+
+
 def write_picture(folder: Path, k: int) -> None:
     """A picture of k + 1 rows."""
     from display.picture import save_picture
@@ -233,6 +250,7 @@ WRITERS = {
     "study": Writer("study.h5", write_trial, read_back("study.h5", study_version)),
     "preferences": Writer("preferences.json", write_preferences, read_back("preferences.json", preferences_version)),
     "checkpoint": Writer("step*.npz", write_checkpoint, checkpoint_version),
+    "training": Writer("training.h5", write_training, read_back("training.h5", training_version)),
     "picture": Writer("picture.png", write_picture, read_back("picture.png", picture_version)),
     "numbers": Writer("stats.json", write_numbers, read_back("stats.json", numbers_version)),
     "camera": Writer("camera.json", write_camera, read_back("camera.json", camera_version)),

@@ -30,7 +30,7 @@ STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is 
 # Parts of a tile's splats that are drawn side by side: seen from the light, most bodies are in a few tiles of the map.
 SEGMENTS = {"cpu": 1, "cuda": 8}
 RESOLUTION = {"cpu": 256, "cuda": 512}  # [texels] of a side; the filter hides all but 57 dB of the difference
-BOX_CHUNKS = {"cpu": 64, "cuda": 4096}  # in which the box of the dynamic Gaussians is reduced
+BOX_CHUNKS = {"cpu": 64, "cuda": 32768}  # in which the box of the dynamic Gaussians is reduced
 
 
 @ti.data_oriented

@@ -20,7 +20,7 @@ STABILITY_LIMIT = 0.3  # of dt sqrt(max kappa), measured for unaveraged Jacobi w
 # `vrgs.py bench scene`: the dragon of 10k and 20k vertices on an H200, the cat of 2.3k on two CPU cores.
 VBD_COST = {"cuda": 8.0, "cpu": 14.0}
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
-VBD_SUBSTEP, VBD_SWEEPS = 1 / 1440, 2  # [s], a substep. With one sweep, light stiff plates jump from the floor
+VBD_SUBSTEP, VBD_SWEEPS = 1 / 1260, 2  # [s], a substep. With one sweep, light stiff plates jump from the floor
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it
 # crosses more: a tiny displacement by a contact stores many times the body's energy, and throws it. Of 144
 # cubes, bars, plates and rings thrown at 5 m/s, none came back faster than it went at 3, 6 and 8 lengths; at 39, most.

@@ -16,9 +16,9 @@ from core.errors import BadInput
 from core.material import Material
 
 STABILITY_LIMIT = 0.3  # of dt sqrt(max kappa), measured for unaveraged Jacobi with one sweep
-# Substeps of XPBD that cost as much as one of VBD, two sweeps and the modal correction, both with contacts. Measured by
-# `vrgs.py bench scene`: the dragon of 10k and 20k vertices on an H200, the cat of 2.3k on two CPU cores.
-VBD_COST = {"cuda": 8.0, "cpu": 14.0}
+# Substeps of XPBD that cost as much as one of VBD, two sweeps and the modal correction: of the bear of `vrgs.py bench
+# demos --detail paper` on an H200 (the horse: 13), of the cat of 2.3k vertices of `bench scene` on two CPU cores.
+VBD_COST = {"cuda": 9.5, "cpu": 14.0}
 MAX_XPBD_SUBSTEPS = 5000  # a frame, if XPBD is forced
 VBD_SUBSTEP, VBD_SWEEPS = 1 / 1260, 2  # [s], a substep. With one sweep, light stiff plates jump from the floor
 # Lengths of a body that a pressure wave crosses in a substep of VBD. Two sweeps and the modes do not converge where it

@@ -91,13 +91,16 @@ def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
     to_kept, _ = cKDTree(points[:keep]).query(points[keep:], distance_upper_bound=limit)
     left = keep + np.flatnonzero(np.isinf(to_kept))
     first, second = cKDTree(points[left]).query_pairs(limit, output_type="ndarray").T  # first < second
-    earlier: list[list[int]] = [[] for _ in left]
-    for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        earlier[b].append(a)
-    taken: list[bool] = []
-    for others in earlier:
-        taken.append(not any(taken[k] for k in others))
-    return np.r_[np.arange(keep), left[np.array(taken, bool)]]
+    taken, open_ = np.zeros(len(left), bool), np.ones(len(left), bool)
+    while open_.any():  # all at once that no open one before them is near to
+        free = open_.copy()
+        free[second] = False
+        taken |= free
+        open_ &= ~free
+        open_[second[free[first]]] = False
+        undecided = open_[first] & open_[second]
+        first, second = first[undecided], second[undecided]
+    return np.r_[np.arange(keep), left[taken]]
 
 
 def skin_depth(points: SurfacePoints, vertices: np.ndarray, sdf: DistanceGrid | None) -> np.ndarray:

@@ -42,7 +42,7 @@ class ColorPatches:
     own_begin, others_begin i32[P,COLOR_PLACES]: first of each colour, from the patch's first vertex on
     slot_begin i32[]: first slot of each own vertex, at its place in `local`
     words i32[2][4T]: indices of a slot's corners in the patch, INDEX_BITS each, and which of them is the vertex
-    gradient f32[9][4T]: D_m^-1 [1/m] of its tet
+    tet i32[4T]: of a slot;   gradient f32[9][4T]: D_m^-1 [1/m] of its tet
     awake i32[P], awake_count: the patches of bodies that are awake
     """
 
@@ -57,7 +57,7 @@ class ColorPatches:
         self.own_begin, self.others_begin = (g.scalar(self.max_count * COLOR_PLACES, dtype=ti.i32) for _ in range(2))
         self.awake = g.scalar(self.max_count, dtype=ti.i32)
         self.count, self.awake_count = (g.scalar(dtype=ti.i32) for _ in range(2))
-        self.words = [g.scalar(N, dtype=ti.i32) for _ in range(2)]
+        self.words, self.tet = [g.scalar(N, dtype=ti.i32) for _ in range(2)], g.scalar(N, dtype=ti.i32)
         self.gradient = [g.scalar(N) for _ in range(9)]
         g.build()
         self._upload = Upload(
@@ -71,10 +71,12 @@ class ColorPatches:
                     self.others_begin,
                     self.count,
                 ),
-                *(*self.words, *self.gradient),
+                *self.words,
+                self.tet,
             ]
         )
         self.colors = 0
+        self._tables: dict | None = None  # those on the device
 
     def load(self, model: Model) -> None:
         """Take the rest shapes of these bodies."""
@@ -86,13 +88,23 @@ class ColorPatches:
             raise BadInput(f"a vertex has too many neighbours: {color.max() + 1} colours, the limit is {MAX_COLORS}")
         begin, sizes = model.vertex_begin, (self.blocks, self.max_count)
         t = self._last.get(orders + colors, lambda: divide_by_color(model.tets, order, color, begin, *sizes))
-        gradients = stacked([s.inverse.reshape(-1, 9) for s in model.shapes], 9)[t["tet"]]
-        c = t["corners"]
-        words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS
-        local = t["local"], t["slot_begin"], t["local_begin"], t["own_end"]
-        colors_begin = t["own_begin"].ravel(), t["others_begin"].ravel()
-        self._upload([*local, *colors_begin, [len(t["own_end"])], *words, *gradients.T])
-        self.colors = t["colors"]
+        if t is not self._tables:
+            c = t["corners"]
+            words = c[:, 0] | c[:, 1] << INDEX_BITS | t["corner"] << (2 * INDEX_BITS), c[:, 2] | c[:, 3] << INDEX_BITS
+            local = t["local"], t["slot_begin"], t["local_begin"], t["own_end"]
+            colors_begin = t["own_begin"].ravel(), t["others_begin"].ravel()
+            self._upload([*local, *colors_begin, [len(t["own_end"])], *words, t["tet"]])
+            self.colors, self._tables = t["colors"], t
+        if len(t["tet"]):
+            inverse = np.concatenate([s.inverse.reshape(-1, 9) for s in model.shapes])
+            self._set_gradients(inverse.astype(np.float32), len(t["tet"]))
+
+    @ti.kernel
+    def _set_gradients(self, inverse: ti.types.ndarray(ti.f32, 2), slots: ti.i32):
+        """D_m^-1 of each slot's tet, from those of all tets (T, 9)."""
+        for slot in range(slots):
+            for c in ti.static(range(9)):
+                self.gradient[c][slot] = inverse[self.tet[slot], c]
 
     @ti.func
     def list_awake(self):

@@ -57,7 +57,7 @@ class ModalCorrection:
         self.target, self.reaction, self.contact_stiffness = target, reaction, contact_stiffness
         V, B, N = state.V, MAX_BODIES, blocks.size
         g = self._group = FieldGroup()
-        self.mode = g.vector(MODES * V)  # U_ki at k * V + i [kg^-1/2]
+        self.mode = g.vector(MODES * V)  # U_ki at k * vertex_count + i [kg^-1/2]
         self.frequency_sqr = g.scalar(B * MODES)  # w_k at b * MODES + k [1/s^2]
         self.amplitude = g.scalar(B * MODES)  # q_k
         self.rotation = g.matrix(B)  # R
@@ -75,9 +75,9 @@ class ModalCorrection:
     def load(self, model: Model) -> None:
         """Take the modes of these bodies."""
         modes = [modes_of(p.shape, tuple((p.inv_mass == 0.0).tolist()), p.material) for p in model.bodies]
-        U = np.zeros((MODES, self.state.V, 3), np.float32)
-        if modes:
-            U[:, : model.sizes.vertices] = np.concatenate([shape.transpose(1, 0, 2) for shape, _ in modes], axis=1)
+        U = np.zeros((MODES, model.sizes.vertices, 3), np.float32)
+        for (shape, _), begin in zip(modes, model.vertex_begin, strict=False):
+            U[:, begin : begin + len(shape)] = shape.transpose(1, 0, 2)
         self._upload([U.reshape(-1, 3), stacked([squares for _, squares in modes])])
 
     def kernels(self) -> list:
@@ -166,7 +166,7 @@ class ModalCorrection:
                 j, k = jk // MODES, jk % MODES
                 span, total = c.span[j], 0.0
                 for i in range(span[0], span[0] if s.asleep[span[2]] else span[1]):
-                    total += self.mode[k * s.V + i].dot(self.force[i])
+                    total += self.mode[k * s.vertex_count[None] + i].dot(self.force[i])
                 self.mode_sums[j, k] = total
             ti.loop_config(serialize=s.serial)
             for bk in range(MAX_BODIES * MODES):
@@ -196,7 +196,7 @@ class ModalCorrection:
                 if s.awake_vertex(i):
                     b, d = s.body_of_vertex[i], ti.Vector([0.0, 0.0, 0.0])
                     for k in range(MODES):
-                        d += self.amplitude[b * MODES + k] * self.mode[k * s.V + i]
+                        d += self.amplitude[b * MODES + k] * self.mode[k * s.vertex_count[None] + i]
                     self.product[i, 0] = d.dot(self.force[i])
                     self.product[i, 1] = self.contact_stiffness[i] * d.norm_sqr()
                     self.step[i] = self.rotation[b] @ d

@@ -149,7 +149,7 @@ class ModalWarps:
                 while i < span[1]:
                     f = m.force[i]
                     for k in ti.static(range(MODES)):
-                        total[k] += m.mode[k * s.V + i].dot(f)
+                        total[k] += m.mode[k * s.vertex_count[None] + i].dot(f)
                     i += self.lanes
                 for k in ti.static(range(MODES)):
                     total[k] = self._sum(total[k])
@@ -187,7 +187,7 @@ class ModalWarps:
                 while i < span[1]:
                     d = ti.Vector([0.0, 0.0, 0.0])
                     for k in range(MODES):
-                        d += m.amplitude[span[2] * MODES + k] * m.mode[k * s.V + i]
+                        d += m.amplitude[span[2] * MODES + k] * m.mode[k * s.vertex_count[None] + i]
                     product = d.dot(m.force[i])
                     gain += product
                     h += self.descent.contact_stiffness[i] * d.norm_sqr()

@@ -124,6 +124,22 @@ def test_the_sums_are_those_of_the_plain_loops():
             assert_allclose(got, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
 
 
+def test_a_scaled_body_keeps_its_patches_and_has_its_own_gradients():
+    x, tets, surface = box((0.2, 0.1, 0.1), (3, 2, 2))
+    body = SoftBody("block", x, tets, surface, Material(5e6, 0.3, 1000.0))
+    solver = Solver([body, body], contacts=False)
+    patches, first = ColorPatches(solver.state, 2), BodyModel.of(body, [])
+    for factor in (1.0, 1.5):
+        model = Model([first, first.scaled(factor)])
+        patches.load(model)
+        inverse = np.concatenate([s.inverse for s in model.shapes]).reshape(-1, 9)
+        slots = 4 * len(inverse)
+        tet = patches.tet.to_numpy()[:slots]
+        got = np.stack([g.to_numpy()[:slots] for g in patches.gradient], axis=1)
+        assert_allclose(got, inverse[tet], rtol=1e-6, atol=1e-6)
+        assert sorted(tet) == sorted(np.repeat(np.arange(len(inverse)), 4))
+
+
 def test_the_persistent_kernel_agrees_with_the_loops():
     """Rounding differs, and contact makes more of that in time. On the CPU the kernel is one thread."""
 

@@ -12,7 +12,7 @@ from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
 from scenes.scene import Box, Capsule, Plane
 from sim.body_model import BodyModel
-from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points
+from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points, thin_out
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid
 from sim.contact.static_shapes import StaticGrid, StaticShapes
 from sim.rigid.rigid_body import RigidBody
@@ -177,6 +177,18 @@ def test_distance_grid_of_a_cage(ti_cpu):
     assert (np.sign(grid.values[clear]) == np.sign(exact[clear])).all()
     assert np.abs(grid.values - exact).max() < 2 * grid.spacing
     assert (grid.values.shape < size / grid.spacing + 2 * 4 + 3).all()  # no larger than it must be
+
+
+def test_points_are_thinned_out_one_after_the_other():
+    """On a line, every second one is left, however many wait for those before them."""
+    line = np.arange(40)[:, None] * [0.7, 0.0, 0.0]
+    for points, keep in ((line, 1), (np.random.default_rng(1).random((400, 3)), 20)):
+        distance = 1.0 if points is line else 0.12
+        taken = list(range(keep))
+        for k in range(keep, len(points)):
+            if np.linalg.norm(points[taken] - points[k], axis=1).min() >= distance:
+                taken.append(k)
+        assert len(taken) < len(points) and thin_out(points, distance, keep).tolist() == taken
 
 
 def test_surface_points_cover_the_surface_evenly():

@@ -15,7 +15,7 @@ from sim.lanes import from_lane, sum_lanes
 # Threads of a block. Taichi compiles for two blocks on a multiprocessor (minnctapersm), so that a thread of a block of
 # 256 has 128 registers. With 512 threads it has 64, and the kernels keep most of their variables in memory.
 BLOCK = 256
-MAX_POLLS = 1 << 20  # of a probe: a second, in which all blocks that find a place have long begun
+MAX_POLLS = 1 << 17  # of a probe: a tenth of a second, in which all blocks that find a place have long begun
 
 
 def multiprocessors() -> int:
@@ -63,7 +63,7 @@ class PersistentGrid:
 
         Whether they do depends on the registers and the shared memory of the kernel that calls this.
         """
-        if thread % self.block == 0:
+        if thread % self.block == 0 and self.missing[None] == 0:
             ti.atomic_add(self.arrived[0], 1)
             polls = 0
             while polls < MAX_POLLS and ti.atomic_add(self.arrived[0], 0) < self.blocks:

@@ -24,11 +24,11 @@ def take_objects(args: argparse.Namespace) -> None:
     if args.out.exists() and not args.out.is_dir():
         raise BadInput(f"{args.out}: is a file; --out is a folder")
     with locked_folder(args.out):
-        take_objects_alone(args)
+        _take_objects(args)
 
 
-def take_objects_alone(args: argparse.Namespace) -> None:
-    """As `take_objects`, in a folder that is there and to which no other run writes."""
+def _take_objects(args: argparse.Namespace) -> None:
+    """As `take_objects`, in the locked folder."""
     from display.picture import save_picture
     from prepare.segment.splat_marks import read_splat_marks, write_splat_marks
     from prepare.segment.splat_segmentation import output_files, overlay_of, segment_splat, write_segmented

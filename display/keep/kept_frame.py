@@ -78,15 +78,15 @@ def write_room_turned(path: Path, rotation: np.ndarray, factor: float = 1.0) -> 
 
     Raises BadInput.
     """
+    if not is_room_folder(path.parent):
+        reoriented(Asset.load(path), rotation, factor).save(path, quantised=is_quantised(path))
+        return
+    if factor != 1.0:
+        raise BadInput(
+            "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
+        )
     with locked_folder(path.parent):  # vrgs.py capture may be making the room anew
         changed, small = reoriented(Asset.load(path), rotation, factor), is_quantised(path)
-        if not is_room_folder(path.parent):
-            changed.save(path, quantised=small)
-            return
-        if factor != 1.0:
-            raise BadInput(
-                "The size of a captured room is that of its objects, too: vrgs.py capture --scale-points sets it."
-            )
         room = read_room(path.parent)
         moved = moved_room(room, rotation, np.array(changed.provenance["reoriented"][-1][2]))
         with atomic_write_all(path, path.parent / MANIFEST) as (background, manifest):

@@ -91,15 +91,15 @@ def thin_out(points: np.ndarray, distance: float, keep: int) -> np.ndarray:
     to_kept, _ = cKDTree(points[:keep]).query(points[keep:], distance_upper_bound=limit)
     left = keep + np.flatnonzero(np.isinf(to_kept))
     first, second = cKDTree(points[left]).query_pairs(limit, output_type="ndarray").T  # first < second
-    taken, open_ = np.zeros(len(left), bool), np.ones(len(left), bool)
-    while open_.any():  # all at once that no open one before them is near to
-        free = open_.copy()
+    taken, undecided = np.zeros(len(left), bool), np.ones(len(left), bool)
+    while undecided.any():  # take all at once that are near to no undecided one before them
+        free = undecided.copy()
         free[second] = False
         taken |= free
-        open_ &= ~free
-        open_[second[free[first]]] = False
-        undecided = open_[first] & open_[second]
-        first, second = first[undecided], second[undecided]
+        undecided &= ~free
+        undecided[second[free[first]]] = False
+        remain = undecided[first] & undecided[second]
+        first, second = first[remain], second[remain]
     return np.r_[np.arange(keep), left[taken]]
 
 

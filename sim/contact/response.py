@@ -91,7 +91,7 @@ def contact_impulse(holding, n, A_n, w_t, friction, dt):
 
 @ti.func
 def isotropic_contact_impulse(holding, n, w_t, friction, dt):
-    """`contact_impulse` where a normal impulse causes no tangential motion: A n is along n."""
+    """`contact_impulse` where a normal impulse causes no tangential motion, A n along n: the projection on the cone."""
     p_n = n.dot(holding)
     p = ti.Vector([0.0, 0.0, 0.0])
     if p_n > 0.0:

@@ -10,7 +10,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, min_normal_motion
+from sim.contact.response import CONTACT_STIFFNESS, contact_impulse, isotropic_contact_impulse, min_normal_motion
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 
 if TYPE_CHECKING:
@@ -95,7 +95,8 @@ class StaticContact:
             for k in range(self.near_count[p]):
                 phi, n, friction = self._contact(i, p, self.near[p, k])
                 if known(phi):
-                    c = contact_impulse(min_normal_motion(phi, s.dt[None]) * n - y, n, n, 1.0, friction, s.dt[None])
+                    holding = min_normal_motion(phi, s.dt[None]) * n - y
+                    c = isotropic_contact_impulse(holding, n, 1.0, friction, s.dt[None])
                     y += c
                     correction += c
                     clearance = ti.min(clearance, phi)

@@ -264,7 +264,10 @@ class RigidBroadPhase:
 
     @ti.func
     def _sort(self, q):
-        """Put slot q into its place in its group: they came in any order. What bounces is not to be forgotten."""
+        """Put slot q into its place in its group: they came in any order.
+
+        It is to spare until it is found to be a corner. What bounces is not to be forgotten.
+        """
         g, rank = self.group_of(q), 0
         for e in range(self.group_begin[g], self.group_begin[g] + self.size[g]):
             rank += ti.cast(self.listed[e] < q, ti.i32)

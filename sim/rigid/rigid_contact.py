@@ -187,9 +187,9 @@ class RigidContacts:
                             y_t = y - y_n * n
                             held, w_t, slip_sqr = old + mass * (least - y_n) * n, w_n, y_t.norm_sqr()
                             if slip_sqr > 1e-30:
-                                energy = y_t.dot(A @ y_t)
-                                w_t = energy / slip_sqr
-                                held -= slip_sqr / ti.max(energy, 1e-20 * slip_sqr) * y_t
+                                A_t = y_t.dot(A @ y_t)
+                                w_t = A_t / slip_sqr
+                                held -= slip_sqr / ti.max(A_t, 1e-20 * slip_sqr) * y_t  # two divisions side by side
                             new = isotropic_contact_impulse(held, n, w_t, friction, dt)
                             c = sign * (new - old)
                             change, load = ti.max(change, c.norm_sqr()), ti.max(load, new.norm_sqr())

@@ -103,7 +103,7 @@ def test_a_room_that_leans_is_put_level():
 
 
 def test_a_room_on_its_head_gets_another_floor():
-    """What was its ceiling is its floor then; the table hangs from above and is none."""
+    """Turned over, its ceiling is the floor; the table hangs from above and is none."""
     over = matrices_from_quaternions(np.array([0.0, 1.0, 0.0, 0.0]))
     ceiling = np.random.default_rng(2).uniform([-2, 2.39, -2], [2, 2.41, 2], (4000, 3))
     room = leaning_room(np.eye(3))

@@ -86,7 +86,7 @@ def play_until_full(path: Path, limit: int) -> subprocess.CompletedProcess:
 
 
 def test_a_disk_that_fills_up_ends_the_recording_and_not_the_play(tmp_path):
-    """What was recorded until then is a whole recording. HDF5 alone ends the program with a segmentation fault."""
+    """The frames until then are a complete recording. HDF5 alone ends the program with a segmentation fault."""
     path = tmp_path / "play.h5"
     done = play_until_full(path, 1_000_000)
     assert done.returncode == 0 and done.stdout.endswith("3000 frames played\n"), done.stderr

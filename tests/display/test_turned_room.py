@@ -140,7 +140,7 @@ def test_only_a_room_of_the_users_turns(folder):
 
 
 def test_a_manifest_moves_as_a_whole(folder):
-    """What an object is seen at by a camera stays the same."""
+    """A camera sees an object at the same place as before."""
     room = read_room(folder)
     moved = moved_room(room, TURN, np.array([0.0, 0.3, 0.0]))
 

@@ -52,7 +52,7 @@ def floaters(ti_cpu, tmp_path_factory):
 
 
 def left_at(trainer, places: np.ndarray) -> list[bool]:
-    """Whether a Gaussian lies at each place."""
+    """Mask of the places at which a Gaussian lies."""
     means = trainer.population.read()["mean"]
     return [bool((np.linalg.norm(means - at, axis=1) < 0.05).any()) for at in places]
 

@@ -31,6 +31,7 @@ def device(ti_cpu):
         fingertip_spring,
         holding_impulse,
         inverse_mass_matrix,
+        isotropic_contact_impulse,
         min_normal_motion,
     )
 
@@ -43,6 +44,11 @@ def device(ti_cpu):
         for k in range(N):
             A = matrix[k]
             out[k] = contact_impulse(vector[k], n[k], A @ n[k], A.trace() / 3.0, ti.Vector([mu_s, mu_k]), DT)
+
+    @ti.kernel
+    def solve_isotropic(mu: ti.f32):
+        for k in range(N):
+            out[k] = isotropic_contact_impulse(vector[k], n[k], pair[k][0], ti.Vector([mu, mu]), DT)
 
     @ti.kernel
     def hold(least: ti.f32):
@@ -59,7 +65,7 @@ def device(ti_cpu):
                 w = pair[k][0]
                 least, compliance, damping = fingertip_spring(phi, DT)
                 new = holding_impulse(old, up, (y + w * old[1]) * up, least, w, w, compliance, damping, 1e30)
-                new = contact_impulse(new, up, up, w, ti.Vector([0.0, 0.0]), DT)
+                new = isotropic_contact_impulse(new, up, w, ti.Vector([0.0, 0.0]), DT)
                 y, old = y + w * new[1], new
                 phi += y
                 out[k] = ti.Vector([phi, ti.max(out[k][1], y / DT), new[1]])
@@ -84,6 +90,12 @@ def device(ti_cpu):
         def impulse(normals, holding, A, mu_s, mu_k=None):
             take(n=normals, vector=holding, matrix=A)
             solve(mu_s, mu_s if mu_k is None else mu_k)
+            return out.to_numpy().astype(np.float64)
+
+        @staticmethod
+        def isotropic_impulse(normals, holding, w, mu):
+            take(n=normals, vector=holding, pair=w)
+            solve_isotropic(mu)
             return out.to_numpy().astype(np.float64)
 
         @staticmethod
@@ -129,6 +141,16 @@ def test_impulses_are_those_of_the_twin(device, friction):
     c, holding, p, _ = solved(device, friction)
     scale = np.linalg.norm(holding, axis=1).max()
     assert_allclose(p, contact_impulse(holding, c["n"], c["A"], friction), atol=2e-5 * scale)
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_with_an_isotropic_mass_impulses_are_those_of_the_twin(device, friction):
+    c, holding, _, _ = solved(device, friction)
+    p = device.isotropic_impulse(c["n"], holding, c["w"], friction)
+    scale = np.linalg.norm(holding, axis=1).max()
+    expected = contact_impulse(holding, c["n"], c["w"][:, :1, None] * np.eye(3), friction)
+    assert_allclose(p, expected, atol=2e-5 * scale)
+    assert (dot(expected, c["n"]) > 0).sum() > 100 and (dot(expected, c["n"]) == 0).sum() > 100
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)

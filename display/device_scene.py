@@ -164,8 +164,12 @@ class DeviceScene:
             self.shadow.cast()
 
     def render(self, cameras: Sequence[Camera]) -> None:
-        """Draw the picture for these cameras, one a view."""
-        self.renderer.render(cameras)
+        """Launch the drawing of the picture for these cameras, one a view."""
+        self.renderer.render(cameras, wait=False)
+
+    def finish(self, cameras: Sequence[Camera]) -> None:
+        """Wait for the picture that `render` draws for these cameras, and draw it again if it is incomplete."""
+        self.renderer.finish()
         if self.shadow is not None and self.shadow.finish():
             self.renderer.render(cameras)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -103,30 +103,47 @@ class World(WorldView):
         self.draw([perspective(width, height, self.scene.fov_y, view)] * self.device.views)
 
     def step(self, frame: Frame) -> None:
-        """One frame: carry out commands, simulate, deform, shade, draw."""
+        """One frame: carry out commands, simulate, deform, shade, draw.
+
+        Whatever needs no answer from the device is launched behind the simulation, before it is waited for: else the
+        device would wait for the host in turn. What still moved in the last frame is taken to go on moving.
+        """
         self.editor.begin_frame()
         self._commanding = True
         try:
             self.apply([*self._two_hand_scaling(), *frame.commands])
         finally:
             self._commanding = False
-        shadow_outdated = False
-        if frame.prop_poses is not None:
-            with self.timings.stage("hands"):
-                shadow_outdated = self.device.place_props(frame.prop_poses)
         runs = not self.paused or last_of(SingleStep, frame.commands) is not None
-        self.moving = runs and self._advance(frame)
-        self._hands = frame.hands
-        if self.moving or self._deform_due:
+        due = self._deform_due or (runs and self.moving)
+        observed, note = self._advance(frame) if runs else (lambda: False, lambda: None)
+        shadow_outdated = self._place_props(frame)
+        if due:
             self._deform()
-        elif shadow_outdated:
-            self._cast_shadow()
+        self.moving = observed()
+        self._hands = frame.hands
+        if not due:
+            if self.moving:
+                self._deform()
+            elif shadow_outdated:
+                self._cast_shadow()
         if last_of(Settle, frame.commands) is not None or last_of(SaveState, frame.commands) is not None:
             self.settle()
-        self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras)
+        self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras, meanwhile=note)
 
-    def _advance(self, frame: Frame) -> bool:
-        """Simulate the frame; returns whether anything has moved."""
+    def _place_props(self, frame: Frame) -> bool:
+        """Put the props where the frame says; returns whether any has moved."""
+        if frame.prop_poses is None:
+            return False
+        with self.timings.stage("hands"):
+            return self.device.place_props(frame.prop_poses)
+
+    def _advance(self, frame: Frame) -> tuple[Callable[[], bool], Callable[[], None]]:
+        """Launch the simulation of the frame.
+
+        Returns two functions: one waits for it and returns whether anything has moved, the other takes note, after
+        that, of where the bodies are now.
+        """
         if self.demo and any(hand is not None and hand.grip for hand in frame.hands):
             self._end_demo()
             frame = replace(frame, hands=[])  # open for this frame, so that they do not take over what the script holds
@@ -134,15 +151,23 @@ class World(WorldView):
         begin = perf_counter()
         with self.timings.stage("simulate"):
             self._simulate(frame)
-            moving, bodies = self.device.solver.observe()  # waits for the device
-        if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
-            self._cost.note(perf_counter() - begin, frame.dt)
-        if not self.demo:
-            self.editor.after_step(before, self._bodies, bodies)
-        self._bodies = bodies
-        if self.scene.game is not None:
-            self.scene.game.update(self.time, self.registry.scene_states(bodies))
-        return moving
+            observation = self.device.solver.observe()
+
+        def observed() -> bool:
+            moved = observation.moved
+            if self.device.solver.simulated:  # time that stands still, or in which all bodies sleep, costs nothing
+                self._cost.note(perf_counter() - begin, frame.dt)
+            return moved
+
+        def note() -> None:
+            bodies = observation.bodies
+            if not self.demo:
+                self.editor.after_step(before, self._bodies, bodies)
+            self._bodies = bodies
+            if self.scene.game is not None:
+                self.scene.game.update(self.time, self.registry.scene_states(bodies))
+
+        return observed, note
 
     def _simulate(self, frame: Frame) -> None:
         """Step with the user's hands at the display's pace, or with the scripted ones in frames of `script_dt`."""
@@ -176,15 +201,19 @@ class World(WorldView):
         with self.timings.stage("shadow"):
             self.device.cast_shadow()
 
-    def draw(self, cameras: Sequence[Camera]) -> None:
-        """Draw for these cameras, unless the picture shows that already."""
+    def draw(self, cameras: Sequence[Camera], meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Draw for these cameras, unless the picture shows that already; `meanwhile` runs while the device draws."""
         self.cameras = list(cameras) or self.cameras
         seen = tuple((c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in cameras)
-        if cameras and seen != self._drawn:
-            with self.timings.stage("render"):
-                self.device.render(cameras)
-            self._drawn = seen
-            self.pictures += 1
+        if not cameras or seen == self._drawn:
+            meanwhile()
+            return
+        with self.timings.stage("render"):
+            self.device.render(cameras)
+            meanwhile()
+            self.device.finish(cameras)
+        self._drawn = seen
+        self.pictures += 1
 
     # commands
 

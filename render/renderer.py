@@ -141,8 +141,8 @@ class Renderer:
         """Draw all anew: what was said to stand still has moved."""
         self.rasterizer.forget()
 
-    def render(self, cameras: list[Camera]) -> None:
-        """Draw one picture per camera; it is complete on return."""
+    def render(self, cameras: list[Camera], *, wait: bool = True) -> None:
+        """Draw one picture per camera; it is complete on return, or without `wait` after `finish`."""
         if len(cameras) != self.views:
             raise ValueError(f"expected {self.views} cameras, got {len(cameras)}")
         for v, camera in enumerate(cameras):
@@ -151,7 +151,11 @@ class Renderer:
                     f"camera {v} is {camera.width}x{camera.height}, the renderer {self.width}x{self.height}"
                 )
             self.rasterizer.set_camera(v, camera)
-        self.rasterizer.draw(self._out)
+        self.rasterizer.draw(self._out, wait=wait)
+
+    def finish(self) -> None:
+        """Wait for the last picture, and complete it."""
+        self.rasterizer.finish(self._out)
 
     def destroy(self) -> None:
         """Free the device memory."""

@@ -10,6 +10,7 @@ import taichi as ti
 
 from core.camera import Camera, look_at
 from core.fields import FieldGroup
+from core.lanes import lane_count, max_lanes
 from render.footprint import clamp
 from render.projection import NEAR_PLANE, camera_values, vec3, vec4
 from render.rasterizer import Rasterizer
@@ -90,6 +91,7 @@ class ShadowMap:
         device = "cuda" if self.on_gpu else "cpu"
         resolution = resolution or RESOLUTION[device]
         self.splats, self.resolution, self.box_chunks = splats, resolution, BOX_CHUNKS[device]
+        self.lanes = lane_count()
         self.begin, self.end = dynamic
         if self.end != splats.count:
             raise ValueError(f"the dynamic Gaussians {dynamic} must be the last of {splats.count}")
@@ -212,10 +214,10 @@ class ShadowMap:
                     margin = 2.0 * ti.sqrt(ti.max(vec3(s[0], s[3], s[5]), 0.0)) + softness
                     if ti.abs(mean).max() < 1e5:  # far or not a number: must not spoil the cone
                         low, high = ti.min(low, mean - margin), ti.max(high, mean + margin)
-            for k in ti.static(range(3)):
-                if low[k] < self.low[None][k]:
+            for k in ti.static(range(3)):  # then those of a warp become one
+                low[k], high[k] = -max_lanes(-low[k], self.lanes), max_lanes(high[k], self.lanes)
+                if chunk % self.lanes == 0:
                     ti.atomic_min(self.low[None][k], low[k])
-                if high[k] > self.high[None][k]:
                     ti.atomic_max(self.high[None][k], high[k])
         for _ in range(1):
             eye = vec3(eye_x, eye_y, eye_z)

@@ -91,7 +91,7 @@ class Constraint:
 
     @ti.func
     def solve_group(self, phase, g, lane):
-        """Solve group g < group_count() in a later phase; all lanes of a warp come together (sim/lanes.py)."""
+        """Solve group g < group_count() in a later phase; all lanes of a warp come together (core/lanes.py)."""
 
     @ti.func
     def release_group(self, g):

@@ -1,15 +1,17 @@
 """Reductions over the vertices of each body, on the device, and small readbacks for the host."""
 
+from copy import copy
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload, round_up_capacity
+from core.lanes import lane_count, max_lanes, sum_lanes
 from core.rotation import best_fit_rotation
 from scenes.scene import BodyState
 from sim.capacity import MAX_BODIES, stacked
-from sim.lanes import lane_count, max_lanes, sum_lanes
 from sim.model import Model
 from sim.state import State
 
@@ -91,6 +93,36 @@ class ReductionBlocks:
         self._group.destroy()
 
 
+class Observation:
+    """`moved` and `bodies` of the solver at a time, by a look at the device, which is waited for once they are wanted.
+
+    That must be before the solver does anything else.
+    """
+
+    def __init__(self, reductions: "Reductions", held: list[bool]):
+        self._reductions, self._held, self._is_new = reductions, held, True
+
+    @cached_property
+    def _total(self) -> np.ndarray:
+        return self._reductions.observed()
+
+    @cached_property
+    def bodies(self) -> list[BodyState]:
+        """The state of each body, in the order they were given."""
+        return self._reductions.states(self._total, self._held)
+
+    @property
+    def moved(self) -> bool:
+        """Whether any vertex has moved more than MIN_MOTION since this was last true."""
+        return self._is_new and bool(self._total[0, ANY_MOVED])
+
+    def repeated(self) -> "Observation":
+        """The same, of a later time until which nothing has changed."""
+        again = copy(self)
+        again._is_new = False
+        return again
+
+
 @ti.data_oriented
 class Reductions:
     """Sums over each body, for `bodies()`, `moved()`, `pick()` of the solver."""
@@ -118,9 +150,10 @@ class Reductions:
     def bodies(self, held: list[bool]) -> list[BodyState]:
         """The state of each body, in the order they were given."""
         self.sum_up()
-        return self._states(self.total.to_numpy(), held)
+        return self.states(self.total.to_numpy(), held)
 
-    def _states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
+    def states(self, total: np.ndarray, held: list[bool]) -> list[BodyState]:
+        """States of the bodies, from `total`."""
         total, states = total[: len(self.names)].astype(np.float64), []
         finite = total[:, 21] > 0
         rotations = np.broadcast_to(np.eye(3), (len(total), 3, 3)).copy()
@@ -131,14 +164,19 @@ class Reductions:
             states.append(BodyState(name, t[0:3], t[3:6], t[15:18], t[18:21], R @ n, holds, driven))
         return states
 
-    def observe(self, held: list[bool]) -> tuple[bool, list[BodyState]]:
-        """`moved` and `bodies`, with one look at the device, or with none if nothing has changed since the last."""
-        if self._observed is not None:
-            return False, list(self._observed)
-        self._observe()
+    def observe(self, held: list[bool]) -> "Observation":
+        """Launch one look at the device, or none if nothing has changed since the last."""
+        if self._observed is None:
+            self._observe()
+            self._observed = Observation(self, held)
+            return self._observed
+        return self._observed.repeated()
+
+    def observed(self) -> np.ndarray:
+        """Wait for the last look at the device, and return `total`."""
         total = self.total.to_numpy()
-        self._flags, self._observed = total[:, INVERTED:].T, self._states(total, held)
-        return bool(total[0, ANY_MOVED]), list(self._observed)
+        self._flags = total[:, INVERTED:].T
+        return total
 
     def flags(self) -> np.ndarray:
         """`inverted`, `asleep` and `rest_time` of the state, (3, MAX_BODIES); `observe` has looked at them already."""

@@ -30,7 +30,7 @@ from sim.kinematic_targets import KinematicTargets
 from sim.model import Model
 from sim.motion_arrays import MOTION, MotionArrays, motion_of
 from sim.recovery import NonFiniteRecovery
-from sim.reductions import ReductionBlocks, Reductions
+from sim.reductions import Observation, ReductionBlocks, Reductions
 from sim.rigid.rigid_bodies import RigidBodies, passes_for
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
@@ -190,8 +190,8 @@ class Solver:
         """Return whether any vertex moved more than 1e-5 m since this last returned True."""
         return self._reductions.moved()
 
-    def observe(self) -> tuple[bool, list[BodyState]]:
-        """`moved` and `bodies`, with one wait for the device instead of two."""
+    def observe(self) -> Observation:
+        """`moved` and `bodies`, with one wait for the device instead of two, when they are wanted."""
         return self._reductions.observe(self._held())
 
     def pick(self, origin, direction) -> tuple[float, int] | None:

@@ -7,8 +7,8 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, round_up_capacity
+from core.lanes import max_lanes
 from sim.capacity import MAX_BODIES
-from sim.lanes import max_lanes
 
 if TYPE_CHECKING:
     from sim.state import State

@@ -11,6 +11,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
+from core.lanes import lane_count
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.query_points import QueryPoints
@@ -27,7 +28,6 @@ from sim.contact.tet_geometry import (
     tet_of_key,
     worst_face,
 )
-from sim.lanes import lane_count
 
 if TYPE_CHECKING:
     from sim.body_model import RestShape

@@ -17,10 +17,10 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
+from core.lanes import max_by_key
 from core.tetmesh import vertex_components
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN
-from sim.lanes import max_by_key
 
 if TYPE_CHECKING:
     from sim.body_model import BodyModel, RestShape

@@ -10,7 +10,7 @@ import sys
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.lanes import from_lane, sum_lanes
+from core.lanes import from_lane, sum_lanes
 
 # Threads of a block. Taichi compiles for two blocks on a multiprocessor (minnctapersm), so that a thread of a block of
 # 256 has 128 registers. With 512 threads it has 64, and the kernels keep most of their variables in memory.

@@ -4,8 +4,8 @@ from functools import cache
 
 import taichi as ti
 
+from core.lanes import lane_count
 from sim.constraint import Constraint
-from sim.lanes import lane_count
 from sim.state import State
 
 ALL_PASSES = 1 << 20  # more than there are

@@ -106,9 +106,9 @@ def test_the_rescaled_body_is_where_the_preview_was(solver, keeps):
 def test_a_body_that_both_hands_let_go_is_observed_at_its_own_size(solver):
     a, b, _ = gripped(solver)
     hold(solver, a - [0.05, 0, 0], b)
-    wide = solver.observe()[1][0]
+    wide = solver.observe().bodies[0]
     after = hold(solver, a - [0.05, 0, 0], b, (False, False))
-    seen = solver.observe()[1][0]
+    seen = solver.observe().bodies[0]
     assert wide.held and not seen.held
     assert_allclose([seen.low, seen.high], [after.min(0), after.max(0)], atol=1e-6)
 

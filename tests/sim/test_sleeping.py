@@ -70,17 +70,17 @@ def test_what_rests_falls_asleep_and_then_costs_and_moves_nothing(world, monkeyp
     before = solver.snapshot()
     assert solver.stats["asleep"] == 2 and not before["v"].any() and not before["v_lo"].any()
     states = solver.bodies()
-    solver.observe()
+    assert solver.observe().moved
     monkeypatch.setattr(solver.contacts, "detect", None)  # what a frame that simulates would call
     monkeypatch.setattr(solver.state, "begin_frame", None)
     for _ in range(60):
         solver.step(FRAME, [Hand((0, 1, 0))])
-        moved, seen = solver.observe()
-        assert not moved and not solver.moved() and solver.stats["substeps"] == 0
+        seen = solver.observe()
+        assert not seen.moved and not solver.moved() and solver.stats["substeps"] == 0
     after = solver.snapshot()
     for name in MOTION:
         assert_array_equal(before[name], after[name])
-    assert_array_equal([s.centroid for s in states], [s.centroid for s in seen])
+    assert_array_equal([s.centroid for s in states], [s.centroid for s in seen.bodies])
 
 
 def test_what_starts_asleep_stays_until_something_reaches_it(world):

@@ -37,6 +37,7 @@ class StereoPlay:
         self.world.warm_up()
         self.frame_ms: list[float] = []
         self.photon_ms: list[float] = []
+        self._world_from_head = np.linalg.inv(look_at(scene.eye, scene.target))
         self._count = 0
 
     def close(self) -> None:
@@ -91,14 +92,13 @@ class StereoPlay:
 
     def controllers(self, k: int) -> list[Controller]:
         """Both hands before the head, in motion."""
-        world_from_head = np.linalg.inv(look_at(self.scene.eye, self.scene.target))
         result = []
         for side in (-1, 1):
             c = Controller()
             c.grip = np.eye(4)
             aside, up, ahead = REACH * (side, 1, 1)
             sway = (0.03 * np.sin(0.05 * k), 0.05 * np.sin(0.07 * k))
-            c.grip[:3, 3] = (world_from_head @ [aside + sway[0], -up - sway[1], ahead, 1.0])[:3]
+            c.grip[:3, 3] = (self._world_from_head @ [aside + sway[0], -up - sway[1], ahead, 1.0])[:3]
             c.aim = c.grip
             result.append(c)
         return result

@@ -114,10 +114,13 @@ class World(WorldView):
             self.apply([*self._two_hand_scaling(), *frame.commands])
         finally:
             self._commanding = False
+        shadow_outdated = False
+        if frame.prop_poses is not None:
+            with self.timings.stage("hands"):
+                shadow_outdated = self.device.place_props(frame.prop_poses)
         runs = not self.paused or last_of(SingleStep, frame.commands) is not None
         due = self._deform_due or (runs and self.moving)
         observed, note = self._advance(frame) if runs else (lambda: False, lambda: None)
-        shadow_outdated = self._place_props(frame)
         if due:
             self._deform()
         self.moving = observed()
@@ -130,13 +133,6 @@ class World(WorldView):
         if last_of(Settle, frame.commands) is not None or last_of(SaveState, frame.commands) is not None:
             self.settle()
         self.draw(frame.cameras() if callable(frame.cameras) else frame.cameras, meanwhile=note)
-
-    def _place_props(self, frame: Frame) -> bool:
-        """Put the props where the frame says; returns whether any has moved."""
-        if frame.prop_poses is None:
-            return False
-        with self.timings.stage("hands"):
-            return self.device.place_props(frame.prop_poses)
 
     def _advance(self, frame: Frame) -> tuple[Callable[[], bool], Callable[[], None]]:
         """Launch the simulation of the frame.

@@ -56,7 +56,7 @@ class RigidBodies(Constraint):
     R mat3, inverse_inertia_world mat3 = R I^-1 R^T, angular_velocity vec3 [rad/s]: follow from these
     dx [m], rotation [rad], dx_predicted, rotation_predicted vec3: increments of the substep
     frame_x vec3, frame_q vec4, frame_displacement [m], frame_rotation [rad] vec3: where a driven body starts in this
-    frame, how it moves and turns
+    frame, how it moves and turns;   target vec8: 1 if it has one, at the end of the frame, and its position [m] and q
     split_count i32[B] and corrections i64[B, 1+passes, 6]: of the constraints, as in sim/contact/constraints.py
     sweep i32[B]: sweeps so far of substep sweep_substep i32[B]
     """
@@ -75,6 +75,7 @@ class RigidBodies(Constraint):
         self.dx, self.dx_predicted, self.rotation, self.rotation_predicted = (group.vector(B) for _ in range(4))
         self.frame_x, self.frame_displacement, self.frame_rotation = (group.vector(B) for _ in range(3))
         self.q, self.q_lo, self.frame_q = (group.vector(B, n=4) for _ in range(3))
+        self.target = group.vector(B, n=8)
         self.inertia, self.inverse_inertia, self.R, self.inverse_inertia_world = (group.matrix(B) for _ in range(4))
         self.corrections = group.scalar(B, 1 + passes, 6, dtype=ti.i64)
         self._group = group
@@ -85,6 +86,7 @@ class RigidBodies(Constraint):
         self._motion = Upload(
             [self.x, self.x_lo, self.v, self.v_lo, self.q, self.q_lo, self.angular_momentum],
         )
+        self._write_targets = Upload([self.target])
         self.bodies: list[BodyModel] = []
         self.targets: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
@@ -140,15 +142,19 @@ class RigidBodies(Constraint):
 
     def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
         """Start towards the targets of this frame; a body without one (any more) stands still."""
-        table = np.zeros((MAX_BODIES, 8), np.float32)
-        for b, (position, q) in self.targets.items():
-            table[b] = (1.0, *position, *q)
-        self.targets.clear()
+        driven = len(self.targets) > 0
+        if driven:  # else without an array from the host, for which the device would be waited for
+            table = np.zeros((MAX_BODIES, 8), np.float32)
+            for b, (position, q) in self.targets.items():
+                table[b] = (1.0, *position, *q)
+            self._write_targets([table])
+            self.targets.clear()
         self.grasp.update(self)
-        self._begin(table)
+        self._begin(driven)
 
     def warm_up(self) -> None:
         """See Solver.warm_up."""
+        self._write_targets([np.zeros((MAX_BODIES, 8))])
         self.grasp.warm_up(self)
 
     def reset(self) -> None:
@@ -165,17 +171,17 @@ class RigidBodies(Constraint):
                 update_rotation(self, b)
 
     @ti.kernel
-    def _begin(self, table: ti.types.ndarray(ti.f32, 2)):
+    def _begin(self, driven: ti.i32):
         s = self.state
         for b in range(MAX_BODIES):
             if self.kind[b] != SOFT:
                 self.frame_x[b], self.frame_q[b] = self.x[b] + self.x_lo[b], self.q[b]
                 self.frame_displacement[b], self.frame_rotation[b] = 0.0, 0.0
                 if self.kind[b] == DRIVEN:
-                    if table[b, 0] != 0.0:
-                        self.frame_displacement[b] = ti.Vector([table[b, k] for k in range(1, 4)]) - self.frame_x[b]
-                        target = ti.Vector([table[b, k] for k in range(4, 8)])
-                        self.frame_rotation[b] = quaternion.rotation_vector_between(target, self.q[b])
+                    target = self.target[b]
+                    if driven and target[0] != 0.0:
+                        self.frame_displacement[b] = target[1:4] - self.frame_x[b]
+                        self.frame_rotation[b] = quaternion.rotation_vector_between(target[4:8], self.q[b])
                     duration = s.dt[None] * ti.cast(s.substeps[None], ti.f32)
                     self.v[b] = self.frame_displacement[b] / duration
                     self.angular_velocity[b] = self.frame_rotation[b] / duration

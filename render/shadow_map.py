@@ -29,7 +29,7 @@ OWN_BIAS = 0.004  # [m] of shadows on Gaussians that cannot shadow themselves
 CASTING_FRACTION = 0.5  # of the way to the target, beyond which static Gaussians cast: no lampshade, no ceiling
 STATIC_BIAS = 0.05  # [m] depth behind static Gaussians at which another one is surely in their shadow
 # Parts of a tile's splats that are drawn side by side: seen from the light, most bodies are in a few tiles of the map.
-SEGMENTS = {"cpu": 1, "cuda": 8}
+SEGMENTS = {"cpu": 1, "cuda": 16}
 RESOLUTION = {"cpu": 256, "cuda": 512}  # [texels] of a side; the filter hides all but 57 dB of the difference
 BOX_CHUNKS = {"cpu": 64, "cuda": 32768}  # in which the box of the dynamic Gaussians is reduced
 

@@ -11,7 +11,8 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from core.lanes import lane_count
+from core.lanes import from_lane, lane_count, max_lanes, rank_lanes
+from core.morton import morton_order
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.query_points import QueryPoints
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
 CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
-VISITORS = 4  # threads that share the cells near a tet, on CUDA
+VISITORS = 4  # threads that share the cells near a tet that may meet a point, on CUDA
 
 
 @ti.data_oriented
@@ -55,6 +56,7 @@ class NearestTets:
     the nearest of a body's SEEDS tets, and goes from neighbor to neighbor while that is nearer: a fast body comes near
     all.
 
+    order i32[ordered_count]: the tets, those of a warp close to one another, and -1 in places that are left
     max_approach f32[B,G] [m]: how far body b and group g may approach until the next search, 0 if they cannot meet
     """
 
@@ -71,7 +73,8 @@ class NearestTets:
         self.state, self.samples, self.bounds = state, samples, bounds
         self.points = QueryPoints(state, samples, capsules, bounds, fingers)
         self.fingers, self.has_fingers = fingers, fingers is not None
-        self.visitors = VISITORS if lane_count() > 1 else 1
+        self.lanes = lane_count()
+        self.visitors = VISITORS if self.lanes > 1 else 1
         self.hash = PointHash(self.points.size)
         group, N, G = FieldGroup(), self.hash.points, self.points.groups
         self.key, self.host = group.scalar(N, dtype=ti.i64), group.scalar(N, dtype=ti.i32)
@@ -82,11 +85,12 @@ class NearestTets:
             self.entry_group, self.entry_rest = group.scalar(dtype=ti.i32), group.vector()
             self.entry_velocity = group.vector()
         self.any_near, self.nearby_count = group.scalar(dtype=ti.i32), group.scalar(dtype=ti.i32)
-        # Of tets that may meet a point, t * visitors + visitor, in any order
-        self.nearby = group.scalar(state.T * self.visitors, dtype=ti.i32)
+        self.nearby = group.scalar(state.T, dtype=ti.i32)  # tets that may meet a point, in any order
+        self.order = group.scalar(state.T + self.lanes * MAX_BODIES, dtype=ti.i32)
+        self.ordered_count = group.scalar(dtype=ti.i32)
         self._group = group
         group.build()
-        self._upload = Upload([self.neighbor, self.rest, self.hash.cell])
+        self._upload = Upload([self.neighbor, self.rest, self.hash.cell, self.order, self.ordered_count])
 
     def load(self, model: "Model") -> None:
         """Take the tets of these bodies."""
@@ -97,7 +101,9 @@ class NearestTets:
         edge = float(np.median(edges)) if edges else 0.0
         ids, weights = self.samples.host_ids, self.samples.host_weights
         rest = (stacked([s.vertices for s in shapes], 3)[ids] * weights[..., None]).sum(1)
-        self._upload([near, rest, CELL_SIZE * edge or self.samples.spacing])
+        runs = [s.root.once(compact_runs, self.lanes) for s in shapes]
+        order = stacked([np.where(r < 0, r, r + o) for r, o in zip(runs, begin, strict=False)])
+        self._upload([near, rest, CELL_SIZE * edge or self.samples.spacing, order, len(order)])
 
     @ti.func
     def next_host(self, t, b):
@@ -159,12 +165,11 @@ class NearestTets:
                     self.entry_rest[e], self.entry_velocity[e] = self.rest[p], self.samples.blend(p, s.v)
         # Few tets meet anything: the others are sorted out first, in a loop of its own that needs few registers
         self.nearby_count[None] = 0
-        for k in range(s.T * self.visitors):
-            t = k // self.visitors
-            if self.any_near[None] and t < s.tet_count[None] and self._may_meet_any(t, k % self.visitors):
-                self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = k
-        for n in range(self.nearby_count[None]):
-            self._visit(self.nearby[n] // self.visitors, self.nearby[n] % self.visitors)
+        for k in range(self.ordered_count[None]):
+            if self.any_near[None]:
+                self._list_if_nearby(self.order[k], k % self.lanes)
+        for k in range(self.nearby_count[None] * self.visitors):
+            self._visit(self.nearby[k // self.visitors], k % self.visitors)
         for p in range(h.points):
             host = tet_of_key(self.key[p])
             if host < 0 and self._searches(p):
@@ -208,33 +213,48 @@ class NearestTets:
         return box_low, box_high, max_distance
 
     @ti.func
-    def _may_meet_any(self, t, visitor):
-        """True if a point in a visitor's cells may meet tet t, by what is quickly known of both."""
-        s, h, a = self.state, self.hash, self.state.tets[t]
-        body, found = s.body_of_tet[t], False
-        box_low, box_high, max_distance = self._reach(t)
-        if max_distance > 0.0:
-            rest, rest_radius = self._neighborhood(t)
-            center, radius = bounding_sphere(s.x, a)
-            v, v_radius = bounding_sphere(s.v, a)
-            first, last = h.cell_range(box_low, box_high)
-            cells, cell = last - first, visitor
-            while cell < cells.x * cells.y * cells.z and not found:
+    def _list_if_nearby(self, t, lane):
+        """Add tet t to `nearby` if a point may meet it, by what is quickly known of both; -1: no tet.
+
+        The lanes of a warp, which have tets close to one another, look at each point near any of these together.
+        """
+        s, h = self.state, self.hash
+        lanes = ti.static(self.lanes)
+        box_low, box_high, max_distance, body = vec3(UNKNOWN_DISTANCE), vec3(-UNKNOWN_DISTANCE), 0.0, -1
+        if t >= 0:
+            body = s.body_of_tet[t]
+            box_low, box_high, max_distance = self._reach(t)
+        low, high = box_low, box_high
+        for axis in ti.static(range(3)):
+            low[axis] = from_lane(-max_lanes(-box_low[axis], lanes), 0, lanes)
+            high[axis] = from_lane(max_lanes(box_high[axis], lanes), 0, lanes)
+        searches, found = max_distance > 0.0, False
+        _before, searching = rank_lanes(searches, lane, lanes)
+        if searching > 0:
+            rest, rest_radius = vec3(0.0), 0.0
+            center, radius, v, v_radius = rest, 0.0, rest, 0.0
+            if searches:
+                rest, rest_radius = self._neighborhood(t)
+                center, radius = bounding_sphere(s.x, s.tets[t])
+                v, v_radius = bounding_sphere(s.v, s.tets[t])
+            first, last = h.cell_range(low, high)
+            cells, cell = last - first, 0
+            while cell < cells.x * cells.y * cells.z and searching > 0:
                 bucket = self._bucket(first, cells, cell)
-                e, end = h.begin[bucket], h.begin[bucket] + h.size[bucket]
-                while e < end and not found:
+                for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
                     x, g = h.position[e], self.entry_group[e]
                     x_rest, x_v = self.entry_rest[e], self.entry_velocity[e]
-                    if outside_box(box_low, box_high, x) <= 0.0:
+                    if searches and not found and outside_box(box_low, box_high, x) <= 0.0:
                         found = self.max_approach[body, g] > 0.0
                         if ti.static(self.self_collides):  # noqa: SIM102
                             if g == body:
                                 closing = (x_v - v).norm() + v_radius
                                 near = outside_sphere(x, center, radius) < CONTACT_MARGIN + closing * s.detect_dt[None]
                                 found = found and near and outside_sphere(x_rest, rest, rest_radius) > 0.0
-                    e += 1
-                cell += self.visitors
-        return found
+                _before, searching = rank_lanes(searches and not found, lane, lanes)
+                cell += 1
+        if found:
+            self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = t
 
     @ti.func
     def _neighborhood(self, t):
@@ -369,3 +389,9 @@ class NearestTets:
 def neighbors_of(shape: "RestShape") -> np.ndarray:
     """Neighbours of the tets of a rest shape, (T, 4) int32."""
     return tet_neighbors(shape.tets)
+
+
+def compact_runs(shape: "RestShape", length: int) -> np.ndarray:
+    """The tets of a rest shape in runs of this length, each of tets close to one another; -1 fills the last one."""
+    order = morton_order(shape.vertices[shape.tets].mean(axis=1))
+    return np.concatenate([order, np.full(-len(order) % length, -1)])

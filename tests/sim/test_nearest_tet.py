@@ -69,8 +69,9 @@ def found(rings, speed):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("speed", [3.0, 12.0])
-def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed):
+@pytest.mark.parametrize(("speed", "far"), [(3.0, 0), (12.0, 40)])
+def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed, far):
+    """At 12 m/s as many, at least, are found that are farther than a cell."""
     points, body, host, cell, x = found(rings, speed)
     tets, of = rings.state.tets.to_numpy()[: rings.state.sizes.tets], rings.state.body_of_tet.to_numpy()
     far_and_found = 0
@@ -89,7 +90,7 @@ def test_what_is_fast_finds_the_nearest_tet_of_the_other_from_afar(rings, speed)
         chosen = np.linalg.norm(points[mine[listed]] - middles[host[mine[listed]]], axis=1)
         assert (chosen <= gap + 2 * cell).all()
         far_and_found += (nearest[listed] > cell).sum()
-    assert far_and_found > 30
+    assert far_and_found >= far
 
 
 def test_what_is_slow_lists_nothing(rings):

@@ -217,8 +217,10 @@ class ShadowMap:
             for k in ti.static(range(3)):  # then those of a warp become one
                 low[k], high[k] = -max_lanes(-low[k], self.lanes), max_lanes(high[k], self.lanes)
                 if chunk % self.lanes == 0:
-                    ti.atomic_min(self.low[None][k], low[k])
-                    ti.atomic_max(self.high[None][k], high[k])
+                    if low[k] < self.low[None][k]:
+                        ti.atomic_min(self.low[None][k], low[k])
+                    if high[k] > self.high[None][k]:
+                        ti.atomic_max(self.high[None][k], high[k])
         for _ in range(1):
             eye = vec3(eye_x, eye_y, eye_z)
             low, high = self.low[None], self.high[None]

@@ -34,14 +34,35 @@ def from_lane(value, k, lanes: ti.template()):
 
 
 @ti.func
+def int_from_lane(value, k, lanes: ti.template()):
+    """The int of lane k, in all lanes."""
+    result = value
+    if ti.static(lanes > 1):
+        result = ti.simt.warp.shfl_sync_i32(ti.u32(ALL), value, k)
+    return result
+
+
+@ti.func
+def vote(chosen, lanes: ti.template()):
+    """Bits of the chosen lanes, in all lanes."""
+    bits = ti.cast(chosen, ti.u32)
+    if ti.static(lanes > 1):
+        bits = ti.cast(ti.simt.warp.ballot(ti.cast(chosen, ti.i32)), ti.u32)
+    return bits
+
+
+@ti.func
+def first_of(bits):
+    """The lowest of these bits, of which there must be one."""
+    return ti.cast(ti.math.popcnt((bits & (~bits + ti.u32(1))) - ti.u32(1)), ti.i32)
+
+
+@ti.func
 def rank_lanes(chosen, lane, lanes: ti.template()):
     """Number of chosen lanes before this one, and of all chosen lanes."""
-    before, total = 0, ti.cast(chosen, ti.i32)
-    if ti.static(lanes > 1):
-        mask = ti.cast(ti.simt.warp.ballot(total), ti.u32)
-        before = ti.cast(ti.math.popcnt(mask & ((ti.u32(1) << ti.cast(lane, ti.u32)) - ti.u32(1))), ti.i32)
-        total = ti.cast(ti.math.popcnt(mask), ti.i32)
-    return before, total
+    bits = vote(chosen, lanes)
+    before = ti.math.popcnt(bits & ((ti.u32(1) << ti.cast(lane, ti.u32)) - ti.u32(1)))
+    return ti.cast(before, ti.i32), ti.cast(ti.math.popcnt(bits), ti.i32)
 
 
 @ti.func

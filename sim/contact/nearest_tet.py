@@ -11,7 +11,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from core.lanes import from_lane, lane_count, max_lanes, rank_lanes
+from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vote
 from core.morton import morton_order
 from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
@@ -229,8 +229,8 @@ class NearestTets:
             low[axis] = from_lane(-max_lanes(-box_low[axis], lanes), 0, lanes)
             high[axis] = from_lane(max_lanes(box_high[axis], lanes), 0, lanes)
         searches, found = max_distance > 0.0, False
-        _before, searching = rank_lanes(searches, lane, lanes)
-        if searching > 0:
+        searching = vote(searches, lanes)
+        if searching != 0:
             rest, rest_radius = vec3(0.0), 0.0
             center, radius, v, v_radius = rest, 0.0, rest, 0.0
             if searches:
@@ -239,20 +239,46 @@ class NearestTets:
                 v, v_radius = bounding_sphere(s.v, s.tets[t])
             first, last = h.cell_range(low, high)
             cells, cell = last - first, 0
-            while cell < cells.x * cells.y * cells.z and searching > 0:
-                bucket = self._bucket(first, cells, cell)
-                for e in range(h.begin[bucket], h.begin[bucket] + h.size[bucket]):
-                    x, g = h.position[e], self.entry_group[e]
-                    x_rest, x_v = self.entry_rest[e], self.entry_velocity[e]
-                    if searches and not found and outside_box(box_low, box_high, x) <= 0.0:
-                        found = self.max_approach[body, g] > 0.0
-                        if ti.static(self.self_collides):  # noqa: SIM102
-                            if g == body:
-                                closing = (x_v - v).norm() + v_radius
-                                near = outside_sphere(x, center, radius) < CONTACT_MARGIN + closing * s.detect_dt[None]
-                                found = found and near and outside_sphere(x_rest, rest, rest_radius) > 0.0
-                _before, searching = rank_lanes(searches and not found, lane, lanes)
-                cell += 1
+            count = cells.x * cells.y * cells.z
+            while cell < count and searching != 0:
+                begin, size = 0, 0  # entries in the bucket of a lane's cell
+                if cell + lane < count:
+                    bucket = self._bucket(first, cells, cell + lane)
+                    begin, size = h.begin[bucket], h.size[bucket]
+                filled = vote(size > 0, lanes)
+                while filled != 0 and searching != 0:
+                    of = first_of(filled)
+                    e, end = int_from_lane(begin, of, lanes), int_from_lane(size, of, lanes)
+                    end += e
+                    while e < end:
+                        x, x_rest, x_v, g, near = vec3(0.0), vec3(0.0), vec3(0.0), 0, False
+                        if e + lane < end:
+                            x, g = h.position[e + lane], self.entry_group[e + lane]
+                            x_rest, x_v = self.entry_rest[e + lane], self.entry_velocity[e + lane]
+                            near = outside_box(low, high, x) <= 0.0
+                        those = vote(near, lanes)
+                        while those != 0:
+                            k = first_of(those)
+                            y, y_rest, y_v = x, x_rest, x_v
+                            for axis in ti.static(range(3)):
+                                y[axis] = from_lane(x[axis], k, lanes)
+                                y_rest[axis], y_v[axis] = (
+                                    from_lane(x_rest[axis], k, lanes),
+                                    from_lane(x_v[axis], k, lanes),
+                                )
+                            group = int_from_lane(g, k, lanes)
+                            if searches and not found and outside_box(box_low, box_high, y) <= 0.0:
+                                found = self.max_approach[body, group] > 0.0
+                                if ti.static(self.self_collides):  # noqa: SIM102
+                                    if group == body:
+                                        closing = CONTACT_MARGIN + ((y_v - v).norm() + v_radius) * s.detect_dt[None]
+                                        found = found and outside_sphere(y, center, radius) < closing
+                                        found = found and outside_sphere(y_rest, rest, rest_radius) > 0.0
+                            those &= those - ti.u32(1)
+                        e += lanes
+                    searching = vote(searches and not found, lanes)
+                    filled &= filled - ti.u32(1)
+                cell += lanes
         if found:
             self.nearby[ti.atomic_add(self.nearby_count[None], 1)] = t
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from time import perf_counter
 
@@ -19,7 +20,7 @@ from scenes.scene import Scene
 EYE_SIZE = (1800, 1920)  # [px] of an eye
 APART = 0.064  # [m] between the eyes
 RATE = 90.0  # [Hz]
-REACH = np.array([0.2, -0.3, 0.4])  # [m] of each hand from the head: sideways, up, forwards
+REACH = (0.2, -0.3, 0.4)  # [m] of each hand from the head: sideways, up, forwards
 
 
 class StereoPlay:
@@ -80,25 +81,27 @@ class StereoPlay:
         self._count += 1
 
     def eyes(self, k: int) -> list[Camera]:
-        """Both eyes of a head that sways."""
-        sway = np.array([0.05 * np.sin(0.02 * k), 0.02 * np.sin(0.013 * k), 0.0])
-        eye, target = np.asarray(self.scene.eye), np.asarray(self.scene.target)
-        across = np.cross(target - eye, [0.0, 1.0, 0.0])
-        across *= APART / max(np.linalg.norm(across), 1e-9)
+        """Both eyes of a head that sways: one to the left, one to the right, looking the same way."""
+        sway = (0.05 * math.sin(0.02 * k), 0.02 * math.sin(0.013 * k), 0.0)
+        between = look_at([e + s for e, s in zip(self.scene.eye, sway, strict=True)], self.scene.target)
         width, height = self.size
-        f = 0.55 * width
-        views = [look_at(eye + sway + side * across, target + side * across) for side in (-0.5, 0.5)]
-        return [Camera(width, height, f, f, width / 2, height / 2, view) for view in views]
+        f, cameras = 0.55 * width, []
+        for side in (0.5, -0.5):
+            view = between.copy()
+            view[0, 3] += side * APART
+            cameras.append(Camera(width, height, f, f, width / 2, height / 2, view))
+        return cameras
 
     def controllers(self, k: int) -> list[Controller]:
         """Both hands before the head, in motion."""
         result = []
         for side in (-1, 1):
             c = Controller()
+            aside, up, ahead = REACH
+            sway = (0.03 * math.sin(0.05 * k), 0.05 * math.sin(0.07 * k))
+            at = self._world_from_head @ (side * aside + sway[0], -up - sway[1], ahead, 1.0)
             c.grip = np.eye(4)
-            aside, up, ahead = REACH * (side, 1, 1)
-            sway = (0.03 * np.sin(0.05 * k), 0.05 * np.sin(0.07 * k))
-            c.grip[:3, 3] = (self._world_from_head @ [aside + sway[0], -up - sway[1], ahead, 1.0])[:3]
+            c.grip[:, 3] = at
             c.aim = c.grip
             result.append(c)
         return result

@@ -79,11 +79,14 @@ class SkinnedProps:
         position = (0.0, 1e3, 0.0) if light is None else light.position
         if light is not None and light.kind == "directional":
             position = np.subtract(light.position, light.target) * 1e3
-        self._place(poses, ti.Vector([float(c) for c in position]))
+        table = np.zeros((self.parts + 1, 12), np.float32)  # one array: an argument of its own costs as much again
+        table[:-1], table[-1, :3] = poses, position
+        self._place(table)
         return True
 
     @ti.kernel
-    def _place(self, poses: ti.types.ndarray(ti.f32, 2), light: ti.types.vector(3, ti.f32)):
+    def _place(self, poses: ti.types.ndarray(ti.f32, 2)):
+        """Place the Gaussians for `poses`, in whose last row the light's position stands [m]."""
         for k in range(self.count):
             g = self.target[k]
             A, t = ti.Matrix.zero(ti.f32, 3, 3), ti.Vector([0.0, 0.0, 0.0])
@@ -100,6 +103,7 @@ class SkinnedProps:
                 S = A @ ti.Matrix([[s[0], s[1], s[2]], [s[1], s[3], s[4]], [s[2], s[4], s[5]]]) @ A.transpose()
                 self.splats.mean[g], self.splats.opacity[g] = mean, self.opacity[k]
                 self.splats.cov[g] = ti.Vector([S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]])
+                light = ti.Vector([poses[self.parts, 0], poses[self.parts, 1], poses[self.parts, 2]])
                 self.splats.sh[g, 0] = (self.base[k] * self._brightness(A, self.normal[k], mean, light) - 0.5) / C0
             else:
                 self.splats.mean[g], self.splats.opacity[g] = (

@@ -143,7 +143,7 @@ class Solver:
         return self._sleeping.begin_frame(moved, tuple(self.gravity))
 
     def _begin_frame(self, dt: float, hands: Sequence[Hand], substeps: int) -> None:
-        self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, ti.Vector(self.gravity))
+        self.state.begin_frame(dt / substeps, dt / self.collision_passes, substeps, *self.gravity)
         self._last_schedule = (substeps, dt / substeps)
         self.kinematic.begin_frame(dt)
         if self.rigid_bodies is not None:

@@ -188,9 +188,9 @@ class State:
         return x, v, predicted
 
     @ti.kernel
-    def begin_frame(self, dt: ti.f32, detect_dt: ti.f32, substeps: ti.i32, gravity: ti.types.vector(3, ti.f32)):
+    def begin_frame(self, dt: ti.f32, detect_dt: ti.f32, substeps: ti.i32, g_x: ti.f32, g_y: ti.f32, g_z: ti.f32):
         """Set the constants of all substeps of a frame."""
-        self.dt[None], self.detect_dt[None], self.gravity[None] = dt, detect_dt, gravity
+        self.dt[None], self.detect_dt[None], self.gravity[None] = dt, detect_dt, ti.Vector([g_x, g_y, g_z])
         self.substeps[None], self.substep_index[None] = substeps, -1
         for b in range(MAX_BODIES):
             # A longer substep, of VBD, makes no body slower: its own elements do not limit how fast it may fly

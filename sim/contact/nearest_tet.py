@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends
 
 CELL_SIZE = 2.0  # [median edge] of the hash: few points in a cell, and few cells near a tet
-VISITORS = 4  # threads that share the cells near a tet that may meet a point, on CUDA
+VISITORS = 8  # threads that share the cells near a tet that may meet a point, on CUDA
 
 
 @ti.data_oriented

@@ -73,6 +73,8 @@ class FingerCapsules:
 
         A capsule that is new, or was faster than MAX_FINGER_SPEED, is placed without sweeping.
         """
+        if not self.present and not any(hand is not None and hand.touch for hand in hands):
+            return
         now = np.stack([capsules_of(hands[h] if h < len(hands) else None) for h in range(self.hands)])
         self.present = bool(now[..., 6].any())
         before, self.last = self.last, now

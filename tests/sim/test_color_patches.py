@@ -185,7 +185,7 @@ def test_several_patches_a_block_move_as_one(ti_cpu):
     assert len(x) > PLACES and (persistent.patches.count[None] > RESIDENT or persistent.grid.on_cuda)
     for form in (persistent, solver.integrator):
         solver.restore({"x": start, "v": np.zeros_like(x)})
-        solver.state.begin_frame(1e-3, 1e-2, 3, ti.Vector((0.0, -9.81, 0.0)))
+        solver.state.begin_frame(1e-3, 1e-2, 3, 0.0, -9.81, 0.0)
         solver.damping.run(0.0)
         form.run(3)
         moved.append(solver.snapshot()["x"])

@@ -85,7 +85,7 @@ def lump(ti_cpu):
     solver = Solver([body], contacts=False, integrator="vbd")
     solver.step(DT)
     dt = solver.stats["dt"]
-    solver.state.begin_frame(dt, DT, 64, solver.state.gravity.to_numpy())
+    solver.state.begin_frame(dt, DT, 64, *solver.state.gravity.to_numpy().tolist())
     return solver, Twin(body, dt), x
 
 

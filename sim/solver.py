@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import taichi as ti
 
 from core.errors import BadInput
 from core.fields import destroy_fields

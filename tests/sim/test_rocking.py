@@ -116,6 +116,12 @@ def test_what_stands_on_its_feet_rocks_at_the_rate_of_its_material(world, standi
     assert 0.6 * 2.0 < rate[2.0] - rate[0.0] < 2.0 and 0.6 * 4.0 < rate[4.0] - rate[0.0] < 4.0
 
 
+def test_rocking_dies_out_as_fast_where_a_frame_is_one_launch(world, standing, monkeypatch):
+    """As on CUDA: a search for contacts comes before each launch, and must not take away the force that brakes."""
+    monkeypatch.setattr(type(world.integrator), "max_substeps", 64)
+    assert 0.6 * 2.0 < rocking_rate(world, standing, 2.0) < 2.2
+
+
 def test_what_rolls_is_hardly_braked(world):
     """By 0.1 a / 1.4 R of its weight: a is 1 cm, so that it lags 4 cm behind after a second, and inner friction."""
     way = []

@@ -115,7 +115,7 @@ def test_the_sums_are_those_of_the_plain_loops():
     for strain in (0.01, 0.3, 3.0):
         moved = start + strain * 0.05 * rng.normal(size=start.shape)
         solver.restore({"x": moved, "v": 0.1 * rng.normal(size=start.shape)})
-        s.begin_frame(1e-3, 1e-2, 16, ti.Vector(solver.gravity))
+        s.begin_frame(1e-3, 1e-2, 16, *solver.gravity)
         solver.damping.run(0.0)
         both()
         for pair in (f, H):

@@ -97,7 +97,7 @@ def test_the_sums_are_those_of_the_two_loops():
 
     for strain in (0.01, 0.3, 3.0):
         solver.restore({"x": start + strain * 0.05 * rng.normal(size=start.shape), "v": rng.normal(size=start.shape)})
-        s.begin_frame(1e-4, 1e-2, 16, ti.Vector(solver.gravity))
+        s.begin_frame(1e-4, 1e-2, 16, *solver.gravity)
         solver.damping.run(0.0)
         both()
         expected = one.to_numpy()
@@ -106,7 +106,7 @@ def test_the_sums_are_those_of_the_two_loops():
     # a tiny deformation: rounding in F = 1 + 1e-4 must not push a body as a whole
     free = slice(0, len(given[0].vertices))
     solver.restore({"x": start + 1e-5 * rng.normal(size=start.shape), "v": np.zeros_like(start)})
-    s.begin_frame(1e-4, 1e-2, 16, ti.Vector(solver.gravity))
+    s.begin_frame(1e-4, 1e-2, 16, *solver.gravity)
     solver.damping.run(0.0)
     both()
     push = s.mass.to_numpy()[free, None] * other.to_numpy()[free]

@@ -225,7 +225,7 @@ def patch_begins(body_begin: np.ndarray, total: int) -> np.ndarray | None:
         return None
     ranges = zip(body_begin[:-1], body_begin[1:], counts(size), strict=True)
     parts = [np.linspace(a, b, n + 1).astype(np.int64)[:-1] for a, b, n in ranges]
-    return np.r_[np.concatenate(parts), body_begin[-1]].astype(np.int64)
+    return np.concatenate([*parts, body_begin[-1:]]).astype(np.int64)
 
 
 def _divided(tets: np.ndarray, order: np.ndarray, color: np.ndarray, begin: np.ndarray) -> dict | None:

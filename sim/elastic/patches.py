@@ -178,12 +178,12 @@ class TablesOf:
 
     def __init__(self):
         self._arrays: list[np.ndarray] = []
-        self._tables: dict = {}
+        self._tables: dict | None = None
 
     def get(self, arrays: list[np.ndarray], divide: Callable[[], dict]) -> dict:
         """The tables that `divide` makes of these arrays of all bodies in turn."""
         same = len(arrays) == len(self._arrays) and all(a is b for a, b in zip(arrays, self._arrays, strict=True))
-        if not same:
+        if self._tables is None or not same:
             self._tables = divide()
             self._arrays = list(arrays)
         return self._tables

@@ -13,6 +13,7 @@ from sim.elastic.color_patches import OWN, PLACES, POINTS, RESIDENT, WORDS, Colo
 from sim.elastic.patches import compact_order
 from sim.elastic.vbd import VBDSubsteps, color_vertices
 from sim.elastic.vbd_persistent import PersistentVBD
+from sim.elastic.xpbd_persistent import PersistentXPBD
 from sim.model import Model
 from sim.soft_body import SoftBody
 from sim.solver import Solver
@@ -191,3 +192,17 @@ def test_several_patches_a_block_move_as_one(ti_cpu):
         moved.append(solver.snapshot()["x"])
     assert np.abs(moved[0] - start).max() > 1e-3
     assert_allclose(moved[0], moved[1], rtol=0, atol=1e-5)
+
+
+def test_persistent_kernels_load_and_run_without_bodies(ti_cpu):
+    """As they do when the last body is removed, and before the first one comes."""
+    x, tets, surface = box((0.1, 0.1, 0.1), (1, 1, 1))
+    solver = Solver([SoftBody("block", x, tets, surface, Material(1e5, 0.3, 1000.0))], contacts=False)
+    vbd = PersistentVBD(solver.state, solver.elasticity, [], None, solver._blocks, iterations=2)
+    for form in (vbd, PersistentXPBD(solver.state, [], None)):
+        for bodies in ([], [solver.body_models[0]], []):
+            model = Model(bodies)
+            solver.state.load(model)
+            form.load(model)
+            form.run(1)
+        assert form.patches.own_end.to_numpy()[: form.patches.count[None]].max(initial=0) == 0

@@ -175,7 +175,7 @@ def test_contact_forces_carry_the_weights(place):
     solver, where = physics_contact.started(place)
     physics_contact.run(solver, 1.0)
     forces = solver.contact_forces()[where["stack"]]
-    assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.02)  # 1 kg each, whatever stands on it
+    assert_allclose(forces, np.tile([0, 9.81, 0], (5, 1)), atol=0.04)  # 1 kg each, whatever stands on it
     for k, box in enumerate(solver.bodies()[where["aligned"]]):  # no corner is pushed off sideways at an edge
         assert_allclose(box.centroid, (0, (k + 0.5) * SIDE, 22), atol=1e-4)
     group = where["sliding"].start * (MAX_BODIES + 1) + WORLD

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import taichi as ti
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.physics import BAR, DOWN, LEFT, RIGHT, TETS, G, bar, fem_solve, fem_stiffness, positions
@@ -114,6 +115,8 @@ def disturb(lump, size):
 
 @pytest.mark.parametrize("size", [0.05, 0.7], ids=["strained", "inverted"])
 def test_a_sweep_minimises_each_vertex_and_lowers_the_energy_each_time(lump, size):
+    if ti.cfg.arch == ti.cuda:
+        pytest.skip("the sweeps are not kernels of their own on CUDA")
     s, twin, x, y, target = disturb(lump, size)
     if size > 0.5:
         assert (twin.strain(y, slice(None))[2] < 0).any()

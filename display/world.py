@@ -105,8 +105,8 @@ class World(WorldView):
     def step(self, frame: Frame) -> None:
         """One frame: carry out commands, simulate, deform, shade, draw.
 
-        Whatever needs no answer from the device is launched behind the simulation, before it is waited for: else the
-        device would wait for the host in turn. What still moved in the last frame is taken to go on moving.
+        Deformation and shadows are launched behind the simulation, before that is waited for: else the device would
+        wait for the host in turn. If anything moved in the last frame, it is taken to go on moving.
         """
         self.editor.begin_frame()
         self._commanding = True

@@ -206,7 +206,7 @@ class Contacts(Constraint):
                     rigid = self.rigid_bodies.kind[self.samples.body[p]] != 0
                     count = 0 if rigid else count  # sim/rigid/rigid_broad_phase.py looks for these
                 n = self.static.find(p, count)
-                # Where something is near, the force stays until the next substep: it brakes rocking
+                # With a shape near, the force stays until the next substep: it brakes rocking
                 if n == 0 and self.samples.on_vertex[p] and not self.state.asleep[self.samples.body[p]]:
                     self.forces.clear(self.samples.ids[p][0])
                 self.constraints.next_check[p] = 0

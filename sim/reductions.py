@@ -113,7 +113,7 @@ class Observation:
 
     @property
     def moved(self) -> bool:
-        """Whether any vertex has moved more than MIN_MOTION since this was last true."""
+        """True if any vertex has moved more than MIN_MOTION since this was last true."""
         return self._is_new and bool(self._total[0, ANY_MOVED])
 
     def repeated(self) -> "Observation":

@@ -23,6 +23,7 @@ soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m bench.soak --minutes 30
 
 nightly: $(VENV)/.ready-tests
+	@$(PYTHON) -m tests.pins
 	@$(PYTHON) -m tests.fuzz.run --cases 100000
 	@$(PYTHON) -m tests.faults.kill --kills 200
 	@$(PYTHON) -m tests.faults.disk_full

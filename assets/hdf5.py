@@ -240,7 +240,7 @@ def new_hdf5(path: Path, libver: tuple[str, str] | None = None) -> Iterator[h5py
     image = io.BytesIO()  # of HDF5's own driver for files in memory a copy would be needed
     with h5py.File(image, "w", libver=libver) as file:
         yield file
-    # Released at once: an exception of `write` keeps its frame, and Python 3.13 complains of views that outlive the image.
+    # Released at once: an exception keeps its frames, and Python 3.13 complains of views that outlive the image.
     with image.getbuffer() as content, open(path, "wb") as out:
         out.write(content)
 

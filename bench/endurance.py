@@ -22,11 +22,11 @@ import numpy as np
 from assets.file_access import check_writable
 from core.camera import look_at, perspective
 from core.errors import BadInput
+from core.vocabulary import Hand, Light
 from display import user_commands
 from display.protocol import Frame
 from display.run_stats import write_stats
 from display.user_commands import Command
-from scenes.scene import Hand, Light
 
 if TYPE_CHECKING:
     from display.world import World

@@ -18,7 +18,7 @@ from bench.setups import strain_energy
 from core.material import RAYLEIGH_FREQUENCY, Material
 from core.runtime import start_taichi
 from core.tetmesh import tet_volumes
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 

@@ -13,7 +13,7 @@ import numpy as np
 from bench.implicit_shapes import brick
 from core.distance_grid import DistanceGrid
 from core.material import Material
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.body_model import BodyModel, RestShape
 from sim.contact.contact_samples import points_of, spacing_for
 from sim.contact.static_shapes import Shape, StaticGrid

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.sample_meshes import box, torus
 from core.material import Material
-from scenes.scene import Capsule, Hand, Plane
+from core.vocabulary import Capsule, Hand, Plane
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody

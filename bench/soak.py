@@ -22,7 +22,7 @@ import numpy as np
 
 from bench.setups import FRAME, G, energies
 from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.capacity import Capacity
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW

@@ -14,7 +14,7 @@ import numpy as np
 from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.material import Material
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.contact.signed_distance import rest_grid
 from sim.soft_body import SoftBody
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,7 +81,7 @@ def add_answers(args: argparse.Namespace) -> None:
     (path,) = args.files
     if path.exists():
         read_study(path)  # before anyone is asked
-    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    now = datetime.now(UTC).isoformat(timespec="seconds")
     if args.answers:
         new = [read_answers_file(file, now) for file in args.answers]
     else:

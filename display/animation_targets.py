@@ -8,7 +8,7 @@ import numpy as np
 
 from assets.animation import Animation
 from core.rotation import best_fit_rotation, matrices_from_quaternions
-from scenes.scene import Body
+from core.vocabulary import Body
 from sim.skinning import Skinning
 from sim.solver import MAX_FRAME_DT, Solver
 

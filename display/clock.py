@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.scene import Hand
+from core.vocabulary import Hand
 
 MAX_STEP, MIN_PERIOD = 1 / 60, 1 / 240  # [s] longest step, and shortest period that is believed
 MIN_CATCH_UP = 1 / 20  # [s] that a frame always catches up with

@@ -15,6 +15,7 @@ import numpy as np
 from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.morton import morton_order
+from core.vocabulary import Light
 from display.animation_targets import AnimationTargets
 from display.edit.added_body import pieces_of
 from display.scene_bodies import load_bodies
@@ -24,7 +25,7 @@ from render.shadow_map import ShadowMap
 from render.skinned_props import Skin, SkinnedProps
 from render.splats import Splats
 from render.still_pose import StillPose
-from scenes.scene import Light, Scene
+from scenes.scene import Scene
 from sim.capacity import MAX_BODIES, Capacity
 from sim.contact.contact_samples import MAX_SAMPLES
 from sim.contact.line_of_sight import LineOfSight

@@ -17,9 +17,10 @@ import numpy as np
 
 from core.camera import Camera
 from core.material import Material
+from core.vocabulary import BodyState, Hand, Light
 from display.timing import Timings
 from display.user_commands import Command
-from scenes.scene import BodyState, Hand, Light, Scene
+from scenes.scene import Scene
 
 
 @dataclass

@@ -15,7 +15,8 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.morton import morton_order
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Body, Scene
+from core.vocabulary import Body
+from scenes.scene import Scene
 from sim.contact.static_shapes import StaticGrid
 from sim.embedding import EmbeddedBody
 from sim.rigid.rigid_body import RigidBody

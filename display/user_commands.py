@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
 from core.material import Material
-from scenes.scene import Light
+from core.vocabulary import Light
 
 MIN_TIME_SCALE = 0.05  # slower, a frame moves nothing that can be seen
 

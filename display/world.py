@@ -13,6 +13,7 @@ import numpy as np
 from core.camera import Camera, look_at, perspective
 from core.errors import BadInput
 from core.material import Material
+from core.vocabulary import BodyState, Hand, Light
 from display.clock import SimulationCost, frame_steps
 from display.device_scene import DeviceScene
 from display.edit.body_registry import BodiesSnapshot, BodyRegistry
@@ -38,7 +39,7 @@ from display.user_commands import (
     SingleStep,
     last_of,
 )
-from scenes.scene import BodyState, Hand, Light, Scene
+from scenes.scene import Scene
 
 MAX_GRAVITY = 100.0  # [m/s^2] on an axis: ten times the earth's
 SCRIPT_DT = 1 / 60  # [s]; a scripted hand plays in frames of this length, whatever the display's, to play alike

@@ -11,11 +11,11 @@ import taichi as ti
 from core.camera import Camera, look_at
 from core.fields import FieldGroup
 from core.lanes import lane_count, max_lanes
+from core.vocabulary import Light
 from render.footprint import clamp
 from render.projection import NEAR_PLANE, camera_values, vec3, vec4
 from render.rasterizer import Rasterizer
 from render.splats import Splats
-from scenes.scene import Light
 
 STATIC, DYNAMIC = 0, 1  # layers of the map, by kind of caster
 MAX_TANGENT = 1.2  # of half the light's largest cone; what lies outside is lit

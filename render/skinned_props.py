@@ -13,8 +13,8 @@ import taichi as ti
 from assets.gaussians import Gaussians, concatenate
 from core.fields import FieldGroup, Upload
 from core.spherical_harmonics import C0
+from core.vocabulary import Light
 from render.splats import Splats
-from scenes.scene import Light
 
 HIDDEN_DISTANCE = 1e6  # [m] from the origin: hidden, and casts no shadow
 AMBIENT, SKY, SUN = 0.56, 0.14, 0.46  # brightness from everywhere, from above, from the light

@@ -10,7 +10,7 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import FieldGroup
-from scenes.scene import IDENTITY
+from core.vocabulary import IDENTITY
 from sim.model import Model
 from sim.rigid.rigid_bodies import RigidBodies
 from sim.state import State

@@ -10,7 +10,7 @@ import taichi as ti
 from core.fields import FieldGroup, Upload, round_up_capacity
 from core.lanes import lane_count, max_lanes, sum_lanes
 from core.rotation import best_fit_rotation
-from scenes.scene import BodyState
+from core.vocabulary import BodyState
 from sim.capacity import MAX_BODIES, stacked
 from sim.model import Model
 from sim.state import State

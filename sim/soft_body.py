@@ -12,7 +12,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
-from scenes.scene import IDENTITY, Quat, Vec3
+from core.vocabulary import IDENTITY, Quat, Vec3
 
 MIN_RELATIVE_VOLUME = (
     1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32

@@ -10,7 +10,7 @@ import numpy as np
 from core.errors import BadInput
 from core.fields import destroy_fields
 from core.material import Material
-from scenes.scene import BodyState, Hand
+from core.vocabulary import BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
 from sim.body_model import BodyModel, models_of

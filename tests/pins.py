@@ -37,7 +37,17 @@ def is_missing(case: tuple[Requirement, str, str]) -> bool:
     if pin.marker and not pin.marker.evaluate(where):
         return False
     with tempfile.TemporaryDirectory() as folder:
-        words = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--dest", folder]
+        words = [
+            sys.executable,
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--no-deps",
+            "--only-binary=:all:",
+            "--dest",
+            folder,
+        ]
         words += ["--python-version", python, "--implementation", "cp", f"{pin.name}{pin.specifier}"]
         words += [word for tag in tags for word in ("--platform", tag)]
         return subprocess.run(words, capture_output=True, check=False).returncode != 0

@@ -13,9 +13,10 @@ from assets.asset import Asset
 from assets.components import split_components
 from assets.gaussians import Gaussians
 from assets.library import animated_height, default_material, find_asset
+from core.vocabulary import Body, BodyState
 from display.scene_bodies import place_soft
 from scenes.roles import bounds
-from scenes.scene import Body, BodyState, Scene
+from scenes.scene import Scene
 from sim.embedding import EmbeddedBody
 from sim.rigid.rigid_body import RigidBody
 from sim.solver import SoftBody

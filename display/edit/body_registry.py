@@ -14,10 +14,10 @@ import numpy as np
 
 from core.errors import BadInput
 from core.material import MATERIALS, Material
+from core.vocabulary import BodyState, Hand
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from display.edit.added_body import Piece, fitted_harmonics, pieces_of
-from scenes.scene import BodyState, Hand
 from sim.body_model import BodyModel
 from sim.capacity import MAX_BODIES, CapacityError
 from sim.embedding import BodySpan, PackedBody

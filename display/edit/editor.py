@@ -11,6 +11,7 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from core.vocabulary import BodyState, Hand
 from display.edit.added_body import pieces_of, put_over
 from display.edit.body_registry import BodyRegistry
 from display.edit.notice import Notice
@@ -30,7 +31,6 @@ from display.user_commands import (
     Undo,
     in_order,
 )
-from scenes.scene import BodyState, Hand
 
 DRAG_GAP = {
     "light": 30,

@@ -9,7 +9,8 @@ import numpy as np
 
 from assets.library import SHIPPED_FOLDER, find_asset
 from core.errors import BadInput
-from scenes.scene import Body, Box, Light, Scene
+from core.vocabulary import Body, Box, Light
+from scenes.scene import Scene
 
 if TYPE_CHECKING:
     from display.device_scene import DeviceScene

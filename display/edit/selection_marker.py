@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from core.camera import Camera, project, view_depth
-from scenes.scene import BodyState
+from core.vocabulary import BodyState
 
 MARKED_SECONDS = 2.5  # [s] that a body is marked after a command
 CORNER_GAP = 0.008  # [m] between a body and its corners

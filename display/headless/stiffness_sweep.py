@@ -17,10 +17,11 @@ from assets.gaussians import Gaussians
 from core.camera import Camera, look_at, perspective
 from core.material import Material
 from core.spherical_harmonics import C0
+from core.vocabulary import Body, Light, Plane
 from display.headless.picture_strip import PANEL, mark_height
 from display.picture import pixels_of
 from display.protocol import Frame
-from scenes.scene import Body, Light, Plane, Scene
+from scenes.scene import Scene
 
 STEP = 1 / 120  # [s] between two measurements: a stiff body touches the floor for some milliseconds only
 DROP_TIME_MAX = 4.0  # [s]

@@ -17,7 +17,7 @@ from assets.reoriented import reoriented
 from assets.room_folder import MANIFEST, is_room_folder, read_room, write_manifest
 from core.errors import BadInput
 from core.rotation import best_fit_rotation, matrices_from_quaternions
-from scenes.scene import Body
+from core.vocabulary import Body
 
 if TYPE_CHECKING:
     from display.viewer import Viewer

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+from core.vocabulary import Light
 from display.preferences import Preferences
 from display.protocol import Frame
 from display.record.codec import checked_value
 from display.user_commands import LoadState, SetLight
-from scenes.scene import Light
 
 
 class Remembered:

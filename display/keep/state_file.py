@@ -41,9 +41,9 @@ from assets.gaussians import MAGNITUDE_MAX
 from assets.hdf5 import Hdf5Reader, new_hdf5, open_hdf5, write_dataset
 from core.errors import BadInput
 from core.material import Material
+from core.vocabulary import Hand, Light
 from display.record.codec import checked_value
 from display.record.recording_reader import checked_about
-from scenes.scene import Hand, Light
 from sim.capacity import MAX_BODIES
 from sim.elastic.untangling import DURATION
 from sim.hands.grasp_state import Grasp, GraspState

@@ -17,9 +17,9 @@ import numpy as np
 
 from core.errors import BadInput
 from core.material import Material
+from core.vocabulary import Hand, Light, Touch
 from display import user_commands
 from display.user_commands import Command
-from scenes.scene import Hand, Light, Touch
 
 TEXT_MAX = 200  # characters of a name
 TOUCHES_MAX = 1000  # finger capsules of a hand

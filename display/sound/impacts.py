@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scenes.scene import BodyState
+from core.vocabulary import BodyState
 
 SPEED_MIN = 0.2  # [m/s] of a fall from 2 mm: slower blows, and the shaking of soft bodies, are not heard
 SUPPORT = 2.0  # times gravity's push in a frame: what a body that rests, rolls or sways gets from the ground

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class TrialMeter:
     def __init__(self, trial: Trial, goal: float | None):
         self.over = False
         self._trial, self._goal = trial, math.nan if goal is None else float(goal)
-        self._trial.started = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        self._trial.started = datetime.now(UTC).isoformat(timespec="seconds")
         self._time, self._reached = 0.0, math.nan
         self._hands: list[np.ndarray] = []
         self._held: list[bool] = []

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.camera import Camera, project
 from core.material import MATERIALS
+from core.vocabulary import BodyState
 from display.edit.selection_marker import marked, marker_lines
 from display.protocol import WorldView
 from display.run_stats import plain
@@ -25,7 +26,7 @@ from display.window.panel import (
 )
 from display.window.panel.slider import Slider
 from scenes.registry import Demo
-from scenes.scene import BodyState, Scene
+from scenes.scene import Scene
 
 # Actions of keys that a page has in its own way, or not at all.
 WINDOW_ONLY = ("toggle_panel", "toggle_menu", "toggle_help", "ask_file", "next_gizmo", "toggle_room_gizmo", "escape")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.camera import Camera
+from core.vocabulary import Hand
 from display import user_commands
 from display.edit.edit_steps import ROOM_STEP, rotation_step
 from display.protocol import WorldView
@@ -15,7 +16,6 @@ from display.user_commands import SIZED, Command, SaveState
 from display.window.key_bindings import bound
 from display.window.mouse_hand import MIN_DEPTH, MouseHand
 from display.window.orbit_camera import OrbitCamera
-from scenes.scene import Hand
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of turning for a drag over the picture's height
 LOOK_GAIN = 1.5  # head turn against the angle that the cursor passes over

@@ -5,8 +5,8 @@ from __future__ import annotations
 from time import perf_counter
 
 from core.camera import Camera
+from core.vocabulary import BodyState
 from display.protocol import WorldView
-from scenes.scene import BodyState
 
 PERIOD = 0.05  # [s] between two looks
 OPACITY = 0.5  # of the corners around it

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from core.camera import Camera
-from scenes.scene import Hand
+from core.vocabulary import Hand
 
 FOLLOW_TIME = 0.03  # [s], time constant of the hand behind the cursor: evens out the events of slow mice
 MAX_SPEED = 8.0  # [m/s]; a hard throw by a real hand, and a flick of the wrist on a mouse pad can ask for more

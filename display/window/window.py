@@ -9,6 +9,7 @@ import numpy as np
 
 from core.camera import project
 from core.errors import Cancelled
+from core.vocabulary import BodyState
 from display.adaptive_resolution import WindowResolution
 from display.clock import catch_up_limit
 from display.edit.selection_marker import COLOUR, marked, marker_lines, scaled
@@ -31,7 +32,7 @@ from display.window.panel.panel import Panel
 from display.window.panel.theme import ACCENT, FILMING, MARGIN, QUIET, TITLE_SIZE
 from display.window.scene_menu import SceneMenu
 from display.window.up_choice import UpChoice
-from scenes.scene import BodyState, Scene
+from scenes.scene import Scene
 
 MAX_STEP = 1 / 20  # [s] of simulation at once
 RESIZE_DELAY = 0.2  # [s] without a change of the window's size before the world draws in the new one

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from core.vocabulary import BodyState
 from display.edit import selection_marker
 from display.xr import hand_mesh
 from display.xr.actions import FINGER_LENGTH, FINGER_RADIUS, Controller
@@ -14,7 +15,6 @@ from display.xr.hand_joints import JOINT_COUNT, rotation_about
 from display.xr.hand_mesh import SPACING, discs
 from display.xr.poses import pose_matrix
 from render.skinned_props import Skin
-from scenes.scene import BodyState
 
 # Indices of the parts: the joints of both hands, then each side's (left, right) controller.
 CONTROLLER, FINGER, FINGERTIP = 2 * JOINT_COUNT, 2 * JOINT_COUNT + 2, 2 * JOINT_COUNT + 4

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from core.vocabulary import BodyState, Hand, Touch
 from display.protocol import WorldView
 from display.user_commands import Command, Redo, SetInteraction, Undo
 from display.xr import avatar
 from display.xr.actions import FINGER_RADIUS, PRESS_ABOVE, RELEASE_BELOW, ActionSet, Controller
 from display.xr.poses import PlaySpace, interpolate_pose, pose_matrix, position_rotation
-from scenes.scene import BodyState, Hand, Scene, Touch
+from scenes.scene import Scene
 from sim.hands.grasp_state import MAX_HAND_FORCE
 
 GRAB_RADIUS, PINCH_RADIUS = 0.05, 0.02  # [m] within which a fist, and finger and thumb, take hold

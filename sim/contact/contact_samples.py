@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
-from scenes.scene import Capsule
+from core.vocabulary import Capsule
 from sim.capacity import MAX_BODIES, Capacity, fit, stacked
 from sim.contact.static_shapes import StaticGrid
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import taichi as ti
 
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.constraint import Constraint
 from sim.contact.broad_phase import BodyBounds

@@ -15,7 +15,7 @@ from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
-from scenes.scene import Capsule
+from core.vocabulary import Capsule
 from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.contact.contact_samples import CapsuleSamples
 from sim.contact.nearest_tet import NearestTets

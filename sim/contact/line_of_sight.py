@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Box, Capsule, Plane
+from core.vocabulary import Box, Capsule, Plane
 from sim.contact.static_shapes import Shape, grid_box
 
 STEP, MAX_STEPS = 0.005, 300  # [m] between the points of a line that are looked at; longer lines have longer steps

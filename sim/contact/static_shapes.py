@@ -10,7 +10,7 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.fields import FieldGroup
 from core.rotation import matrices_from_quaternions, quaternions_from_matrices
-from scenes.scene import IDENTITY, Box, Capsule, Plane, Quat, Vec3
+from core.vocabulary import IDENTITY, Box, Capsule, Plane, Quat, Vec3
 from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, known
 

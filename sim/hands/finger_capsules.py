@@ -10,7 +10,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.contact.response import MAX_RECOVERY_SPEED

@@ -17,7 +17,7 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.contact.broad_phase import outside_box
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.hands.finger_capsules import MAX_SAMPLE_FORCE, SAMPLES_PER_HAND, FingerCapsules

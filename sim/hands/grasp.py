@@ -19,7 +19,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import Download, FieldGroup
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.capacity import stacked
 from sim.hands.grasp_state import (
     MAX_HAND_FORCE,

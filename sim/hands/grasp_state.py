@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Hand
+from core.vocabulary import Hand
 
 SPRING_OMEGA = 2.0 * math.pi * 20.0  # [rad/s] of the whole body on its springs: stiffer than an arm, softer than a pin
 MIN_SPRING_MASS = 0.2  # [kg]; lighter bodies are held as firmly, with 3 N/mm, so that they too can be squeezed

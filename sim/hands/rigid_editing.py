@@ -17,7 +17,7 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Hand
+from core.vocabulary import Hand
 
 if TYPE_CHECKING:
     from sim.state import State

@@ -15,7 +15,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import positively_oriented, tet_volumes
-from scenes.scene import IDENTITY, Quat, Vec3
+from core.vocabulary import IDENTITY, Quat, Vec3
 from sim.soft_body import SoftBody
 
 BOX_TOLERANCE = 1e-4  # relative: what float32 leaves of a box

@@ -7,10 +7,11 @@ import pytest
 import vrgs
 from bench import demos
 from core.material import Material
+from core.vocabulary import Body, Hand, Light, Plane
 from display.world import World
 from scenes import paper_demos, registry
 from scenes.paper_demos import PaperDemo
-from scenes.scene import Body, Hand, Light, Plane, Scene
+from scenes.scene import Scene
 
 STAGES = ("hands", "simulate", "embed", "shadow", "render")
 DEMO = PaperDemo("ring", "ring_toss", 305_000, 28_205, 1, 161)

@@ -10,7 +10,7 @@ from bench.physics import BAR, bar
 from bench.setups import FRAME, energies, strain_energy
 from bench.soak import EnergyAudit, Failure, Works, inverted, soak, work
 from bench.soak_acts import MAX_BODIES, Hands, Ranges, generator, population
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.body_model import BodyModel
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW

@@ -10,9 +10,10 @@ from commands import paper_assets
 from commands.paper_assets import Part, detail_of, parts_of, use_paper_assets
 from core.errors import BadInput
 from core.material import Material
+from core.vocabulary import Body
 from scenes import paper_demos, registry
 from scenes.paper_demos import PAPER_DEMOS, PaperDemo, paper_demo_of
-from scenes.scene import Body, Scene
+from scenes.scene import Scene
 from studio import catalogue
 from studio.ring import torus_cage
 from tests.support.samples import some_gaussians

@@ -13,10 +13,10 @@ import commands.play_session as play_session
 from assets.asset import Asset
 from commands.opening import Opening, opened_args
 from core.errors import BadInput, Cancelled
+from core.vocabulary import Body
 from display.preferences import Preferences
 from display.protocol import Frame
 from display.user_commands import AddBody, CancelOpening, Measure, OpenScene, Pause, SwapRoom
-from scenes.scene import Body
 from sim.capacity import CapacityError
 from tests.support.fake_view import FakeView
 from tests.support.leaning_room import leaning_room

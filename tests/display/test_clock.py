@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from core.vocabulary import Hand
 from display.clock import (
     CATCH_UP_TIME,
     MAX_STEP,
@@ -17,7 +18,6 @@ from display.clock import (
     frame_steps,
     interpolate_hand,
 )
-from scenes.scene import Hand
 from sim.solver import MAX_FRAME_DT
 
 PERIOD = 11_111_111  # [ns], 90 Hz

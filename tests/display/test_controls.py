@@ -7,12 +7,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.camera import look_at, perspective, project
+from core.vocabulary import Hand, Light
 from display import user_commands
 from display.edit.edit_steps import SCALE_STEP, TURN_STEP
 from display.window.controls import Controls
 from display.window.mouse_hand import MAX_SPEED, MouseHand
 from display.window.orbit_camera import MAX_PITCH, OrbitCamera
-from scenes.scene import Hand, Light
 from tests.support.fake_world import RADIUS, BallWorld, fake_scene
 
 WIDTH, HEIGHT = 320, 180

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from core.vocabulary import Hand, Light
 from display.edit.body_registry import FULL_NOTICE as FULL
 from display.record.codec import from_text, to_text
 from display.user_commands import (
@@ -27,7 +28,6 @@ from display.user_commands import (
     Undo,
 )
 from scenes.dining_table import RING_MATERIAL as RUBBER
-from scenes.scene import Hand, Light
 from tests.support.edited_play import BLUE, DT, RED, Play, equal
 
 

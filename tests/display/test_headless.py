@@ -11,10 +11,10 @@ import pytest
 
 from assets import file_access
 from core.errors import BadInput
+from core.vocabulary import Hand
 from display.headless.headless import EYE_DISTANCE, Headless
 from display.headless.video import Video
 from display.picture import pixels_of
-from scenes.scene import Hand
 from tests.support.fake_world import FakeWorld, fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,6 +10,7 @@ from assets.library import SHIPPED_FOLDER
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from core.vocabulary import Body, Light, Plane
 from display.keep.keeper import Keeper
 from display.keep.kept_frame import frame_writer
 from display.protocol import Frame
@@ -17,7 +18,7 @@ from display.user_commands import KeepFrame, Pause, Place, Rescale, Rotate, Turn
 from display.viewed_file import ViewedFile
 from display.viewer import Viewer, scene_around
 from scenes.dining_table import RING_MATERIAL as RUBBER
-from scenes.scene import Body, Light, Plane, Scene
+from scenes.scene import Scene
 from tests.support.samples import some_gaussians
 
 SIZE = (96, 64)

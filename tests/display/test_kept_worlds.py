@@ -20,6 +20,7 @@ from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.spherical_harmonics import rotate_sh
 from core.tetmesh import tet_volumes
+from core.vocabulary import Body, Hand, Light, Plane
 from display.edit.edit_steps import rotation_step
 from display.keep.scene_export import ShownGaussians, exporter, moving_bodies, von_mises
 from display.keep.scene_state import located, put_state, state_of
@@ -42,7 +43,7 @@ from display.user_commands import (
     Undo,
 )
 from render import MOVING_SORT
-from scenes.scene import Body, Hand, Light, Plane, Scene
+from scenes.scene import Scene
 from sim.elastic.time_step import lame
 from sim.motion_arrays import MOTION
 

@@ -8,6 +8,7 @@ import pytest
 
 from core.camera import look_at, perspective
 from core.runtime import watch_compilation
+from core.vocabulary import Hand, Touch
 from display.protocol import Frame
 from display.start_progress import KERNELS, start_progress
 from display.user_commands import (
@@ -29,7 +30,6 @@ from display.user_commands import (
     Undo,
 )
 from scenes import ring_toss
-from scenes.scene import Hand, Touch
 from tests.support.compiling import compiled
 
 YELLOW = 1

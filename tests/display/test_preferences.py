@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from core.vocabulary import Light
 from display.keep.remembered import Remembered
 from display.preferences import Preferences, config_folder, read_bookmarks
 from display.protocol import Frame
 from display.user_commands import LoadState, SetLight, Undo
 from display.window.gl_window import covers
-from scenes.scene import Light
 from tests.support.fake_view import FakeView
 from tests.support.fake_world import fake_scene
 

@@ -16,6 +16,7 @@ from commands.play import open_display, open_film
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.material import Material
+from core.vocabulary import BodyState, Hand, Light, Touch
 from display.headless.video import FILM_FPS, frame_count
 from display.protocol import Frame
 from display.record.codec import from_text, hand_size, pack_hand, to_text, touch_count, unpack_hand
@@ -39,7 +40,6 @@ from display.user_commands import (
     SingleStep,
     Undo,
 )
-from scenes.scene import BodyState, Hand, Light, Touch
 from tests.support.fake_world import fake_scene
 
 ROOT = Path(__file__).resolve().parents[2]

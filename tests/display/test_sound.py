@@ -13,6 +13,7 @@ import pytest
 
 from core.camera import look_at, perspective
 from core.material import MATERIALS
+from core.vocabulary import BodyState
 from display.headless.video import Video
 from display.preferences import Preferences
 from display.protocol import Frame
@@ -23,7 +24,6 @@ from display.sound.mixer import LOUD, VOICES, Mixer
 from display.sound.sound import Sound, heard_from
 from display.sound.sound_track import SoundTrack
 from display.user_commands import Reset, SetSound
-from scenes.scene import BodyState
 
 G = (0.0, -9.81, 0.0)
 BRICK = np.array([0.075, 0.025, 0.025])

@@ -17,6 +17,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.errors import BadInput
+from core.vocabulary import BodyState, Hand
 from display.protocol import Frame
 from display.study.comparison import compare
 from display.study.questionnaire import QUESTIONS, Answers, ask, form_page, read_answers_file
@@ -24,7 +25,6 @@ from display.study.study_file import Study, add_to_study, read_study, write_stud
 from display.study.study_log import StudyLog
 from display.study.trial import MIXED, Trial
 from display.user_commands import PlayDemo, Reset
-from scenes.scene import BodyState, Hand
 from vrgs import main
 
 ROOT = Path(__file__).resolve().parents[2]

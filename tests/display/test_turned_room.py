@@ -12,6 +12,7 @@ from assets.room_folder import RoomManifest, RoomObject, read_room, write_room
 from core.camera import look_at, perspective
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from core.vocabulary import Body, Light
 from display.edit.room_turn import own_room
 from display.keep.keeper import Keeper
 from display.keep.kept_frame import frame_writer, write_room_turned
@@ -19,7 +20,7 @@ from display.keep.scene_state import put_state, state_of
 from display.protocol import Frame
 from display.user_commands import KeepFrame, Pause, Reset, TurnRoom, Undo
 from scenes.dining_table import RING_MATERIAL as RUBBER
-from scenes.scene import Body, Light, Scene
+from scenes.scene import Scene
 from tests.support.leaning_room import leaning_room
 
 SIZE = (96, 64)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from core.vocabulary import Light
 from display import user_commands
 from display.xr.actions import FINGER_LENGTH, Controller
 from display.xr.hand_joints import HandJoints
@@ -25,7 +26,6 @@ from display.xr.wrist_panel import (
     project_to_panel,
     ray_hit,
 )
-from scenes.scene import Light
 from tests.support.fake_view import FakeView
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from core.material import Material
+from core.vocabulary import Hand, Light
 from display.keep.plain_values import game_state
 from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
 from display.record.recording import Recording
@@ -14,7 +15,6 @@ from display.study.questionnaire import QUESTIONS, Answers
 from display.study.study_file import Study
 from display.study.trial import Trial
 from display.user_commands import Duplicate, Pause, Rescale, Rotate, SetInteraction, SetLight, SetMaterial, Undo
-from scenes.scene import Hand, Light
 from sim.hands.grasp_state import Grasp, GraspState
 from tests.display.test_recording import Ball, some_frames
 

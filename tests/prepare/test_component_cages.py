@@ -16,6 +16,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.point_location import TetLocator
 from core.tetmesh import face_components, vertex_components
+from core.vocabulary import Body, Light
 from display.edit.body_registry import BodyRegistry
 from display.scene_bodies import load_bodies
 from prepare.cage.cage_generation import ANGLE_MIN, INSIDE_MIN
@@ -25,7 +26,7 @@ from prepare.cage.mesh_quality import dihedral_angles, non_manifold_vertices
 from prepare.cleaning import clean, clean_components
 from prepare.pipeline import Options, fill, prepare
 from prepare.prepared_files import prepare_file
-from scenes.scene import Body, Light, Scene
+from scenes.scene import Scene
 from tests.support.shells import ball, ring
 
 

@@ -28,9 +28,9 @@ def test_every_index_is_within_its_field(checked, options):
 
 def test_every_index_of_a_shadow_is_within_its_field(checked):
     """A light that looks at all of it, then one that most of it lies behind."""
+    from core.vocabulary import Light
     from render.shadow_map import ShadowMap
     from render.splats import Splats
-    from scenes.scene import Light
 
     g = gaussians(400, 0)
     splats = Splats(g)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from assets.gaussians import Gaussians, concatenate
-from scenes.scene import Light
+from core.vocabulary import Light
 
 BLOB_CENTER, BLOB_RADIUS = np.array([0.0, 0.4, 0.0]), 0.1
 LIGHT = Light(position=(0.0, 2.0, 0.0), target=(0.0, 0.0, 0.0), strength=0.6, softness=0.02)

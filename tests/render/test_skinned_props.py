@@ -6,13 +6,13 @@ from numpy.testing import assert_allclose
 
 from assets.gaussians import concatenate
 from core.spherical_harmonics import C0
+from core.vocabulary import Light
 from display.xr import avatar, hand_mesh
 from display.xr.actions import Controller
 from display.xr.hand_joints import FINGERS, JOINT_COUNT, WRIST, posed, rotation_about
 from display.xr.poses import pose_matrix
 from render.skinned_props import HIDDEN_DISTANCE, SkinnedProps
 from render.splats import Splats
-from scenes.scene import Light
 
 LIGHT = Light(position=(0.5, 2.0, 0.3))
 

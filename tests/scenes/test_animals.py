@@ -5,9 +5,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.errors import BadInput
+from core.vocabulary import BodyState
 from scenes import animal_crossing, manipulation, registry
 from scenes.manipulation import PULL_TIME, REST_TIME, SETTLE_TIME
-from scenes.scene import BodyState
 from tests.support.scripted_play import play
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from core.vocabulary import Box
 from display.protocol import Frame
 from display.user_commands import Reset
 from scenes import registry
 from scenes.attic_floor import FAR, HOLE, PALLET, SIZES, boxes, colliders
 from scenes.box_moving import TURN, BoxMoving, before_hole
-from scenes.scene import Box
 from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]

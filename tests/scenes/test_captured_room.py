@@ -20,11 +20,11 @@ from commands.prepared import prepared_stage
 from core.camera import look_at, perspective
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
+from core.vocabulary import BodyState, Light
 from display.world import World
 from scenes import registry
 from scenes.manipulation import pointed_parts
 from scenes.roles import cast_bodies
-from scenes.scene import BodyState, Light
 from tests.support.scripted_play import play
 
 EYE, TARGET = (0.0, 1.42, 1.15), (0.0, 0.8, 0.0)

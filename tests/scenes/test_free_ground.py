@@ -12,10 +12,10 @@ from assets.gaussians import Gaussians
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.rotation import matrices_from_quaternions
+from core.vocabulary import Box
 from scenes import registry
 from scenes.attic_floor import PALLET, STATIONS
 from scenes.free_ground import CELL, SIZES, ground_of
-from scenes.scene import Box
 from tests.support.scripted_play import play
 
 SPACING = 0.05  # [m]

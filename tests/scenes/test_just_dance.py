@@ -9,12 +9,12 @@ from assets.asset import Asset
 from assets.library import animated_height, find_asset
 from core.errors import BadInput
 from core.tetmesh import vertex_components
+from core.vocabulary import Hand
 from display.protocol import Frame
 from display.user_commands import Duplicate, Remove, Rescale, Reset, SetInteraction, Undo
 from prepare.rig.skin_weights import least_volumes
 from scenes import registry
 from scenes.just_dance import THROW_PERIOD
-from scenes.scene import Hand
 from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]

@@ -19,9 +19,10 @@ from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
+from core.vocabulary import Body, Plane
 from scenes import registry
 from scenes.roles import CELL, bounds, clear_of_room, in_room, photographs_of, places, spot_in
-from scenes.scene import Body, Plane, Role, Room
+from scenes.scene import Role, Room
 from vrgs import main
 
 JELLY = Material.named("jelly")

@@ -17,13 +17,14 @@ from assets.library import animated_height, find_asset
 from commands.parser import COMMANDS
 from core.camera import look_at, perspective
 from core.material import Material
+from core.vocabulary import Body, BodyState, Light, Plane
 from display.picture import pixels_of
 from display.protocol import Frame
 from display.study.study_file import read_study
 from display.user_commands import Reset, SetLight, Undo
 from scenes import registry, ring_toss
 from scenes.dining_table import BOTTLE
-from scenes.scene import Body, BodyState, Light, Plane, Scene
+from scenes.scene import Scene
 from vrgs import main
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from assets.library import find_asset
+from core.vocabulary import BodyState
 from scenes import registry, toy_collection
-from scenes.scene import BodyState
 from tests.support.scripted_play import play
 
 

@@ -11,7 +11,7 @@ from taichi.lang.kernel_impl import Kernel
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
-from scenes.scene import Box, Hand
+from core.vocabulary import Box, Hand
 from sim.body_model import BodyModel, RestShape
 from sim.capacity import Capacity
 from sim.contact.signed_distance import DistanceGrids, grid_of, rest_grid

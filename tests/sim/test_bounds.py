@@ -2,7 +2,7 @@
 
 import pytest
 
-from scenes.scene import Capsule, Hand, Touch
+from core.vocabulary import Capsule, Hand, Touch
 from sim.solver import Solver
 from tests.sim.test_fingers import DT, TABLE, R, bodies
 from tests.support.runtime import runtime

@@ -9,7 +9,7 @@ from bench.setups import resting_pile, run, winding_number
 from core.errors import BadInput
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.soft_body import SoftBody
 from tests.support.soft_world import (
     BOX,

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box, torus
 from bench.setups import run
 from core.material import Material
-from scenes.scene import Capsule
+from core.vocabulary import Capsule
 from sim.contact.tet_geometry import tet_neighbors
 from sim.soft_body import SoftBody
 from sim.solver import Solver

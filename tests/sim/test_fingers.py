@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Box, Hand, Touch
+from core.vocabulary import Box, Hand, Touch
 from sim.hands.finger_capsules import (
     CAPSULES_PER_HAND,
     MAX_RADIUS,

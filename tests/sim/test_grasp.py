@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.soft_body import SoftBody
 from tests.support.soft_world import soft_solver

@@ -8,7 +8,7 @@ from bench.sample_meshes import box, torus
 from bench.setups import run
 from core.errors import BadInput
 from core.material import Material
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.rigid.rigid_body import RigidBody
 from sim.soft_body import SoftBody
 from sim.solver import Solver

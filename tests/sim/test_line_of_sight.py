@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.distance_grid import DistanceGrid
-from scenes.scene import Box, Capsule, Plane
+from core.vocabulary import Box, Capsule, Plane
 from sim.contact.line_of_sight import LineOfSight
 from sim.contact.static_shapes import StaticGrid
 

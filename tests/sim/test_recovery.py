@@ -6,7 +6,7 @@ import pytest
 from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 

@@ -8,7 +8,7 @@ from scipy.spatial import ConvexHull
 from bench import physics_contact
 from bench.setups import SIDE, playground
 from core.errors import BadInput
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.capacity import MAX_BODIES
 from sim.contact.static_shapes import MAX_SHAPES
 from sim.rigid.rigid_body import RigidBody

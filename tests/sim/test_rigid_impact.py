@@ -6,7 +6,7 @@ import pytest
 from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.material import Material
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.capacity import MAX_BODIES
 from sim.rigid.rigid_body import RigidBody
 from sim.rigid.rigid_broad_phase import WORLD

@@ -11,7 +11,7 @@ from bench.sample_meshes import box, torus
 from bench.setups import energies, run
 from core.material import Material
 from core.tetmesh import boundary_surface
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.body_model import models_of
 from sim.capacity import Capacity
 from sim.soft_body import SoftBody

@@ -6,7 +6,7 @@ import pytest
 from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.body_model import RestShape
 from sim.contact.self_collision import can_fold
 from sim.soft_body import SoftBody

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.sample_meshes import box
 from bench.setups import pile, run
 from core.material import Material
-from scenes.scene import Hand, Plane, Touch
+from core.vocabulary import Hand, Plane, Touch
 from sim.body_model import models_of
 from sim.capacity import Capacity
 from sim.sleeping import REST_TIME, bits

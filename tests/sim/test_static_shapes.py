@@ -10,7 +10,7 @@ from bench.sample_meshes import box, torus
 from core.distance_grid import DistanceGrid
 from core.fields import destroy_fields
 from core.rotation import matrices_from_quaternions
-from scenes.scene import Box, Capsule, Plane
+from core.vocabulary import Box, Capsule, Plane
 from sim.body_model import BodyModel
 from sim.contact.contact_samples import CapsuleSamples, points_of, skin_depth, spacing_for, surface_points, thin_out
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, rest_grid

@@ -8,7 +8,7 @@ from bench.sample_meshes import box, torus
 from bench.setups import linked_throws
 from core.distance_grid import DistanceGrid
 from core.material import Material
-from scenes.scene import Box, Capsule, Hand
+from core.vocabulary import Box, Capsule, Hand
 from sim.contact.static_shapes import StaticGrid
 from sim.soft_body import SoftBody
 from sim.solver import Solver

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Hand
+from core.vocabulary import Hand
 from sim.hands.grasp import TRACKING_TIMEOUT
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.soft_body import SoftBody

@@ -12,7 +12,7 @@ from bench.sample_meshes import box, torus
 from bench.setups import run, strain_energy
 from core.material import Material
 from core.tetmesh import tet_volumes
-from scenes.scene import Hand, Plane
+from core.vocabulary import Hand, Plane
 from sim.body_model import BodyModel
 from sim.capacity import Capacity
 from sim.elastic.time_step import lame

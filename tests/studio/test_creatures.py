@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from assets.asset import Asset
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.elastic.time_step import stiffness_bounds
 from sim.soft_body import SoftBody
 from sim.solver import Solver

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from scipy.spatial import cKDTree
 
 from assets.asset import Asset
+from core.vocabulary import Box, Capsule, Plane
 from scenes import childrens_room as room_scene
 from scenes import garden as garden_scene
-from scenes.scene import Box, Capsule, Plane
 from studio import basket
 from studio.childrens_room.bed_and_tent import TENT_AT
 from studio.childrens_room.painted_shell import ROOM_HIGH, ROOM_LOW

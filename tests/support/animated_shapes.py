@@ -7,8 +7,8 @@ import numpy as np
 from assets.animation import START_RAMP
 from assets.asset import Asset
 from core.material import ANIMATED_MATERIAL, Material
+from core.vocabulary import Body
 from display.animation_targets import AnimationTargets
-from scenes.scene import Body
 from sim.soft_body import SoftBody
 from sim.solver import Solver
 

@@ -3,10 +3,11 @@
 from numpy.testing import assert_array_equal
 
 from core.camera import look_at, perspective
+from core.vocabulary import Body, Hand, Light, Plane
 from display.picture import pixels_of
 from display.protocol import Frame
 from scenes.dining_table import RING_MATERIAL as RUBBER
-from scenes.scene import Body, Hand, Light, Plane, Scene
+from scenes.scene import Scene
 
 SIZE = (160, 90)
 RED, BLUE = 0, 1

@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from core.material import MATERIALS
 from core.runtime import COMPILER_OPTIONS
+from core.vocabulary import BodyState, Light
 from display.keep.keeper import Keeper
 from display.protocol import WorldView
 from display.record.codec import NAMES
@@ -34,7 +35,7 @@ from display.user_commands import (
     in_order,
     last_of,
 )
-from scenes.scene import BodyState, Light, Scene
+from scenes.scene import Scene
 
 RADIUS = 0.3  # [m]
 RED = (230, 60, 50)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
-from scenes.scene import Plane
+from core.vocabulary import Plane
 from sim.body_model import BodyModel
 from sim.model import Model
 from sim.rigid.rigid_body import RigidBody

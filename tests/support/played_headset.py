@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import display.world
 import vrgs
+from core.vocabulary import BodyState
 from display.protocol import WorldView
 from display.timing import Timings
 from display.xr import headset, player
 from scenes.roles import bounds
-from scenes.scene import BodyState
 from tests.support.remote_headset import PORT
 from tests.support.remote_headset import Player as Wearer
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bench.sample_meshes import box
-from scenes.scene import Box, Capsule, Plane
+from core.vocabulary import Box, Capsule, Plane
 from sim.capacity import Capacity
 from sim.contact.signed_distance import rest_grid
 from sim.contact.static_shapes import StaticGrid

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+from core.vocabulary import Light
 from display import user_commands
 from display.protocol import WorldView
 from display.user_commands import Command
 from display.window.panel.section import Section
 from display.window.panel.slider import Slider
 from display.window.panel.widgets import Sliders, choice
-from scenes.scene import Light
 
 HUNDREDTHS = {"shadow": ("strength", 100.0, "%"), "edge": ("softness", 20.0, "cm")}  # field, largest, unit
 RANGE = 4.0  # [m] of the sliders around the scene's target

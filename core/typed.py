@@ -24,7 +24,7 @@ import dataclasses
 import json
 import re
 import sys
-from functools import lru_cache
+from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -103,7 +103,7 @@ def to_plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
 
 
-@lru_cache(maxsize=None)
+@cache
 def field_types(kind: type) -> dict[str, Any]:
     """Types of a dataclass's fields, with their bounds."""
     hints = get_type_hints(kind, include_extras=True)

@@ -1,4 +1,4 @@
-"""The one codec for typed data that crosses a border: plain data (JSON) into dataclasses by their annotations, and back.
+"""The codec for typed data that crosses a border: plain data (JSON) into dataclasses by their annotations, and back.
 
     @dataclass(frozen=True)
     class Lamp:

@@ -90,7 +90,7 @@ class Animation:
         return world_matrices(self.parents, local) @ self.inverse_bind
 
     def skinned(self, points: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-        """Positions of `vertices` whose rest positions are `points` (S, 3) [m], float64; twin of sim/skinning.py."""
+        """Positions of `vertices` whose rest positions are `points` (S, 3) [m], float64; twin of `Skinning`."""
         return linear_blend_skinning(points, self.joints, self.weights, matrices)
 
     def check(self, cage_vertices: int, where: str) -> None:

@@ -19,7 +19,7 @@ from core.material import RAYLEIGH_FREQUENCY, Material
 from core.runtime import start_taichi
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 DENSITY, G = 1000.0, 9.81

@@ -14,10 +14,9 @@ from bench.implicit_shapes import brick
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand, Plane
-from sim.body_model import BodyModel, RestShape
 from sim.contact.contact_samples import points_of, spacing_for
 from sim.contact.static_shapes import Shape, StaticGrid
-from sim.soft_body import SoftBody
+from sim.model import BodyModel, RestShape, SoftBody
 
 WALL, STEP_HEIGHT = 0.6, 0.03  # [m] x of the wall, and height of the step in the floor, at x < 0
 SPACING, ROOM = 0.02, ((-1.2, -0.2, -1.0), (0.8, 1.6, 1.0))  # [m] of the room's distance grid, and its corners

@@ -25,9 +25,7 @@ from core.errors import BadInput
 from core.material import Material
 from core.program import cache_folder
 from display.run_stats import write_stats
-from sim.body_model import RestShape
-from sim.capacity import Capacity
-from sim.model import Model
+from sim.model import Capacity, Model, RestShape
 from sim.solver import Solver
 
 FRAME = 1 / 90  # [s]

@@ -13,8 +13,8 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.vocabulary import Capsule, Hand, Plane
 from sim.elastic.energy import CRUSHED_DJ, STRETCHED_I1
+from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 FRAME, G = 1 / 60, 9.81

@@ -21,7 +21,7 @@ from core.errors import BadInput
 from core.material import Material
 from display.run_stats import write_stats
 from sim.contact.static_shapes import StaticGrid
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 SUBSTEP, SUBSTEPS, HEADSET_FRAME = 1e-4, 400, 1 / 90

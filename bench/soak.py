@@ -23,9 +23,9 @@ import numpy as np
 from bench.setups import FRAME, G, energies
 from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
 from core.vocabulary import Hand, Plane
-from sim.capacity import Capacity
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW
+from sim.model import Capacity
 from sim.solver import Solver
 
 HANDLING, RESTING = 6.0, 3.0  # [s]
@@ -75,7 +75,7 @@ class EnergyAudit:
         self.budget = 0.0
 
     def stepped(self) -> None:
-        """Account for a frame; a body led to its shape may be lifted by its own height (sim/elastic/untangling.py)."""
+        """Account for a frame; a body led to its shape may be lifted by its own height (sim/recovery.py)."""
         self.frames += 1
         self.untangled |= set(np.flatnonzero(self.solver.untangling.active).tolist())
 

@@ -16,7 +16,7 @@ from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand
 from sim.contact.signed_distance import rest_grid
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 
 ARENA = 1.0  # [m] from the middle to each wall
 MAX_BODIES = 40

@@ -18,7 +18,7 @@ from assets.asset import Asset
 from bench.embedding_ablation import BodyPictures
 from core.material import Material
 from sim.embedding import EmbeddedBody, Embedding
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 FRAME = 1 / 60  # [s]

@@ -223,7 +223,7 @@ class Session:
 
     def _carry_out(self, opening: Opening) -> None:
         from display.scene_bodies import load_bodies
-        from sim.capacity import CapacityError
+        from sim.model import CapacityError
 
         match opening.request:
             case AddBody() as request:

@@ -9,7 +9,7 @@ import numpy as np
 from assets.animation import Animation
 from core.rotation import best_fit_rotation, matrices_from_quaternions
 from core.vocabulary import Body
-from sim.skinning import Skinning
+from sim.kinematic_targets import Skinning
 from sim.solver import MAX_FRAME_DT, Solver
 
 ROUNDING = 1e-4  # [m]; a body closer to its targets has not been moved

@@ -13,10 +13,8 @@ import numpy as np
 from core.errors import BadInput
 from core.material import Material
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
-from sim.body_model import BodyModel, motion
 from sim.hands.grasp_state import GraspState
-from sim.model import body_index
-from sim.soft_body import SoftBody
+from sim.model import BodyModel, SoftBody, body_index, motion
 
 COPY_GAP = 0.01  # [m] between a body and its copy
 

@@ -1,16 +1,371 @@
-"""All bodies joined into the flat arrays that the device holds (NumPy only)."""
+"""Simulated bodies on the host: as given, with the constants derived from them, and joined into flat arrays (NumPy).
+
+SoftBody is the input, RestShape and BodyModel hold what follows from its mesh and its material, and Model joins all
+bodies of a solver; Capacity says how many more the device's fields can take.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from core.distance_grid import DistanceGrid, same_grid
 from core.errors import BadInput
-from sim.body_model import BodyModel, RestShape
-from sim.capacity import Sizes, offsets, stacked
-from sim.elastic.time_step import lame
+from core.material import Material
+from core.rotation import matrices_from_quaternions
+from core.tetmesh import tet_volumes
+from core.vocabulary import IDENTITY, Quat, Vec3
+from sim.time_step import clamp_stiffness, lame, stiffness_bounds, wave_speed
+
+if TYPE_CHECKING:
+    from sim.rigid.rigid_body import RigidBody
+
+MAX_BODIES = 64  # per-body fields are tiny; one size for all scenes keeps compiled kernels in the cache
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Numbers of elements (the fields' capacities are larger)."""
+
+    vertices: int
+    tets: int
+    triangles: int
+    bodies: int
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """Capacity of the solver's fields, which cannot grow: the first bodies `factor` times, and at least these totals.
+
+    samples: points of contact; nodes: of the bodies' distance grids, each different one counted once. Kernels are
+    compiled once, for what fits: contact among bodies, if more than one does; rigid bodies, if `rigid` or if there is
+    one at first.
+    """
+
+    vertices: int = 0
+    tets: int = 0
+    triangles: int = 0
+    samples: int = 0
+    nodes: int = 0
+    bodies: int = 0
+    factor: float = 1.0
+    rigid: bool = False
+
+    @classmethod
+    def of(cls, capacity: Capacity | float | None) -> Capacity:
+        """Take a factor as a capacity for MAX_BODIES bodies, None as no more than the first bodies need."""
+        if isinstance(capacity, Capacity):
+            return capacity
+        return cls() if capacity is None else cls(bodies=MAX_BODIES, factor=float(capacity))
+
+    def sized(self, what: str, need: int) -> int:
+        """Capacity for `what`, of which `need` are there at first."""
+        return max(1, int(np.ceil(need * self.factor)), getattr(self, what))
+
+    @property
+    def grows(self) -> bool:
+        """True if more may come than is there at first."""
+        return self != Capacity()
+
+
+class CapacityError(BadInput):
+    """Raised where the fields are too small for what they should hold."""
+
+
+def fit(what: str, need: int, capacity: int) -> None:
+    """Raise CapacityError if `need` elements do not fit."""
+    if need > capacity:
+        raise CapacityError(f"no room for {need} {what}: the capacity is {capacity}")
+
+
+def offsets(counts: list[int]) -> np.ndarray:
+    """Begin of each run of `counts` elements, and the end of the last, (n+1,)."""
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]).astype(np.int64)
+
+
+def stacked(arrays: list[np.ndarray], width: int | None = None) -> np.ndarray:
+    """Concatenate arrays (n, width) or (n,), also none."""
+    return np.concatenate([np.zeros(0 if width is None else (0, width), int), *arrays])
+
+
+MIN_RELATIVE_VOLUME = (
+    1e-4  # volume / (longest edge)^3 of a regular tet is 0.12; below this its rest inverse is noise in fp32
+)
+
+
+@dataclass(frozen=True)
+class SoftBody:
+    """One elastic body at rest, and where it starts.
+
+    vertices  rest positions in the body frame, already scaled [m], (V, 3)
+    tets      (T, 4) with det[x1-x0, x2-x0, x3-x0] > 0;   surface  (S, 3) outward
+    rotation, position, velocity   x = R(rotation) rest + position, all vertices at `velocity` [m/s]
+    sdf       signed distance of the rest shape in the body frame [m], or None
+    pinned    indices of vertices that do not move (inverse mass 0), or None
+    asleep    starts asleep: nothing moves it until something reaches it
+    self_contact   "parts": only disconnected parts of its cage meet, as legs and a skirt. Where a limb meets the trunk,
+                   driven vertices, which nothing stops, would crush what they meet. False: it passes through itself
+    """
+
+    name: str
+    vertices: np.ndarray
+    tets: np.ndarray
+    surface: np.ndarray
+    material: Material
+    rotation: Quat = IDENTITY
+    position: Vec3 = (0.0, 0.0, 0.0)
+    velocity: Vec3 = (0.0, 0.0, 0.0)
+    sdf: DistanceGrid | None = None
+    pinned: np.ndarray | None = None
+    self_contact: bool | str = True
+    asleep: bool = False
+    rigid: ClassVar[bool] = False
+
+    def of_material(self, material: Material) -> SoftBody:
+        """The same body of another material; BadInput if no body can be of it."""
+        body = replace(self, material=material)
+        body.check_material()
+        return body
+
+    def start_velocities(self) -> np.ndarray:
+        """Initial velocities [m/s], (V, 3) float64."""
+        return np.tile(np.asarray(self.velocity, np.float64), (len(self.vertices), 1))
+
+    def start(self) -> np.ndarray:
+        """Initial positions in the world [m], (V, 3) float64."""
+        return np.asarray(self.vertices, np.float64) @ matrices_from_quaternions(self.rotation).T + np.asarray(
+            self.position, np.float64
+        )
+
+    def check(self) -> None:
+        """Raise BadInput, naming body and defect, for anything the solver cannot simulate."""
+        x, tets = np.asarray(self.vertices, np.float64), np.asarray(self.tets)
+        if x.ndim != 2 or x.shape[1] != 3 or not np.isfinite(x).all():
+            raise BadInput(f"{self.name}: vertices must be finite and of shape (V, 3), not {x.shape}")
+        for what, index, k in (("tets", tets, 4), ("surface", np.asarray(self.surface), 3)):
+            if index.ndim != 2 or index.shape[1] != k or len(index) == 0:
+                raise BadInput(f"{self.name}: {what} must be of shape (n, {k}), not {index.shape}")
+            if index.min() < 0 or index.max() >= len(x):
+                raise BadInput(f"{self.name}: {what} refer to vertices outside 0..{len(x) - 1}")
+        self.check_material()
+        unused = np.setdiff1d(np.arange(len(x)), tets)
+        if len(unused):
+            raise BadInput(f"{self.name}: vertex {unused[0]} ({len(unused)} in all) belongs to no tetrahedron")
+        volumes = tet_volumes(x, tets)
+        edges = x[tets][:, [0, 0, 0, 1, 1, 2]] - x[tets][:, [1, 2, 3, 2, 3, 3]]
+        longest = np.sqrt((edges**2).sum(-1).max(1))
+        flat = np.flatnonzero(volumes < MIN_RELATIVE_VOLUME * longest**3)
+        if len(flat):
+            t = flat[0]
+            raise BadInput(
+                f"{self.name}: tetrahedron {t} ({len(flat)} in all) is flat or inverted at rest"
+                f" (volume {volumes[t]:.3g} m^3, longest edge {longest[t]:.3g} m)"
+            )
+
+    def check_material(self) -> None:
+        """Raise BadInput for a material that no body can have."""
+        self.material.check(self.name)
+
+    def masses(self) -> np.ndarray:
+        """A quarter of each tet's mass on each of its corners [kg], (V,)."""
+        volumes = tet_volumes(self.vertices, self.tets)
+        quarters = np.repeat(self.material.density * volumes / 4, 4)
+        return np.bincount(np.asarray(self.tets).ravel(), quarters, minlength=len(self.vertices))
+
+
+class RestShape:
+    """A mesh at rest in its body's frame [m], and everything that follows from the mesh alone.
+
+    Bodies of the same mesh share one. `root` is the shape that this one is `factor` times as large as.
+    `solid` are the tets that carry mass, and `tets` those of them that deform: none of a rigid body's. `boxed`: the
+    shape is exactly the box that its vertices span, about the frame's origin.
+    """
+
+    def __init__(
+        self,
+        vertices,
+        tets,
+        surface,
+        sdf: DistanceGrid | None,
+        *,
+        rigid: bool = False,
+        boxed: bool = False,
+        root: RestShape | None = None,
+        factor: float = 1.0,
+    ):
+        self.vertices = np.asarray(vertices, np.float64)
+        self.solid, self.surface, self.sdf = np.asarray(tets, np.int64), np.asarray(surface, np.int64), sdf
+        self.rigid, self.boxed = rigid, boxed
+        self.tets = self.solid[:0] if rigid else self.solid
+        self.root, self.factor = self if root is None else root, factor
+        self._kept: dict = {}
+
+    @classmethod
+    def of(cls, body: SoftBody | RigidBody) -> RestShape:
+        boxed = body.rigid and body.boxed
+        return cls(body.vertices, body.tets, body.surface, body.sdf, rigid=body.rigid, boxed=boxed)
+
+    def fits(self, body: SoftBody | RigidBody) -> bool:
+        """Return whether the body has this mesh."""
+        if (self.rigid, self.boxed) != (body.rigid, body.rigid and body.boxed):
+            return False
+        pairs = [(self.vertices, body.vertices), (self.solid, body.tets), (self.surface, body.surface)]
+        return all(np.array_equal(a, b) for a, b in pairs) and same_grid(self.sdf, body.sdf)
+
+    def once(self, derive: Callable, *arguments):
+        """derive(self, *arguments), which is computed at the first call only."""
+        key = (derive, *arguments)
+        if key not in self._kept:
+            self._kept[key] = derive(self, *arguments)
+        return self._kept[key]
+
+    def scaled(self, factor: float) -> RestShape:
+        """The same shape `factor` times as large; scaling there and back gives this one again."""
+        root, factor = self.root, self.factor * factor
+        if abs(factor - 1.0) < 1e-12:
+            return root
+        sdf = None if root.sdf is None else root.sdf.scaled(factor)
+        kind = {"rigid": root.rigid, "boxed": root.boxed}
+        return RestShape(root.vertices * factor, root.solid, root.surface, sdf, **kind, root=root, factor=factor)
+
+    @property
+    def bytes(self) -> int:
+        """Size in memory, roughly: distances take the most."""
+        kept = sum(v.values.nbytes for v in self._kept.values() if isinstance(v, DistanceGrid))
+        return 10 * self.vertices.nbytes + kept + (0 if self.sdf is None else self.sdf.values.nbytes)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """D_m^-1 of each tet [1/m], (T, 3, 3)."""
+        if self.root is not self:
+            return self.root.inverse / self.factor
+        x = self.vertices[self.tets]
+        return np.linalg.inv(np.swapaxes(x[:, 1:] - x[:, :1], 1, 2))
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Volume of each tet [m^3], (T,)."""
+        if self.root is not self:
+            return self.root.volumes * self.factor**3
+        return tet_volumes(self.vertices, self.tets)
+
+    @cached_property
+    def vertex_volumes(self) -> np.ndarray:
+        """Volume that each vertex stands for [m^3], (V,)."""
+        if self.root is not self:
+            return self.root.vertex_volumes * self.factor**3
+        volumes = tet_volumes(self.vertices, self.solid)
+        return np.bincount(self.solid.ravel(), np.repeat(volumes / 4, 4), minlength=len(self.vertices))
+
+    @cached_property
+    def length(self) -> float:
+        """Largest extent [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def edge(self) -> float:
+        """Median edge length of the tets [m]."""
+        if self.root is not self:
+            return self.root.edge * self.factor
+        x = self.vertices[self.solid]
+        return float(np.median(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=-1)))
+
+    @cached_property
+    def center(self) -> np.ndarray:
+        """Centre of mass [m], (3,)."""
+        return np.average(self.vertices, axis=0, weights=self.vertex_volumes)
+
+    @cached_property
+    def flattest(self) -> np.ndarray:
+        """Unit direction of the smallest spread of the mass, its largest component positive, (3,)."""
+        if self.root is not self:
+            return self.root.flattest
+        r = self.vertices - self.center
+        n = np.linalg.eigh((r * self.vertex_volumes[:, None]).T @ r)[1][:, 0]
+        return n * np.sign(n[np.argmax(np.abs(n))])
+
+
+class BodyModel:
+    """A body of the solver, its shape, and the constants that follow from both and its material."""
+
+    def __init__(self, body: SoftBody | RigidBody, shape: RestShape):
+        self.body, self.shape = body, shape
+
+    @classmethod
+    def of(cls, body: SoftBody | RigidBody, others: list[BodyModel]) -> BodyModel:
+        """Check a body; it shares the shape of another one with the same mesh."""
+        shape = next((p.shape for p in others if p.shape.fits(body)), None)
+        body.check()
+        return cls(body, RestShape.of(body) if shape is None else shape)
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """Lumped masses [kg], (V,)."""
+        return self.body.material.density * self.shape.vertex_volumes
+
+    @cached_property
+    def inv_mass(self) -> np.ndarray:
+        """Inverse mass [1/kg], 0 where pinned, and of a rigid body, whose vertices follow it, (V,)."""
+        w = np.zeros_like(self.mass) if self.body.rigid else 1 / self.mass
+        if self.body.pinned is not None:
+            w[np.asarray(self.body.pinned, np.int64)] = 0.0
+        return w
+
+    @cached_property
+    def material(self) -> Material:
+        """Material as it is simulated: not stiffer than the integrator bears (sim/time_step.py)."""
+        return self.body.material if self.body.rigid else clamp_stiffness(self.body.material, self.shape.length)
+
+    @cached_property
+    def crossing(self) -> float:
+        """Time [s] in which a pressure wave crosses the body; infinite for a rigid one."""
+        return np.inf if self.body.rigid else self.shape.length / wave_speed(self.material)
+
+    @cached_property
+    def kappa(self) -> np.ndarray:
+        """Stiffness bound of each tet [1/s^2], (T,)."""
+        s = self.shape
+        return stiffness_bounds(s.inverse, s.volumes, self.inv_mass[s.tets], self.material)
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """x, x_lo, v, v_lo at the beginning, (4, V, 3) float32; pinned vertices stand still."""
+        v = self.body.start_velocities()
+        return motion(self.body.start(), v if self.body.rigid else np.where(self.inv_mass[:, None] > 0.0, v, 0.0))
+
+    def with_material(self, material: Material) -> BodyModel:
+        return BodyModel(self.body.of_material(material), self.shape)
+
+    def placed(self, rotation, position) -> BodyModel:
+        """The same body with another start."""
+        return BodyModel(replace(self.body, rotation=rotation, position=position), self.shape)
+
+    def scaled(self, factor: float) -> BodyModel:
+        """The body `factor` times as large, its start scaled about its centre of mass."""
+        shape = self.shape.scaled(factor)
+        old = np.average(self.body.start(), axis=0, weights=self.mass)
+        body = replace(self.body, vertices=shape.vertices, sdf=shape.sdf)
+        shift = old - np.average(body.start(), axis=0, weights=self.mass)
+        return BodyModel(replace(body, position=tuple((np.asarray(body.position) + shift).tolist())), shape)
+
+
+def motion(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """x, x_lo, v, v_lo (4, V, 3) float32 of float64 positions and velocities."""
+    high = [np.asarray(a, np.float64).astype(np.float32) for a in (x, v)]
+    return np.stack([high[0], x - high[0], high[1], v - high[1]]).astype(np.float32)
+
+
+def models_of(bodies: Iterable[SoftBody | RigidBody]) -> list[BodyModel]:
+    """Check bodies; those with the same mesh share a shape."""
+    models: list[BodyModel] = []
+    for b in bodies:
+        models.append(BodyModel.of(b, models))
+    return models
+
 
 MAX_STEP = 0.5  # edge lengths in a substep of XPBD; a faster vertex has lost its elements (5e4 Pa: at 30-100 m/s)
 

@@ -11,8 +11,7 @@ from core.fields import FieldGroup, Upload, round_up_capacity
 from core.lanes import lane_count, max_lanes, sum_lanes
 from core.rotation import best_fit_rotation
 from core.vocabulary import BodyState
-from sim.capacity import MAX_BODIES, stacked
-from sim.model import Model
+from sim.model import MAX_BODIES, Model, stacked
 from sim.state import State
 
 BLOCK_SIZE = 64  # vertices

@@ -17,8 +17,8 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
-from sim.capacity import MAX_BODIES
 from sim.contact.contacts import FINGER
+from sim.model import MAX_BODIES
 from sim.rigid.rigid_motion import DRIVEN, FREE
 
 if TYPE_CHECKING:

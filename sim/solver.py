@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+import taichi as ti
 
 from core.errors import BadInput
 from core.fields import destroy_fields
@@ -13,28 +15,26 @@ from core.material import Material
 from core.vocabulary import BodyState, Hand
 from sim import body_editing
 from sim.body_editing import MovingBodies
-from sim.body_model import BodyModel, models_of
-from sim.capacity import Capacity
 from sim.contact.contacts import Contacts
 from sim.contact.static_shapes import Shape
 from sim.elastic.damping import Damping
 from sim.elastic.energy import Elasticity
-from sim.elastic.integrators import Integrators, choose_for
-from sim.elastic.time_step import STABILITY_LIMIT, Schedule, choose_integration
-from sim.elastic.untangling import Untangling
+from sim.elastic.substep import Constraint
+from sim.elastic.vbd import VBDSubsteps
+from sim.elastic.vbd_persistent import PersistentVBD
+from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
 from sim.hands.grasp import Grasps
 from sim.hands.grasp_state import GraspState
 from sim.hands.rigid_editing import RigidEditing
 from sim.kinematic_targets import KinematicTargets
-from sim.model import Model
-from sim.motion_arrays import MOTION, MotionArrays, motion_of
-from sim.recovery import NonFiniteRecovery
+from sim.model import BodyModel, Capacity, Model, SoftBody, models_of
+from sim.recovery import NonFiniteRecovery, Untangling
 from sim.reductions import Observation, ReductionBlocks, Reductions
-from sim.rigid.rigid_bodies import RigidBodies, passes_for
+from sim.rigid.rigid_bodies import MAX_RIGID_SUBSTEP, RigidBodies, passes_for
 from sim.rigid.rigid_body import RigidBody
 from sim.sleeping import Sleeping
-from sim.soft_body import SoftBody
-from sim.state import State
+from sim.state import MOTION, MotionArrays, State, motion_of
+from sim.time_step import STABILITY_LIMIT, Integration, Schedule, choose_integration
 
 MAX_FRAME_DT = 1 / 20  # [s] after a hitch the bodies fall behind rather than the frame rate
 INTERACTIONS = ("physics", "transform")
@@ -45,9 +45,9 @@ class Solver:
     """Simulation of `bodies` among static `colliders`.
 
     substep [s] and iterations (sweeps a substep) are forced, or None for what suits the integrator: "xpbd", "vbd", or
-    by "auto" the cheaper one (sim/elastic/time_step.py). collision_passes is the number of searches for contacts a
+    by "auto" the cheaper one (sim/time_step.py). collision_passes is the number of searches for contacts a
     frame; hands is how many may grip; frame_dt [s] is the usual frame. With interaction "transform" gripped bodies
-    follow the hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/capacity.py).
+    follow the hand rigidly and nothing else moves. `capacity` is for bodies that are added later (see sim/model.py).
     Without contacts, bodies pass through all else and no hand grips: to measure elasticity alone; without self_contact
     a body passes through itself. With fingers, the capsules of a hand (`Hand.touch`) push the bodies. With `sleep`,
     bodies that rest are not simulated until something reaches them (sim/sleeping.py); without contacts none sleeps.
@@ -442,3 +442,59 @@ class Solver:
     def _held(self) -> list[bool]:
         grasped = self._grasped_bodies()
         return [b in grasped for b in range(len(self._model.bodies))]
+
+
+def choose_for(model: Model, wanted: dict, *, rigid: bool) -> Integration:
+    """Choose integrator, substep and sweeps for these bodies, or BadInput if what is `wanted` does not suit them.
+
+    wanted: options of `choose_integration`; rigid: rigid bodies limit the substep.
+    """
+    kappas = model.kappas
+    stiffest = model.bodies[int(np.argmax(kappas))].body.name if model.bodies else "nothing"
+    device = "cuda" if ti.cfg.arch == ti.cuda else "cpu"
+    options = {"stiffest": stiffest, "crossing": model.crossing, "device": device, **wanted}
+    chosen = choose_integration(float(kappas.max(initial=0.0)), **options)
+    longest = MAX_RIGID_SUBSTEP * chosen.iterations
+    return replace(chosen, substep=min(chosen.substep, longest)) if rigid else chosen
+
+
+class Integrators:
+    """The integrators "xpbd" and "vbd" of one solver; on CUDA as persistent kernels."""
+
+    def __init__(
+        self,
+        state: State,
+        elasticity: Elasticity,
+        constraints: Sequence[Constraint],
+        rigid_bodies: RigidBodies | None,
+        blocks: ReductionBlocks,
+    ):
+        self.state, self.elasticity, self.constraints = state, elasticity, list(constraints)
+        self.rigid_bodies, self.blocks = rigid_bodies, blocks
+        self.made: dict = {}
+
+    def get(self, name: str, iterations: int):
+        """The integrator of this name, with so many sweeps a substep."""
+        if name not in self.made:
+            self.made[name] = self._make(name, iterations)
+        return self.made[name]
+
+    def _make_persistent_vbd(self, iterations: int):
+        """The VBD kernel that stays, with two blocks for each multiprocessor where these run at once."""
+        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies, self.blocks
+        made = PersistentVBD(*parts, iterations=iterations, per_multiprocessor=2)
+        if not made.fits():
+            made.destroy()
+            made = PersistentVBD(*parts, iterations=iterations)
+        return made
+
+    def _make(self, name: str, iterations: int):
+        parts = self.state, self.elasticity, self.constraints, self.rigid_bodies
+        on_cuda = ti.cfg.arch == ti.cuda
+        if name == "vbd" and on_cuda:
+            return self._make_persistent_vbd(iterations)
+        if name == "vbd":
+            return VBDSubsteps(*parts, self.blocks, iterations=iterations)
+        if on_cuda and iterations == 1:
+            return PersistentXPBD(self.state, self.constraints, self.rigid_bodies)
+        return XPBDSubsteps(*parts, iterations=iterations)

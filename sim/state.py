@@ -4,7 +4,7 @@ A substep of length dt works on *increments*, because in fp32 the quantities of 
 smaller than one unit in the last place of a position:
 
     predict   dx = dt (v + dt g) + x_lo
-    solve     dx += corrections of elasticity and constraints (sim/constraint.py)
+    solve     dx += corrections of elasticity and constraints (sim/elastic/substep.py)
     commit    v += dt g + (dx - dx_predicted) / dt,   y = dt v + x_lo,   x' = x + y,   x_lo = y - (x' - x)
 
 The stress is evaluated at x + dx - lag v. With lag = 0 the methods are implicit Euler or like it: vibrations of w rad/s
@@ -19,13 +19,16 @@ Loops run over the capacity and test `i < vertex_count[None]`: a range whose end
 launch, and equal capacities let scenes of different sizes share compiled kernels.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 import taichi as ti
 
-from core.fields import FieldGroup, Upload, round_up_capacity, two_sum
-from sim.capacity import MAX_BODIES, Capacity, Sizes, fit
-from sim.elastic.time_step import STABILITY_LIMIT
+from core.errors import BadInput
+from core.fields import Download, FieldGroup, Upload, round_up_capacity, two_sum
+from sim.model import MAX_BODIES, Capacity, Sizes, fit
+from sim.time_step import STABILITY_LIMIT
 
 if TYPE_CHECKING:
     from sim.model import Model
@@ -202,3 +205,43 @@ class State:
     def destroy(self) -> None:
         """Free the device memory; no kernel may touch this state afterwards."""
         self.fields.destroy()
+
+
+MOTION = ("x", "x_lo", "v", "v_lo")  # arrays of a snapshot
+
+
+class MotionArrays:
+    """Motion of all vertices as the host sees it, (4, V, 3) float32 in the order of MOTION.
+
+    Each quantity is a pair of arrays, of which the second holds what lies below the last bit of the first.
+    """
+
+    def __init__(self, state: State):
+        self.state = state
+        fields = [getattr(state, name) for name in MOTION]
+        self._download, self._upload = Download(fields), Upload(fields)
+
+    def read(self) -> np.ndarray:
+        """The motion of all vertices."""
+        return self._download(self.state.sizes.vertices)
+
+    def read_exactly(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions [m] and velocities [m/s] of all vertices, (V, 3) float64."""
+        x, x_lo, v, v_lo = self.read().astype(np.float64)
+        return x + x_lo, v + v_lo
+
+    def write(self, motion: Sequence[np.ndarray]) -> None:
+        """Set the motion of all vertices, four arrays (V, 3)."""
+        self._upload(list(motion))
+
+
+def motion_of(snapshot: dict, vertices: int) -> list[np.ndarray]:
+    """The four arrays of a snapshot with at least "x" and "v", which may be float64. Raises BadInput."""
+    motion = []
+    for name, low in (("x", "x_lo"), ("v", "v_lo")):
+        value = np.asarray(snapshot[name])
+        if value.shape != (vertices, 3) or not np.isfinite(value).all():
+            raise BadInput(f"snapshot: {name} must be finite and of shape {(vertices, 3)}, not {value.shape}")
+        high = value.astype(np.float32)
+        motion += [high, snapshot.get(low, value - high)]
+    return motion

@@ -18,9 +18,8 @@ from core.vocabulary import BodyState, Hand
 from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from display.edit.added_body import Piece, fitted_harmonics, pieces_of
-from sim.body_model import BodyModel
-from sim.capacity import MAX_BODIES, CapacityError
 from sim.embedding import BodySpan, PackedBody
+from sim.model import MAX_BODIES, BodyModel, CapacityError
 
 FULL_NOTICE = "There is no capacity for that: remove something first."
 REMOVED_X = 1e3  # [m] where the game sees a body that was removed

@@ -17,8 +17,8 @@ from core.rotation import best_fit_rotation, matrices_from_quaternions, quaterni
 from core.spherical_harmonics import C0, rotate_sh
 from core.tetmesh import tet_volumes
 from display.world import World
-from sim.body_model import BodyModel
-from sim.elastic.time_step import lame
+from sim.model import BodyModel
+from sim.time_step import lame
 
 OPACITY_EDGE = 1e-7  # to 0 and 1: a logit is finite
 FLATTEST = 1e-7  # of a Gaussian's largest variance: what float32 covariances resolve

@@ -18,8 +18,8 @@ from display.keep.plain_values import game_state, game_values
 from display.keep.state_file import SavedAnimation, SavedBody, SceneState, Settings
 from display.world import World, WorldSnapshot
 from scenes.scene import Scene
-from sim.body_model import BodyModel
-from sim.motion_arrays import MOTION
+from sim.model import BodyModel
+from sim.state import MOTION
 
 View = tuple[tuple[float, float, float], tuple[float, float, float]]  # eye and target [m]
 

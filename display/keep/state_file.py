@@ -11,8 +11,8 @@ piece of what joined; whether it is a copy |
 | bodies/size | (B,) float64 | in multiples of the scene's body |
 | bodies/material | (B, 6) float64 | the fields of a Material; kinetic_friction NaN: the static one |
 | bodies/asleep, bodies/vertices | (B,) uint8, int32 | whether it sleeps; how many vertices it has |
-| bodies/untangling | (3, B) float64 | see sim/elastic/untangling.py |
-| motion/x, x_lo, v, v_lo | (V, 3) float32 | [m] and [m/s], in two parts (sim/motion_arrays.py) |
+| bodies/untangling | (3, B) float64 | see sim/recovery.py |
+| motion/x, x_lo, v, v_lo | (V, 3) float32 | [m] and [m/s], in two parts (sim/state.py) |
 | animations/body, time, place | (A,) int32, float64, (A, 4, 4) float64 | [s] since its start; world_from_body |
 | hands/held, hands/count | (H,) int32 | body in each hand, -1: none; how many vertices it has taken |
 | hands/lost | (H,) float64 | [s] for which it has not been tracked |
@@ -44,10 +44,10 @@ from core.material import Material
 from core.vocabulary import Hand, Light
 from display.record.codec import checked_value
 from display.record.recording_reader import checked_about
-from sim.capacity import MAX_BODIES
-from sim.elastic.untangling import DURATION
 from sim.hands.grasp_state import Grasp, GraspState
-from sim.motion_arrays import MOTION
+from sim.model import MAX_BODIES
+from sim.recovery import DURATION
+from sim.state import MOTION
 
 FORMAT, VERSION = "vrgs-state", 1
 TIME_MAX = 1e9  # [s]

@@ -4,7 +4,7 @@
     kappa_t = 1 / 9 sum_a A_a^2 / (V_t m_a),  m_a = sum of V / 4 around a,  q_t = (sum of squared edges)^1.5 / V_t
 
 with the area A_a of the face opposite corner a, the cage's volume W, and q = 1 for a regular tet. The longest stable
-substep falls with the largest kappa (sim/elastic/time_step.py); the factor W makes E scale-invariant, so
+substep falls with the largest kappa (sim/time_step.py); the factor W makes E scale-invariant, so
 that growing does not lower it. Vertices gather what tets contribute in a fixed order, so that the same cage gives the
 same bits.
 """

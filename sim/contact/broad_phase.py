@@ -8,7 +8,7 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, round_up_capacity
 from core.lanes import max_lanes
-from sim.capacity import MAX_BODIES
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
     from sim.state import State

@@ -21,7 +21,6 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup
-from sim.capacity import MAX_BODIES
 from sim.contact.response import (
     UNBOUNDED,
     fingertip_spring,
@@ -29,6 +28,7 @@ from sim.contact.response import (
     isotropic_contact_impulse,
     min_normal_motion,
 )
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
     from sim.state import State

@@ -10,13 +10,12 @@ from scipy.spatial import cKDTree
 from core.distance_grid import SKIN_VOXELS, DistanceGrid
 from core.fields import FieldGroup, Upload, round_up_capacity
 from core.vocabulary import Capsule
-from sim.capacity import MAX_BODIES, Capacity, fit, stacked
 from sim.contact.static_shapes import StaticGrid
+from sim.model import MAX_BODIES, Capacity, fit, stacked
 
 if TYPE_CHECKING:
-    from sim.body_model import BodyModel, RestShape
     from sim.contact.static_shapes import Shape
-    from sim.model import Model
+    from sim.model import BodyModel, Model, RestShape
     from sim.state import State
 
 MIN_SPACING, MAX_SPACING = 0.004, 0.02  # [m]: a smaller one costs more than it gains; a larger one misses a finger

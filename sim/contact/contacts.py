@@ -17,8 +17,6 @@ import numpy as np
 import taichi as ti
 
 from core.vocabulary import Hand
-from sim.capacity import MAX_BODIES, Capacity, fit
-from sim.constraint import Constraint
 from sim.contact.broad_phase import BodyBounds
 from sim.contact.constraints import NO_DISTANCE, NOT_CHECKED, VALID, ContactConstraints, ContactForces
 from sim.contact.contact_samples import ContactSamples, spacing_for
@@ -27,8 +25,10 @@ from sim.contact.self_collision import SelfCollision, can_fold
 from sim.contact.static_contact import StaticContact
 from sim.contact.static_shapes import MAX_SHAPES, StaticShapes
 from sim.contact.swept_bounds import SweptBounds
+from sim.elastic.substep import Constraint
 from sim.hands.finger_capsules import FingerCapsules
 from sim.hands.finger_contact import FingerContact
+from sim.model import MAX_BODIES, Capacity, fit
 from sim.rigid.rigid_broad_phase import GROUPS, RigidBroadPhase, slot_count
 from sim.rigid.rigid_contact import RigidContacts
 from sim.rigid.rigid_shapes import RigidShapes

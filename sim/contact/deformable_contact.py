@@ -16,11 +16,11 @@ from taichi.math import vec3
 from core.distance_grid import DistanceGrid
 from core.fields import FieldGroup
 from core.vocabulary import Capsule
-from sim.capacity import MAX_BODIES, Capacity, fit
 from sim.contact.contact_samples import CapsuleSamples
 from sim.contact.nearest_tet import NearestTets
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, DistanceGrids, grid_of, known
 from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
+from sim.model import MAX_BODIES, Capacity, fit
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds

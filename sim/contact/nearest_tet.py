@@ -13,7 +13,6 @@ from taichi.math import vec3
 from core.fields import FieldGroup, Upload
 from core.lanes import first_of, from_lane, int_from_lane, lane_count, max_lanes, vote
 from core.morton import morton_order
-from sim.capacity import MAX_BODIES, stacked
 from sim.contact.broad_phase import CONTACT_MARGIN, PointHash, outside_box
 from sim.contact.query_points import QueryPoints
 from sim.contact.self_pairs import bounding_sphere, neighborhood, outside_sphere, stay_apart
@@ -29,14 +28,14 @@ from sim.contact.tet_geometry import (
     tet_of_key,
     worst_face,
 )
+from sim.model import MAX_BODIES, stacked
 
 if TYPE_CHECKING:
-    from sim.body_model import RestShape
     from sim.contact.broad_phase import BodyBounds
     from sim.contact.contact_samples import CapsuleSamples, ContactSamples
     from sim.contact.self_collision import SelfCollision
     from sim.hands.finger_capsules import FingerCapsules
-    from sim.model import Model
+    from sim.model import Model, RestShape
     from sim.state import State
 
 SEEDS = 64  # tets of a body at which the search from far away begins; from 8, descents into a ring end in dead ends

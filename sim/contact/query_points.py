@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import taichi as ti
 from taichi.math import vec3
 
-from sim.capacity import MAX_BODIES
 from sim.contact.contact_samples import MAX_CAPSULES
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds

@@ -19,13 +19,12 @@ import taichi as ti
 from core.fields import FieldGroup, Upload
 from core.lanes import max_by_key
 from core.tetmesh import vertex_components
-from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
-    from sim.body_model import BodyModel, RestShape
     from sim.contact.broad_phase import BodyBounds
-    from sim.model import Model
+    from sim.model import BodyModel, Model, RestShape
     from sim.state import State
 
 MIN_REST_DISTANCE = 5.0  # [max. displacement of a substep, half an edge]: points closer at rest do not collide

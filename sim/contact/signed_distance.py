@@ -9,10 +9,10 @@ from taichi.math import vec3
 
 from core.distance_grid import DistanceGrid, same_grid
 from core.fields import FieldGroup, Upload, round_up_capacity
-from sim.capacity import Capacity, fit
+from sim.model import Capacity, fit
 
 if TYPE_CHECKING:
-    from sim.body_model import RestShape
+    from sim.model import RestShape
 
 UNKNOWN_DISTANCE = 1e3  # [m], the distance where a grid says nothing
 MAX_GRIDS = 128  # per-grid fields are tiny; one size for all scenes keeps compiled kernels in the cache

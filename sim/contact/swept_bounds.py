@@ -16,9 +16,9 @@ import taichi as ti
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, max_by_key
-from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.elastic.energy import energy_density
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds

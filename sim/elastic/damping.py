@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import taichi as ti
 
 from core.fields import FieldGroup, two_sum
-from sim.capacity import MAX_BODIES
+from sim.model import MAX_BODIES
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

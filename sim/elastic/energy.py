@@ -10,9 +10,7 @@ import numpy as np
 import taichi as ti
 
 from core.fields import FieldGroup, Upload
-from sim.body_model import RestShape
-from sim.capacity import stacked
-from sim.model import Model
+from sim.model import Model, RestShape, stacked
 from sim.state import State
 
 # Beyond these a tet's XPBD step is shortened and braked (see Elasticity.project_tet)

@@ -1,12 +1,257 @@
-"""Parts of a substep that all integrators share."""
+"""Parts of a substep that all integrators share: the constraints, their phases, and the grid of persistent kernels.
 
+A constraint corrects the increments dx of the substep in progress (see sim/state.py): that is all it does. The
+velocity follows from dx once, at the commit, so that no correction is lost however small it is. Corrections are
+weighted by the inverse mass; vertices of inverse mass 0 are prescribed, and what is added to their dx is ignored.
+
+A sweep of an integrator corrects every vertex for itself (`project_vertex`), then runs the phases: loops in which all
+elements of one phase are done before any of the next (`solve_phase`), whose sums the vertices take at last
+(`apply_impulses`). Sums over elements are fixed in order or made of integers: repeated CPU runs agree bit for bit.
+
+The integrator that runs the substep is handed to the phases, because they depend on three of its attributes:
+
+    effective_inv_mass  f32[V]  displacement of a vertex within the substep per impulse [1/kg]
+    warm_started        bool    dx contains the impulses of the last substep from the beginning
+    iterations          int     sweeps a substep
+"""
+
+import ctypes
+import sys
 from functools import cache
+from typing import TYPE_CHECKING
 
 import taichi as ti
 
-from core.lanes import lane_count
-from sim.constraint import Constraint
+from core.fields import FieldGroup
+from core.lanes import from_lane, lane_count, sum_lanes
 from sim.state import State
+
+if TYPE_CHECKING:
+    from sim.model import Model
+
+
+@ti.data_oriented
+class Constraint:
+    """Base class of the constraints that the integrators solve: contacts (sim/contact) and rigid bodies (sim/rigid).
+
+    This one does nothing. Attributes of Python objects are compile-time constants of the device functions.
+
+    has_vertex   the vertex functions do something
+    has_pairs    the phases do something
+    phase_sizes  capacity of each phase, in elements
+    max_groups   capacity in groups, which are solved in each later phase, by a warp each
+    """
+
+    has_vertex = False
+    has_pairs = False
+    phase_sizes: tuple[int, ...] = ()
+    max_groups = 0
+
+    def check_capacity(self, model: "Model") -> None:
+        """Raise CapacityError if these bodies do not fit."""
+
+    def load(self, model: "Model") -> None:
+        """Take other bodies into the same fields and kernels; contacts and grasps are forgotten."""
+
+    def begin_frame(self, hands: list, dt: float, substeps: int) -> None:
+        """Prepare a frame of dt [s] that ends with these hands; 0 substeps: only grasps are decided."""
+
+    def detect(self) -> None:
+        """Search for contacts of the next state.detect_dt [s], `collision_passes` times a frame, from x and v."""
+
+    def reset(self) -> None:
+        """Forget contacts and grasps."""
+
+    def warm_up(self) -> None:
+        """Compile kernels that a frame may need later, by calls that change nothing."""
+
+    @ti.func
+    def project_vertex(self, i, dx, first: ti.template()):
+        """XPBD: the corrected increment of vertex i, whose w > 0; `first`: in the first sweep of a substep.
+
+        Runs in the integrator's loop over vertices, with dx in registers; state.dx[i] must not be touched.
+        """
+        return dx
+
+    @ti.func
+    def evaluate_vertex(self, i):
+        """VBD, at the begin of a substep: evaluate what its sweeps need of the committed state of vertex i."""
+
+    @ti.func
+    def external_displacement(self, i, dx):
+        """VBD, at the begin of a substep: displacement [m] that hands give vertex i if it moves by dx otherwise."""
+        return ti.Vector([0.0, 0.0, 0.0])
+
+    @ti.func
+    def project_vertex_implicit(self, i, dx, H, A, prior):
+        """VBD: as `project_vertex` in the metric H [N/m] = A^-1, `prior` [N] being the force of the last sweep.
+
+        Returns the increment, the force that it took [N], and the contact stiffness [N/m], 0 without contact.
+        """
+        return dx, ti.Vector([0.0, 0.0, 0.0]), 0.0
+
+    @ti.func
+    def evaluate(self, k):
+        """Evaluate what element k of phase 0 needs of the committed state; before that phase, in the first sweep."""
+
+    @ti.func
+    def solve_phase(self, integrator: ti.template(), later: ti.template(), phase, k, first: ti.template()):
+        """Solve element k < phase_sizes[phase]; `later`: phase > 0, so that one compiled loop does for all of these."""
+
+    @ti.func
+    def solve_group(self, phase, g, lane):
+        """Solve group g < group_count() in a later phase; all lanes of a warp come together (core/lanes.py)."""
+
+    @ti.func
+    def release_group(self, g):
+        """End the sweep for group g, after the last phase that solves it."""
+
+    @ti.func
+    def continues(self, phase):
+        """Return whether a later phase has anything to do; if it has not, those after it have not either."""
+        return True
+
+    @ti.func
+    def group_count(self):
+        """Number of groups until the next search."""
+        return 0
+
+    @ti.func
+    def phase_count(self, phase: ti.template()):
+        """Number of elements of a phase until the next search."""
+        return 0
+
+    @ti.func
+    def any_active(self):
+        """Return whether any phase has an element until the next search."""
+        return False
+
+    @ti.func
+    def apply_impulses(self, i, dx):
+        """Add the sums of all phases to the increment of vertex i, and clear them."""
+        return dx
+
+
+# Threads of a block. Taichi compiles for two blocks on a multiprocessor (minnctapersm), so that a thread of a block of
+# 256 has 128 registers. With 512 threads it has 64, and the kernels keep most of their variables in memory.
+BLOCK = 256
+MAX_POLLS = 1 << 17  # of a probe: a tenth of a second, in which all blocks that find a place have long begun
+
+
+def multiprocessors() -> int:
+    """Number of multiprocessors of the first CUDA device."""
+    cuda = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    count, device, MULTIPROCESSOR_COUNT = ctypes.c_int(), ctypes.c_int(), 16
+    for call in (
+        lambda: cuda.cuInit(0),
+        lambda: cuda.cuCtxGetDevice(ctypes.byref(device)),
+        lambda: cuda.cuDeviceGetAttribute(ctypes.byref(count), MULTIPROCESSOR_COUNT, device),
+    ):
+        status = call()
+        if status != 0:
+            raise RuntimeError(f"the CUDA driver says {status} when asked for its multiprocessors")
+    return count.value
+
+
+@ti.data_oriented
+class PersistentGrid:
+    """Grid of threads that stays on a CUDA device for many substeps: its blocks meet at barriers instead of ending.
+
+    A launch costs about 5 us, a barrier among all blocks 1.2 us. All blocks must run at once, or the barrier would wait
+    forever: one block always fits on a multiprocessor; whether more do is to be tried, see `probe`.
+
+    There are `per_multiprocessor` blocks of `block` threads for each; `begin` must run before the loop, in its kernel.
+    On the CPU it is one block of one thread, which is a warp of its own: for tests. What is shared memory on CUDA,
+    f32[words] and f64[points], then are `words` and `points`.
+    """
+
+    def __init__(self, words: int, points: int = 0, *, per_multiprocessor: int = 1):
+        self.on_cuda = ti.lang.impl.current_cfg().arch == ti.cuda
+        self.block, self.blocks = (BLOCK, per_multiprocessor * multiprocessors()) if self.on_cuda else (1, 1)
+        self.warp = min(32, self.block)
+        self.threads = self.blocks * self.block
+        self.warps = self.threads // self.warp
+        g = self._group = FieldGroup()
+        self.arrived, self.released = (g.scalar(32, dtype=ti.i32) for _ in range(2))  # a cache line each
+        self.missing = g.scalar(dtype=ti.i32)  # 1 if some blocks had to wait for others to end in a probe
+        self.words, self.points = g.scalar(words), g.scalar(max(points, 1), dtype=ti.f64)
+        g.build()
+
+    @ti.func
+    def begin(self):
+        self.arrived[0], self.released[0] = 0, 0
+
+    @ti.func
+    def probe(self, thread):
+        """Find out if all blocks run at once, on CUDA; nothing else may be done in that run.
+
+        Whether they do depends on the registers and the shared memory of the kernel that calls this.
+        """
+        if thread % self.block == 0 and self.missing[None] == 0:
+            ti.atomic_add(self.arrived[0], 1)
+            polls = 0
+            while polls < MAX_POLLS and ti.atomic_add(self.arrived[0], 0) < self.blocks:
+                polls += 1
+            if polls == MAX_POLLS:
+                self.missing[None] = 1
+
+    @ti.func
+    def sync(self):
+        """Wait for all threads of the block."""
+        if ti.static(self.on_cuda):
+            ti.simt.block.sync()
+
+    @ti.func
+    def meet(self, thread, rounds, counter: ti.template(), add: ti.template()):
+        """Wait for all threads of all blocks, after `rounds` such barriers; the last to come adds to counter[None].
+
+        Returns the number of barriers passed.
+        """
+        if ti.static(self.on_cuda):
+            ti.simt.block.sync()
+            if thread % self.block == 0:
+                ti.simt.grid.memfence()
+                if ti.atomic_add(self.arrived[0], 1) == (rounds + 1) * self.blocks - 1:
+                    if ti.static(add != 0):
+                        counter[None] += add
+                        ti.simt.grid.memfence()
+                    ti.atomic_add(self.released[0], 1)
+                while ti.atomic_add(self.released[0], 0) <= rounds:
+                    pass
+                ti.simt.grid.memfence()
+            ti.simt.block.sync()
+        else:
+            counter[None] += add
+        return rounds + 1
+
+    @ti.func
+    def scattered(self, thread):
+        """A number for each thread, such that the first ones are on different multiprocessors, then different warps.
+
+        A few hundred rows in neighbouring threads would keep two multiprocessors busy and all others waiting.
+        """
+        block, warp, lane = thread // self.block, thread % self.block // self.warp, thread % self.warp
+        last = self.block // self.warp - 1 - warp  # a block's first warps have the most vertices
+        return (lane * (self.block // self.warp) + last) * self.blocks + block
+
+    @ti.func
+    def warp_index(self, thread):
+        """Number of the warp of this thread, such that the first ones are on different multiprocessors."""
+        return thread % self.block // self.warp * self.blocks + thread // self.block
+
+    @ti.func
+    def sum_lanes(self, value, lanes: ti.template()):
+        """Sum of a float over each group of `lanes` neighbouring threads, in the first of them."""
+        return sum_lanes(value, ti.static(lanes if self.on_cuda else 1))
+
+    @ti.func
+    def broadcast(self, value):
+        """The float of a warp's first thread, in all of its threads."""
+        return from_lane(value, 0, ti.static(self.warp))
+
+    def destroy(self) -> None:
+        self._group.destroy()
+
 
 ALL_PASSES = 1 << 20  # more than there are
 

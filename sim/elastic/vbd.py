@@ -25,13 +25,10 @@ import taichi as ti
 
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload, round_up_capacity
-from sim.body_model import RestShape
-from sim.capacity import stacked
-from sim.constraint import Constraint
 from sim.elastic.energy import Elasticity, column, corners_of, row, tet_edges
 from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.substep import ALL_PASSES, block_size, commit, phase_kernels
-from sim.model import Model
+from sim.elastic.substep import ALL_PASSES, Constraint, block_size, commit, phase_kernels
+from sim.model import Model, RestShape, stacked
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

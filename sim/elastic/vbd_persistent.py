@@ -1,21 +1,25 @@
-"""VBD substeps on CUDA as one kernel that stays (sim/elastic/persistent_grid.py): the equations of sim/elastic/vbd.py.
+"""VBD substeps on CUDA as one kernel that stays (sim/elastic/substep.py): the equations of sim/elastic/vbd.py.
 
-A colour is a barrier. Each block moves the vertices of its patches (sim/elastic/color_patches.py), several threads
-each; then come the phases of the constraints, and the modal correction (sim/elastic/modal_warps.py).
+A colour is a barrier. Each block moves the vertices of its patches (sim/elastic/patches.py), several threads
+each; then come the phases of the constraints, and the modal correction (sim/elastic/modal_correction.py).
 """
 
 import taichi as ti
 
-from sim.capacity import MAX_BODIES
-from sim.constraint import Constraint
-from sim.elastic.color_patches import LAG, LAM, MU, OTHERS, OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
 from sim.elastic.energy import Elasticity
-from sim.elastic.modal_correction import ModalCorrection
-from sim.elastic.modal_warps import ModalWarps
-from sim.elastic.persistent_grid import PersistentGrid
-from sim.elastic.substep import ALL_PASSES, any_active, evaluate_candidates, own_vertices, solve_phases
+from sim.elastic.modal_correction import ModalCorrection, ModalWarps
+from sim.elastic.patches import LAG, LAM, MU, OTHERS, OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches
+from sim.elastic.substep import (
+    ALL_PASSES,
+    Constraint,
+    PersistentGrid,
+    any_active,
+    evaluate_candidates,
+    own_vertices,
+    solve_phases,
+)
 from sim.elastic.vbd import EARLY_PASSES, VertexDescent
-from sim.model import Model
+from sim.model import MAX_BODIES, Model
 from sim.reductions import ReductionBlocks
 from sim.state import State
 

@@ -11,9 +11,9 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
 from core.vocabulary import Hand
-from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import CONTACT_MARGIN, gap_of_boxes
 from sim.contact.response import MAX_RECOVERY_SPEED
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
     from sim.contact.broad_phase import BodyBounds

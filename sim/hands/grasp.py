@@ -20,7 +20,6 @@ import taichi as ti
 
 from core.fields import Download, FieldGroup
 from core.vocabulary import Hand
-from sim.capacity import stacked
 from sim.hands.grasp_state import (
     MAX_HAND_FORCE,
     MIN_SPRING_MASS,
@@ -32,6 +31,7 @@ from sim.hands.grasp_state import (
     pose,
 )
 from sim.hands.throw import THROW_WINDOW, throw_velocities
+from sim.model import stacked
 
 if TYPE_CHECKING:
     from sim.hands.grasp_state import Grasp, PoseHistory

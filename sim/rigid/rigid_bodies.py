@@ -20,10 +20,10 @@ from core import quaternion
 from core.errors import BadInput
 from core.fields import FieldGroup, Upload
 from core.rotation import best_fit_rotation, matrices_from_quaternions, quaternions_from_matrices
-from sim.capacity import MAX_BODIES
-from sim.constraint import Constraint
 from sim.contact.constraints import STEPS_PER_METER
 from sim.contact.response import angular_inv_mass
+from sim.elastic.substep import Constraint
+from sim.model import MAX_BODIES
 from sim.rigid.rigid_grasp import RigidGrasp
 from sim.rigid.rigid_motion import (
     DRIVEN,
@@ -37,8 +37,7 @@ from sim.rigid.rigid_motion import (
 )
 
 if TYPE_CHECKING:
-    from sim.body_model import BodyModel
-    from sim.model import Model
+    from sim.model import BodyModel, Model
     from sim.rigid.rigid_body import RigidBody
     from sim.state import State
 

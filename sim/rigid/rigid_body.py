@@ -16,7 +16,7 @@ from core.material import Material
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import positively_oriented, tet_volumes
 from core.vocabulary import IDENTITY, Quat, Vec3
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 
 BOX_TOLERANCE = 1e-4  # relative: what float32 leaves of a box
 

@@ -17,11 +17,11 @@ from taichi.math import vec3
 
 from core.fields import FieldGroup
 from core.lanes import lane_count, rank_lanes, sync_lanes
-from sim.capacity import MAX_BODIES
 from sim.contact.broad_phase import outside_box
 from sim.contact.response import CONTACT_SLOP
 from sim.contact.signed_distance import UNKNOWN_DISTANCE, known
 from sim.contact.static_shapes import MAX_SHAPES
+from sim.model import MAX_BODIES
 from sim.rigid.rigid_motion import FREE, SOFT
 
 if TYPE_CHECKING:

@@ -7,17 +7,16 @@ import taichi as ti
 from taichi.math import vec3
 
 from core.fields import FieldGroup, Upload
-from sim.capacity import MAX_BODIES
 from sim.contact.contact_samples import points_of
 from sim.contact.response import CONTACT_SLOP
 from sim.contact.signed_distance import UNKNOWN_DISTANCE
 from sim.contact.static_shapes import box_distance
+from sim.model import MAX_BODIES
 
 if TYPE_CHECKING:
-    from sim.body_model import RestShape
     from sim.contact.contact_samples import ContactSamples
     from sim.contact.signed_distance import DistanceGrids
-    from sim.model import Model
+    from sim.model import Model, RestShape
     from sim.rigid.rigid_bodies import RigidBodies
 
 

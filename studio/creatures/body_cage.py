@@ -97,7 +97,7 @@ def drawn_onto(x: np.ndarray, cage: Cage, surface: Surface, ground: float) -> np
 def stiffness(x: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """V sum_a |grad N_a|^2 / V_a [1/m^2] of each tet (T,), V_a being a quarter of the volume around its corner a.
 
-    Times (lambda + 2 mu) / rho it bounds the squared frequency of the tet (sim/elastic/time_step.py).
+    Times (lambda + 2 mu) / rho it bounds the squared frequency of the tet (sim/time_step.py).
     """
     a, b, c = edge_vectors(x, tets)
     areas = [cross_columns(b, c), cross_columns(c, a), cross_columns(a, b)]  # grad N_a times 6 V, corners 1 to 3

@@ -17,7 +17,7 @@ from core.vocabulary import Body
 from display.preferences import Preferences
 from display.protocol import Frame
 from display.user_commands import AddBody, CancelOpening, Measure, OpenScene, Pause, SwapRoom
-from sim.capacity import CapacityError
+from sim.model import CapacityError
 from tests.support.fake_view import FakeView
 from tests.support.leaning_room import leaning_room
 

@@ -44,8 +44,8 @@ from display.user_commands import (
 )
 from render import MOVING_SORT
 from scenes.scene import Scene
-from sim.elastic.time_step import lame
-from sim.motion_arrays import MOTION
+from sim.state import MOTION
+from sim.time_step import lame
 
 SIZE = (240, 136)
 ABOUT = {"scene": "rings"}

@@ -147,7 +147,7 @@ def test_a_landmark_file_is_read(tmp_path):
 
 
 def test_the_skinning_kernel_is_its_twin(ti_cpu):
-    from sim.skinning import Skinning
+    from sim.kinematic_targets import Skinning
 
     rng = np.random.default_rng(0)
     points, joints = rng.normal(size=(40, 3)), rng.integers(0, 5, (40, 4))

@@ -12,10 +12,8 @@ from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Box, Hand
-from sim.body_model import BodyModel, RestShape
-from sim.capacity import Capacity
 from sim.contact.signed_distance import DistanceGrids, grid_of, rest_grid
-from sim.soft_body import SoftBody
+from sim.model import BodyModel, Capacity, RestShape, SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60

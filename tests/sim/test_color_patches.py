@@ -8,14 +8,21 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
-from sim.body_model import BodyModel, RestShape
-from sim.elastic.color_patches import OWN, PLACES, POINTS, RESIDENT, WORDS, ColorPatches, divide_by_color, patch_begins
-from sim.elastic.patches import compact_order
+from sim.elastic.patches import (
+    OWN,
+    PLACES,
+    POINTS,
+    RESIDENT,
+    WORDS,
+    ColorPatches,
+    compact_order,
+    divide_by_color,
+    patch_begins,
+)
 from sim.elastic.vbd import VBDSubsteps, color_vertices
 from sim.elastic.vbd_persistent import PersistentVBD
-from sim.elastic.xpbd_persistent import PersistentXPBD
-from sim.model import Model
-from sim.soft_body import SoftBody
+from sim.elastic.xpbd import PersistentXPBD
+from sim.model import BodyModel, Model, RestShape, SoftBody
 from sim.solver import Solver
 from tests.support.persistent_kernels import assert_blocks_slide_alike
 

@@ -9,7 +9,7 @@ from bench.setups import run
 from core.material import Material
 from core.vocabulary import Capsule
 from sim.contact.tet_geometry import tet_neighbors
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import FLOOR, soft_solver
 

@@ -18,8 +18,8 @@ from sim.hands.finger_capsules import (
     sample_positions,
 )
 from sim.hands.grasp_state import MAX_HAND_FORCE
+from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 SOFT = Material(young=5e4, poisson=0.3, density=1000.0, friction=0.6)

@@ -9,8 +9,8 @@ from bench.setups import run
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Hand, Plane
+from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 FRAME = 1 / 60

@@ -7,10 +7,9 @@ from numpy.testing import assert_allclose
 from bench.physics import BAR, LEFT, SURFACE, TETS, fem_stiffness
 from bench.sample_meshes import box
 from core.material import Material
-from sim.body_model import RestShape
 from sim.elastic.modal_correction import MODES, lattice_motions, modes_of, softest_modes
-from sim.elastic.time_step import lame
-from sim.soft_body import SoftBody
+from sim.model import RestShape, SoftBody
+from sim.time_step import lame
 
 
 def test_the_modes_are_the_rigid_ones_and_the_softest():

@@ -14,8 +14,8 @@ from core.material import Material
 from sim.contact.broad_phase import PointHash
 from sim.contact.nearest_tet import CELL_SIZE
 from sim.contact.tet_geometry import deformed_gradient, rest_coordinates
+from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import soft_solver
 

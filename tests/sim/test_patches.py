@@ -7,12 +7,9 @@ from numpy.testing import assert_allclose
 
 from bench.sample_meshes import box
 from core.material import Material
-from sim.body_model import BodyModel, RestShape
 from sim.elastic.patches import MAX_LOCAL, MAX_SLOTS, SHARED_WORDS, Patches, compact_order, divide
-from sim.elastic.xpbd import XPBDSubsteps
-from sim.elastic.xpbd_persistent import PersistentXPBD
-from sim.model import Model
-from sim.soft_body import SoftBody
+from sim.elastic.xpbd import PersistentXPBD, XPBDSubsteps
+from sim.model import BodyModel, Model, RestShape, SoftBody
 from sim.solver import Solver
 from tests.support.persistent_kernels import assert_blocks_slide_alike
 

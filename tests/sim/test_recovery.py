@@ -7,7 +7,7 @@ from bench.sample_meshes import box
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 DT = 1 / 60

@@ -7,10 +7,9 @@ from bench.sample_meshes import box
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Plane
-from sim.capacity import MAX_BODIES
+from sim.model import MAX_BODIES, SoftBody
 from sim.rigid.rigid_body import RigidBody
 from sim.rigid.rigid_broad_phase import WORLD
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 SIDE = 0.1

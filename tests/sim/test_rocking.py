@@ -12,9 +12,7 @@ from bench.setups import energies, run
 from core.material import Material
 from core.tetmesh import boundary_surface
 from core.vocabulary import Plane
-from sim.body_model import models_of
-from sim.capacity import Capacity
-from sim.soft_body import SoftBody
+from sim.model import Capacity, SoftBody, models_of
 from sim.solver import Solver
 
 FRAME = 1 / 60

@@ -7,9 +7,8 @@ from bench.sample_meshes import box, torus
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
-from sim.body_model import RestShape
 from sim.contact.self_collision import can_fold
-from sim.soft_body import SoftBody
+from sim.model import RestShape, SoftBody
 from tests.support.soft_world import soft_solver
 
 DT = 1 / 60

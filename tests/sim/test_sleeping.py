@@ -10,10 +10,8 @@ from bench.sample_meshes import box
 from bench.setups import pile, run
 from core.material import Material
 from core.vocabulary import Hand, Plane, Touch
-from sim.body_model import models_of
-from sim.capacity import Capacity
+from sim.model import Capacity, SoftBody, models_of
 from sim.sleeping import REST_TIME, bits
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 FRAME, G = 1 / 60, 9.81

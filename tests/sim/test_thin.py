@@ -10,7 +10,7 @@ from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Box, Capsule, Hand
 from sim.contact.static_shapes import StaticGrid
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 RUBBER = Material(young=3e4, poisson=0.4, density=1100.0, friction=0.4)

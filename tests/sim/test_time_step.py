@@ -6,9 +6,8 @@ import pytest
 from bench.sample_meshes import box
 from core.errors import BadInput
 from core.material import Material
-from sim.body_model import BodyModel
-from sim.elastic.time_step import Schedule, choose_integration, clamp_stiffness, largest_substep, wave_speed
-from sim.soft_body import SoftBody
+from sim.model import BodyModel, SoftBody
+from sim.time_step import Schedule, choose_integration, clamp_stiffness, largest_substep, wave_speed
 
 FRAME = 1 / 60
 

@@ -12,7 +12,7 @@ from core.tetmesh import tet_volumes
 from core.vocabulary import Hand
 from sim.hands.grasp import TRACKING_TIMEOUT
 from sim.hands.grasp_state import MAX_HAND_FORCE
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 from tests.support.soft_world import soft_solver
 

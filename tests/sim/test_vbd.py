@@ -13,12 +13,10 @@ from bench.setups import run, strain_energy
 from core.material import Material
 from core.tetmesh import tet_volumes
 from core.vocabulary import Hand, Plane
-from sim.body_model import BodyModel
-from sim.capacity import Capacity
-from sim.elastic.time_step import lame
 from sim.elastic.vbd import color_ranges, color_vertices
-from sim.soft_body import SoftBody
+from sim.model import BodyModel, Capacity, SoftBody
 from sim.solver import Solver
+from sim.time_step import lame
 
 DT = 1 / 60
 

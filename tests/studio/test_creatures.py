@@ -12,9 +12,9 @@ from assets.asset import Asset
 from core.rotation import matrices_from_quaternions
 from core.tetmesh import tet_volumes
 from core.vocabulary import Plane
-from sim.elastic.time_step import stiffness_bounds
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
+from sim.time_step import stiffness_bounds
 from studio.catalogue import MODELS
 from studio.creatures.body_cage import drawn_onto, stiffness
 from studio.creatures.coat import coat, surface_area, surface_points

@@ -9,7 +9,7 @@ from assets.asset import Asset
 from core.material import ANIMATED_MATERIAL, Material
 from core.vocabulary import Body
 from display.animation_targets import AnimationTargets
-from sim.soft_body import SoftBody
+from sim.model import SoftBody
 from sim.solver import Solver
 
 

@@ -8,10 +8,8 @@ from numpy.testing import assert_allclose
 from bench.sample_meshes import box
 from core.material import Material
 from core.vocabulary import Plane
-from sim.body_model import BodyModel
-from sim.model import Model
+from sim.model import BodyModel, Model, SoftBody
 from sim.rigid.rigid_body import RigidBody
-from sim.soft_body import SoftBody
 from sim.solver import Solver
 
 

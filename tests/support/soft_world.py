@@ -4,9 +4,9 @@ import numpy as np
 
 from bench.sample_meshes import box
 from core.vocabulary import Box, Capsule, Plane
-from sim.capacity import Capacity
 from sim.contact.signed_distance import rest_grid
 from sim.contact.static_shapes import StaticGrid
+from sim.model import Capacity
 from sim.solver import Solver
 
 CAPACITY = Capacity(vertices=1200, tets=2900, triangles=2400, samples=6000, nodes=800_000, bodies=16)

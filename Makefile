@@ -2,7 +2,7 @@
 # make test   set everything up and run the tests
 # make soak   run the long tests, then 30 simulated minutes of random handling (hours)
 # make nightly  100,000 mutated files for the readers; kills, full disks, several programs; 8 hours of random play
-# make build  rebuild the shipped assets from code
+# make studio run the tests of the tool that models the shipped assets (python -m studio)
 # make binary make the program one executable file, dist/vrgs, and play with it in a bare chroot
 # make lint   check style
 # make clean  remove the virtual environment and caches
@@ -10,7 +10,7 @@
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 
-.PHONY: play test soak nightly build binary lint clean
+.PHONY: play test soak nightly studio binary lint clean
 
 play: $(VENV)/.ready
 	@$(PYTHON) vrgs.py --scene ring_toss
@@ -20,7 +20,7 @@ test: $(VENV)/.ready-tests
 
 soak: $(VENV)/.ready-tests
 	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 -m long
-	@$(PYTHON) -m bench.soak --minutes 30
+	@$(PYTHON) -m tests.soak.soak --minutes 30
 
 nightly: $(VENV)/.ready-tests
 	@$(PYTHON) -m tests.pins
@@ -28,10 +28,10 @@ nightly: $(VENV)/.ready-tests
 	@$(PYTHON) -m tests.faults.kill --kills 200
 	@$(PYTHON) -m tests.faults.disk_full
 	@$(PYTHON) -m tests.faults.together --rounds 100
-	@$(PYTHON) -m bench.endurance --minutes 480
+	@$(PYTHON) -m tests.soak.endurance --minutes 480
 
-build: $(VENV)/.ready-build
-	$(PYTHON) vrgs.py build
+studio: $(VENV)/.ready-tests $(VENV)/.ready-studio
+	@$(PYTHON) -m pytest -n 2 --dist loadfile --max-worker-restart 0 studio/tests tests/prepare/test_tetgen_mesher.py
 
 binary: $(VENV)/.ready-binary
 	@$(PYTHON) -m PyInstaller --noconfirm --log-level ERROR installer/vrgs.spec
@@ -46,17 +46,17 @@ $(VENV)/.ready: requirements.txt setup.sh
 	@sh setup.sh $(VENV) requirements.txt
 	@touch $@
 
-$(VENV)/.ready-build: $(VENV)/.ready requirements-build.txt
-	@sh setup.sh $(VENV) requirements-build.txt libusb-1.0-0
+$(VENV)/.ready-studio: $(VENV)/.ready studio/requirements.txt
+	@sh setup.sh $(VENV) studio/requirements.txt libusb-1.0-0
 	@touch $@
 
 $(VENV)/.ready-binary: requirements.txt requirements-binary.txt setup.sh
 	@sh setup.sh $(VENV) requirements-binary.txt binutils libpython3-dev
 	@touch $(VENV)/.ready $@
 
-$(VENV)/.ready-tests: requirements.txt requirements-build.txt requirements-dev.txt setup.sh
-	@sh setup.sh $(VENV) requirements-dev.txt libusb-1.0-0 xvfb xdotool libgl1-mesa-dri ffmpeg
-	@touch $(VENV)/.ready $(VENV)/.ready-build $@
+$(VENV)/.ready-tests: requirements.txt requirements-dev.txt setup.sh
+	@sh setup.sh $(VENV) requirements-dev.txt xvfb xdotool libgl1-mesa-dri ffmpeg
+	@touch $(VENV)/.ready $@
 
 clean:
 	rm -rf $(VENV) .pytest_cache .ruff_cache build dist

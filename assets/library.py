@@ -35,7 +35,7 @@ def find_asset(name: str) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    known = ", ".join(sorted(p.stem for p in SHIPPED_FOLDER.glob("*.h5"))) or "none (run: python vrgs.py build)"
+    known = ", ".join(sorted(p.stem for p in SHIPPED_FOLDER.glob("*.h5"))) or "none (run: python -m studio)"
     raise BadInput(f"{name}: no such asset; shipped ones: {known}")
 
 
@@ -45,7 +45,7 @@ def search_first(folder: Path | None) -> None:
 
 
 def paper_folder(demo: str) -> Path:
-    """Folder of the assets that `vrgs.py build --detail paper` makes for a demo of scenes/paper_demos.py."""
+    """Folder of the assets that `python -m studio --detail paper` makes for a demo of scenes/paper_demos.py."""
     return cache_folder() / "paper" / demo
 
 

@@ -18,7 +18,7 @@ from assets.file_access import check_writable
 from bench.stereo_play import RATE, StereoPlay
 from display.run_stats import write_stats
 from scenes import registry
-from scenes.paper_demos import PaperDemo, paper_demos
+from scenes.paper_demos import PaperDemo, paper_demos, use_paper_assets, use_shipped_assets
 
 FIRST_SECOND = round(RATE)  # frames that do not count for the worst: bodies come to rest, buffers grow
 FRAMES, QUICK_FRAMES = 1000, 30
@@ -26,16 +26,14 @@ STAGE_FRAMES = 300  # of the second play
 STAGES = ("hands", "simulate", "embed", "shadow", "render")
 
 
-def run(args, make_ready: Callable[[PaperDemo], None]) -> int:
-    """Run the command: measure each demo, print its row, write --json; 1 if a body exploded. Raises BadInput.
-
-    make_ready  lets the demo's scene find its assets at the wanted detail
-    """
+def run(args) -> int:
+    """Run the command: measure each demo, print its row, write --json; 1 if a body exploded. Raises BadInput."""
     if args.json:
         check_writable(args.json)
     demos = paper_demos(args.names, there=registry.names())
+    make_ready = use_shipped_assets if args.detail == "shipped" else use_paper_assets
     for demo in demos:
-        make_ready(demo)  # whatever must be built, before any is measured
+        make_ready(demo)  # whatever is missing is said before any is measured
     frames = args.frames or (QUICK_FRAMES if args.quick else FRAMES)
     rows = []
     print(heading(), flush=True)

@@ -1,73 +1,34 @@
-"""`vrgs.py bench embedding`: time to find host tets and to deform Gaussians, and the benefit of the second level.
+"""The paper's ablation of the embedding (VR-GS, Sec. 4.3.2), a figure of `vrgs.py figures`: one level against two.
 
-Speed: Gaussians in a bar of 10,985 vertices. Benefit, the paper's ablation (VR-GS, Sec. 4.3.2): the cages of prepared
-bodies are twisted and stretched by formula; each Gaussian is compared with its image under the formula's own gradient.
-`--out` draws both as a page of pictures.
+The cage of a bar is twisted and stretched by formula; each Gaussian is compared with its image under the formula's own
+gradient.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from statistics import median
-from time import perf_counter
 
 import numpy as np
 import taichi as ti
 
 from assets.asset import Asset
-from assets.file_access import check_writable
 from assets.gaussians import Gaussians
-from assets.library import SHIPPED_FOLDER
-from assets.splat_files import read_gaussians
-from bench.sample_meshes import random_gaussians, tet_bar
 from bench.synthetic_room import box_surface, turns_to
 from core.camera import look_at, perspective
 from core.spherical_harmonics import C0
-from display.headless.picture_strip import PAPER, write
-from display.picture import pixels_of, save_picture
-from display.run_stats import write_stats
-from prepare.cage.embedding_hosts import embed
+from display.picture import pixels_of
 from prepare.pipeline import Options, prepare
 from render.renderer import Renderer
 from render.splats import Splats
 from sim.embedding import EmbeddedBody, Embedding
 
-EMBEDDING_BAR = (64, 12, 12), (1.0, 0.2, 0.2)  # cells and size [m]: 10,985 vertices, 55,296 tets
 SCHEMES = ("one-level", "two-level")
 DEFORMATIONS = {"90 degrees": 0.5 * np.pi, "180 degrees": np.pi, "360 degrees": 2 * np.pi, "stretch 1.5": None}
 SPIKE_RATIO = 2.0  # a Gaussian is a spike if its axis ratio exceeds the correct one by this factor
 CAGE_VERTICES = 800  # tets of a tenth of the body
-KS, FLOORS = (0.0, 1 / 6, 1 / 3, 0.5, 1.0), (0.05, 0.1, 0.15, 0.2, 0.3)
-PANEL, LABEL = 340, 30  # [px] sides of a picture on the page, height of a line of text
+PANEL = 340  # [px] sides of a picture on the page
 WORST_SHOWN = 0.3  # error that has the full colour
 PALE, RED = np.array([0.93, 0.92, 0.88]), np.array([0.78, 0.08, 0.08])
-
-
-def run(args) -> None:
-    """Run the command: measure, print tables, write --json and --out."""
-    for file in filter(None, (args.json, args.out)):
-        check_writable(file)
-    rows = [measure_hosts(args.count), measure_deform(args.count, args.rounds)]
-    names = ["bar", *([args.splats] if args.splats != SHIPPED_FOLDER / "dining_room.h5" else [])]
-    pictures = {}
-    print(f"\n{'body':14} {'deformation':12} {'scheme':10} {'spikes':>8} {'ratio 99%':>10}", end=" ")
-    print(f"{'error 95%':>10} {'jump 95%':>9}", flush=True)
-    for source in names:
-        name, asset = prepared(source)
-        for row, drawn in measure_ablations(name, asset, DEFORMATIONS, draw=args.out is not None):
-            title, scheme = row["deformation"], row["scheme"]
-            if drawn:
-                pictures[f"{name}, {scheme}", title] = np.concatenate(drawn)
-            rows.append(row)
-            figures = f"{row['spikes']:8.2%} {row['excess']:10.3f} {row['error']:10.4f} {row['jump']:9.4f}"
-            print(f"{name:14} {title:12} {scheme:10} {figures}", flush=True)
-    rows += measure_parameters()
-    if args.out:
-        save_picture(args.out, page(pictures))
-        print(f"wrote {args.out}", file=sys.stderr)
-    if args.json:
-        write_stats(args.json, rows)
 
 
 def arch() -> str:
@@ -75,69 +36,15 @@ def arch() -> str:
     return str(ti.cfg.arch).removeprefix("Arch.")
 
 
-def gaussians_in_bar(count: int) -> Gaussians:
-    """Random Gaussians of 3 mm in and around the bar."""
-    rng = np.random.default_rng(0)
-    return random_gaussians(rng, count, low=(-0.02, -0.02, -0.02), high=(1.02, 0.22, 0.22), sigma=0.003)
-
-
-def measure_hosts(count: int) -> dict:
-    """Time to find all host tets, including the search's tables and transfers, excluding compilation."""
-    bar, few, g = tet_bar(*EMBEDDING_BAR), gaussians_in_bar(1000), gaussians_in_bar(count)
-    embed(few.means, few.quats, np.exp(few.log_scales), *bar)
-    begin = perf_counter()
-    embed(g.means, g.quats, np.exp(g.log_scales), *bar)
-    seconds = perf_counter() - begin
-    print(f"hosts of {count:,} Gaussians, {len(bar[0]):,} vertices: {seconds:.2f} s", flush=True)
-    row = {"bench": "embedding", "what": "hosts", "gaussians": count, "vertices": len(bar[0]), "tets": len(bar[1])}
-    return row | {"median_ms": 1e3 * seconds, "arch": arch()}
-
-
-def measure_deform(count: int, rounds: int) -> dict:
-    """Time of `Embedding.deform` including the wait for the device, with and without rotations."""
-    (vertices, tets), g = tet_bar(*EMBEDDING_BAR), gaussians_in_bar(count)
-    g = g.select(np.lexsort(np.floor(g.means / 0.02).T))  # neighbours side by side, as in a loaded body
-    e = embed(g.means, g.quats, np.exp(g.log_scales), vertices, tets)
-    x, mean = ti.Vector.field(3, ti.f32, len(vertices)), ti.Vector.field(3, ti.f32, count)
-    cov, rotation = ti.Vector.field(6, ti.f32, count), ti.Vector.field(4, ti.f32, count)
-    row = {"bench": "embedding", "what": "deform", "gaussians": count, "vertices": len(vertices), "arch": arch()}
-    for rotated in (True, False):
-        embedding = Embedding([EmbeddedBody(e.host, e.weights, g, vertices, tets)], with_rotation=rotated)
-        times = []
-        for k in range(rounds + 3):
-            x.from_numpy(deformed(vertices, 0.3 + 0.01 * k, axis=0)[0].astype(np.float32))
-            ti.sync()
-            begin = perf_counter()
-            embedding.deform(x, mean, cov, rotation)
-            ti.sync()
-            times.append(perf_counter() - begin)
-        took, moved = median(times[3:]), embedding.bytes_moved
-        ending = "" if rotated else "_no_rotation"
-        row |= {
-            f"median_ms{ending}": 1e3 * took,
-            f"bytes{ending}": moved / count,
-            f"gb_per_s{ending}": moved / took / 1e9,
-        }
-        what = "with" if rotated else "without"
-        rate = f"{moved / count:.0f} bytes each, {moved / took / 1e9:.1f} GB/s"
-        print(f"deforming {count:,} Gaussians, {what} rotations: {1e3 * took:.3f} ms, {rate}", flush=True)
-        embedding.destroy()
-    return row
-
-
-def prepared(source) -> tuple[str, Asset]:
-    """Name and prepared asset: "bar" is built here, 8 x 30 x 8 cm of flat, striped Gaussians; other names are files."""
-    if source == "bar":
-        rng, count = np.random.default_rng(0), 13_000
-        points, normals = box_surface(rng, count, np.array([-0.04, 0.0, -0.04]), np.array([0.08, 0.3, 0.08]))
-        scales = 0.003 * np.stack([*rng.uniform(0.4, 0.9, (2, count)), rng.uniform(0.03, 0.2, count)], 1)
-        stripes = 0.9 * np.sign(np.sin(2 * np.pi * points[:, 1] / 0.03))[:, None] * [1.0, 0.5, -0.4]
-        quats = turns_to(normals, rng.uniform(0, np.pi, count))
-        g = Gaussians.of(points, quats, np.log(scales), np.full(count, 4.0), stripes[:, None])
-        return "bar", prepare(g, Options(vertices=CAGE_VERTICES, scale=0.3, up="+y"))
-    if source.suffix == ".h5":
-        return source.stem, Asset.load(source)
-    return source.stem, prepare(read_gaussians(source), Options(vertices=CAGE_VERTICES))
+def striped_bar() -> Asset:
+    """A bar of 8 x 30 x 8 cm with flat, striped Gaussians, in a cage of CAGE_VERTICES."""
+    rng, count = np.random.default_rng(0), 13_000
+    points, normals = box_surface(rng, count, np.array([-0.04, 0.0, -0.04]), np.array([0.08, 0.3, 0.08]))
+    scales = 0.003 * np.stack([*rng.uniform(0.4, 0.9, (2, count)), rng.uniform(0.03, 0.2, count)], 1)
+    stripes = 0.9 * np.sign(np.sin(2 * np.pi * points[:, 1] / 0.03))[:, None] * [1.0, 0.5, -0.4]
+    quats = turns_to(normals, rng.uniform(0, np.pi, count))
+    g = Gaussians.of(points, quats, np.log(scales), np.full(count, 4.0), stripes[:, None])
+    return prepare(g, Options(vertices=CAGE_VERTICES, scale=0.3, up="+y"))
 
 
 def deformed(x: np.ndarray, turn: float | None, axis: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -261,27 +168,6 @@ def measure_ablations(name: str, asset: Asset, titles, *, draw: bool) -> Iterato
         part.destroy()
 
 
-def measure_parameters() -> list[dict]:
-    """Jumps and errors of a twist by 180 degrees for sizes k and floors of the local tetrahedra."""
-    upright, rows = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), []
-    vertices, tets = tet_bar((20, 4, 4), (1.0, 0.2, 0.2))
-    g = random_gaussians(np.random.default_rng(3), 20_000, sigma=0.006, spread=0.8).transformed(upright)
-    bar = vertices @ upright.T, tets
-    print("\na bar, 180 degrees, tets of 5 cm, Gaussians of 6 mm")
-    print(f"{'k':>6} {'floor':>6} {'jump 95%':>9} {'error 95%':>10}", flush=True)
-    for k, floor in [*((k, 0.15) for k in KS), *((1 / 3, f) for f in FLOORS)]:
-        e = embed(g.means, g.quats, np.exp(g.log_scales), *bar, k=k, floor=floor)
-        row = {"bench": "embedding", "what": "choice", "k": k, "floor": floor, "arch": arch()}
-        carried, alike = (CarriedGaussians(h, e, bar, "two-level") for h in (g, all_alike(g)))
-        row |= {"error": float(np.percentile(errors_of(*carried.deform(np.pi)), 95))}
-        row |= {"jump": jump_of(g.means, *alike.deform(np.pi))}
-        carried.destroy()
-        alike.destroy()
-        rows.append(row)
-        print(f"{k:6.3f} {floor:6.2f} {row['jump']:9.4f} {row['error']:10.4f}", flush=True)
-    return rows
-
-
 class BodyPictures:
     """Pictures of a body that stands on y = 0, as its `splats` have it."""
 
@@ -306,17 +192,3 @@ class BodyPictures:
         """Free the device memory."""
         self.renderer.destroy()
         self.splats.destroy()
-
-
-def page(pictures: dict[tuple[str, str], np.ndarray]) -> np.ndarray:
-    """All pictures by row and column title, in a table."""
-    rows, columns = (list(dict.fromkeys(titles)) for titles in zip(*pictures, strict=True))
-    height = len(next(iter(pictures.values())))
-    paper = np.full((LABEL + len(rows) * (height + LABEL), len(columns) * PANEL, 3), PAPER, np.uint8)
-    for (row, column), panel in pictures.items():
-        top, left = LABEL + rows.index(row) * (height + LABEL), columns.index(column) * PANEL
-        paper[top : top + height, left : left + PANEL] = panel
-        write(paper, f"{row}, {column}", (left + 6, top + height + 20), 15)
-    title = f"One-level and two-level embedding in a coarse cage; below: error, red: {WORST_SHOWN} or more"
-    write(paper, title, (6, 22), 18, weight=600)
-    return paper

@@ -15,8 +15,9 @@ from time import perf_counter
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
-from bench.embedding_ablation import DEFORMATIONS, SCHEMES, WORST_SHOWN, arch, measure_ablations, prepared
+from bench.embedding_ablation import DEFORMATIONS, SCHEMES, WORST_SHOWN, arch, measure_ablations, striped_bar
 from bench.html_page import Section, Table, html_page
+from bench.inpainting import inpainting_section
 from bench.twist import HEIGHTS, MATERIAL, TwistedBar, quarter_period
 from core.camera import look_at, perspective
 from core.fields import destroy_fields, keep_compiled_kernels
@@ -80,24 +81,21 @@ QUICK = Effort(
 )
 
 
-def run(args, inpainting: Callable[[dict, Callable[[str], None]], Section]) -> None:
-    """Run the command: make all figures, writing the page and its numbers after each. Raises BadInput.
-
-    inpainting  makes the figure of that, from the dictionary that takes its numbers and a function that takes lines
-    """
+def run(args) -> None:
+    """Run the command: make all figures, writing the page and its numbers after each. Raises BadInput."""
     effort = QUICK if args.quick else FULL
     make_folder(args.out)
     page, numbers = args.out / "figures.html", args.out / "figures.json"
     for file in (page, numbers):
         check_writable(file)
-    bar, plays = prepared("bar")[1], Plays(effort.demo_seconds, effort.size)
+    bar, plays = striped_bar(), Plays(effort.demo_seconds, effort.size)
     results: dict = {"arch": arch(), "quick": args.quick}
     figures: list[tuple[str, Callable[[], Section]]] = [
         ("two-level and one-level embedding", lambda: embedding_section(bar, effort, results)),
         ("shadow", lambda: shadow_section(plays, results)),
         ("twist", lambda: twist_section(bar, effort, results)),
         ("solvers", lambda: solver_section(bar, effort, results)),
-        ("inpainting", lambda: inpainting(results, _told)),
+        ("inpainting", lambda: inpainting_section(args.capture, results, _told, quick=args.quick)),
         ("demos", lambda: demo_section(effort.demos, plays, results, _told)),
     ]
     how = f"{DEVICES.get(arch(), 'the CPU')}{', quickly, at small sizes' if args.quick else ''}"
@@ -319,5 +317,5 @@ def demo_section(names: tuple[str, ...], plays: Plays, results: dict, report: Ca
         f"Each demo after {plays.seconds:g} s of its scripted play, with the shipped assets.",
         pictures,
         Table(columns, rows),
-        "vrgs.py build --detail paper makes the demos at the paper's sizes, vrgs.py bench demos measures them there.",
+        "python -m studio --detail paper makes the demos at the paper's sizes; vrgs.py bench demos measures them.",
     )

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.implicit_shapes import brick
+from bench.measured_bodies import brick
 from core.distance_grid import DistanceGrid
 from core.material import Material
 from core.vocabulary import Hand, Plane

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.device_memory import device_memory
 from core.errors import BadInput
-from display.run_stats import peak_memory_mb, read_rows, write_stats
+from display.run_stats import peak_memory_mb, write_stats
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
 
 STAGE_STEPS = 100  # that are timed stage by stage, with the device waited for after each
@@ -27,31 +27,15 @@ def run(args) -> None:
         raise BadInput("bench train: name captures, folders as `train` takes them")
     variants = [(text, variant_of(text)) for text in args.variants]
     rows = []
-    if args.earlier:
-        from bench.training_orders import is_row
-
-        rows = [row for path in args.earlier for row in read_rows(path, "train --orders", is_row)]
     for name in args.names:
         read = read_training_capture(Path(name), args.reduce, args.test_every)
         if not read[2]:
             raise BadInput("bench train compares with photographs that are kept for the test: --test-every 8")
-        if args.orders:
-            from bench.training_orders import measure_orders, print_orders
-
-            options = training_options(args, variants[0][1], variants[0][0])
-            measure_orders(Path(name).name, read, options, rows, keep=lambda rows: _keep(args, rows))
-            print_orders(rows)
-        else:
-            for text, options in variants:
-                rows += measure(Path(name).name, text, read, training_options(args, options, text), args.at)
-                print_rows(rows)
-        _keep(args, rows)
-
-
-def _keep(args, rows: list[dict]) -> None:
-    """Write --json, if it is wanted."""
-    if args.json:
-        write_stats(args.json, rows)
+        for text, options in variants:
+            rows += measure(Path(name).name, text, read, training_options(args, options, text), args.at)
+            print_rows(rows)
+        if args.json:
+            write_stats(args.json, rows)
 
 
 def variant_of(text: str) -> TrainOptions:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from assets.library import SHIPPED_FOLDER
 from commands.conditions import Condition
@@ -14,15 +12,11 @@ from commands.options import add_arch, positive, size
 from core.errors import BadInput
 from core.runtime import start_taichi
 
-if TYPE_CHECKING:
-    from scenes.paper_demos import PaperDemo
-
 HELP = "measure speed and quality"
 EXAMPLES = (
     "bench sim --json sim.json",
     "bench demos ring_toss --quick",
     "bench train fox/ bear/ --variants plain fast --json train.json",
-    "bench train fox/ bear/ --orders --steps 7000 --json orders.json",
 )
 SUBJECTS = {
     "sim": ("bench.sim_speed", "the solver, 400 substeps a frame"),
@@ -30,20 +24,13 @@ SUBJECTS = {
     "render": ("bench.render_speed", "a headset's picture, both eyes"),
     "frame": ("bench.frame_time", "a headset's whole frame, ring toss"),
     "demos": ("bench.demos", "the paper's nine demos, beside its figures"),
-    "scaling": ("bench.scaling", "a picture's time against Gaussians and against pixels"),
     "popping": ("bench.popping", "flicker when the head turns, by sort mode"),
     "train": ("bench.training_speed", "training on captures: quality, speed, memory, time by stage"),
-    "orientation": ("bench.orientation", "the guessed up axis: how often it is right, and how often it says so"),
-    "embedding": ("bench.embedding_ablation", "finding host tets, deforming Gaussians, one level against two"),
 }
-NAMED = ("demos", "train", "orientation")  # subjects that take names
+NAMED = ("demos", "train")  # subjects that take names
 OPTION_SUBJECTS = {  # of those that not all take
-    "--cases": ("orientation",),
-    "--fit": ("orientation",),
     "--detail": ("demos",),
-    "--splats": ("popping", "embedding"),
-    "--count": ("embedding",),
-    "--out": ("embedding",),
+    "--splats": ("popping",),
     "--sizes": ("sim", "scene"),
     "--asset": ("scene",),
     "--materials": ("scene",),
@@ -57,13 +44,10 @@ OPTION_SUBJECTS = {  # of those that not all take
     "--cap": ("train",),
     "--seed": ("train",),
     "--variants": ("train",),
-    "--orders": ("train",),
     "--quick": ("scene", "demos"),
     "--gaussians": ("render",),
     "--size": ("render", "demos"),
-    "--rounds": ("sim", "render", "scaling", "embedding"),
-    "--plot": ("scaling",),
-    "--from": ("scaling", "train"),
+    "--rounds": ("sim", "render"),
 }
 CONDITIONS = (
     *(
@@ -72,10 +56,6 @@ CONDITIONS = (
         )
         for flag, takers in OPTION_SUBJECTS.items()
     ),
-    Condition(("--rounds",), lambda args: not args.earlier, "measures; --from only reads"),
-    Condition(
-        ("--from",), lambda args: args.subject != "train" or args.orders, "belongs to bench scaling and train --orders"
-    ),
 )
 
 
@@ -83,15 +63,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's arguments."""
     text = "; ".join(f"{name}: {what}" for name, (_, what) in SUBJECTS.items())
     parser.add_argument("subject", choices=tuple(SUBJECTS), help=text)
-    text = "demos: which (default: all that are there); train: captures; orientation: splat files to guess as well"
+    text = "demos: which (default: all that are there); train: captures"
     parser.add_argument("names", nargs="*", metavar="NAME", help=text)
-    text = "demos: assets as shipped, or at the paper's sizes, which are built first where they are missing"
+    text = "demos: assets as shipped, or at the paper's sizes (python -m studio --detail paper)"
     parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
-    text = "popping: splats to draw (default: the dining room); embedding: a body"
+    text = "popping: splats to draw (default: the dining room)"
     parser.add_argument("--splats", type=Path, default=SHIPPED_FOLDER / "dining_room.h5", metavar="SPLATS", help=text)
-    text = "embedding: number of Gaussians (default 1000000)"
-    parser.add_argument("--count", type=positive(int), default=1_000_000, metavar="N", help=text)
-    parser.add_argument("--out", type=Path, metavar="OUT.png", help="embedding: a strip of pictures")
     text = "numbers of vertices; sim: some of 1.7k 9.3k 24k 46k (default: all); scene: any (default: 10k 20k 46k)"
     parser.add_argument("--sizes", nargs="+", metavar="N", help=text)
     text = "scene: splats, prepared bodies (.h5), or ball, mug, ring, bunny, capsule (default: these five)"
@@ -111,10 +88,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gaussians", nargs="+", choices=rooms, default=list(rooms), help=text)
     text = "render, demos: picture of an eye (default 1800x1920)"
     parser.add_argument("--size", type=size, default=(1800, 1920), metavar="WxH", help=text)
-    text = "orientation: number of each kind (default 300; 1200 to fit)"
-    parser.add_argument("--cases", type=positive(int), metavar="N", help=text)
-    text = "orientation: fit the model anew and print it"
-    parser.add_argument("--fit", action="store_true", help=text)
     parser.add_argument("--rounds", type=positive(int), default=12, metavar="N", help="frames measured (default 12)")
     text = "train: steps (default 30000 on a GPU, 3000 on a CPU)"
     parser.add_argument("--steps", type=positive(int), metavar="N", help=text)
@@ -128,12 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="S", help="train: seed of all random numbers")
     text = "train: kinds of training, each `plain`, `fast` or like sparse=1,coarse=0.3 (default plain)"
     parser.add_argument("--variants", nargs="+", default=["plain"], metavar="V", help=text)
-    text = "train: a table of orders of blending, trained for and played"
-    parser.add_argument("--orders", action="store_true", help=text)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="write the rows")
-    parser.add_argument("--plot", type=Path, metavar="OUT.svg", help="scaling: draw the curves")
-    text = "rows that --json wrote; scaling: read instead of measuring; train --orders: not measured again"
-    parser.add_argument("--from", dest="earlier", type=Path, nargs="+", metavar="ROWS.json", default=[], help=text)
     add_arch(parser)
 
 
@@ -141,28 +109,5 @@ def run(args: argparse.Namespace) -> int | None:
     """Measure the subject. Raises BadInput."""
     if args.names and args.subject not in NAMED:
         raise BadInput(f"bench {args.subject} takes no names: {' '.join(args.names)}")
-    if not args.earlier or args.subject == "train":
-        start_taichi(args.arch)
-    subject = importlib.import_module(SUBJECTS[args.subject][0])
-    return subject.run(args, detailed(args.detail)) if args.subject == "demos" else subject.run(args)
-
-
-def detailed(detail: str) -> Callable[[PaperDemo], None]:
-    """A function that lets a demo's scene find its assets at a detail, built where they are missing."""
-    from assets.library import paper_folder, search_first
-    from commands.build import clock
-    from commands.paper_assets import build_demo, use_paper_assets
-
-    if detail == "shipped":
-        return lambda demo: search_first(None)
-    report = clock()
-
-    def make_ready(demo: PaperDemo) -> None:
-        try:
-            use_paper_assets(demo)
-        except BadInput as e:
-            report(str(e))
-            build_demo(demo, paper_folder(demo.name), report)
-            use_paper_assets(demo)
-
-    return make_ready
+    start_taichi(args.arch)
+    return importlib.import_module(SUBJECTS[args.subject][0]).run(args)

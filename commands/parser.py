@@ -13,7 +13,6 @@ from pathlib import Path
 
 from commands import (
     bench,
-    build,
     capture_room,
     convert,
     export,
@@ -50,7 +49,6 @@ COMMANDS = {
     "export": export,
     "bench": bench,
     "figures": figures,
-    "build": build,
     "tune": tune,
     "materials": materials,
     "check": physics_check,
@@ -190,5 +188,7 @@ def no_command(word: str) -> str:
     """The message about a word that is no command, with the nearest one."""
     if Path(word).suffix:
         return f"{word}: to look at it: vrgs.py view {word}; to play with it: vrgs.py --scene sandbox --body {word}"
+    if word == "build":
+        return "build: the models of the shipped assets are built by python -m studio, in the source"
     near = difflib.get_close_matches(word, COMMANDS, 1)
     return f"there is no command {word}; {near[0]}?" if near else f"there is no command {word}; see vrgs.py --help"

@@ -138,7 +138,7 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--stage", metavar="ROOM", help=text)
     text = "material of --body (default: the asset's own; see: vrgs.py materials)"
     parser.add_argument("--material", metavar="NAME", help=text)
-    text = "assets as shipped, or at the paper's sizes (make them: vrgs.py build --detail paper)"
+    text = "assets as shipped, or at the paper's sizes (make them: python -m studio --detail paper)"
     parser.add_argument("--detail", choices=("shipped", "paper"), default="shipped", help=text)
     add_preparation(parser, "--body: ")
 
@@ -203,8 +203,7 @@ def load_scene(args: argparse.Namespace, replay: Replay | None) -> Scene:
     from scenes import registry
 
     if args.detail == "paper":
-        from commands.paper_assets import use_paper_assets
-        from scenes.paper_demos import paper_demo_of
+        from scenes.paper_demos import paper_demo_of, use_paper_assets
 
         use_paper_assets(paper_demo_of(args.scene, args.options or {}))
     prepared_capture(args)

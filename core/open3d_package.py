@@ -7,13 +7,13 @@ from importlib.util import find_spec
 from core import program
 from core.errors import BadInput
 
-INSTALL = "pip install -r requirements-build.txt, or 'vrgs[build]'"
+INSTALL = "pip install -r studio/requirements.txt"
 
 
 def check_open3d(user: str) -> None:
     """Raise BadInput, with a remedy, where open3d is not installed; takes no time. `user` is what needs it."""
     if program.ONE_FILE:
-        raise BadInput(f"{user} needs the package open3d, which this executable leaves out: install vrgs[build] by pip")
+        raise BadInput(f"{user} needs the package open3d, which this executable leaves out: run it from the source")
     if find_spec("open3d") is None:
         raise BadInput(f"{user} needs the package open3d: {INSTALL}")
 

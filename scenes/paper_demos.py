@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from assets.library import find_asset, paper_folder, search_first
 from core.errors import BadInput
+from scenes import registry
 
 
 @dataclass(frozen=True)
@@ -56,3 +59,19 @@ def paper_demo_of(scene: str, options: dict[str, str]) -> PaperDemo:
         if demo.scene == scene and demo.options.items() <= {**demo.options, **options}.items():
             return demo
     raise BadInput(f"the scene {scene} with these options is none of the paper's demos")
+
+
+def use_shipped_assets(demo: PaperDemo) -> None:
+    """Let the demo's scene find its assets as they are shipped."""
+    search_first(None)
+
+
+def use_paper_assets(demo: PaperDemo, folder: Path | None = None) -> None:
+    """Let the demo's scene find its assets at the paper's sizes. Raises BadInput if some are not built yet."""
+    folder = folder or paper_folder(demo.name)
+    search_first(folder)
+    scene = registry.load(demo.scene, **demo.options)
+    missing = [body.asset for body in scene.bodies if find_asset(body.asset).parent != folder]
+    if missing:
+        search_first(None)
+        raise BadInput(f"{folder}/{missing[0]}.h5 is missing (make it: python -m studio --detail paper {demo.name})")

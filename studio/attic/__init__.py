@@ -1,4 +1,4 @@
 """Models of the attic: the room, and the boxes that are moved in it.
 
-In: nothing but code. Out: assets, which `vrgs.py build` writes.
+In: nothing but code. Out: assets, which `python -m studio` writes.
 """

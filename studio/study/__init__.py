@@ -1,4 +1,4 @@
 """Models of the study: the room, and what is played with on its table.
 
-In: nothing but code. Out: assets, which `vrgs.py build` writes.
+In: nothing but code. Out: assets, which `python -m studio` writes.
 """

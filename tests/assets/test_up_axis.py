@@ -19,8 +19,6 @@ from assets.up_axis import (
     up_probabilities,
 )
 from assets.up_cues import DIRECTIONS, outermost_points, resting_heights
-from bench.orientation import fitted, measured, with_cues
-from bench.orientation_cases import procedural_cases, shipped_cases
 from prepare.cleaning import clean
 from tests.support.cage_cases import case
 from tests.support.sample_scenes import brick, garden, room, table_and_jug
@@ -85,37 +83,12 @@ def test_no_guess_is_surer_than_the_lapses_of_the_model_leave_it():
     assert max(up_probabilities(table_and_jug(), EVEN).values()) <= 1 - min(LAPSE.values()) * 5 / 6 + 1e-12
 
 
-@pytest.fixture(scope="module", params=[procedural_cases, shipped_cases])
-def held_out(request):
-    """Cases of a seed that was not fitted, with their cues."""
-    return with_cues(request.param(24, 3))
-
-
-@pytest.mark.parametrize("known", [True, False], ids=["kind known", "kind not known"])
-def test_a_said_confidence_is_a_frequency(held_out, known):
-    """Right as often as said, within three standard deviations of 24 cases."""
-    said, right, _ = measured(held_out, known)
-    assert abs(right.mean() - said.mean()) < 3 * np.sqrt((said * (1 - said)).sum()) / len(said) + 0.03
-    assert right.mean() > 0.5
-
-
 def test_what_one_model_alone_can_tell_counts_of_a_kind_that_is_not_known():
     """A missing underside tells a body's up, and nothing about a scene; the mean of 96% and 13% would be a toss-up."""
     cues = {up: dict.fromkeys(WEIGHTS["body"], 0.0) for up in AXES}
     cues["+y"]["open"] = 1.0
     body, scene, either = (probabilities_from(cues, EVEN, kind)["+y"] for kind in ("body", "scene", None))
     assert scene < 0.2 and 0.85 < either < body
-
-
-def test_the_fit_finds_the_parts_of_a_pool():
-    """Answers drawn from a pool of two models, with a lapse."""
-    rng = np.random.default_rng(0)
-    votes, parts, lapse = rng.normal(0, 3, (4000, 6, 2)), [0.8, 0.3], 0.05
-    likely = np.exp(votes @ parts)
-    p = (1 - lapse) * likely / likely.sum(axis=1, keepdims=True) + lapse / 6
-    y = (rng.random((4000, 1)) > p.cumsum(axis=1)).sum(axis=1).clip(0, 5)
-    found = fitted(votes, y)
-    assert found[0] == pytest.approx(parts, abs=0.05) and found[1] == pytest.approx(lapse, abs=0.03)
 
 
 def test_a_thing_rests_on_the_sides_it_can_lie_on():

@@ -3,18 +3,16 @@
 import base64
 import json
 import re
-from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from bench import paper_figures
+from bench import inpainting, paper_figures
 from bench.html_page import Section, Table, html_page
 from bench.twist import TwistedBar, crossing_frequency
-from commands import inpainting_figure
-from core.errors import BadInput
 from vrgs import main
 
 
@@ -51,7 +49,7 @@ def test_a_frequency_is_read_off_its_crossings():
 
 
 def test_a_twisted_bar_agrees_with_theory(ti_cpu):
-    bar = TwistedBar(paper_figures.prepared("bar")[1])
+    bar = TwistedBar(paper_figures.striped_bar())
     found = bar.twist(0.35, (0.3, 0.2, 0.7), "xpbd", draw=False)
     assert found.error < 0.03 and abs(found.volume - 1) < 0.01
     measured, theory = found.frequency
@@ -68,12 +66,12 @@ def test_what_is_interrupted_leaves_a_page_of_the_figures_that_are_made(tmp_path
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(paper_figures, "prepared", lambda _: (None, None))
+    monkeypatch.setattr(paper_figures, "striped_bar", lambda: None)
     monkeypatch.setattr(paper_figures, "arch", lambda: "cpu")
     monkeypatch.setattr(paper_figures, "embedding_section", lambda *_: Section("the first", "text", {}))
     monkeypatch.setattr(paper_figures, "shadow_section", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        paper_figures.run(SimpleNamespace(out=tmp_path, quick=True), interrupted)
+        paper_figures.run(SimpleNamespace(out=tmp_path, quick=True, capture=None))
     page = (tmp_path / "figures.html").read_text()
     assert "the first" in page and "Not finished: 1 of 6 figures." in page and (tmp_path / "figures.json").is_file()
 
@@ -85,11 +83,7 @@ def test_the_quick_page_is_whole(tmp_path):
     assert sorted(p.name for p in out.iterdir()) == ["figures.html", "figures.json"]
     page, numbers = (out / "figures.html").read_text(), json.loads((out / "figures.json").read_text())
     shown = pictures(page)
-    inpainted = find_spec("open3d") is not None
-    assert len(shown) == 1 + 2 + 4 + inpainted + 1 and all(p.std() > 4 for p in shown)
-    if inpainted:
-        (toy,) = numbers["inpainting"]["objects"].values()
-        assert toy["psnr"]["after"] > toy["psnr"]["before"] and toy["area"] > 0
+    assert len(shown) == 1 + 2 + 4 + 1 and all(p.std() > 4 for p in shown)
     with_shadow, without = shown[1:3]
     assert without.astype(float).mean() > with_shadow.mean() and numbers["shadow"]["pixels"] > 0.001
     one, two = numbers["embedding"]
@@ -98,32 +92,12 @@ def test_the_quick_page_is_whole(tmp_path):
     assert "PhysGaussian" in page and "PAC-NeRF" in page
 
 
-def test_of_many_lines_a_few_are_told():
-    told = []
-    tell = inpainting_figure.every(3, told.append)
-    for line in "abcdefgh":
-        tell(line)
-    assert told == ["a", "d", "g"]
-
-
-def test_without_open3d_the_page_says_that_inpainting_is_left_out(monkeypatch):
-    def missing(user):
-        raise BadInput(f"{user} needs the package open3d: install it")
-
-    monkeypatch.setattr(inpainting_figure, "check_open3d", missing)
-    told, results = [], {}
-    section = inpainting_figure.inpainting_section(inpainting_figure.QUICK, results, told.append)
-    assert "open3d: install it" in section.note and not section.pictures and results == {"inpainting": None}
-    assert len(told) == 1
-
-
 def test_an_object_that_cannot_be_inpainted_is_named(monkeypatch):
     picture = np.zeros((4, 16, 3), np.uint8)
     closed = {"psnr": {"before": 20.0, "after": 25.0}, "area": 0.01, "deviation": 3.0, "picture": picture}
     rows = {"duck": closed, "ball": {"refused": "ball: no camera sees it"}}
-    monkeypatch.setattr(inpainting_figure, "_measured", lambda folder, effort, report: rows)
-    monkeypatch.setattr(inpainting_figure, "check_open3d", lambda user: None)
-    section = inpainting_figure.inpainting_section(inpainting_figure.FULL, {}, print)
+    monkeypatch.setattr(inpainting, "_measured", lambda folder, steps, report, objects: rows)
+    section = inpainting.inpainting_section(Path(), {}, print, quick=False)
     assert len(section.pictures) == 1 and section.note.endswith("Not closed: ball: no camera sees it.")
     assert section.table.rows == [("duck", "20.0 dB", "25.0 dB", "100 cm²", "3.0")]
 

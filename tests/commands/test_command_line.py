@@ -27,8 +27,7 @@ ALWAYS = {  # options that act whatever else is given; scenes check their own
     " --arch",
     "segment": "--help --splats --marks --out --model --reduce --overlay --compare",
     "bench": "--help --arch --json",
-    "figures": "--help --arch --out --quick",
-    "build": "--help --capture",
+    "figures": "--help --arch --capture --out --quick",
     "tune": "--help --arch --height --json --material --out --young",
     "materials": "--help",
     "check": "--help --arch --json --quick",
@@ -79,30 +78,21 @@ REFUSED = [  # a command line, and what is said about the option that would be i
     ("prepare a --out b.h5 --static --landmarks l.json", "with --static nothing is simulated"),
     *(
         (f"bench frame {o}", "belongs to bench")
-        for o in ("--detail paper", "--splats s", "--count 3", "--out o.png", "--sizes 3", "--asset a", "--acts drop")
+        for o in ("--detail paper", "--splats s", "--sizes 3", "--asset a", "--acts drop")
     ),
     *(
         (f"bench popping {o}", "belongs to bench")
         for o in ("--materials wood", "--bodies d", "--frames 3", "--quick", "--gaussians 1.313M", "--size 32x32")
     ),
-    *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--plot p.svg", "--from r.json")),
-    *((f"bench sim {o}", "belongs to bench orientation") for o in ("--cases 9", "--fit")),
+    *((f"bench demos {o}", "belongs to bench") for o in ("--rounds 3", "--gaussians 1.313M")),
     *(
         (f"bench render {o}", "belongs to bench train")
-        for o in ("--steps 9", "--at 9", "--reduce 2", "--test-every 4", "--cap 9", "--seed 1", "--orders")
+        for o in ("--steps 9", "--at 9", "--reduce 2", "--test-every 4", "--cap 9", "--seed 1")
     ),
     ("bench render --variants fast", "belongs to bench train"),
-    ("bench scaling --from r.json --rounds 3", "--from only reads"),
-    ("bench train --from r.json", "--from belongs to bench scaling and train --orders"),
     ("train c --out o.ply --checkpoint-every 0 --fresh", "--fresh belongs to --checkpoint-every"),
     ("segment c --marks m.json --out m --arch cpu", "--arch belongs to --splats"),
     ("segment a.ply --marks m.json --out m --reduce 2", "--reduce is for a capture"),
-    ("build --force", "--force belongs to --detail paper"),
-    *(
-        (f"build {o}", "belongs to --capture")
-        for o in ("--views 9", "--size 32x32", "--seed 1", "--up +z", "--scale 2")
-    ),
-    *((f"build --capture c {o}", "is for assets") for o in ("--detail rough", "--out d", "--arch cpu")),
     *((f"tune a --young 1e4 {o}", "that --young does not list") for o in ("--from 1e3", "--to 1e5", "--steps 3")),
     *((f"study s.h5 --form {o}", "is for the comparison") for o in ("--out p.html", "--json j.json")),
     ("study s.h5 --form --answers a.json", "--answers and --form do not go together"),
@@ -165,10 +155,10 @@ def test_options_before_a_command_are_the_command_s(words):
     assert args.size == (320, 180) and args.files[0].name == "a.ply" and "--size" in args.given
 
 
-@pytest.mark.parametrize("words", ["a b --cases 3", "--cases 3 a b", "a --cases 3 b"])
+@pytest.mark.parametrize("words", ["a b --cap 3", "--cap 3 a b", "a --cap 3 b"])
 def test_names_may_follow_options(words):
-    args = parse(["bench", "orientation", *words.split()], "", print)
-    assert (args.names, args.cases) == (["a", "b"], 3)
+    args = parse(["bench", "train", *words.split()], "", print)
+    assert (args.names, args.cap) == (["a", "b"], 3)
 
 
 def test_a_value_may_be_named_as_a_command():

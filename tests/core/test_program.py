@@ -50,7 +50,7 @@ def test_version_and_errors(monkeypatch, capsys):
     said = capsys.readouterr().err
     assert "see vrgs --help" in said and "vrgs.py" not in said
     assert vrgs.main(["build", "ring_red"]) == 2
-    assert "open3d, which this executable leaves out" in capsys.readouterr().err
+    assert "are built by python -m studio" in capsys.readouterr().err
 
 
 def test_a_python_without_the_packages_is_told_in_a_line():

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.splat_files import read_gaussians
-from bench.implicit_shapes import SHAPES
+from bench.measured_bodies import SHAPES
 from core.distance_grid import DistanceGrid
 from core.errors import BadInput
 from core.tetmesh import tet_volumes

@@ -3,7 +3,7 @@
 import numpy as np
 
 from assets.gaussians import Gaussians, concatenate
-from bench.implicit_shapes import SHAPES
+from bench.measured_bodies import SHAPES
 from tests.support.shells import shell
 
 CASES = tuple(SHAPES)

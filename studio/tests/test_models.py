@@ -1,6 +1,5 @@
 """The shipped assets, and the sampling of models with Gaussians."""
 
-from argparse import Namespace
 from importlib import import_module
 from pathlib import Path
 
@@ -9,12 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from assets.asset import Asset
-from commands.build import run
-from core.errors import BadInput
 from core.material import Material
 from core.rotation import matrices_from_quaternions
 from prepare.cage.mesh_quality import dihedral_angles
 from studio import solids
+from studio.__main__ import main
 from studio.catalogue import MODELS
 from studio.detail import Detail
 from studio.dining_room.bottle import BOTTLE_AT, BOTTLE_HEIGHT
@@ -43,9 +41,9 @@ def at(asset: Asset, points) -> np.ndarray:
     return asset.sdf.values[tuple(index.T)].astype(float)
 
 
-def test_an_unknown_name_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="teapot"):
-        run(Namespace(names=["teapot"], out=tmp_path, detail="shipped", capture=None))
+def test_an_unknown_name_is_refused(tmp_path, capsys):
+    assert main(["teapot", "--out", str(tmp_path)]) == 2
+    assert "teapot: no such model" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -258,3 +256,18 @@ def test_every_model_of_the_catalogue_is_there():
     for where, *_ in MODELS.values():
         module, function = where.split(":")
         assert callable(getattr(import_module(module), function))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("--force", "--force belongs to --detail paper"),
+        ("--views 9", "--views belongs to --capture"),
+        ("--up +z", "--up belongs to --capture"),
+        ("--capture c teapot", "teapot: --capture builds no assets"),
+        ("--capture c --views 1", "a capture has at least"),
+    ],
+)
+def test_an_option_that_would_be_ignored_is_refused(words, why, capsys):
+    assert main(words.split()) == 2
+    assert why in capsys.readouterr().err

@@ -1,14 +1,13 @@
-"""The figure of `vrgs.py figures` on inpainting: objects of a procedural capture, before and after, beside the truth.
+"""The figure of `vrgs.py figures` on inpainting: objects of a modelled capture, before and after, beside the truth.
 
-The capture is modelled and ray-cast, a splat is trained with its masks, and each object is taken out by itself.
+`python -m studio --capture` makes the capture; a splat is trained with its masks, and each object is
+taken out by itself.
 """
 
 from __future__ import annotations
 
-import itertools
-import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -16,47 +15,37 @@ import numpy as np
 
 from bench.html_page import Section, Table
 from core.errors import BadInput
-from core.open3d_package import check_open3d
 
 TITLE = "Inpainting"
 WIDTH = 1100  # [px] of a picture on the page, at least
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Amount of work: photographs and their size [px], steps of training, objects (None: all that there are)."""
-
-    views: int
-    size: tuple[int, int]
-    steps: int
-    objects: tuple[str, ...] | None = None
+STEPS, QUICK_STEPS = 1500, 400  # of training
 
 
-FULL = Effort(32, (320, 240), 1500)
-QUICK = Effort(20, (160, 120), 400, ("teddy",))
+def inpainting_section(folder: Path | None, results: dict, report: Callable[[str], None], *, quick: bool) -> Section:
+    """The section of the capture in a folder, or without one a note on how to make one.
 
-
-def inpainting_section(effort: Effort, results: dict, report: Callable[[str], None]) -> Section:
-    """The section; without the package open3d, which casts the capture's rays, it says that it is not made."""
+    `quick`: one object, fewer steps.
+    """
     text = (
         "Toys on a table, photographed by ray casting, so that it is known what stands behind each. A splat is trained "
         "with their masks; an object's Gaussians are taken out; where no photograph shows what was behind them, a "
         "patch of new Gaussians is made up, and all others stay as they are."
     )
-    try:
-        check_open3d("figures")
-    except BadInput as e:
-        report(f"left out: {e}")
+    if folder is None:
         results["inpainting"] = None
-        return Section(TITLE, text, note=f"Not made: {e}.")
+        note = "Not made: it needs --capture, a capture whose truth is known (python -m studio --capture DIR)."
+        return Section(TITLE, text, note=note)
     from prepare.inpaint.hole_views import kept_drawings
 
-    with tempfile.TemporaryDirectory(prefix="vrgs-figures-") as folder, kept_drawings():
-        rows = _measured(Path(folder) / "capture", effort, report)
+    steps = QUICK_STEPS if quick else STEPS
+    with kept_drawings():
+        rows = _measured(folder, steps, report, objects=1 if quick else None)
     refused = "".join(f" Not closed: {row['refused']}." for row in rows.values() if "refused" in row)
     closed = {name: row for name, row in rows.items() if "refused" not in row}
     pictures = {f"{name}: photograph, taken out, inpainted, truth": row.pop("picture") for name, row in closed.items()}
-    results["inpainting"] = {"views": effort.views, "size": effort.size, "steps": effort.steps, "objects": rows}
+    results["inpainting"] = {"steps": steps, "objects": rows}
     table = [
         (name, *(f"{row['psnr'][when]:.1f} dB" for when in ("before", "after")), f"{1e4 * row['area']:.0f} cm²",
          f"{row['deviation']:.1f}" if row["area"] else "–")
@@ -67,29 +56,25 @@ def inpainting_section(effort: Effort, results: dict, report: Callable[[str], No
         text,
         pictures,
         Table(("object", "PSNR, taken out", "PSNR, inpainted", "seen by no camera", "deviation between views"), table),
-        f"{effort.views} photographs of {effort.size[0]}×{effort.size[1]}, {effort.steps:,} steps of training. PSNR: "
-        "against the scene without the object, over the pixels that it covered, in all views. Deviation: of a place's "
-        "colour from view to view, of 255. The object's shadow is taken away with it." + refused,
+        f"{steps:,} steps of training. PSNR: against the scene without the object, over the pixels that it covered, in "
+        "all views. Deviation: of a place's colour from view to view, of 255. The object's shadow is taken away with "
+        "it." + refused,
     )
 
 
-def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> dict[str, dict]:
-    """Numbers and the picture of each object."""
+def _measured(folder: Path, steps: int, report: Callable[[str], None], objects: int | None) -> dict[str, dict]:
+    """Numbers and the picture of each object, or of the first few. Raises BadInput."""
     from prepare.inpaint import inpaint_pipeline as pipeline
     from prepare.inpaint.hole_quality import compare, inconsistency, uncovered_psnr
     from prepare.inpaint.picture_inpainting import paint_from_patches
     from prepare.progress import no_progress
     from prepare.train.photographs import load_photograph
-    from studio.procedural_capture import CaptureOptions, write_procedural_capture
 
-    report("a capture, by ray casting")
-    options = CaptureOptions(views=effort.views, size=effort.size)
-    write_procedural_capture(folder, options, every(effort.views // 4, report))
-    capture, photographs, gaussians = _trained(folder, effort.steps, report)
+    if not (folder / "behind").is_dir():
+        raise BadInput(f"{folder}: shows nothing without its objects (make it: python -m studio --capture {folder})")
+    capture, photographs, gaussians = _trained(folder, steps, report)
     options, found = {"antialias": False, "sort": pipeline.order_of(gaussians)}, {}
-    for number, name in enumerate(gaussians.objects, 1):
-        if effort.objects is not None and name not in effort.objects:
-            continue
+    for number, name in enumerate(gaussians.objects[:objects], 1):
         report(f"without the {name}")
         own = gaussians.object_id == number
         cameras = [p.camera for p in photographs]
@@ -115,12 +100,6 @@ def _measured(folder: Path, effort: Effort, report: Callable[[str], None]) -> di
             "picture": _strip(max(views, key=lambda v: int(v.hole.sum() or v.covered.sum())), photographs),
         }
     return found
-
-
-def every(count: int, report: Callable[[str], None]) -> Callable[[str], None]:
-    """A function that reports the first of so many lines."""
-    lines = itertools.count()
-    return lambda line: report(line) if next(lines) % count == 0 else None
 
 
 def _trained(folder: Path, steps: int, report: Callable[[str], None]) -> tuple:

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.physics import BAR, bar
 from bench.setups import FRAME, energies, strain_energy
-from bench.soak import EnergyAudit, Failure, Works, inverted, soak, work
-from bench.soak_acts import MAX_BODIES, Hands, Ranges, generator, population
 from core.vocabulary import Hand
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW
 from sim.model import BodyModel
 from sim.solver import Solver
+from tests.soak.soak import EnergyAudit, Failure, Works, inverted, soak, work
+from tests.soak.soak_acts import MAX_BODIES, Hands, Ranges, generator, population
 
 RANGES = Ranges(young=(1e2, 1e5), density=(100.0, 1e4), max_bodies=3, max_load=0.5)
 

@@ -1,4 +1,4 @@
-"""Growth of memory in hours of random play, measured by its rate: `python -m bench.endurance --minutes 40`.
+"""Growth of memory in hours of random play, measured by its rate: `python -m tests.soak.endurance --minutes 40`.
 
 A player without a plan grabs, drags and throws bodies, copies, turns, scales and removes them, changes materials and
 light, undoes and redoes, resets, pauses, starts demonstrations, and resizes the picture. Every few seconds the
@@ -122,7 +122,7 @@ def resident_mb() -> float:
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
     except OSError as e:
-        raise BadInput("bench.endurance reads the memory of a process from /proc, which only Linux has") from e
+        raise BadInput("tests.soak.endurance reads the memory of a process from /proc, which only Linux has") from e
 
 
 def play(

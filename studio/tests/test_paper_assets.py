@@ -1,20 +1,19 @@
-"""`vrgs.py build --detail paper`: each demo's set of assets adds up to the paper's sizes, is kept and is found."""
+"""`python -m studio --detail paper`: each demo's set of assets adds up to the paper's sizes, is kept and is found."""
 
 import numpy as np
 import pytest
 
-import vrgs
 from assets.asset import Asset
 from assets.library import asset_sizes, find_asset, search_first
-from commands import paper_assets
-from commands.paper_assets import Part, detail_of, parts_of, use_paper_assets
 from core.errors import BadInput
 from core.material import Material
 from core.vocabulary import Body
 from scenes import paper_demos, registry
-from scenes.paper_demos import PAPER_DEMOS, PaperDemo, paper_demo_of
+from scenes.paper_demos import PAPER_DEMOS, PaperDemo, paper_demo_of, use_paper_assets
 from scenes.scene import Scene
-from studio import catalogue
+from studio import catalogue, paper_assets
+from studio.__main__ import main
+from studio.paper_assets import Part, detail_of, parts_of
 from studio.ring import torus_cage
 from tests.support.samples import some_gaussians
 
@@ -69,7 +68,7 @@ def test_details_share_what_is_left():
 
 
 def test_a_demo_is_built_at_the_paper_s_sizes_and_found(ti_cpu, stage, capsys):
-    assert vrgs.main(["build", "--detail", "paper", "toss", "--arch", "cpu"]) == 0
+    assert main(["--detail", "paper", "toss", "--arch", "cpu"]) == 0
     said = capsys.readouterr().out
     folder = stage / "cache" / "paper" / "toss"
     assert {p.name for p in folder.iterdir()} == {f"{name}.h5" for name in OWN}
@@ -86,31 +85,31 @@ def test_a_demo_is_built_at_the_paper_s_sizes_and_found(ti_cpu, stage, capsys):
 
 
 def test_what_is_there_is_kept_unless_forced(ti_cpu, stage, capsys):
-    words = ["build", "--detail", "paper", "--out", str(stage / "out"), "--arch", "cpu"]
-    assert vrgs.main(words) == 0
+    words = ["--detail", "paper", "--out", str(stage / "out"), "--arch", "cpu"]
+    assert main(words) == 0
     room = stage / "out" / "toss" / "dining_room.h5"
     Asset(some_gaussians(9, 0)).save(room)
     capsys.readouterr()
-    assert vrgs.main(words) == 0
+    assert main(words) == 0
     assert capsys.readouterr().out.count("is there already") == 3 and len(Asset.load(room).gaussians) == 9
-    assert vrgs.main([*words, "--force"]) == 0
+    assert main([*words, "--force"]) == 0
     assert len(Asset.load(room).gaussians) > 1000
 
 
 def test_missing_assets_and_wrong_names_are_told_in_one_line(ti_cpu, stage, capsys, monkeypatch):
     with pytest.raises(BadInput, match=r"ring_red\.h5|dining_room\.h5") as error:
         use_paper_assets(DEMO)
-    assert "build --detail paper toss" in str(error.value)
+    assert "studio --detail paper toss" in str(error.value)
     assert find_asset("ring_red").parent == stage / "shipped"  # as before
-    assert vrgs.main(["build", "--detail", "paper", "tos", "--arch", "cpu"]) == 2
+    assert main(["--detail", "paper", "tos", "--arch", "cpu"]) == 2
     assert "tos: no such demo; there are toss" in capsys.readouterr().err
     monkeypatch.setattr(paper_assets, "parts_of", lambda scene: [Part("mine.h5", 1, 10, 0, False)])
-    assert vrgs.main(["build", "--detail", "paper", "toss", "--arch", "cpu"]) == 2
+    assert main(["--detail", "paper", "toss", "--arch", "cpu"]) == 2
     assert "mine.h5: no model makes it" in capsys.readouterr().err
 
 
 def test_rough_assets_do_not_replace_the_shipped_ones(capsys):
-    assert vrgs.main(["build", "ring_red", "--detail", "rough", "--arch", "cpu"]) == 2
+    assert main(["ring_red", "--detail", "rough", "--arch", "cpu"]) == 2
     assert "needs --out" in capsys.readouterr().err
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from assets.file_access import make_folder
-from assets.library import asset_sizes, find_asset, paper_folder, search_first
+from assets.library import asset_sizes, search_first
 from core.errors import BadInput
 from core.open3d_package import check_open3d
 from scenes import registry
@@ -59,7 +59,7 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     from assets.asset import Asset
     from studio.catalogue import MODELS, build_model
 
-    check_open3d("build")
+    check_open3d("studio")
     search_first(None)
     left = parts_of(registry.load(demo.scene, **demo.options))
     for part in left:
@@ -86,16 +86,3 @@ def build_demo(demo: PaperDemo, folder: Path, report: Callable[[str], None], *, 
     report(
         f"{demo.name}: {got[0]:,} Gaussians ({demo.gaussians:,} in the paper), {got[1]:,} vertices ({demo.vertices:,})"
     )
-
-
-def use_paper_assets(demo: PaperDemo, folder: Path | None = None) -> None:
-    """Let the demo's scene find its assets at the paper's sizes. Raises BadInput if some are not built yet."""
-    folder = folder or paper_folder(demo.name)
-    search_first(folder)
-    scene = registry.load(demo.scene, **demo.options)
-    missing = [body.asset for body in scene.bodies if find_asset(body.asset).parent != folder]
-    if missing:
-        search_first(None)
-        raise BadInput(
-            f"{folder}/{missing[0]}.h5 is missing (make it: python vrgs.py build --detail paper {demo.name})"
-        )

@@ -1,7 +1,7 @@
 """Soak test: minutes of random handling over the whole range of the interface, checked once a simulated second.
 
-    python -m bench.soak --minutes 30 --seed 1
-    python -m bench.soak --seed 1 --episode 7     repeats one episode of it
+    python -m tests.soak.soak --minutes 30 --seed 1
+    python -m tests.soak.soak --seed 1 --episode 7     repeats one episode of it
 
 An episode: bodies fall; two hands grab, throw, squeeze and twist them, while some are rescaled, copied, removed or
 given another material; then all is released and comes to rest; last, the bodies are separated without gravity until
@@ -21,12 +21,23 @@ from time import perf_counter
 import numpy as np
 
 from bench.setups import FRAME, G, energies
-from bench.soak_acts import ARENA, BODY_SIZES, GRID_NODES, MAX_BODIES, Hands, Ranges, body, edit, generator, population
 from core.vocabulary import Hand, Plane
 from sim.hands.grasp_state import MAX_HAND_FORCE
 from sim.hands.throw import THROW_WINDOW
 from sim.model import Capacity
 from sim.solver import Solver
+from tests.soak.soak_acts import (
+    ARENA,
+    BODY_SIZES,
+    GRID_NODES,
+    MAX_BODIES,
+    Hands,
+    Ranges,
+    body,
+    edit,
+    generator,
+    population,
+)
 
 HANDLING, RESTING = 6.0, 3.0  # [s]
 EDITS_PER_SECOND = 0.7

@@ -18,8 +18,8 @@ import taichi as ti
 
 from assets.asset import Asset
 from assets.file_access import check_writable
-from bench.scene_acts import ACTS, Cast, room
 from bench.measured_bodies import SHAPES, body_name, stripped_body
+from bench.scene_acts import ACTS, Cast, room
 from core.errors import BadInput
 from core.material import Material
 from core.program import cache_folder

@@ -7,8 +7,8 @@ import pytest
 
 import vrgs
 from assets.asset import Asset
-from bench.scene_acts import ACTS, PRESS, STEP_HEIGHT, STRETCH, THROW_SPEED, WALL, Cast, room
 from bench.measured_bodies import SHAPES, stripped_body
+from bench.scene_acts import ACTS, PRESS, STEP_HEIGHT, STRETCH, THROW_SPEED, WALL, Cast, room
 from bench.scene_speed import FRAME, MANY, options, plays_of, rest_shape, vertices_of
 from core.errors import BadInput
 from core.material import Material

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from assets.file_access import PICTURES
 from render import SORTS
-from scenes.scene_options import SceneOption
+from scenes.registry import SceneOption
 
 SPLATS = ".ply, .splat, .ksplat, .spz, .sog, meta.json, a mesh (.obj, .glb, .stl, .ply with faces)"
 BACKGROUND_NAMES = {"grey": (0.12, 0.13, 0.14), "black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}

@@ -5,20 +5,17 @@ In the transform mode two hands on an animal draw it larger or smaller (VR-GS, S
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from scenes.garden import ANIMALS, animals, garden_scene
-from scenes.roles import bounds
-from scenes.scene import Body, BodyState, Hand, Role, Scene, Spot, Vec3
-from scenes.scripted_carry import PLACING_TIME, placing_hands
+from scenes.scene import Body, BodyState, Hand, Role, Scene
+from scenes.scripted_hands import PLACING_TIME, placing_hands
 
 PLACE_RADIUS, SIZE_TOLERANCE = 0.35, 0.15  # [m], relative
-PLACES = tuple((x, 0.0, z) for *_, (x, z) in ANIMALS.values())
+PLACES = {name: (x, 0.0, z) for name, (*_, (x, z)) in ANIMALS.items()}  # [m]
 FLOWERS = dict(zip(ANIMALS, ("orange", "violet", "pink", "white", "yellow"), strict=True))  # around its place
-FOOT = 0.8  # of half an animal's extent, within which its feet stand
 STROKED, STROKE_SPEED = 0.3, 0.01  # [s] and [m/s] of an animal that is stroked
 SCRIPT = (("bear", 1 / 0.62), ("rabbit", 1 / 1.45), ("fox", 1.0))  # whom the scripted hands move, and by which factor
 SETTLE_TIME = 1.2  # [s] between the last of these and the first stroke
@@ -39,18 +36,13 @@ class Guest:
 
 
 class AnimalCrossing:
-    """An animal scores when it stands in its place in its own size, and once more when it is petted there.
-
-    places  of the animals on the ground [m], in their order
-    size    of animals and places: 1 as they are in the garden
-    """
+    """An animal scores when it stands in its place in its own size, and once more when it is petted there."""
 
     moved = PLACING_TIME * len(SCRIPT)
     duration = moved + SETTLE_TIME + 1.6
     goal = 2 * len(ANIMALS)
 
-    def __init__(self, places: Sequence[Vec3] = PLACES, size: float = 1.0):
-        self.places, self.size = dict(zip(ANIMALS, places, strict=True)), size
+    def __init__(self):
         self.reset()
 
     def reset(self) -> None:
@@ -62,8 +54,8 @@ class AnimalCrossing:
         if not self.guests:
             for body, (_, _, size, _) in zip(bodies, ANIMALS.values(), strict=True):
                 self.guests.append(Guest((body.high[1] - body.low[1]) / size, abs(body.axis[1])))
-        for guest, body, (x, _, z) in zip(self.guests, bodies, self.places.values(), strict=True):
-            at_home = np.hypot(x - body.centroid[0], z - body.centroid[2]) < self.size * PLACE_RADIUS
+        for guest, body, (x, _, z) in zip(self.guests, bodies, PLACES.values(), strict=True):
+            at_home = np.hypot(x - body.centroid[0], z - body.centroid[2]) < PLACE_RADIUS
             size = (body.high[1] - body.low[1]) / guest.height
             guest.placed = bool(at_home and guest.stands(body) and abs(size - 1) < SIZE_TOLERANCE)
             if guest.placed and body.held and np.linalg.norm(body.velocity) > STROKE_SPEED:
@@ -78,14 +70,14 @@ class AnimalCrossing:
             (name, factor), t = SCRIPT[int(time / PLACING_TIME)], time % PLACING_TIME
             if t < 0.2 or self.taken is None:
                 self.taken = bodies[list(ANIMALS).index(name)]
-            return placing_hands(self.taken, self.places[name], factor, t)
+            return placing_hands(self.taken, PLACES[name], factor, t)
         t = time - self.moved - SETTLE_TIME
         if t < 0.0:
             self.taken = bodies[0]
             return [Hand(tuple(bodies[0].centroid + [0.0, 0.6, 0.3])) for _ in range(2)]
-        back = np.array([self.taken.centroid[0], self.taken.high[1] - 0.06 * self.size, self.taken.centroid[2]])
-        stroke = back + self.size * np.array([0.035 * np.sin(2 * np.pi * t / 0.6), -0.01, 0.0])
-        return [Hand(tuple(stroke), grip=0.2 < t < 1.3, reach=0.12 * self.size), Hand(tuple(back + [0.3, 0.4, 0.3]))]
+        back = np.array([self.taken.centroid[0], self.taken.high[1] - 0.06, self.taken.centroid[2]])
+        stroke = back + np.array([0.035 * np.sin(2 * np.pi * t / 0.6), -0.01, 0.0])
+        return [Hand(tuple(stroke), grip=0.2 < t < 1.3, reach=0.12), Hand(tuple(back + [0.3, 0.4, 0.3]))]
 
     @property
     def score(self) -> int:
@@ -111,23 +103,6 @@ class AnimalCrossing:
         assert all(map(Guest.stands, self.guests, bodies)), "an animal has fallen"
 
 
-def game_at(spots: Sequence[Spot], size: float) -> AnimalCrossing:
-    """The game in another room: of these spots the first are where the animals wait, the others their places."""
-    homes = spots[len(ANIMALS) :]
-    return AnimalCrossing([(s.at[0], s.top, s.at[1]) for s in homes], size)
-
-
-def stations() -> tuple[Vec3, ...]:
-    """Discs (x, z, radius) of ground [m] that the animals take, as they are and then in their places in their size."""
-    waiting, homes = [], []
-    for body, (_, _, size, (x, z)) in zip(animals(), ANIMALS.values(), strict=True):
-        low, high = bounds(body.asset, body)
-        reach = FOOT * 0.5 * float(np.hypot(*(high - low)[[0, 2]]))
-        waiting.append((body.position[0], body.position[2], reach))
-        homes.append((x, z, reach / size))
-    return (*waiting, *homes)
-
-
 def build() -> Scene:
     scene = garden_scene(
         animals(),
@@ -136,5 +111,5 @@ def build() -> Scene:
         game=AnimalCrossing(),
         roles=(Role("animal", tuple(ANIMALS), resize=False),),
     )
-    marks = tuple(Body(f"flower_ring_{k}", position=at) for k, at in enumerate(PLACES))
-    return replace(scene, room=replace(scene.room, stations=stations(), game_at=game_at, marks=marks))
+    marks = tuple(Body(f"flower_ring_{k}", position=at) for k, at in enumerate(PLACES.values()))
+    return replace(scene, room=replace(scene.room, must_fit=True, marks=marks))

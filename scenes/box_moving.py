@@ -1,24 +1,55 @@
 """Box moving: carry the attic's boxes to the pallet, and see what the biggest one hid (VR-GS, Sec. 6.2).
 
-With --capture ROOM/ it plays on the floor of a captured room: pallet and stacks are where the ground is free, and
-smaller where there is little.
+With --capture ROOM/ it plays on the floor of a captured room that has space for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 
-from scenes.attic_floor import BACKGROUND, FAR, HOLE, PALLET, PLACES, SIZES, boxes, colliders, furniture, lamp, room
+from core.material import Material
 from scenes.captured_room import in_captured_room
-from scenes.scene import BodyState, Hand, Role, Scene, Spot, Vec3
-from scenes.scripted_throw import ease
+from scenes.scene import Body, BodyState, Box, Capsule, Hand, Light, Plane, Quat, Role, Room, Scene
+from scenes.scripted_hands import ease
 
+# The attic
+KNEE, RIDGE = (2.1, 0.62), 2.55  # [m] x and height of the knee walls, height of the ridge
+FAR, NEAR = -1.1, 2.5  # [m] z of the gable walls
+BACKGROUND = (0.10, 0.08, 0.06)  # dark timber, behind the few pixels that no Gaussian covers
+PALLET = ((0.90, 0.0, 0.02), (1.04, 0.12, 0.78))  # [m] middle of its foot, and size
+HOLE = (-0.14, 0.14, 0.27)  # [m] along x, from and to, and height of the hole in the far wall that the big box hides
+SIZES = {  # [m] of the boxes
+    "box_cardboard": (0.46, 0.36, 0.38),
+    "box_parcel": (0.30, 0.17, 0.22),
+    "box_crate": (0.40, 0.30, 0.30),
+    "box_tin": (0.22, 0.12, 0.22),
+}
+FULL = {  # material of a box with all that is in it: cardboard and paper give way where they are pressed
+    "box_cardboard": Material(young=5e4, poisson=0.2, density=45.0, friction=0.6, damping=20.0),
+    "box_parcel": Material(young=4e4, poisson=0.2, density=140.0, friction=0.6, damping=20.0),
+    "box_crate": Material.named("wood", density=90.0),
+    "box_tin": Material.named("wood", density=180.0, friction=0.4, kinetic_friction=0.3),
+}
+RIGID = ("box_crate", "box_tin")
+STARTS = {  # place of each box: x, height of its foot, z [m], turn about y [degrees]
+    "box_parcel": (0.03, 0.36, -0.87, -7.0),
+    "box_tin": (-0.47, 0.30, -0.84, 12.0),
+    "box_crate": (-0.46, 0.0, -0.86, 0.0),
+    "box_cardboard": (0.0, 0.0, -0.88, 0.0),
+}
+PLACES = {  # x, z of each box on the pallet, from its middle [m]
+    "box_parcel": (-0.26, 0.21),
+    "box_tin": (0.26, 0.21),
+    "box_crate": (0.26, -0.20),
+    "box_cardboard": (-0.25, -0.18),
+}
+
+# The scripted hand
 NAMES = list(PLACES)
-APPROACH, LIFT, CARRY, LOWER, LEAVE = 0.3, 0.5, 0.9, 0.5, 0.2  # [s] of the scripted hand with each box
-WIDE_GRIP = 0.4  # reach of the hand over a box's width: held by a small spot, a soft box swings
+APPROACH, LIFT, CARRY, LOWER, LEAVE = 0.3, 0.5, 0.9, 0.5, 0.2  # [s] with each box
+WIDE_GRIP = 0.4  # its reach over a box's width: held by a small spot, a soft box swings
 CLEARANCE = 0.30  # [m] between a box that is carried and the pallet
 TURN = APPROACH + LIFT + CARRY + LOWER + LEAVE  # [s]
 
@@ -26,17 +57,14 @@ TURN = APPROACH + LIFT + CARRY + LOWER + LEAVE  # [s]
 class BoxMoving:
     """A box scores while it stands on the pallet and no hand holds it.
 
-    pallet  middle of its foot [m]
-    size    of boxes and pallet: 1 as they are in the attic
-    over    height [m] of the highest ground between boxes and pallet
-    hole    whether the big box hides a mouse hole
+    hole  whether the big box hides a mouse hole, as it does in the attic
     """
 
     duration = TURN * len(NAMES) + 0.6
     goal = len(NAMES)
 
-    def __init__(self, pallet: Vec3 = PALLET[0], size: float = 1.0, over: float = 0.0, hole: bool = True):
-        self.pallet, self.size, self.over, self.hole = np.array(pallet), size, over, hole
+    def __init__(self, hole: bool = True):
+        self.hole = hole
         self.reset()
 
     def reset(self) -> None:
@@ -45,17 +73,16 @@ class BoxMoving:
         self.grasps: dict[int, np.ndarray] = {}  # top of each box as its turn began
 
     def update(self, time: float, bodies: list[BodyState]) -> None:
-        self.placed = {k for k, b in enumerate(bodies) if self.on_pallet(b) and not b.held}
+        self.placed = {k for k, b in enumerate(bodies) if on_pallet(b) and not b.held}
         self.found = self.hole and (self.found or not any(before_hole(b) for b in bodies))
 
     def hands(self, time: float, bodies: list[BodyState]) -> list[Hand]:
         k = min(int(time / TURN), len(NAMES) - 1)
         t = time - k * TURN
-        width, height, depth = np.multiply(self.size, SIZES[NAMES[k]])
+        width, height, depth = SIZES[NAMES[k]]
         top = np.array([bodies[k].centroid[0], bodies[k].high[1], bodies[k].centroid[2]])
-        start, end = self.grasps.setdefault(k, top), self.place_of(NAMES[k]) + [0.0, 0.5 * height, 0.0]
-        clear = max(end[1], self.over + height) + self.size * CLEARANCE
-        over = np.array([0.0, max(start[1], clear), 0.0])
+        start, end = self.grasps.setdefault(k, top), place_of(NAMES[k]) + [0.0, 0.5 * height, 0.0]
+        over = np.array([0.0, max(start[1], end[1] + CLEARANCE), 0.0])
         high, ready = np.where([0, 1, 0], over, start), np.where([0, 1, 0], over, end)
         away = np.array([0.0, 0.25, 0.15])
         path = [start + away, start, high, ready, end, end + away]
@@ -63,17 +90,6 @@ class BoxMoving:
         leg = int(np.clip(np.searchsorted(keys, t) - 1, 0, len(path) - 2))
         at = path[leg] + (path[leg + 1] - path[leg]) * ease((t - keys[leg]) / (keys[leg + 1] - keys[leg]))
         return [Hand(tuple(at), grip=keys[1] <= t < keys[4], reach=WIDE_GRIP * min(width, depth))]
-
-    def place_of(self, name: str) -> np.ndarray:
-        """Place of a box on the pallet [m]: its centre, a little above."""
-        x, z = PLACES[name]
-        return self.pallet + self.size * np.array([x, PALLET[1][1] + 0.5 * SIZES[name][1], z]) + [0.0, 0.004, 0.0]
-
-    def on_pallet(self, box: BodyState) -> bool:
-        """Test if a box stands on the pallet, or on another one there."""
-        w, height, d = np.multiply(self.size, PALLET[1])
-        aside = np.abs(box.centroid - self.pallet)
-        return bool(box.low[1] > self.pallet[1] + height - 0.02 * self.size and aside[0] < w / 2 and aside[2] < d / 2)
 
     @property
     def score(self) -> int:
@@ -96,28 +112,79 @@ class BoxMoving:
         assert all(np.linalg.norm(b.velocity) < 0.02 for b in bodies), "a box still moves"
 
 
+def place_of(name: str) -> np.ndarray:
+    """Place of a box on the pallet [m]: its centre, a little above."""
+    x, z = PLACES[name]
+    return PALLET[0] + np.array([x, PALLET[1][1] + 0.5 * SIZES[name][1], z]) + [0.0, 0.004, 0.0]
+
+
+def on_pallet(box: BodyState) -> bool:
+    """Test if a box stands on the pallet, or on another one there."""
+    w, height, d = PALLET[1]
+    aside = np.abs(box.centroid - PALLET[0])
+    return bool(box.low[1] > PALLET[0][1] + height - 0.02 and aside[0] < w / 2 and aside[2] < d / 2)
+
+
 def before_hole(box: BodyState) -> bool:
     """Test if a box stands in the way of the mouse."""
     return bool(box.low[0] < HOLE[1] and box.high[0] > HOLE[0] and box.low[1] < HOLE[2] and box.low[2] < FAR + 0.3)
 
 
-def game_at(spots: Sequence[Spot], size: float) -> BoxMoving:
-    """The game in another room, where the pallet and two stacks of boxes stand on these spots."""
-    (x, z), pallet = spots[0].at, spots[0].ground
-    return BoxMoving((x, pallet, z), size, max(spot.over for spot in spots), hole=False)
+def boxes() -> list[Body]:
+    """The boxes, in the order in which they can be taken away."""
+    bodies = []
+    for asset, (x, foot, z, turn) in STARTS.items():
+        half = np.radians(turn) / 2
+        rotation: Quat = (float(np.cos(half)), 0.0, float(np.sin(half)), 0.0)
+        at = (x, foot + 0.5 * SIZES[asset][1], z)
+        kind = "rigid" if asset in RIGID else "soft"
+        bodies.append(Body(asset, FULL[asset], position=at, rotation=rotation, kind=kind))
+    return bodies
+
+
+def room_colliders() -> list[Plane | Box | Capsule]:
+    """Floor, walls, slopes, and what stands about."""
+    slope = np.array([RIDGE - KNEE[1], KNEE[0]]) / np.hypot(RIDGE - KNEE[1], KNEE[0])
+    return [
+        Plane((0, 0, 0), (0, 1, 0)),
+        Plane((0, 0, FAR + 0.016), (0, 0, 1)),
+        Plane((0, 0, NEAR), (0, 0, -1)),
+        *(Plane((s * KNEE[0], 0, 0), (-s, 0, 0)) for s in (-1, 1)),
+        *(Plane((0, RIDGE, 0), (-s * slope[0], -slope[1], 0)) for s in (-1, 1)),
+        Box((-1.18, 0.25, -0.50), (0.39, 0.25, 0.23)),  # the trunk
+        Box((-1.52, 0.26, 0.32), (0.27, 0.26, 0.19)),  # the suitcases
+        Box((1.945, 0.31, -0.72), (0.145, 0.31, 0.30)),  # the shelf
+        Capsule((1.00, 0.85, 1.15), (1.00, 1.35, 1.15), 0.13),  # the dress form
+        *(Capsule((x, r, 0.35), (x, r, 1.9), r) for x, r in ((1.86, 0.11), (1.68, 0.09))),  # the carpets
+    ]
+
+
+def pallet_collider() -> Box:
+    """The pallet, a box."""
+    (x, _, z), (w, h, d) = PALLET
+    return Box((x, h / 2, z), (w / 2, h / 2, d / 2), friction=0.6)
 
 
 def build(capture: Annotated[str | None, "folder of a captured room"] = None) -> Scene:
     """The scene in the attic, or in a captured room: `capture` is its folder."""
+    attic = room_colliders()
     scene = Scene(
-        bodies=[*furniture(), *boxes()],
-        colliders=colliders(),
-        light=lamp(),
+        bodies=[Body("attic"), Body("pallet", position=PALLET[0]), *boxes()],
+        colliders=[*attic, pallet_collider()],
+        light=Light(position=(0.42, 1.66, 0.34), target=(0.3, 0.2, -0.4)),  # the bulb
         background=BACKGROUND,
         eye=(0.15, 1.30, 1.45),
         target=(0.20, 0.42, -0.60),
         game=BoxMoving(),
         roles=(Role("box", tuple(NAMES)),),
-        room=room(game_at),
+        room=Room(
+            ("attic",),
+            tuple(attic),
+            spot=(0.3, 0.0, -0.3),
+            radius=1.0,
+            on_floor=True,
+            must_fit=True,
+            game=BoxMoving(hole=False),
+        ),
     )
     return scene if capture is None else in_captured_room(scene, capture)

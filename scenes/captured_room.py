@@ -14,9 +14,9 @@ from assets.environment import Environment
 from assets.library import default_material
 from assets.room_folder import RoomObject, read_room
 from core.rotation import matrices_from_quaternions
-from scenes import scene  # not its Scene: a module that has it and no `build` is a demo that lacks one
-from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Vec3
-from scenes.scripted_throw import ease
+from scenes.roles import in_room
+from scenes.scene import Body, BodyState, Hand, Light, Plane, Role, Scene, Vec3
+from scenes.scripted_hands import ease
 
 TOY, TOY_DROP = "ball", 0.02  # where no object was captured; [m] over the free place
 BACKGROUND = (0.12, 0.13, 0.14)  # where no photograph showed anything
@@ -84,7 +84,7 @@ class CapturedRoom:
                 assert self.farthest.get(k, 0.0) > MOVED, f"{thing.name} was not moved"
 
 
-def room_scene(folder: str) -> scene.Scene:
+def room_scene(folder: str) -> Scene:
     """The scene of a captured room: the player stands where a photographer stood. Raises BadInput."""
     path, room = Path(folder), read_room(folder)
     objects = [object_body(path, o) for o in room.objects]
@@ -92,7 +92,7 @@ def room_scene(folder: str) -> scene.Scene:
     if not objects:
         x, y, z = Environment.load(path / room.background).drop_point
         objects = [Body(TOY, default_material(TOY), position=(x, y + TOY_DROP, z))]
-    return scene.Scene(
+    return Scene(
         bodies=[Body(str(path / room.background)), *objects],
         colliders=[Plane((0.0, room.floor, 0.0), (0.0, 1.0, 0.0), friction=0.8)],
         light=light_over(room.target),
@@ -106,11 +106,9 @@ def room_scene(folder: str) -> scene.Scene:
     )
 
 
-def in_captured_room(played: scene.Scene, folder: str) -> scene.Scene:
-    """Another scene in a captured room, without the objects of that. Raises BadInput."""
-    from scenes.roles import in_room
-
-    return in_room(played, str(Path(folder) / read_room(folder).background))
+def in_captured_room(scene: Scene, folder: str) -> Scene:
+    """Another scene in a captured room, without the objects of the room. Raises BadInput."""
+    return in_room(scene, str(Path(folder) / read_room(folder).background))
 
 
 def object_body(folder: Path, thing: RoomObject) -> Body:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from core.material import Material
-from scenes.scene import Body, Box, Light, Plane, Room, Vec3
+from scenes.scene import Body, Box, Light, Plane, Room
 
 TABLE_TOP = 0.75  # [m] above the floor
 BOTTLE = (0.0, TABLE_TOP, -0.15)  # [m]
 BOTTLE_HEIGHT = 0.30  # [m]
-PLAY_RADIUS = 0.3  # [m] of the table top that a play needs
 RING_MATERIAL = Material.named("silicone")
 BACKGROUND = (0.5, 0.47, 0.4)  # plaster, behind the few pixels that no Gaussian covers
 
@@ -32,9 +31,9 @@ def colliders() -> list[Plane | Box]:
 
 def room() -> Room:
     """The dining room, from which a play moves on to another table: the bottle comes along."""
-    return Room(("dining_room",), tuple(colliders()), (0.0, TABLE_TOP, 0.0), PLAY_RADIUS)
+    return Room(("dining_room",), tuple(colliders()), spot=(0.0, TABLE_TOP, 0.0), radius=0.3)
 
 
-def lamp(target: Vec3 = (0.0, TABLE_TOP, 0.0)) -> Light:
+def lamp() -> Light:
     """The lamp above the table."""
-    return Light(position=(0.0, 1.9, 0.1), target=target)
+    return Light(position=(0.0, 1.9, 0.1), target=(0.0, TABLE_TOP, 0.0))

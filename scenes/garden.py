@@ -9,10 +9,8 @@ import numpy as np
 
 from assets.library import default_material
 from core.material import Material
-from scenes import scene  # not its Scene: a module that has it and no `build` is a demo that lacks one
-from scenes.scene import Body, Capsule, Light, Plane, Room, Vec3
+from scenes.scene import Body, Capsule, Light, Plane, Room, Scene
 
-PLAY_RADIUS = 1.2  # [m] of the lawn that a play needs
 BACKGROUND = (0.62, 0.74, 0.85)  # sky, behind the few pixels that no Gaussian covers
 SUNLIGHT = (0.52, -0.74, -0.42)  # direction in which it travels
 
@@ -24,14 +22,14 @@ ANIMALS = {  # name: x, z on the path [m], turn [degrees], size of its own; x, z
 YOUNG = {"horse": 6.5e5}  # [Pa] where legs would buckle that are as soft as the asset's
 
 
-def garden_scene(bodies: Iterable[Body], **rest) -> scene.Scene:
+def garden_scene(bodies: Iterable[Body], **rest) -> Scene:
     """A scene in the garden, whose distance grid holds the bench and the pots; `rest`: what else a Scene has."""
-    return scene.Scene(
+    return Scene(
         bodies=[Body("garden"), *bodies],
         colliders=colliders(),
         light=sun(),
         background=BACKGROUND,
-        room=Room(("garden",), tuple(colliders()), (0.0, 0.0, 0.0), PLAY_RADIUS, on_floor=True),
+        room=Room(("garden",), tuple(colliders()), spot=(0.0, 0.0, 0.0), radius=1.2, on_floor=True),
         **rest,
     )
 
@@ -48,10 +46,10 @@ def colliders() -> list[Plane | Capsule]:
     ]
 
 
-def sun(target: Vec3 = (0.0, 0.0, 0.0)) -> Light:
+def sun() -> Light:
     """The sun, over the player's left shoulder."""
-    position = tuple(t - 10.0 * d for t, d in zip(target, SUNLIGHT, strict=True))
-    return Light(position=position, target=target, kind="directional", strength=0.6, softness=0.015)
+    position = tuple(-10.0 * d for d in SUNLIGHT)
+    return Light(position=position, target=(0.0, 0.0, 0.0), kind="directional", strength=0.6, softness=0.015)
 
 
 def animals() -> list[Body]:

@@ -7,10 +7,20 @@ import numpy as np
 from assets.library import animated_height, default_material
 from core.errors import BadInput
 from core.material import Material
-from scenes.scene import Body, BodyState, Hand, Role, Scene
-from scenes.scripted_throw import Throw
-from scenes.theatre import BACKGROUND, STAGE_TOP, TABLE_TOP, TABLES, colliders, furniture, room, spotlight
+from scenes.scene import Body, BodyState, Box, Hand, Light, Plane, Role, Room, Scene
+from scenes.scripted_hands import Throw
 
+# The theatre
+STAGE_TOP = 0.75  # [m] height of the boards
+STAGE_FRONT, STAGE_BACK, STAGE_HALF_WIDTH = 0.72, -1.75, 2.1  # [m]
+OPENING_HALF_WIDTH = 1.55  # [m] between the pilasters
+TABLE_TOP = 0.86  # [m]
+TABLES = ((-0.70, TABLE_TOP, 1.18), (0.70, TABLE_TOP, 1.18))  # [m] centres of their tops
+TABLE_HALF = (0.31, 0.17)  # [m] along x and z
+HALL_HALF_WIDTH, HALL_BACK = 2.9, 5.2  # [m]
+BACKGROUND = (0.10, 0.03, 0.03)  # velvet in the dark, behind the few pixels that no Gaussian covers
+
+# The play
 PLACE = (0.0, STAGE_TOP, -0.05)  # [m] where the dancer stands
 PROPS = ("ring_red", "ring_yellow", "ball")
 RING_SCALE, BALL_SCALE = 1.4, 1.4  # times the sizes of the ring toss
@@ -78,6 +88,23 @@ class JustDance:
         assert all(b.low[1] > -0.02 and np.isfinite(b.centroid).all() for b in bodies), "something fell through"
 
 
+def room_colliders() -> list[Plane | Box]:
+    """Floor and walls of the hall, the stage with its footlights, backdrop and pilasters, and the tables."""
+    middle, half = 0.5 * (STAGE_FRONT + STAGE_BACK), 0.5 * (STAGE_FRONT - STAGE_BACK)
+    pilaster = 0.5 * (HALL_HALF_WIDTH - OPENING_HALF_WIDTH)
+    return [
+        Plane((0, 0, 0), (0, 1, 0)),
+        Plane((-HALL_HALF_WIDTH, 0, 0), (1, 0, 0)),
+        Plane((HALL_HALF_WIDTH, 0, 0), (-1, 0, 0)),
+        Plane((0, 0, STAGE_BACK), (0, 0, 1)),
+        Plane((0, 0, HALL_BACK), (0, 0, -1)),
+        Box((0, 0.5 * STAGE_TOP, middle), (HALL_HALF_WIDTH, 0.5 * STAGE_TOP, half), friction=0.5),
+        Box((0, STAGE_TOP + 0.035, 0.635), (1.32, 0.035, 0.045)),  # the footlights
+        *(Box((s * (OPENING_HALF_WIDTH + pilaster), 2.2, 0.37), (pilaster, 1.5, 0.07)) for s in (-1, 1)),
+        *(Box((x, y - 0.02, z), (TABLE_HALF[0], 0.02, TABLE_HALF[1]), friction=0.6) for x, y, z in TABLES),
+    ]
+
+
 def build(body: str = "dancer", material: str | None = None) -> Scene:
     """`body` is an animated asset, `material` a name (core/material.py) or None for its own. Raises BadInput."""
     height = animated_height(body)
@@ -90,15 +117,16 @@ def build(body: str = "dancer", material: str | None = None) -> Scene:
         Body(name, default_material(name), position=at, scale=BALL_SCALE if name == "ball" else RING_SCALE)
         for name, at in zip(PROPS, places, strict=True)
     ]
+    theatre = room_colliders()
     back = max(1.3 * height - 1.1, 0.0)  # [m], to see it from head to foot
     return Scene(
-        bodies=[*furniture(), Body(body, made_of.animated(height), position=PLACE), *props],
-        colliders=colliders(),
-        light=spotlight(PLACE),
+        bodies=[Body("stage"), Body(body, made_of.animated(height), position=PLACE), *props],
+        colliders=theatre,
+        light=Light(position=(0.55, 3.2, 1.35), target=PLACE),  # the spot above the hall
         background=BACKGROUND,
         eye=(0.0, 1.6, 2.1 + back),
         target=(0.0, STAGE_TOP + 0.45 * height, 0.0),
         game=JustDance(height),
         roles=(Role("dancer", (body,), animated=True), Role("prop", PROPS)),
-        room=room(),
+        room=Room(("stage",), tuple(theatre), spot=(0.0, STAGE_TOP, 0.0), radius=0.8, on_floor=True),
     )

@@ -18,7 +18,7 @@ from scenes.captured_room import room_scene
 from scenes.garden import garden_scene
 from scenes.roles import bounds
 from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
-from scenes.scripted_throw import ease
+from scenes.scripted_hands import ease
 
 REACH = 0.07  # [m] of the scripted hand
 PULLED, BACK = 0.05, 0.015  # [m] by which a part must be drawn out, and within which it is back

@@ -1,6 +1,11 @@
-"""The demos by name: each module of this package with a function `build` is one. Scene files and rooms have paths.
+"""The demos by name, with the options of each: every module of this package with a function `build` is one.
 
-A scene file is a program: only a path that the user has written on the command line comes here.
+Scene files and captured rooms have paths. A scene file is a program: only a path that the user has written on the
+command line comes here.
+
+The parameters of `build` are options of the command line: `def build(animal: Literal["fox", "bear"] = "fox")` makes
+`--animal fox|bear`. A parameter is a text, a number, a bool or one of several texts (`Literal`), or any of these or
+None; `Annotated[str, "a colour"]` says in the help what a text means. COMMON are options of every scene.
 """
 
 from __future__ import annotations
@@ -11,20 +16,63 @@ import inspect
 import pkgutil
 import sys
 import traceback
+import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import scenes
 from assets.file_access import file_size
 from assets.room_folder import MANIFEST, is_room_folder
 from core.errors import BadInput
-from scenes.scene_options import SceneOption, options_of
 
-if TYPE_CHECKING:  # a module that has it is taken for a scene
+if TYPE_CHECKING:  # NumPy is not needed to read a command line
     from scenes.scene import Scene
+
+COMMON = ("body", "stage", "material")  # options of every play: the user's bodies and room (scenes/roles.py)
+TRUTH = {"yes": True, "no": False}
+
+
+@dataclass(frozen=True)
+class SceneOption:
+    """A parameter of `build` that the command line can set.
+
+    choices  all the texts that it may be, if not any;   meaning  what a text is, in words
+    """
+
+    name: str
+    kind: type
+    choices: tuple[str, ...]
+    default: Any
+    meaning: str = "a text"
+
+    @property
+    def flag(self) -> str:
+        """As it is written on the command line."""
+        return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def choice_text(self) -> str:
+        """Choices and default of the option, in words."""
+        kinds = {str: self.meaning, int: "an integer", float: "a number"}
+        what = one_of(self.choices) if self.choices else kinds[self.kind]
+        default = {True: "yes", False: "no"}[self.default] if self.kind is bool else self.default
+        return what if default is None else f"{what} (default {default})"
+
+    def value(self, given: Any, scene: str) -> Any:
+        """The value that `build` gets for a text of the command line or a value of that type. Raises BadInput."""
+        if self.kind is bool:
+            given = {True: "yes", False: "no"}.get(given, given)
+        if self.choices:
+            if given not in self.choices:
+                raise BadInput(f"{self.flag} of the scene {scene} is {one_of(self.choices)}, not {str(given)[:60]!r}")
+            return TRUTH[given] if self.kind is bool else given
+        try:
+            return self.kind(given)
+        except (TypeError, ValueError) as e:
+            raise BadInput(f"{self.flag} of the scene {scene} is a number, not {str(given)[:60]!r}") from e
 
 
 @dataclass(frozen=True)
@@ -39,8 +87,7 @@ class Demo:
 
 
 def demo(name: str) -> Demo | None:
-    """The demo in a module of this package, or in a file; None for a module that neither has `build` nor uses Scene:
-    others share it."""
+    """The demo in a module of this package, in a file or a room; None if it has no function `build`."""
     if is_room(name):
         from scenes.captured_room import room_scene
 
@@ -51,8 +98,8 @@ def demo(name: str) -> Demo | None:
         return Demo(name, fault=str(e).removeprefix(f"{name}: "))
     except Exception as e:  # a user's file may fail in any way; the other demos can be played all the same
         return Demo(name, fault=fault_of(e, name))
-    build, scene_type = vars(module).get("build"), vars(module).get("Scene")
-    if build is None and (scene_type is None or scene_type.__module__ == module.__name__):
+    build = vars(module).get("build")
+    if build is None:
         return None
     if not callable(build):
         return Demo(name, fault="it has no function build")
@@ -164,9 +211,9 @@ def load(
 
     Raises BadInput, also for what the scene does not take.
     """
-    there = is_scene_file(name) or is_room(name) or name in module_names()
-    found = demo(name) if there else None
-    if found is None and is_scene_file(name):
+    is_ours = name in module_names()
+    found = demo(name) if is_ours or is_scene_file(name) or is_room(name) else None
+    if found is None and (is_ours or is_scene_file(name)):
         raise BadInput(f"{name}: it has no function build (docs/writing_a_scene.md)")
     if found is None and Path(name).is_dir():
         raise BadInput(f"{name}: holds no {MANIFEST}; a captured room is made by: vrgs.py capture")
@@ -213,3 +260,32 @@ def with_users(
     if played or assets:
         scene = cast_bodies(scene, played, assets, material)
     return scene if stage is None else in_room(scene, stage)
+
+
+def one_of(names: tuple[str, ...]) -> str:
+    """ "fox, bear or horse"."""
+    *others, last = names
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def options_of(build: Callable) -> list[SceneOption]:
+    """The options of a scene besides the common ones. Raises BadInput for a parameter that cannot be one."""
+    hints = get_type_hints(build, include_extras=True)
+    own = [p for p in inspect.signature(build).parameters.values() if p.name not in COMMON]
+    return [option_of(p.name, hints.get(p.name, str), p.default) for p in own]
+
+
+def option_of(name: str, hint: Any, default: Any) -> SceneOption:
+    """The option of a parameter with this type. Raises BadInput."""
+    if default is inspect.Parameter.empty:
+        raise BadInput(f"the parameter {name} of build has no default")
+    meaning = SceneOption.meaning
+    if get_origin(hint) is Annotated:
+        hint, meaning, *_ = get_args(hint)
+    if get_origin(hint) in (Union, types.UnionType):
+        hint = next((kind for kind in get_args(hint) if kind is not type(None)), str)
+    if get_origin(hint) is Literal:
+        return SceneOption(name, str, get_args(hint), default)
+    if hint not in (str, int, float, bool):
+        raise BadInput(f"the parameter {name} of build is neither a text, a number, a bool nor a Literal of texts")
+    return SceneOption(name, hint, tuple(TRUTH) if hint is bool else (), default, meaning)

@@ -16,7 +16,7 @@ from scenes.dining_table import (
     room,
 )
 from scenes.scene import Body, BodyState, Capsule, Hand, Role, Scene
-from scenes.scripted_throw import Throw
+from scenes.scripted_hands import Throw
 
 RING_RADIUS = 0.08  # [m], of the tube's centre line
 STARTS = [(-0.24, 0.30), (-0.03, 0.34), (0.17, 0.30)]  # x, z of each ring on the table [m]

@@ -15,7 +15,7 @@ from core.material import Material
 from scenes.dining_table import BACKGROUND, RING_MATERIAL, TABLE_TOP, colliders, furniture, lamp, room
 from scenes.roles import bounds
 from scenes.scene import Body, BodyState, Hand, Role, Scene, Vec3
-from scenes.scripted_throw import Throw
+from scenes.scripted_hands import Throw
 
 START = (0.0, TABLE_TOP + 0.03, 0.14)  # [m], of the body's lowest point
 GAP = 0.04  # [m] between bodies side by side

@@ -12,8 +12,7 @@ from display.user_commands import Command, OpenScene
 from display.window.panel.theme import ACCENT, MARGIN, QUIET, TITLE_SIZE
 from display.window.panel.widgets import pixels
 from scenes import registry
-from scenes.registry import Demo
-from scenes.scene_options import SceneOption
+from scenes.registry import Demo, SceneOption
 
 PICTURES = Path(registry.__file__).parent / "pictures"
 CELL, PICTURE = 350.0, (128.0, 72.0)  # [px] of the width of a scene, of its picture

@@ -12,7 +12,7 @@ from studio.walls import reveal, wall_sheet, within
 KNEE, RIDGE = (
     (2.1, 0.62),
     2.55,
-)  # [m] x and height of the knee walls, height of the ridge; scenes/attic_floor.py repeats
+)  # [m] x and height of the knee walls, height of the ridge; scenes/box_moving.py repeats
 Z0, Z1 = -1.1, 2.5  # [m] the gable walls
 WINDOW_X, WINDOW_Y, REVEAL = (-0.36, 0.36), (1.18, 1.92), 0.14  # [m] in the far gable
 HOLE_X, HOLE_HEIGHT = (-0.14, 0.14), 0.27  # [m] of the hole in the far gable that the boxes hide

@@ -17,7 +17,7 @@ from studio.shapes import Surface, beveled_box, box, join, tube
 from studio.surface_sampling import sample_surfaces
 from studio.textures import BEECH, fbm, mix, noise, smoothstep, srgb, wood
 
-SIZES = {  # [m]; scenes/attic_floor.py repeats them
+SIZES = {  # [m]; scenes/box_moving.py repeats them
     "box_cardboard": (0.46, 0.36, 0.38),
     "box_parcel": (0.30, 0.17, 0.22),
     "box_crate": (0.40, 0.30, 0.30),
@@ -30,7 +30,7 @@ MATERIALS = {  # of what they are as a whole, full of this and that; the crate a
     "box_tin": Material.named("wood", density=180.0, friction=0.4, kinetic_friction=0.3),
 }
 CAGE_VERTICES = {"box_cardboard": 120, "box_parcel": 80, "box_crate": 8, "box_tin": 8}
-PALLET_AT, PALLET_SIZE = (0.90, 0.0, 0.02), (1.04, 0.12, 0.78)  # [m] scenes/attic_floor.py repeats them
+PALLET_AT, PALLET_SIZE = (0.90, 0.0, 0.02), (1.04, 0.12, 0.78)  # [m] scenes/box_moving.py repeats them
 KRAFT, TAPE, INK = "b98a58", "cfae78", "4a2f1c"
 
 

@@ -9,7 +9,7 @@ from studio.shapes import Mesh, Surface, box, grid_mesh, join, quad, tube
 from studio.textures import OAK, WALNUT, cloth, fbm, hash_uniform, mix, noise, plain, smoothstep, srgb, wood
 from studio.walls import reveal, wall_sheet, within
 
-ROOM_LOW, ROOM_HIGH = (-1.9, 0.0, -1.75), (1.9, 2.7, 2.2)  # [m] scenes/study_table.py repeats them
+ROOM_LOW, ROOM_HIGH = (-1.9, 0.0, -1.75), (1.9, 2.7, 2.2)  # [m] scenes/table_brick_game.py repeats them
 (X0, Y0, Z0), (X1, Y1, Z1) = ROOM_LOW, ROOM_HIGH
 WINDOW_Z, WINDOW_Y = (-1.05, 0.55), (0.97, 2.30)  # [m] in the left wall
 REVEAL = 0.16  # [m] depth of the window in the wall

@@ -21,7 +21,7 @@ from studio.solids import Solid, cuboid, placed, revolved
 from studio.study.bookcases import closed_book
 from studio.textures import HONEY, noise, plain, srgb, wood
 
-TABLE_TOP, TABLE_HALF, THICKNESS = 0.76, (0.75, 0.40), 0.036  # [m] scenes/study_table.py repeats them
+TABLE_TOP, TABLE_HALF, THICKNESS = 0.76, (0.75, 0.40), 0.036  # [m] scenes/table_brick_game.py repeats them
 BALL_RING = ((0.40, TABLE_TOP, 0.14), 0.030, 0.007)  # centre, radius and radius of the rod [m]: so does it these
 LAMP_AT = (-0.52, TABLE_TOP, -0.24)  # [m] foot of the desk lamp
 LAMP_COLOUR = np.array([1.0, 0.74, 0.45])  # linear RGB

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from core.rotation import matrices_from_quaternions
-from scenes import attic_floor, study_table
+from scenes import box_moving, table_brick_game
 from sim.model import SoftBody
 from sim.rigid.rigid_body import RigidBody
 from studio.attic import attic_shell, boxes
@@ -38,14 +38,20 @@ def model(ti_cpu):
 
 
 def test_scenes_repeat_the_measures_of_the_models():
-    assert (study_table.TABLE_TOP, study_table.TABLE_HALF) == (writing_table.TABLE_TOP, writing_table.TABLE_HALF)
-    assert study_table.BALL_RING == writing_table.BALL_RING and study_table.BALL_RADIUS == elastic_toys.BALL_RADIUS
-    assert (study_table.ROOM_LOW, study_table.ROOM_HIGH) == (study_shell.ROOM_LOW, study_shell.ROOM_HIGH)
-    assert study_table.PLANK == bricks.PLANK and bricks.CUBE == (study_table.CUBE,) * 3
-    assert (attic_floor.KNEE, attic_floor.RIDGE) == (attic_shell.KNEE, attic_shell.RIDGE)
-    assert (attic_floor.FAR, attic_floor.NEAR) == (attic_shell.Z0, attic_shell.Z1)
-    assert (*attic_shell.HOLE_X, attic_shell.HOLE_HEIGHT) == attic_floor.HOLE
-    assert attic_floor.SIZES == boxes.SIZES and attic_floor.PALLET == (boxes.PALLET_AT, boxes.PALLET_SIZE)
+    assert (table_brick_game.TABLE_TOP, table_brick_game.TABLE_HALF) == (
+        writing_table.TABLE_TOP,
+        writing_table.TABLE_HALF,
+    )
+    assert (
+        table_brick_game.BALL_RING == writing_table.BALL_RING
+        and table_brick_game.BALL_RADIUS == elastic_toys.BALL_RADIUS
+    )
+    assert (table_brick_game.ROOM_LOW, table_brick_game.ROOM_HIGH) == (study_shell.ROOM_LOW, study_shell.ROOM_HIGH)
+    assert table_brick_game.PLANK == bricks.PLANK and bricks.CUBE == (table_brick_game.CUBE,) * 3
+    assert (box_moving.KNEE, box_moving.RIDGE) == (attic_shell.KNEE, attic_shell.RIDGE)
+    assert (box_moving.FAR, box_moving.NEAR) == (attic_shell.Z0, attic_shell.Z1)
+    assert (*attic_shell.HOLE_X, attic_shell.HOLE_HEIGHT) == box_moving.HOLE
+    assert box_moving.SIZES == boxes.SIZES and box_moving.PALLET == (boxes.PALLET_AT, boxes.PALLET_SIZE)
 
 
 @pytest.mark.parametrize("name", [*BRICKS, *BOXES])

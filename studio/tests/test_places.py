@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from assets.asset import Asset
 from core.vocabulary import Box, Capsule, Plane
-from scenes import childrens_room as room_scene
 from scenes import garden as garden_scene
+from scenes import toy_collection
 from studio import basket
 from studio.childrens_room.bed_and_tent import TENT_AT
 from studio.childrens_room.painted_shell import ROOM_HIGH, ROOM_LOW
@@ -47,11 +47,11 @@ def test_walls_of_the_childrens_room_are_where_bodies_stop(places):
     g = places["childrens_room"].gaussians
     inside = (g.means > np.array(ROOM_LOW) - 0.01).all(1) & (g.means < np.array(ROOM_HIGH) + 0.01).all(1)
     assert 90_000 < len(g) < 130_000 and inside.mean() > 0.95  # the rest is window and trees
-    planes = [c for c in room_scene.colliders() if isinstance(c, Plane)]
+    planes = [c for c in toy_collection.room_colliders() if isinstance(c, Plane)]
     assert_allclose(
         sorted(float(np.dot(p.point, p.normal)) for p in planes), [-2.1, -1.9, -1.9, -1.7, 0.005], atol=1e-9
     )
-    for box in (c for c in room_scene.colliders() if isinstance(c, Box)):  # each is covered by what one sees
+    for box in (c for c in toy_collection.room_colliders() if isinstance(c, Box)):  # each is covered by what one sees
         top = np.array(box.center) + (0.0, box.half_size[1], 0.0)
         near = np.abs(g.means[:, [0, 2]] - top[[0, 2]]) < np.array(box.half_size)[[0, 2]] + 0.02
         assert np.abs(g.means[near.all(1), 1] - top[1]).min() < 0.05

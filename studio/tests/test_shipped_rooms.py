@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from assets.asset import Asset
 from assets.library import SHIPPED_FOLDER
-from scenes import attic_floor, study_table
+from scenes import box_moving, table_brick_game
 from studio.attic import mouse_parlour
 from studio.catalogue import BOXES, BRICKS
 from studio.study import study_shell, writing_table
@@ -45,11 +45,11 @@ def test_a_room_is_opaque_and_of_a_playable_size(name, rooms):
 def test_the_study_has_the_measures_of_its_scene(rooms):
     room = rooms["study"]
     x = room.gaussians.means
-    inside = within(x, np.array(study_table.ROOM_LOW) - 0.01, np.array(study_table.ROOM_HIGH) + 0.01)
+    inside = within(x, np.array(table_brick_game.ROOM_LOW) - 0.01, np.array(table_brick_game.ROOM_HIGH) + 0.01)
     assert inside.mean() > 0.9  # the rest is the window and the trees
-    top = x[(room.gaussians.object_id == 1) & (np.abs(x[:, 1] - study_table.TABLE_TOP) < 2e-3)]
+    top = x[(room.gaussians.object_id == 1) & (np.abs(x[:, 1] - table_brick_game.TABLE_TOP) < 2e-3)]
     assert len(top) > 3_000
-    assert_allclose(np.abs(top[:, [0, 2]]).max(0), study_table.TABLE_HALF, atol=0.01)
+    assert_allclose(np.abs(top[:, [0, 2]]).max(0), table_brick_game.TABLE_HALF, atol=0.01)
 
 
 def test_neither_wall_nor_rail_crosses_the_door(rooms):
@@ -65,7 +65,7 @@ def test_neither_wall_nor_rail_crosses_the_door(rooms):
 def test_the_tower_and_the_ball_have_room_on_the_table(rooms):
     """Nothing static stands where bricks, bear and ball start, nor does its distance grid reach there."""
     room, x = rooms["study"], rooms["study"].gaussians.means
-    for body in (*study_table.tower(), *study_table.toys()):
+    for body in (*table_brick_game.tower(), *table_brick_game.toys()):
         at = np.array(body.position)
         half = np.array([0.08, 0.014, 0.08]) if body.asset.startswith("brick") else np.array([0.03, 0.02, 0.03])
         assert not within(x, at - half, at + half).any(), body.asset
@@ -79,18 +79,18 @@ def test_a_mouse_lives_behind_the_boxes(rooms):
     x = rooms["attic"].gaussians.means
     low, high = (mouse_parlour.X0 - 0.01, -0.01, mouse_parlour.BACK - 0.01), (mouse_parlour.X1 + 0.01, 0.31, -1.105)
     assert within(x, low, high).sum() > 5_000
-    x0, x1, top = attic_floor.HOLE
-    assert not within(x, (x0 + 0.03, 0.01, attic_floor.FAR - 0.02), (x1 - 0.03, 0.6 * top, attic_floor.FAR + 0.3)).any()
-    for body in attic_floor.boxes():
-        half = 0.5 * np.array(attic_floor.SIZES[body.asset])
+    x0, x1, top = box_moving.HOLE
+    assert not within(x, (x0 + 0.03, 0.01, box_moving.FAR - 0.02), (x1 - 0.03, 0.6 * top, box_moving.FAR + 0.3)).any()
+    for body in box_moving.boxes():
+        half = 0.5 * np.array(box_moving.SIZES[body.asset])
         assert not within(x, body.position - half + 0.005, body.position + half - 0.005).any(), body.asset
 
 
 def test_the_attic_has_the_measures_of_its_scene(rooms):
     x = rooms["attic"].gaussians.means
-    inside = x[(x[:, 2] > attic_floor.FAR - 0.01) & (x[:, 2] < attic_floor.NEAR + 0.01)]
-    parlour = within(x, (-0.25, -0.05, -1.35), (0.25, 0.35, attic_floor.FAR))
+    inside = x[(x[:, 2] > box_moving.FAR - 0.01) & (x[:, 2] < box_moving.NEAR + 0.01)]
+    parlour = within(x, (-0.25, -0.05, -1.35), (0.25, 0.35, box_moving.FAR))
     assert len(inside) > 0.9 * (~parlour).sum()  # the rest is the window and the sky
-    slope = attic_floor.RIDGE - (attic_floor.RIDGE - attic_floor.KNEE[1]) * np.abs(inside[:, 0]) / attic_floor.KNEE[0]
+    slope = box_moving.RIDGE - (box_moving.RIDGE - box_moving.KNEE[1]) * np.abs(inside[:, 0]) / box_moving.KNEE[0]
     assert (inside[:, 1] > slope + 0.05).sum() < 60  # a cord, a ridge beam; what stood out would be sunlit
-    assert (np.abs(inside[:, 0]) < attic_floor.KNEE[0] + 0.01).all() and inside[:, 1].min() > -0.02
+    assert (np.abs(inside[:, 0]) < box_moving.KNEE[0] + 0.01).all() and inside[:, 1].min() > -0.02

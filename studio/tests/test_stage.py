@@ -10,7 +10,7 @@ from assets.animation import world_matrices
 from assets.asset import Asset
 from core.tetmesh import vertex_components
 from prepare.rig.retargeting import BONES
-from scenes import theatre
+from scenes import just_dance
 from studio.dancer.choreography import dance_rig
 from studio.dancer.garments import ponytail, skirt
 from studio.dancer.skeleton import HEIGHT, joint_positions
@@ -22,13 +22,13 @@ SHIPPED = Path(__file__).resolve().parents[2] / "assets" / "data"
 
 def test_the_scene_repeats_the_stage():
     edges = house.STAGE_TOP, house.STAGE_FRONT, house.STAGE_BACK, house.STAGE_HALF_WIDTH
-    assert edges == (theatre.STAGE_TOP, theatre.STAGE_FRONT, theatre.STAGE_BACK, theatre.STAGE_HALF_WIDTH)
-    assert theatre.OPENING_HALF_WIDTH == house.OPENING_HALF_WIDTH
-    assert (hall_walls.HALL_HIGH[0], hall_walls.HALL_HIGH[2]) == (theatre.HALL_HALF_WIDTH, theatre.HALL_BACK)
+    assert edges == (just_dance.STAGE_TOP, just_dance.STAGE_FRONT, just_dance.STAGE_BACK, just_dance.STAGE_HALF_WIDTH)
+    assert just_dance.OPENING_HALF_WIDTH == house.OPENING_HALF_WIDTH
+    assert (hall_walls.HALL_HIGH[0], hall_walls.HALL_HIGH[2]) == (just_dance.HALL_HALF_WIDTH, just_dance.HALL_BACK)
     x, z = prop_tables.TABLE_X, prop_tables.TABLE_Z
-    assert ((-x, prop_tables.TABLE_TOP, z), (x, prop_tables.TABLE_TOP, z)) == theatre.TABLES
-    assert theatre.TABLE_HALF == prop_tables.TABLE_HALF
-    shells = next(c for c in theatre.colliders() if hasattr(c, "half_size") and c.half_size[2] < 0.05)
+    assert ((-x, prop_tables.TABLE_TOP, z), (x, prop_tables.TABLE_TOP, z)) == just_dance.TABLES
+    assert just_dance.TABLE_HALF == prop_tables.TABLE_HALF
+    shells = next(c for c in just_dance.room_colliders() if hasattr(c, "half_size") and c.half_size[2] < 0.05)
     assert abs(shells.center[2] - stage_lights.FOOTLIGHT_Z) < 0.03
     assert shells.half_size[0] > stage_lights.FOOTLIGHT_X[-1]
     top = shells.center[1] + shells.half_size[1] - house.STAGE_TOP

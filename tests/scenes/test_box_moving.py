@@ -8,8 +8,7 @@ from core.vocabulary import Box
 from display.protocol import Frame
 from display.user_commands import Reset
 from scenes import registry
-from scenes.attic_floor import FAR, HOLE, PALLET, SIZES, boxes, colliders
-from scenes.box_moving import TURN, BoxMoving, before_hole
+from scenes.box_moving import FAR, HOLE, PALLET, SIZES, TURN, BoxMoving, before_hole, boxes
 from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]
@@ -65,7 +64,7 @@ def test_the_boxes_stand_apart_before_the_hole_and_the_pallet_is_free():
     for i in range(len(at)):
         for j in range(i):
             assert np.max(np.abs(at[i] - at[j]) - 0.5 * (sizes[i] + sizes[j])) > -1e-6
-        for c in colliders():
+        for c in registry.load("box_moving").colliders:
             if isinstance(c, Box):
                 assert np.max(np.abs(at[i] - c.center) - 0.5 * sizes[i] - c.half_size) > 0.005
     big, size = at[-1], sizes[-1]

@@ -22,7 +22,7 @@ from core.rotation import matrices_from_quaternions
 from core.vocabulary import Body, Plane
 from scenes import registry
 from scenes.roles import CELL, bounds, clear_of_room, in_room, photographs_of, places, spot_in
-from scenes.scene import Role, Room
+from scenes.scene import Role, Room, Scene
 from vrgs import main
 
 JELLY = Material.named("jelly")
@@ -173,11 +173,16 @@ def test_what_would_be_in_a_wall_or_in_furniture_is_put_beside_it(tmp_path):
 def test_a_play_on_the_floor_finds_free_floor(tmp_path):
     stage = room(tmp_path, table=True)
     asset = Asset.load(stage)
-    spot, free = spot_in(asset.environment, asset.sdf, Room((), (), (0.0, 0.0, 0.0), 1.0, on_floor=True))
+
+    def placed(radius):
+        play = Scene([], None, (0, 1, 1), (0, 0, 0), room=Room((), (), (0.0, 0.0, 0.0), radius, on_floor=True))
+        return spot_in(play, asset.environment, asset.sdf)
+
+    spot, free = placed(1.0)
     to_table = np.linalg.norm(np.maximum(np.abs(spot[[0, 2]] - [-1.0, 0.0]) - [0.4, 0.6], 0.0))
     assert spot[1] == 0.0 and free > 1.0
     assert free == pytest.approx(min(2.0 - abs(spot[0]), 3.0 - abs(spot[2]), to_table), abs=2 * CELL)
-    spot, free = spot_in(asset.environment, asset.sdf, Room((), (), (0.0, 0.0, 0.0), 0.5, on_floor=True))
+    spot, free = placed(0.5)
     assert free > 0.45 and abs(spot[2]) < 0.3  # enough, and near the room's middle
 
 
@@ -206,6 +211,21 @@ def test_a_room_that_is_too_small_is_told(tmp_path):
     assert registry.load("ring_toss", stage=stage).cast == (
         (stage, "the room (12 cm are free around the play, which takes 30 cm)"),
     )
+
+
+@pytest.mark.parametrize(("name", "takes"), [("box_moving", "2.0 m"), ("animal_crossing", "2.4 m")])
+def test_a_play_that_must_fit_is_refused_by_a_cluttered_room(name, takes, tmp_path):
+    """Columns stand on its floor in rows, 1 m apart."""
+    stage = room(tmp_path, table=False)
+    asset = Asset.load(stage)
+    count = asset.sdf.values.shape
+    x, z = np.arange(count[0])[:, None, None] * 0.05 - 2.2, np.arange(count[2]) * 0.05 - 3.2
+    columns = np.hypot(x % 1.0 - 0.5, z % 1.0 - 0.5) - 0.1
+    grid = replace(asset.sdf, values=np.minimum(asset.sdf.values, columns.astype(np.float16)))
+    replace(asset, sdf=grid).save(stage)
+    with pytest.raises(BadInput, match=f"there is no room for this play: it takes {takes} of level, free floor") as e:
+        registry.load(name, stage=stage)
+    assert "\n" not in str(e.value)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,7 @@ from numpy.testing import assert_allclose
 from display.protocol import Frame
 from display.user_commands import Reset
 from scenes import registry
-from scenes.study_table import TABLE_TOP, tower, tower_height
-from scenes.table_brick_game import DRAW_AT, DRAW_TIME, DRAWN
+from scenes.table_brick_game import DRAW_AT, DRAW_TIME, DRAWN, TABLE_TOP, tower, tower_height
 from tests.support.scripted_play import blind_world
 
 DT = 1 / 60  # [s]

@@ -15,10 +15,20 @@ from time import perf_counter
 import numpy as np
 
 from assets.file_access import atomic_write_all, check_writable, make_folder
-from bench.embedding_ablation import DEFORMATIONS, SCHEMES, WORST_SHOWN, arch, measure_ablations, striped_bar
+from bench.bar_figures import (
+    DEFORMATIONS,
+    HEIGHTS,
+    MATERIAL,
+    SCHEMES,
+    WORST_SHOWN,
+    TwistedBar,
+    arch,
+    measure_ablations,
+    quarter_period,
+    striped_bar,
+)
 from bench.html_page import Section, Table, html_page
 from bench.inpainting import inpainting_section
-from bench.twist import HEIGHTS, MATERIAL, TwistedBar, quarter_period
 from core.camera import look_at, perspective
 from core.fields import destroy_fields, keep_compiled_kernels
 from display.picture import pixels_of

@@ -6,14 +6,16 @@ TrainOptions, or `fast`, the recipe of `train --fast`. bench/peers/gsplat_traini
 
 from __future__ import annotations
 
+import ctypes
 import sys
+from ctypes.util import find_library
 from dataclasses import fields, replace
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+import taichi as ti
 
-from bench.device_memory import device_memory
 from core.errors import BadInput
 from display.run_stats import peak_memory_mb, write_stats
 from prepare.train.train_options import CAPS, FAST_STEPS, STEPS, TrainOptions, fast
@@ -58,8 +60,6 @@ def variant_of(text: str) -> TrainOptions:
 
 def training_options(args, options: TrainOptions, text: str) -> TrainOptions:
     """The options with the command's, and the device's defaults, where the variant does not say."""
-    import taichi as ti
-
     arch, said = "cuda" if ti.cfg.arch == ti.cuda else "cpu", text.replace("=", ",").split(",")
     steps, cap = args.steps or (FAST_STEPS if "fast" in said else STEPS)[arch], args.cap or CAPS[arch]
     numbers = {"steps": steps, "cap": cap, "seed": args.seed}
@@ -92,8 +92,6 @@ def measure(name: str, variant: str, read: tuple, options: TrainOptions, test_at
 
     The first step compiles the kernels and is timed by itself.
     """
-    import taichi as ti
-
     capture, learned, kept = read
     trainer = new_trainer(capture, learned, options)
     refining = _time_refinement(trainer)
@@ -137,8 +135,6 @@ def listed(values: list[float]) -> str:
 
 def _time_refinement(trainer) -> dict[str, float]:
     """Sum up the time of births and deaths of a trainer from now on, in what is returned."""
-    import taichi as ti
-
     from prepare.train.densification import EVERY
 
     act, spent = trainer.strategy.after, {"seconds": 0.0}
@@ -159,11 +155,9 @@ def _time_refinement(trainer) -> dict[str, float]:
 
 def stages(trainer, count: int) -> dict[str, float]:
     """Milliseconds of a step by stage, means over `count` more steps without births, deaths and noise."""
-    import taichi as ti
-
+    spent: dict[str, float] = {}
     from bench.training_stages import StagedStep
 
-    spent: dict[str, float] = {}
     step = StagedStep(trainer)
     for k in range(count + 1):  # the first one compiles
         times = step.run(k % len(trainer.views))
@@ -193,3 +187,20 @@ def print_rows(rows: list[dict]) -> None:
             about = f"{row['capture']}, {row.get('variant', row['program'])}, after {row['step']} steps"
             print(f"{about}: a step {total:.3f} ms = {parts}, births and deaths {refining:.3f} (mean of all)")
     sys.stdout.flush()
+
+
+class _Memory(ctypes.Structure):
+    _fields_ = (("total", ctypes.c_ulonglong), ("free", ctypes.c_ulonglong), ("used", ctypes.c_ulonglong))
+
+
+def device_memory() -> float | None:
+    """Memory in use on the first GPU by all processes [MiB], or None without NVIDIA's management library."""
+    try:
+        nvml = ctypes.CDLL(find_library("nvidia-ml") or "libnvidia-ml.so.1")
+    except OSError:
+        return None
+    device, memory = ctypes.c_void_p(), _Memory()
+    if nvml.nvmlInit_v2() or nvml.nvmlDeviceGetHandleByIndex_v2(0, ctypes.byref(device)):
+        return None
+    failed = nvml.nvmlDeviceGetMemoryInfo(device, ctypes.byref(memory))
+    return None if failed else memory.used / 2**20

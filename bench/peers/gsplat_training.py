@@ -28,8 +28,7 @@ from gsplat import DefaultStrategy, rasterization
 from gsplat.strategy.ops import reset_opa
 
 from assets.gaussians import Gaussians
-from bench.device_memory import device_memory
-from bench.training_speed import STAGE_STEPS, listed, print_rows, read_training_capture
+from bench.training_speed import STAGE_STEPS, device_memory, listed, print_rows, read_training_capture
 from core.errors import BadInput
 from prepare.train.seeds import first_count, seeds, with_background
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from assets.asset import Asset, Cage
 from assets.gaussians import Gaussians
-from bench import embedding_ablation, render_speed
+from bench import bar_figures, render_speed
 from bench import synthetic_room as rooms
 from bench.sample_meshes import random_gaussians, tet_bar
 from core.tetmesh import boundary_surface
@@ -30,7 +30,7 @@ def test_a_slow_device_draws_three_pictures_and_no_more():
 @pytest.mark.parametrize("turn", [1.3, None])
 def test_the_gradients_of_the_ablation_are_those_of_its_motion(turn, axis):
     """Central differences, the ends of the body held in place."""
-    rng, deformed = np.random.default_rng(0), embedding_ablation.deformed
+    rng, deformed = np.random.default_rng(0), bar_figures.deformed
     x = np.concatenate([[[-1.0, -2.0, -3.0], [2.0, 1.0, 3.0]], rng.uniform(-0.9, 0.9, (50, 3))])
     _, F = deformed(x, turn, axis)
     for c in range(3):
@@ -50,12 +50,12 @@ def test_two_levels_are_smoother_than_one_and_the_page_shows_them(ti_cpu):
     g = random_gaussians(np.random.default_rng(0), 2000, low=low, high=high, sigma=0.002)
     embedded = embed(g.means, g.quats, np.exp(g.log_scales), x, tets)
     bar = Asset(g, Cage(x, tets, boundary_surface(tets)), embedded)
-    measured = embedding_ablation.measure_ablations("bar", bar, ["180 degrees"], draw=True)
+    measured = bar_figures.measure_ablations("bar", bar, ["180 degrees"], draw=True)
     (one, (_, redder)), (two, (picture, errors)) = measured
     assert (picture != errors).any() and redder.mean() < errors.mean() - 0.1
     assert two["jump"] < 0.5 * one["jump"] and two["spikes"] <= one["spikes"] < 0.01
     assert 0.05 < two["error"] < 1.2 * one["error"] < 0.6
-    assert picture.shape[0] == embedding_ablation.PANEL and (picture < 200).mean() > 0.02
+    assert picture.shape[0] == bar_figures.PANEL and (picture < 200).mean() > 0.02
 
 
 def test_the_time_of_a_picture_is_measured(ti_cpu):

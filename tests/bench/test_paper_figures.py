@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from bench import inpainting, paper_figures
+from bench.bar_figures import TwistedBar, crossing_frequency
 from bench.html_page import Section, Table, html_page
-from bench.twist import TwistedBar, crossing_frequency
 from vrgs import main
 
 

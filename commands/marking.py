@@ -12,8 +12,8 @@ import numpy as np
 from assets.gaussians import Gaussians
 from assets.up_axis import guess_up_axis, rotation_to_up
 from core.errors import BadInput
-from display.mark.free_view import FreeView
 from display.mark.mark_edit import Mark, MarkEdit, MarkState
+from display.mark.mark_window import FreeView
 from display.window.orbit_camera import OrbitCamera
 from prepare.segment.marks import Marks, ViewMarks, drawn_boxes, drawn_strokes
 from prepare.segment.mask_files import check_name, object_colors

@@ -292,7 +292,7 @@ class Session:
         """The world of a scene, ready to play, with a report of the progress."""
         from display.keep.remembered import Remembered
         from display.record.recording import about_play
-        from display.start_progress import start_progress
+        from display.timing import start_progress
         from display.world import World
 
         name = label(self.args.scene)

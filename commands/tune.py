@@ -48,8 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> None:
     """Print the table and write the strip. Raises BadInput."""
     start_taichi(args.arch)
-    from display.headless.picture_strip import strip
-    from display.headless.stiffness_sweep import drop_each
+    from display.headless.stiffness_sweep import drop_each, strip
     from display.picture import save_picture
     from display.run_stats import write_stats
 

@@ -16,9 +16,8 @@ from assets.gaussians import Gaussians, concatenate
 from core.camera import Camera
 from core.morton import morton_order
 from core.vocabulary import Light
-from display.animation_targets import AnimationTargets
 from display.edit.added_body import pieces_of
-from display.scene_bodies import load_bodies
+from display.scene_bodies import AnimationTargets, load_bodies
 from render import MOVING_SORT
 from render.renderer import Renderer
 from render.shadow_map import ShadowMap

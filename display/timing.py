@@ -1,14 +1,18 @@
-"""Timings of frames: a stopwatch per stage."""
+"""Timings of frames, a stopwatch per stage, and the progress of a start."""
 
 from __future__ import annotations
 
+import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from time import perf_counter
+from typing import TextIO
 
 import numpy as np
+
+from core.runtime import watch_compilation
 
 HISTORY_LENGTH = 36_000  # samples kept per stage: ten minutes at 60 Hz, a few MB in all
 RECENT_SAMPLES = 60  # samples behind the panel's numbers: steady, and still current
@@ -133,3 +137,35 @@ class Timings:
 def last(values: deque[float], count: int) -> list[float]:
     """The last `count` values of a deque, without walking through the others."""
     return list(islice(reversed(values), count))
+
+
+KERNELS = 91  # of the sandbox; other scenes have about as many
+SHOW_INTERVAL = 0.2  # [s] between two lines on the display, and on a terminal, which renews its line
+LOG_INTERVAL = 5.0  # [s] between two lines in a file
+
+
+@contextmanager
+def start_progress(show: Callable[[str], None], out: TextIO | None = None) -> Iterator[None]:
+    """While active, tell `show` and the terminal which kernel is being compiled, or read from the cache."""
+    out = out or sys.stderr
+    begin = perf_counter()
+    interval = SHOW_INTERVAL if out.isatty() else LOG_INTERVAL
+    shown, written = begin, begin
+
+    def note(count: int) -> None:
+        nonlocal shown, written
+        now = perf_counter()
+        text = f"Preparing kernel {count} of about {max(KERNELS, count)}, {now - begin:.0f} s"
+        if now - shown >= SHOW_INTERVAL:
+            shown = now
+            show(text)
+        if now - written >= interval:
+            written = now
+            print(f"\r{text}\033[K" if out.isatty() else text, end="" if out.isatty() else "\n", file=out, flush=True)
+
+    try:
+        with watch_compilation(note):
+            yield
+    finally:
+        if out.isatty() and written > begin:
+            print("\r\033[K", end="", file=out, flush=True)

@@ -15,9 +15,9 @@ import numpy as np
 from core.errors import BadInput
 from core.material import MATERIALS, Material
 from core.vocabulary import BodyState, Hand
-from display.animation_targets import AnimationTargets
 from display.device_scene import DeviceScene
 from display.edit.added_body import Piece, fitted_harmonics, pieces_of
+from display.scene_bodies import AnimationTargets
 from sim.embedding import BodySpan, PackedBody
 from sim.model import MAX_BODIES, BodyModel, CapacityError
 

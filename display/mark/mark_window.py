@@ -1,20 +1,20 @@
-"""Window to mark objects: strokes and boxes on photographs, or on a splat seen from a free camera."""
+"""Window to mark objects: strokes and boxes on photographs, or on a splat seen from a free camera; its panel."""
 
 from __future__ import annotations
 
 import itertools
 import sys
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
+from core.camera import Camera, look_at
 from core.errors import BadInput, Cancelled
-from display.mark.free_view import FreeView
 from display.mark.mark_edit import MarkEdit, MarkState
-from display.mark.mark_panel import WIDTH, MarkPanel
-from display.mark.placed_picture import PlacedPicture
-from display.picture import PictureTexture
+from display.picture import PictureTexture, fit
 from display.window.gl_window import GLWindow, has_display
+from display.window.orbit_camera import OrbitCamera
 from display.window.panel.theme import apply_theme
 
 ORBIT_PER_HEIGHT = np.pi  # [rad] of rotation for a drag over the picture's height
@@ -298,3 +298,243 @@ def marked_in_window(subject: Subject, edit: MarkEdit, title: str, size: tuple[i
         print("the window was left: no marks are kept, nothing is written", file=sys.stderr)
         raise Cancelled(quits=True)
     return state
+
+
+WIDTH = 248.0  # in screen coordinates at a display scale of 1
+LIST_ROWS = 6  # of objects, or of views, that are seen at once
+TOOLS = {"inside": "Inside", "outside": "Outside", "boxes": "Box"}
+HINTS = (
+    "Left: inside; right, Shift: outside\n"
+    "B: box   N: new   1-9: choose object\n"
+    "Ctrl+Z, Ctrl+Y: undo, redo\n"
+    "Del: delete the object\n"
+)
+PHOTOGRAPH_HINTS = (
+    "Tab, Shift+Tab: next, previous\nWheel: nearer; middle: move; Home: all\n"
+    "Colours are a first idea, of this photograph alone"
+)
+ORBIT_HINTS = "Space or middle drag: turn\nWheel: nearer   W A S D Q E: move\n+ -: grow, shrink   Tab: next view"
+
+
+class MarkPanel:
+    """Panel of a MarkWindow, at its left."""
+
+    def __init__(self, window):
+        self._window = window
+        self._typed: str | None = None  # a name that is being written
+
+    def draw(self, size: tuple[int, int], scale: float) -> None:
+        """Draw it, (width, height) in screen coordinates, and do what is clicked."""
+        from imgui_bundle import imgui
+
+        flag = imgui.WindowFlags_
+        imgui.set_next_window_pos((0, 0))
+        imgui.set_next_window_size(size)
+        flags = flag.no_title_bar | flag.no_resize | flag.no_move | flag.no_nav | flag.no_bring_to_front_on_focus
+        imgui.begin("Marks", None, flags)
+        self._objects(scale)
+        imgui.separator()
+        self._tools()
+        imgui.separator()
+        self._views(scale)
+        imgui.separator()
+        imgui.text_wrapped(self._window.line or "Draw a stroke inside of what shall be an object.")
+        done = imgui.get_frame_height_with_spacing()
+        hints = HINTS + (PHOTOGRAPH_HINTS if self._window.subject.free is None else ORBIT_HINTS)
+        wide = imgui.get_content_region_avail().x
+        high = imgui.calc_text_size(hints, False, wide).y
+        imgui.set_cursor_pos_y(
+            max(imgui.get_cursor_pos_y(), size[1] - done - high - 3 * imgui.get_style().item_spacing.y)
+        )
+        if imgui.button("Done (Enter)", (wide, 0.0)):
+            self._window.finish()
+        imgui.push_style_color(imgui.Col_.text, imgui.get_style().color_(imgui.Col_.text_disabled))
+        imgui.text_wrapped(hints)
+        imgui.pop_style_color()
+        imgui.end()
+
+    def _objects(self, scale: float) -> None:
+        from imgui_bundle import imgui
+
+        edit, subject = self._window.edit, self._window.subject
+        rows = min(len(edit.state.objects), LIST_ROWS)
+        imgui.text("Objects")
+        imgui.begin_child("objects", (0.0, rows * imgui.get_frame_height_with_spacing()))
+        for k, name in enumerate(edit.state.objects):
+            imgui.color_button(f"##colour{k}", (*subject.colour(k), 1.0))
+            imgui.same_line()
+            if k == edit.current:
+                self._name(name)
+                continue
+            views = len({m.view for m in edit.state.marks if m.object == name})
+            if imgui.selectable(f"{k + 1}  {name}   {f'in {views}' if views else 'no marks'}##{k}", False)[0]:
+                edit.choose(k)
+        imgui.end_child()
+        self._buttons(
+            {"New": edit.new_object, "Delete": edit.delete, "Undo": self._window.undo, "Redo": self._window.redo}
+        )
+
+    def _name(self, name: str) -> None:
+        """The name of the current object, which can be written anew."""
+        from imgui_bundle import imgui
+
+        imgui.set_next_item_width(-1.0)
+        imgui.push_item_flag(imgui.ItemFlags_.no_tab_stop, True)  # Tab is for the next view
+        current = name if self._typed is None else self._typed
+        changed, text = imgui.input_text("##name", current, imgui.InputTextFlags_.auto_select_all)
+        if changed:
+            self._typed = text
+        imgui.pop_item_flag()
+        if imgui.is_item_deactivated() and self._typed is not None:
+            text, self._typed = self._typed.strip(), None
+            if not self._window.edit.rename(text):
+                self._window.line = f"{text!r} cannot be its name"
+
+    def _tools(self) -> None:
+        from imgui_bundle import imgui
+
+        for kind, text in TOOLS.items():
+            if imgui.radio_button(text, self._window.tool == kind):
+                self._window.tool = kind
+            if kind != "boxes":
+                imgui.same_line()
+        if self._window.subject.free is not None:
+            edit = self._window.edit
+            self._buttons({"Grow": lambda: edit.grow(1), "Shrink": lambda: edit.grow(-1)})
+
+    def _views(self, scale: float) -> None:
+        from imgui_bundle import imgui
+
+        window, subject = self._window, self._window.subject
+        views, shown = subject.views, subject.view_shown()
+        if subject.free is None:
+            at = views.index(shown)
+            imgui.text(f"Photograph {at + 1} of {len(views)}")
+            self._buttons({"Previous": lambda: window.turn_page(-1), "Next": lambda: window.turn_page(1)})
+            if len(views) > 1:
+                imgui.set_next_item_width(-1.0)
+                moved, chosen = imgui.slider_int("##photograph", at + 1, 1, len(views), shown.replace("%", "%%"))
+                if moved:
+                    window.go_to(views[min(max(chosen, 1), len(views)) - 1])
+        marked = sorted({m.view for m in window.edit.state.marks})
+        imgui.text("With marks:" if marked else "None has marks yet")
+        imgui.begin_child("views", (0.0, min(len(marked), LIST_ROWS) * imgui.get_text_line_height_with_spacing() + 1))
+        for name in marked:
+            if imgui.selectable(f"{name}##view", name == shown)[0]:
+                window.go_to(name)
+        imgui.end_child()
+
+    def _buttons(self, actions: dict) -> None:
+        """Buttons in a row."""
+        from imgui_bundle import imgui
+
+        for k, (text, act) in enumerate(actions.items()):
+            if k:
+                imgui.same_line()
+            if imgui.button(text):
+                act()
+
+
+ZOOM_STEP, ZOOM_MAX = 1.25, 16.0  # of a notch of the wheel; of the whole picture's size
+
+
+class PlacedPicture:
+    """A picture of `size` (width, height) in an `area` (left, top, width, height) of a window.
+
+    Pixels of the picture and positions in the window count to the right and down.
+    """
+
+    def __init__(self) -> None:
+        self.size, self.area, self._zoom = (1, 1), (0, 0, 1, 1), 1.0
+        self._middle = (0.5, 0.5)  # the part of the picture at the middle of the area
+
+    @property
+    def place(self) -> tuple[float, float, float, float]:
+        """Left, top, width and height of the whole picture in the window; larger than the area when zoomed."""
+        left, top, width, height = self.area
+        x, y, w, h = fit(self.size, (max(width, 1), max(height, 1)))
+        if self._zoom == 1.0:
+            return left + x, top + y, w, h
+        w, h = w * self._zoom, h * self._zoom
+        return left + 0.5 * width - self._middle[0] * w, top + 0.5 * height - self._middle[1] * h, w, h
+
+    def to_window(self, point) -> tuple[float, float]:
+        """Position in the window of a pixel's."""
+        left, top, width, height = self.place
+        return left + point[0] / self.size[0] * width, top + point[1] / self.size[1] * height
+
+    def to_picture(self, x: float, y: float) -> tuple[float, float]:
+        """Position in the picture, the nearest within it."""
+        left, top, width, height = self.place
+        u, v = (x - left) / width * self.size[0], (y - top) / height * self.size[1]
+        return min(max(u, 0.0), float(self.size[0])), min(max(v, 0.0), float(self.size[1]))
+
+    def zoom(self, notches: float, x: float, y: float) -> None:
+        """Enlarge the picture; what is at a position in the window stays there."""
+        u, v = (p / n for p, n in zip(self.to_picture(x, y), self.size, strict=True))
+        self._zoom = min(max(self._zoom * ZOOM_STEP**notches, 1.0), ZOOM_MAX)
+        left, top, width, height = self.area
+        _, _, w, h = fit(self.size, (max(width, 1), max(height, 1)))
+        w, h = w * self._zoom, h * self._zoom
+        self._look_at(u - (x - left - 0.5 * width) / w, v - (y - top - 0.5 * height) / h)
+
+    def move(self, dx: float, dy: float) -> None:
+        """Move an enlarged picture with the hand that drags it."""
+        _, _, width, height = self.place
+        self._look_at(self._middle[0] - dx / width, self._middle[1] - dy / height)
+
+    def whole(self) -> None:
+        """Show the whole picture."""
+        self._zoom, self._middle = 1.0, (0.5, 0.5)
+
+    def _look_at(self, u: float, v: float) -> None:
+        self._middle = (min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)) if self._zoom > 1.0 else (0.5, 0.5)
+
+
+class FreeView:
+    """An OrbitCamera in a frame that is upright, and marked views in that of the splat's file.
+
+    orbit    the camera that the user moves
+    size     (width, height) [px] of its pictures
+    upright  (4, 4) rotation from the file's frame
+    cameras  of the marked views by name, in the file's frame
+    """
+
+    def __init__(self, orbit: OrbitCamera, size: tuple[int, int], upright: np.ndarray, cameras: dict[str, Camera]):
+        self.orbit, self.size, self._upright, self.cameras = orbit, size, upright, dict(cameras)
+
+    @property
+    def camera(self) -> Camera:
+        """The free camera in the frame of the file."""
+        camera = self.orbit.camera(*self.size)
+        return replace(camera, world_to_camera=camera.world_to_camera @ self._upright)
+
+    def shown(self) -> str | None:
+        """The view that was marked from here, if there is one."""
+        here = self.camera
+        return next((name for name, camera in self.cameras.items() if same_camera(camera, here)), None)
+
+    def named(self) -> str:
+        """The view from here, which is given a name if it has none."""
+        name = self.shown()
+        if name is None:
+            number = len(self.cameras) + 1
+            while f"view_{number}" in self.cameras:
+                number += 1
+            name = f"view_{number}"
+            self.cameras[name] = self.camera
+        return name
+
+    def go_to(self, view: str) -> None:
+        """Look from where a view was marked; its roll is ignored."""
+        pose = self.cameras[view].world_to_camera @ self._upright.T
+        eye = -pose[:3, :3].T @ pose[:3, 3]
+        self.orbit.eye, self.orbit.target = eye, eye + self.orbit.distance * pose[2, :3]
+        if np.allclose(look_at(self.orbit.eye, self.orbit.target), pose, atol=1e-6):
+            self.cameras[view] = replace(self.cameras[view], world_to_camera=self.camera.world_to_camera)
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """True if two cameras take the same picture."""
+    lenses = ([c.width, c.height, c.fx, c.fy, c.cx, c.cy] for c in (a, b))
+    return np.allclose(*lenses) and np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-6)

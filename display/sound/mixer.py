@@ -1,11 +1,20 @@
-"""Mixer of sounds: voices are added block by block and limited. Fed by one thread, read by another, without a lock."""
+"""Mixer of sounds and the loudspeakers that play them.
+
+Voices are added block by block and limited. The mixer is fed by one thread and read by another, without a lock.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from core.errors import BadInput
+from display.sound.body_sound import RATE
 
 VOICES = 32  # at once; more make the oldest end
 LOUD = 0.6  # from which on peaks are bent, towards 1
@@ -50,3 +59,49 @@ def limited(x: np.ndarray) -> np.ndarray:
     """Samples as they are up to LOUD, above it bent towards 1 without a kink."""
     over = np.maximum(np.abs(x) - LOUD, 0.0)
     return np.where(over > 0, np.sign(x) * (LOUD + (1 - LOUD) * np.tanh(over / (1 - LOUD))), x).astype(np.float32)
+
+
+SILENT = ctypes.CFUNCTYPE(None, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p, ctypes.c_int, ctypes.c_char_p)(
+    lambda *message: None
+)  # a handler of ALSA's errors, which must outlive it
+BUFFER = 40  # [ms]: less would break off while the program holds Python's lock; an impact is heard that much later
+
+
+class AudioDevice:
+    """Plays what `mix` (count -> (count, 2) float32) gives, in a thread of its own, until `close`.
+
+    `backends` of miniaudio; unset: the platform's. Raises BadInput where there is no package or no device.
+    """
+
+    def __init__(self, mix: Callable[[int], np.ndarray], backends: Sequence | None = None):
+        try:
+            import miniaudio
+        except ImportError as e:
+            raise BadInput("no sound: the package miniaudio is not installed (pip install miniaudio)") from e
+        real = [b for b in miniaudio.Backend if b is not miniaudio.Backend.NULL]
+        silence_alsa()
+        form = {"output_format": miniaudio.SampleFormat.FLOAT32, "nchannels": 2, "sample_rate": RATE}
+        try:
+            self._device = miniaudio.PlaybackDevice(**form, buffersize_msec=BUFFER, backends=list(backends or real))
+            blocks = blocks_of(mix)
+            next(blocks)
+            self._device.start(blocks)
+        except miniaudio.MiniaudioError as e:
+            raise BadInput("no sound: there is no audio device") from e
+
+    def close(self) -> None:
+        """Stop playing. Further calls do nothing."""
+        self._device.close()
+
+
+def silence_alsa() -> None:
+    """Keep ALSA, where it is the system's, from writing to the terminal that there is no device."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(SILENT)
+
+
+def blocks_of(mix: Callable[[int], np.ndarray]) -> Iterator[bytes]:
+    """Generator as miniaudio wants it: it is sent the number of samples that are due, and gives their bytes."""
+    count = yield b""
+    while True:
+        count = yield mix(count).tobytes()

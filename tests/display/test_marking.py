@@ -13,7 +13,7 @@ import pytest
 from assets.splat_files import read_gaussians, write_gaussians
 from commands.marking import PhotographSubject, edit_of, marks_of_state, state_of
 from display.mark.mark_edit import MarkEdit
-from display.mark.placed_picture import PlacedPicture
+from display.mark.mark_window import PlacedPicture
 from tests.prepare.test_splat_segmentation import balls_on_a_floor
 from tests.support.painted_capture import write_capture
 from tests.support.xvfb import NEEDS_XVFB, XServer

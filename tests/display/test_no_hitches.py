@@ -10,7 +10,7 @@ from core.camera import look_at, perspective
 from core.runtime import watch_compilation
 from core.vocabulary import Hand, Touch
 from display.protocol import Frame
-from display.start_progress import KERNELS, start_progress
+from display.timing import KERNELS, start_progress
 from display.user_commands import (
     Duplicate,
     Pause,
@@ -152,7 +152,7 @@ def test_a_warm_up_leaves_the_scene_at_its_start(play):
 def test_a_start_says_which_kernel_it_prepares(ti_cpu, monkeypatch):
     """On the display, and in a log a line now and then; after the start kernels are nobody's concern."""
     ti, clock, log, shown = ti_cpu, iter(np.arange(100.0)), StringIO(), []
-    monkeypatch.setattr("display.start_progress.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("display.timing.perf_counter", lambda: next(clock))
 
     def compile_some(count: int):
         for k in range(count):

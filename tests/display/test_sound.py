@@ -17,12 +17,9 @@ from core.vocabulary import BodyState
 from display.headless.video import Video
 from display.preferences import Preferences
 from display.protocol import Frame
-from display.sound import audio_device
-from display.sound.body_sound import RATE, body_modes, waveform
-from display.sound.impacts import Impacts
-from display.sound.mixer import LOUD, VOICES, Mixer
-from display.sound.sound import Sound, heard_from
-from display.sound.sound_track import SoundTrack
+from display.sound.body_sound import RATE, Impacts, body_modes, waveform
+from display.sound.mixer import LOUD, VOICES, AudioDevice, Mixer
+from display.sound.sound import Sound, SoundTrack, heard_from
 from display.user_commands import Reset, SetSound
 
 G = (0.0, -9.81, 0.0)
@@ -240,7 +237,7 @@ def test_a_device_plays_from_a_thread_of_its_own_until_it_is_switched_off(tmp_pa
         played.set()
         return np.zeros((count, 2), np.float32)
 
-    device = audio_device.AudioDevice(mix, backends=[miniaudio.Backend.NULL])
+    device = AudioDevice(mix, backends=[miniaudio.Backend.NULL])
     assert played.wait(10) and threading.get_ident() not in threads
     device.close()
     preferences = Preferences(tmp_path / "settings.json")

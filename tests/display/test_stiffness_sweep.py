@@ -11,8 +11,7 @@ import vrgs
 from core.errors import BadInput
 from core.material import MATERIALS, Material
 from display.headless import stiffness_sweep as tune
-from display.headless.picture_strip import FOOT, GAP, HEAD, MARGIN, PANEL, mark_height, pascal
-from display.headless.stiffness_sweep import floor, framing
+from display.headless.stiffness_sweep import FOOT, GAP, HEAD, MARGIN, PANEL, floor, framing, mark_height, pascal
 
 YOUNGS = (1e4, 1e5)
 

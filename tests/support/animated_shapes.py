@@ -8,7 +8,7 @@ from assets.animation import START_RAMP
 from assets.asset import Asset
 from core.material import ANIMATED_MATERIAL, Material
 from core.vocabulary import Body
-from display.animation_targets import AnimationTargets
+from display.scene_bodies import AnimationTargets
 from sim.model import SoftBody
 from sim.solver import Solver
 
